@@ -1,0 +1,72 @@
+# Every target works in a fresh clone: it makes .venv and installs what it needs, again only when
+# pyproject.toml has changed. Another Python: make demo PYTHON=python3.12
+
+PYTHON ?= python3
+OUT ?= out/beam
+PYTEST_ARGS ?= -n auto
+
+VENV := .venv
+BIN := $(VENV)/bin
+
+# Draw off-screen, without a display.
+export PYVISTA_OFF_SCREEN ?= true
+export MPLBACKEND ?= Agg
+ifeq ($(shell uname -s),Linux)
+export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
+endif
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint style types layers clean
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+
+demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
+	$(BIN)/palpate reproduce beam --out $(OUT)
+	@echo "The report, the figures and the files for ParaView are in $(abspath $(OUT)):"
+	@ls -1 $(OUT)
+
+test: $(VENV)/.installed-test ## run the tests
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: style types layers ## check style, formatting, types and import layers
+
+style: $(VENV)/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+types: $(VENV)/.installed-dev
+	$(BIN)/mypy
+
+layers: $(VENV)/.installed-dev
+	$(BIN)/lint-imports
+
+clean: ## remove results, builds and caches, but not .venv
+	rm -rf out build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	find src tests validation benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+
+$(VENV)/.installed-demo: EXTRAS :=
+$(VENV)/.installed-test: EXTRAS := [test]
+$(VENV)/.installed-dev: EXTRAS := [dev]
+$(VENV)/.installed-%: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.$(EXTRAS)'
+	@$(check_drawing)
+	@touch $@
+
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11 or newer,"; \
+	  echo "or name one: make PYTHON=/path/to/python3"; exit 1; } >&2
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "palpate needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1)."; \
+	  echo "Name a newer one: make PYTHON=/path/to/python3"; exit 1; } >&2
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "$(PYTHON) -m venv failed. On Debian or Ubuntu: apt-get install python3-venv"; exit 1; } >&2
+
+# VTK opens its graphics libraries only when it draws, and crashes where one is missing.
+define check_drawing
+(PYVISTA_OFF_SCREEN=true $(BIN)/python -c \
+  'import pyvista; p = pyvista.Plotter(off_screen=True); p.add_mesh(pyvista.Sphere()); p.screenshot()'; \
+  exit $$?) >/dev/null 2>&1 || { \
+  echo "VTK cannot draw off-screen: it needs libEGL.so.1 and a Mesa driver."; \
+  echo "On Debian or Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri"; exit 1; } >&2
+endef

@@ -1,0 +1,1 @@
+"""Models, loads, and stepping them through time."""

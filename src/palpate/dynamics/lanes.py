@@ -1,0 +1,176 @@
+"""Stencil sums for several nodes side by side, in the vector lanes of the processor.
+
+Nodes are taken in blocks of `LANES`. A block whose nodes share one arrangement of neighbours (the inside of a lattice)
+reads one number a weight and broadcasts it; any other block has one number a weight and lane. The accumulators of a
+block live in vector registers, which no loop written in Python persuades the compiler to do; hence the intrinsic.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from palpate.meshfree.stencils import Stencils
+
+LANES = 8
+
+__all__ = ["LANES", "Lanes", "Weights", "lane_sums_1x1", "lane_sums_1x3", "lane_sums_3x3", "lane_sums_3x6", "lane_table"]
+
+
+class Lanes(NamedTuple):
+    """Neighbours of one family of stencils, in blocks of `LANES` nodes.
+
+    Parameters
+    ----------
+    nodes : (b, LANES) int32
+        Nodes of every block; the last node of an unfilled block is repeated.
+    start : (b + 1,) int64
+        Where a block's neighbours begin.
+    neighbours : (t, LANES) int32
+        Of every lane.
+    shared : (b,) bool
+        Whether the block's nodes share their weights.
+    weight_start : (b,) int64
+        Where a block's weights begin, in the shared or the other table.
+    """
+
+    nodes: NDArray[np.int32]
+    start: NDArray[np.int64]
+    neighbours: NDArray[np.int32]
+    shared: NDArray[np.bool_]
+    weight_start: NDArray[np.int64]
+
+
+class Weights(NamedTuple):
+    """Weights that go with `Lanes`: shared ones (s, r), and one for every lane (t, r, LANES)."""
+
+    one: NDArray[np.float64]
+    lanes: NDArray[np.float64]
+
+
+def lane_table(stencils: Stencils, kinds: tuple[str, ...]) -> tuple[Lanes, tuple[Weights, ...]]:
+    """Lay out stencils in blocks; `kinds` names the weights wanted, as `Stencils` calls them."""
+    n, k = stencils.neighbours.shape
+    nodes, shared = _blocks(stencils.row)
+    padding = stencils.neighbours == np.arange(n)[:, None]
+    length = (k - padding.sum(axis=1))[nodes].max(axis=1)
+    start = np.concatenate([[0], np.cumsum(length)])
+    block = np.repeat(np.arange(len(nodes)), length)
+    position = np.arange(start[-1]) - start[block]
+    own = ~shared[block]
+
+    # shared weights are stored once for every row that a block uses
+    rows, first_block = np.unique(stencils.row[nodes[shared, 0]], return_index=True)
+    row_length = length[shared][first_block]
+    row_start = np.concatenate([[0], np.cumsum(row_length)]).astype(np.int64)
+    r = np.repeat(np.arange(len(rows)), row_length)
+    row_position = np.arange(row_start[-1]) - row_start[r]
+    weight_start = np.zeros(len(nodes), dtype=np.int64)
+    weight_start[shared] = row_start[np.searchsorted(rows, stencils.row[nodes[shared, 0]])]
+    weight_start[~shared] = np.cumsum(length[~shared]) - length[~shared]
+
+    weights = []
+    for kind in kinds:
+        table = np.asarray(getattr(stencils, kind)).reshape(len(stencils.first), k, -1)
+        by_lane = np.empty((int(own.sum()), table.shape[2], LANES))
+        for lane in range(LANES):  # lane by lane, to hold one copy only
+            by_lane[:, :, lane] = table[stencils.row[nodes[block[own], lane]], position[own]]
+        weights.append(Weights(np.ascontiguousarray(table[rows[r], row_position]), by_lane))
+    neighbours = np.ascontiguousarray(stencils.neighbours[nodes[block], position[:, None]])
+    return Lanes(nodes.astype(np.int32), start.astype(np.int64), neighbours, shared, weight_start), tuple(weights)
+
+
+def _blocks(row: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Blocks of nodes, and whether each shares one row of weights: rows with fewer than LANES nodes go mixed."""
+    large = (np.bincount(row) >= LANES)[row]
+    mixed = np.flatnonzero(~large)
+    together = np.lexsort((np.arange(len(row)), row))
+    together = together[large[together]]
+    groups = np.split(together, np.flatnonzero(np.diff(row[together])) + 1) if len(together) else []
+    blocks, shared = [], []
+    for group, is_shared in [(mixed, False)] * bool(len(mixed)) + [(g, True) for g in groups]:
+        padded = np.concatenate([group, np.repeat(group[-1], -len(group) % LANES)])
+        blocks.append(padded.reshape(-1, LANES))
+        shared.append(np.full(len(blocks[-1]), is_shared))
+    return np.concatenate(blocks), np.concatenate(shared)
+
+
+def _lane_sums(fields: int, weights: int, name: str):  # type: ignore[no-untyped-def]
+    """Make the intrinsic out[f, w, :] = sum over k of weight[k, w, :] * field[k, f, :].
+
+    Arguments are the addresses of the weights, the fields (k, fields, LANES) and the result, the number of
+    neighbours, and whether the weights have one number (k, weights) or one a lane (k, weights, LANES).
+    """
+
+    def sums(typingctx, weight_at, field_at, out_at, count, shared):  # type: ignore[no-untyped-def]
+        signature = types.void(types.intp, types.intp, types.intp, types.intp, types.boolean)
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            weight_at, field_at, out_at, count, shared = args
+            with builder.if_else(builder.trunc(shared, ir.IntType(1))) as (then, otherwise):
+                with then:
+                    _emit_loop(builder, weight_at, field_at, out_at, count, fields, weights, broadcast=True)
+                with otherwise:
+                    _emit_loop(builder, weight_at, field_at, out_at, count, fields, weights, broadcast=False)
+            return context.get_dummy_value()
+
+        return signature, codegen
+
+    sums.__name__ = sums.__qualname__ = name
+    return intrinsic(sums)
+
+
+def _emit_loop(builder, weight_at, field_at, out_at, count, fields, weights, broadcast):  # type: ignore[no-untyped-def]
+    i64, scalar = ir.IntType(64), ir.DoubleType()
+    vector = ir.VectorType(scalar, LANES)
+    weight_ptr = builder.inttoptr(weight_at, (scalar if broadcast else vector).as_pointer())
+    field_ptr = builder.inttoptr(field_at, vector.as_pointer())
+    out_ptr = builder.inttoptr(out_at, vector.as_pointer())
+    zero = ir.Constant(vector, [0.0] * LANES)
+    undefined = ir.Constant(vector, ir.Undefined)
+    lane_zero = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+
+    entry = builder.block
+    loop = builder.append_basic_block("neighbour")
+    end = builder.append_basic_block("sums.end")
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    k = builder.phi(i64)
+    k.add_incoming(ir.Constant(i64, 0), entry)
+    sums = [[builder.phi(vector) for _ in range(weights)] for _ in range(fields)]
+    load = [
+        builder.load(builder.gep(field_ptr, [builder.add(builder.mul(k, ir.Constant(i64, fields)), ir.Constant(i64, f))]), align=8)
+        for f in range(fields)
+    ]
+    for w in range(weights):
+        at = builder.add(builder.mul(k, ir.Constant(i64, weights)), ir.Constant(i64, w))
+        weight = builder.load(builder.gep(weight_ptr, [at]), align=8)
+        if broadcast:
+            first = builder.insert_element(undefined, weight, ir.Constant(ir.IntType(32), 0))
+            weight = builder.shuffle_vector(first, undefined, lane_zero)
+        for f in range(fields):
+            phi = sums[f][w]
+            phi.add_incoming(zero, entry)
+            product = builder.fmul(weight, load[f], flags=("contract",))
+            phi.next_value = builder.fadd(product, phi, flags=("contract",))
+    for row in sums:
+        for phi in row:
+            phi.add_incoming(phi.next_value, loop)
+    following = builder.add(k, ir.Constant(i64, 1))
+    k.add_incoming(following, loop)
+    builder.cbranch(builder.icmp_signed("<", following, count), loop, end)
+    builder.position_at_end(end)
+    for f in range(fields):
+        for w in range(weights):
+            builder.store(sums[f][w].next_value, builder.gep(out_ptr, [ir.Constant(i64, f * weights + w)]), align=8)
+
+
+lane_sums_3x3 = _lane_sums(3, 3, "lane_sums_3x3")
+lane_sums_3x6 = _lane_sums(3, 6, "lane_sums_3x6")
+lane_sums_1x1 = _lane_sums(1, 1, "lane_sums_1x1")
+lane_sums_1x3 = _lane_sums(1, 3, "lane_sums_1x3")

@@ -1,0 +1,82 @@
+"""The errors a user can meet, and the checks of arguments that raise them.
+
+Every message names what is wrong, where, and what to do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+__all__ = [
+    "CloudError",
+    "DivergenceError",
+    "FileFormatError",
+    "InputError",
+    "integer_in_range",
+    "number_in_range",
+]
+
+
+class InputError(ValueError):
+    """An argument is out of range, unknown, or does not fit another one."""
+
+
+class CloudError(InputError):
+    """A cloud of points cannot carry moving least squares."""
+
+
+class FileFormatError(InputError):
+    """A file is not what it should be: truncated, corrupt, or of another kind."""
+
+
+class DivergenceError(RuntimeError):
+    """A simulation left the range of finite, sensible states.
+
+    Attributes
+    ----------
+    trajectory : object
+        What was computed until then.
+    """
+
+    def __init__(self, message: str, trajectory: object = None) -> None:
+        super().__init__(message)
+        self.trajectory = trajectory
+
+
+def number_in_range(
+    name: str,
+    value: float,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    open_low: bool = False,
+    open_high: bool = False,
+    unit: str = "",
+) -> float:
+    """Return `value` as a float, or raise `InputError` naming it and the allowed range."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be a number, not {value!r}") from None
+    below = number <= low if open_low else number < low
+    above = number >= high if open_high else number > high
+    if not math.isfinite(number) or below or above:
+        left = "(" if open_low or low == -math.inf else "["
+        right = ")" if open_high or high == math.inf else "]"
+        unit = f" {unit}" if unit else ""
+        raise InputError(f"{name} = {value!r} is out of range: allowed is {left}{low:g}, {high:g}{right}{unit}")
+    return number
+
+
+def integer_in_range(name: str, value: int, low: int, high: float = math.inf) -> int:
+    """Return `value` as an int, or raise `InputError` naming it and the allowed range."""
+    if isinstance(value, bool) or int(value) != value or not low <= value <= high:
+        raise InputError(f"{name} = {value!r} is out of range: allowed is a whole number from {low} to {high:g}")
+    return int(value)
+
+
+def first_few(nodes: Sequence[int], most: int = 8) -> str:
+    """Write a list of node numbers, shortened."""
+    text = ", ".join(str(int(i)) for i in nodes[:most])
+    return text + (f" and {len(nodes) - most} more" if len(nodes) > most else "")

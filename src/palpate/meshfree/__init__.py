@@ -1,0 +1,1 @@
+"""Clouds of points, and moving least squares on them."""

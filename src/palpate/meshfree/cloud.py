@@ -1,0 +1,208 @@
+"""Clouds of points: what a body is before it has a material.
+
+A `Cloud` is arrays and nothing else: where the points are, how much of the body each one stands for, which faces of
+the body it lies on, and named groups of points that loads refer to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.errors import CloudError, InputError, first_few, integer_in_range, number_in_range
+
+__all__ = ["Cloud", "box"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points of a body with their share of its volume and surface.
+
+    Parameters
+    ----------
+    points : (n, d) array [m]
+        Reference positions, d = 2 or 3.
+    volumes : (n,) array [m^3; m^2 in the plane]
+        Nodal volumes; they sum to the volume of the body.
+    face_nodes : (m,) array
+        One entry for every pair of a boundary node and a face it lies on: an edge node has two, a corner node three.
+    face_normals : (m, d) array
+        Unit outward normal of that face.
+    face_areas : (m,) array [m^2]
+        The node's share of that face's area.
+    groups : mapping of str to (g,) arrays
+        Named sets of nodes, in ascending order.
+    triangles : (t, 3) array
+        Surface triangles for drawing, seen from outside counter-clockwise.
+    spacing : float [m]
+        Typical distance between neighbouring nodes.
+
+    Raises
+    ------
+    CloudError
+        Arrays that do not fit together, or values that are not finite.
+    """
+
+    points: Floats
+    volumes: Floats
+    face_nodes: Ints
+    face_normals: Floats
+    face_areas: Floats
+    groups: Mapping[str, Ints]
+    triangles: Ints
+    spacing: float
+
+    def __post_init__(self) -> None:
+        n, d = self.points.shape if self.points.ndim == 2 else (0, 0)
+        if d not in (2, 3) or n == 0:
+            raise CloudError(f"points must have shape (n, 2) or (n, 3) with n > 0, not {self.points.shape}")
+        bad = np.flatnonzero(~np.isfinite(self.points).all(axis=1))
+        if bad.size:
+            raise CloudError(f"points of nodes {first_few(bad)} are not finite")
+        if self.volumes.shape != (n,) or not np.all(self.volumes > 0):
+            raise CloudError("volumes must be positive and one for every point")
+        m = len(self.face_nodes)
+        if self.face_normals.shape != (m, d) or self.face_areas.shape != (m,):
+            raise CloudError("face_nodes, face_normals and face_areas must have one row for every node-face pair")
+        for name, nodes in self.groups.items():
+            if len(nodes) == 0 or nodes.min() < 0 or nodes.max() >= n:
+                raise CloudError(f"group {name!r} is empty or names nodes outside 0..{n - 1}")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def group(self, name: str) -> Ints:
+        """Return the nodes of a named group.
+
+        Raises
+        ------
+        InputError
+            The cloud has no such group.
+        """
+        if name not in self.groups:
+            raise InputError(f"unknown group {name!r}: this cloud has {', '.join(map(repr, sorted(self.groups)))}")
+        return self.groups[name]
+
+    def boundary_vectors(self) -> Floats:
+        """Return sum over a node's faces of (area / volume) times normal, shape (n, d) [1/m].
+
+        It is the c/h N of the half-cell balance: c = 2 on a flat face of a lattice; zero inside the body.
+        """
+        vectors = np.zeros_like(self.points)
+        np.add.at(vectors, self.face_nodes, self.face_areas[:, None] * self.face_normals)
+        return vectors / self.volumes[:, None]
+
+    def area_shares(self, name: str) -> Floats:
+        """Return the nodes' shares [m^2] of the face that group `name` lies on, shape (g,).
+
+        Raises
+        ------
+        InputError
+            The group's nodes do not lie on one common face.
+        """
+        nodes = self.group(name)
+        pairs = np.isin(self.face_nodes, nodes)
+        mean = self.face_normals[pairs & (self.face_nodes == nodes[len(nodes) // 2])]
+        for normal in mean:
+            same = pairs & (self.face_normals @ normal > 0.5)
+            if np.array_equal(np.unique(self.face_nodes[same]), nodes):
+                shares = np.zeros(len(self))
+                np.add.at(shares, self.face_nodes[same], self.face_areas[same])
+                return shares[nodes]
+        raise InputError(f"group {name!r} does not lie on the surface: a traction needs nodes of one face")
+
+
+def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 0) -> Cloud:
+    """Fill a box (a rectangle, for two sizes) with a lattice of nodes, faces included.
+
+    Parameters
+    ----------
+    size : (d,) sequence [m]
+        Edge lengths; the box reaches from the origin to `size`.
+    spacing : float [m]
+        Wished distance between nodes; each edge gets the nearest whole number of cells, at least 3.
+    jitter : float
+        Random displacement of every node as a share of the spacing, in [0, 0.3]. Nodes of a face stay in it,
+        nodes of an edge on it, corners where they are.
+    seed : int
+        Of the random displacements.
+
+    Returns
+    -------
+    Cloud
+        Groups ``"x-"``, ``"x+"``, ``"y-"`` ... are the faces. A node's volume is that of its cell: half a cell on
+        a face, a quarter on an edge, an eighth in a corner.
+
+    Raises
+    ------
+    InputError
+        A size or spacing that is not positive, or a spacing that gives fewer than 4 nodes across.
+    """
+    d = len(size)
+    if d not in (2, 3):
+        raise InputError(f"size must have 2 or 3 entries, not {d}")
+    lengths = np.array([number_in_range("size", s, 0.0, open_low=True, unit="m") for s in size])
+    spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
+    jitter = number_in_range("jitter", jitter, 0.0, 0.3)
+    seed = integer_in_range("seed", seed, 0)
+    cells = np.rint(lengths / spacing).astype(int)
+    if np.any(cells < 3):
+        raise InputError(
+            f"spacing = {spacing:g} m gives {cells.min() + 1} nodes across the side of {lengths.min():g} m; "
+            f"at least 4 are needed: use a spacing of at most {lengths.min() / 3:g} m"
+        )
+    if np.prod(cells + 1.0) > 5e7:
+        raise InputError(f"spacing = {spacing:g} m gives {np.prod(cells + 1.0):.2g} nodes; at most 5e7 are allowed")
+    step = lengths / cells
+    axes = [np.linspace(0.0, lengths[a], cells[a] + 1) for a in range(d)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
+    index = np.stack(np.meshgrid(*[np.arange(c + 1) for c in cells], indexing="ij"), axis=-1).reshape(-1, d)
+    low, high = index == 0, index == cells
+    halves = np.where(low | high, 0.5, 1.0) * step
+    points += np.where(low | high, 0.0, jitter * step * np.random.default_rng(seed).uniform(-1, 1, points.shape))
+
+    groups, nodes, normals, areas = {}, [], [], []
+    for a, (side, on) in product(range(d), (("-", low), ("+", high))):
+        members = np.flatnonzero(on[:, a])
+        groups["xyz"[a] + side] = members
+        nodes.append(members)
+        normals.append(np.tile(np.eye(d)[a] * (1 if side == "+" else -1), (len(members), 1)))
+        areas.append(np.prod(np.delete(halves[members], a, axis=1), axis=1))
+    return Cloud(
+        points=points,
+        volumes=np.prod(halves, axis=1),
+        face_nodes=np.concatenate(nodes),
+        face_normals=np.concatenate(normals),
+        face_areas=np.concatenate(areas),
+        groups=groups,
+        triangles=_box_triangles(cells),
+        spacing=float(step.mean()),
+    )
+
+
+def _box_triangles(cells: Ints) -> Ints:
+    """Two triangles for every cell of every face of a lattice; in the plane, for every cell."""
+    number = np.arange(np.prod(cells + 1)).reshape(cells + 1)
+    if len(cells) == 2:
+        return _sheet_triangles(number)
+    sheets = []
+    for a in range(3):
+        for end in (0, -1):
+            sheet = np.take(number, end, axis=a)
+            # np.take keeps the order of the two other axes; their cross product is +a for a = 0, 2 and -a for a = 1
+            outward = (end == -1) == (a != 1)
+            sheets.append(_sheet_triangles(sheet if outward else sheet.T))
+    return np.concatenate(sheets)
+
+
+def _sheet_triangles(number: Ints) -> Ints:
+    a, b = number[:-1, :-1].ravel(), number[1:, :-1].ravel()
+    c, d = number[1:, 1:].ravel(), number[:-1, 1:].ravel()
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])

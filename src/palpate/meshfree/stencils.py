@@ -1,0 +1,281 @@
+"""Moving least squares (section 2.3 of the paper, equations 9 to 13) as tables of neighbours and weights.
+
+The derivative of a field at node I is a weighted sum of the field over the neighbours of I. The weights are those of a
+polynomial fitted to the neighbours with the quartic spline (13) as weight, differentiated as it stands at I (diffuse
+derivatives). In the *interpolating* fit the polynomial passes through node I: its constant is eliminated, so that the
+nodal unknowns are the displacements themselves and the sums run over differences u_J - u_I.
+
+Nodes whose neighbours lie in the same arrangement (most nodes of a lattice) share one row of weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from palpate.errors import CloudError, InputError, first_few, integer_in_range, number_in_range
+
+__all__ = ["Stencils", "moving_least_squares"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+WORST_CONDITION = 1e10  # of a scaled moment matrix; beyond it, second derivatives lose half their digits
+NEAR_DUPLICATE = 0.2  # of the median distance to the nearest neighbour
+
+
+@dataclass(frozen=True)
+class Stencils:
+    """Neighbours and weights of a moving-least-squares fit at every node of a cloud.
+
+    Parameters
+    ----------
+    neighbours : (n, k) int array
+        Neighbours of every node without itself, padded with the node itself.
+    row : (n,) int array
+        The node's row in the tables of weights; nodes with the same arrangement of neighbours share one.
+    value : (s, k) array
+        Weights of the fitted value. All zero in the interpolating fit, whose value is the node's own.
+    first : (s, k, d) array [1/m]
+        Weights of the first derivatives.
+    second : (s, k, d (d + 1) / 2) array [1/m^2]
+        Weights of the second derivatives in the order 00, 11, 22, 01, 02, 12 (in the plane 00, 11, 01); zero for a
+        fit of order 1.
+    own : (s,) array
+        Weight of the node itself in the fitted value; 1 in the interpolating fit.
+    own_first, own_second : (s, d), (s, d (d + 1) / 2) arrays
+        The node's own weights in the derivatives.
+    condition : (s,) array
+        Condition number of the scaled moment matrix.
+    """
+
+    neighbours: NDArray[np.int32]
+    row: NDArray[np.int32]
+    value: Floats
+    first: Floats
+    second: Floats
+    own: Floats
+    own_first: Floats
+    own_second: Floats
+    condition: Floats
+
+    def fit(self, field: Floats) -> Floats:
+        """Return the fitted value of a nodal field, shape (n, ...)."""
+        gathered = np.einsum("nk,nk...->n...", self.value[self.row], field[self.neighbours])
+        return gathered + np.einsum("n,n...->n...", self.own[self.row], field)
+
+    def gradient(self, field: Floats) -> Floats:
+        """Return the first derivatives of a nodal field, shape (n, ..., d)."""
+        gathered = np.einsum("nkd,nk...->n...d", self.first[self.row], field[self.neighbours])
+        return gathered + np.einsum("nd,n...->n...d", self.own_first[self.row], field)
+
+    def hessian(self, field: Floats) -> Floats:
+        """Return the second derivatives of a nodal field, shape (n, ..., d (d + 1) / 2)."""
+        gathered = np.einsum("nkd,nk...->n...d", self.second[self.row], field[self.neighbours])
+        return gathered + np.einsum("nd,n...->n...d", self.own_second[self.row], field)
+
+
+def moving_least_squares(
+    points: Floats,
+    *,
+    order: int = 2,
+    neighbours: int | None = None,
+    radius: float | None = None,
+    interpolating: bool = True,
+) -> Stencils:
+    """Fit polynomials around every point.
+
+    Parameters
+    ----------
+    points : (n, d) array [m]
+        In the plane or in space.
+    order : int
+        Of the polynomials, 1 to 3. A fit of order 1 has no second derivatives.
+    neighbours : int, optional
+        Wished number of points in a stencil, the node included. The stencil ends at the widest gap between
+        successive distances near that number, so that on a lattice it holds whole shells.
+    radius : float, optional [m]
+        Support radius instead of a number.
+    interpolating : bool
+        Whether the fit passes through the node itself.
+
+    Returns
+    -------
+    Stencils
+
+    Raises
+    ------
+    CloudError
+        Duplicate points, too few or coplanar neighbours, or an ill-conditioned moment matrix; names the nodes.
+    """
+    points = np.ascontiguousarray(points, dtype=float)
+    n, d = points.shape
+    order = integer_in_range("order", order, 1, 3)
+    exponents = _exponents(d, order)
+    if (neighbours is None) == (radius is None):
+        raise InputError("give either neighbours or radius")
+    tree = cKDTree(points)
+    _refuse_duplicates(points, tree)
+    if neighbours is not None:
+        neighbours = integer_in_range("neighbours", neighbours, len(exponents))
+        near, reach = _nearest(points, tree, neighbours)
+    else:
+        near, reach = _within(points, tree, number_in_range("radius", radius or 0.0, 0.0, open_low=True, unit="m"))
+    count = np.sum(near != np.arange(n)[:, None], axis=1)
+    needed = len(exponents) - (1 if interpolating else 0) - (0 if interpolating else 1)
+    few = np.flatnonzero(count < needed)
+    if few.size:
+        raise CloudError(
+            f"nodes {first_few(few)} have {count[few].min()} neighbours; a fit of order {order} in {d}D needs at least "
+            f"{needed}: use more points, more neighbours or a larger radius"
+        )
+    near, row, sample = _arrangements(points, near)
+    offsets = points[near[sample]] - points[sample][:, None, :]
+    present = near[sample] != sample[:, None]
+    weights, own, condition = _fit(offsets, present, reach[sample], exponents, interpolating)
+    bad = np.flatnonzero(~(condition < WORST_CONDITION)[row])
+    if bad.size:
+        worst = condition[row[bad[0]]]
+        raise CloudError(
+            f"moment matrices of nodes {first_few(bad)} are ill-conditioned (node {bad[0]} at "
+            f"{points[bad[0]]}: condition {worst:.1e}, allowed {WORST_CONDITION:.0e}): their neighbours lie in "
+            f"(nearly) one plane or line; use more neighbours or spread the points"
+        )
+    return Stencils(
+        near.astype(np.int32), row.astype(np.int32),
+        weights[:, :, 0].copy(), weights[:, :, 1 : d + 1].copy(), weights[:, :, d + 1 :].copy(),
+        own[:, 0].copy(), own[:, 1 : d + 1].copy(), own[:, d + 1 :].copy(), condition,
+    )  # fmt: skip
+
+
+def _exponents(d: int, order: int) -> Ints:
+    """Monomial exponents (m, d): constant, linear, quadratic as 00, 11, 22, 01, 02, 12, then the cubic ones."""
+    rows = [[0] * d] + np.eye(d, dtype=int).tolist()
+    if order >= 2:
+        rows += (2 * np.eye(d, dtype=int)).tolist()
+        rows += [[int(a in (i, j)) for a in range(d)] for i in range(d) for j in range(i + 1, d)]
+    if order >= 3:
+        cubes = np.stack(np.meshgrid(*[np.arange(4)] * d, indexing="ij"), axis=-1).reshape(-1, d)
+        rows += cubes[cubes.sum(axis=1) == 3].tolist()
+    return np.array(rows)
+
+
+def _refuse_duplicates(points: Floats, tree: cKDTree) -> None:
+    if len(points) < 2:
+        raise CloudError("a cloud needs at least 2 points")
+    distance, other = tree.query(points, k=2)
+    typical = np.median(distance[:, 1])
+    close = np.flatnonzero(distance[:, 1] < NEAR_DUPLICATE * typical)
+    if close.size or typical == 0:
+        i = int(close[0]) if close.size else 0
+        raise CloudError(
+            f"nodes {first_few(close)} are duplicates or nearly so: node {i} at {points[i]} is {distance[i, 1]:.3g} m "
+            f"from node {other[i, 1] if other[i, 1] != i else other[i, 0]}, others keep {typical:.3g} m; remove one of each pair"
+        )
+
+
+def _nearest(points: Floats, tree: cKDTree, wished: int) -> tuple[Ints, Floats]:
+    """Neighbours up to the widest gap in distance between 0.8 and 1.3 times the wished number."""
+    n = len(points)
+    low, high = max(int(0.8 * wished), 1), int(np.ceil(1.3 * wished))
+    if n <= high:
+        high = n - 1
+        low = min(low, high - 1)
+    if low < 1:
+        raise CloudError(f"the cloud has {n} points; stencils of {wished} need more")
+    distance, near = tree.query(points, k=high + 1, workers=-1)
+    # a tie in the last shell may put a farther copy first; the node itself is always at distance 0
+    gaps = np.round(np.diff(distance[:, low - 1 :], axis=1) / distance[:, 1:2], 6)
+    last = low + np.argmax(gaps, axis=1)  # points kept, the node itself included
+    near = np.where(np.arange(high + 1)[None, :] < last[:, None], near, np.arange(n)[:, None])
+    reach = 1.05 * distance[np.arange(n), last - 1]
+    return near[:, 1 : last.max()], reach
+
+
+def _within(points: Floats, tree: cKDTree, radius: float) -> tuple[Ints, Floats]:
+    count = tree.query_ball_point(points, radius, return_length=True, workers=-1)
+    distance, near = tree.query(points, k=max(2, int(count.max())), workers=-1)
+    near = np.where(distance < radius, near, np.arange(len(points))[:, None])
+    return near[:, 1:], np.full(len(points), radius)
+
+
+def _arrangements(points: Floats, near: Ints) -> tuple[Ints, Ints, Ints]:
+    """Sort every node's neighbours by their offset and find the nodes that share one arrangement.
+
+    Returns the sorted neighbours, each node's arrangement, and one node of every arrangement.
+    """
+    n, k = near.shape
+    scale = np.median(np.linalg.norm(points[near[:, 0]] - points, axis=1))
+    keys = np.rint((points[near] - points[:, None, :]) / scale * 1e6).astype(np.int64)
+    rank = keys @ (np.int64(4_000_000_007) ** np.arange(points.shape[1], dtype=np.int64)[::-1] % (1 << 62))
+    rank[near == np.arange(n)[:, None]] = np.iinfo(np.int64).max  # padding last
+    order = np.argsort(rank, axis=1, kind="stable")
+    near = np.take_along_axis(near, order, axis=1)
+    keys = np.take_along_axis(keys, order[:, :, None], axis=1).reshape(n, -1)
+    mixer = np.random.default_rng(0).integers(1, 1 << 62, keys.shape[1]) | 1
+    hashed = (keys * mixer).sum(axis=1)  # wraps around, as hashes do
+    _, sample, row = np.unique(hashed, return_index=True, return_inverse=True)
+    if len(sample) > n // 2 or not np.array_equal(keys[sample[row]], keys):
+        return near, np.arange(n), np.arange(n)
+    return near, row, sample
+
+
+@njit(parallel=True, cache=True)
+def _fit(offsets, present, reach, exponents, interpolating):  # type: ignore[no-untyped-def]
+    """Weights of value and derivatives, (s, k, 1 + d + d (d + 1) / 2), own weights, condition numbers."""
+    s, k, d = offsets.shape
+    m = exponents.shape[0]
+    skip = 1 if interpolating else 0
+    basis = m - skip
+    size = 1 + d + d * (d + 1) // 2
+    weights = np.zeros((s, k, size))
+    own = np.zeros((s, size))
+    condition = np.zeros(s)
+    for i in prange(s):
+        monomials = np.zeros((k + 1, basis))
+        spline = np.zeros(k + 1)
+        for j in range(k + 1):
+            if j < k and not present[i, j]:
+                continue
+            distance = 0.0
+            for b in range(basis):
+                monomials[j, b] = 1.0
+            if j < k:
+                for a in range(d):
+                    x = offsets[i, j, a] / reach[i]
+                    distance += x * x
+                    for b in range(basis):
+                        monomials[j, b] *= x ** exponents[b + skip, a]
+            else:
+                for b in range(basis):
+                    monomials[j, b] = 1.0 if b + skip == 0 else 0.0
+            distance = np.sqrt(distance)
+            if distance < 1.0:
+                spline[j] = 1.0 + distance**2 * (-6.0 + distance * (8.0 - 3.0 * distance))
+        weighted = monomials * spline.reshape(-1, 1)
+        moment = np.dot(monomials.T, weighted)
+        spectrum = np.linalg.eigvalsh(moment)
+        if spectrum[0] <= 1e-14 * spectrum[-1]:
+            condition[i] = np.inf
+            continue
+        condition[i] = spectrum[-1] / spectrum[0]
+        coefficients = np.linalg.solve(moment, weighted.T)
+        for b in range(basis):
+            c = b + skip
+            if c >= size:
+                break
+            factor = 1.0
+            for a in range(d):
+                factor *= (2.0 if exponents[c, a] == 2 else 1.0) / reach[i] ** exponents[c, a]
+            for j in range(k):
+                weights[i, j, c] = factor * coefficients[b, j]
+            own[i, c] = factor * coefficients[b, k]
+        if interpolating:
+            own[i, 0] = 1.0
+            for c in range(1, size):
+                own[i, c] = -np.sum(weights[i, :, c])
+    return weights, own, condition

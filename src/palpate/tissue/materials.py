@@ -1,0 +1,222 @@
+"""Strain energies of isotropic tissue.
+
+A material is a strain energy per reference volume [J/m^3], split as
+
+    W(F) = W_s(I1, I2, J) + U(J)
+
+into a *shear part* W_s that the collocation differentiates directly, and a *volumetric part* U whose pressure
+p = U'(J) is smoothed before it is differentiated, so that nearly incompressible tissue does not lock. Here
+I1 = tr C, I2 = (I1^2 - tr C^2) / 2, J = det F, C = F^T F. The volumetric part of every law is
+
+    U(J) = lame / 2 (J - 1)^2,
+
+with `lame` chosen so that the law has the asked-for bulk modulus at rest.
+
+A new law is a frozen dataclass with its parameters, `shear_modulus`, `shear_bulk_modulus` and three static functions
+`energy`, `first` and `second` of the invariants and the tuple of coefficients. The functions are inlined in the
+compiled kernels, so they must be plain arithmetic that Numba understands (`math` functions included).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.errors import InputError, number_in_range
+
+__all__ = ["Material", "MooneyRivlin", "NeoHookean"]
+
+MOST_POISSON = 0.499  # the stability of the split pressure is verified up to here
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material(ABC):
+    """A strain energy, its derivatives, and a density.
+
+    Parameters
+    ----------
+    density : float [kg/m^3]
+        Of the reference state.
+    poisson : float, optional
+        Poisson's ratio at rest, 0 to 0.499. Give this or `bulk`.
+    bulk : float, optional [Pa]
+        Bulk modulus at rest.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, or both or neither of `poisson` and `bulk`.
+    """
+
+    density: float
+    poisson: float | None = None
+    bulk: float | None = None
+
+    def __post_init__(self) -> None:
+        number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
+        self._check_parameters()
+        mu = self.shear_modulus
+        if (self.poisson is None) == (self.bulk is None):
+            raise InputError("give either poisson or bulk, to say how compressible the material is")
+        if self.poisson is not None:
+            number_in_range("poisson", self.poisson, 0.0, MOST_POISSON)
+            object.__setattr__(self, "bulk", 2 * mu * (1 + self.poisson) / (3 * (1 - 2 * self.poisson)))
+        else:
+            low, high = (2 * mu * (1 + nu) / (3 * (1 - 2 * nu)) for nu in (0.0, MOST_POISSON))
+            bulk = number_in_range("bulk", self.bulk, low * (1 - 1e-9), high * (1 + 1e-9), unit="Pa")  # type: ignore[arg-type]
+            object.__setattr__(self, "poisson", (3 * bulk - 2 * mu) / (2 * (3 * bulk + mu)))
+
+    @abstractmethod
+    def _check_parameters(self) -> None:
+        """Raise `InputError` for a parameter out of range."""
+
+    @property
+    @abstractmethod
+    def shear_modulus(self) -> float:
+        """Shear modulus at rest [Pa]."""
+
+    @property
+    @abstractmethod
+    def shear_bulk_modulus(self) -> float:
+        """The shear part's own share of the bulk modulus at rest [Pa]."""
+
+    @property
+    def bulk_modulus(self) -> float:
+        """Bulk modulus at rest [Pa]."""
+        assert self.bulk is not None  # noqa: S101 - set in __post_init__
+        return self.bulk
+
+    @property
+    def lame(self) -> float:
+        """Coefficient of the volumetric part U(J) = lame / 2 (J - 1)^2 [Pa]."""
+        return self.bulk_modulus - self.shear_bulk_modulus
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """The law's own parameters, in the order of its fields, as its functions take them."""
+        base = {f.name for f in fields(Material)}
+        return tuple(float(getattr(self, f.name)) for f in fields(self) if f.name not in base)
+
+    @staticmethod
+    @abstractmethod
+    def energy(I1: float, I2: float, J: float, c: tuple[float, ...]) -> float:
+        """W_s [J/m^3]."""
+
+    @staticmethod
+    @abstractmethod
+    def first(I1: float, I2: float, J: float, c: tuple[float, ...]) -> tuple[float, float, float]:
+        """Derivatives of W_s by I1, I2, J."""
+
+    @staticmethod
+    @abstractmethod
+    def second(I1: float, I2: float, J: float, c: tuple[float, ...]) -> tuple[float, float, float, float, float, float]:
+        """Second derivatives of W_s by (I1 I1), (I1 I2), (I2 I2), (I1 J), (I2 J), (J J)."""
+
+    def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the whole energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""
+        I1, I2, J = _invariants(F)
+        shear = np.vectorize(lambda a, b, j: self.energy(a, b, j, self.coefficients), otypes=[float])
+        return np.asarray(shear(I1, I2, J) + self.lame / 2 * (J - 1) ** 2)
+
+    def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the first Piola-Kirchhoff stress dW/dF [Pa], shape (..., 3, 3); the paper's nominal stress (21) transposed."""
+        I1, I2, J = _invariants(F)
+        first = np.vectorize(lambda a, b, j: self.first(a, b, j, self.coefficients), otypes=[float] * 3)
+        W1, W2, WJ = (np.asarray(w)[..., None, None] for w in first(I1, I2, J))
+        C = np.swapaxes(F, -1, -2) @ F
+        cofactor = J[..., None, None] * np.swapaxes(np.linalg.inv(F), -1, -2)
+        pressure = self.lame * (J - 1)[..., None, None]
+        return np.asarray(2 * W1 * F + 2 * W2 * (I1[..., None, None] * F - F @ C) + (WJ + pressure) * cofactor)
+
+
+def _invariants(F: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    C = np.swapaxes(F, -1, -2) @ F
+    I1 = np.trace(C, axis1=-2, axis2=-1)
+    return I1, (I1**2 - np.einsum("...ij,...ij", C, C)) / 2, np.linalg.det(F)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeoHookean(Material):
+    """Neo-Hookean law, equation (17), with the factor as printed.
+
+    W = C1 (I1 - 3) - 2 C1 ln J + lame / 2 (J - 1)^2,  shear modulus 2 C1.
+
+    Parameters
+    ----------
+    C1 : float [Pa]
+        Positive.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    C1: float
+
+    def _check_parameters(self) -> None:
+        number_in_range("C1", self.C1, 0.0, open_low=True, unit="Pa")
+
+    @property
+    def shear_modulus(self) -> float:
+        return 2 * self.C1
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 4 / 3 * self.C1
+
+    @staticmethod
+    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return c[0] * (I1 - 3.0) - 2.0 * c[0] * np.log(J)
+
+    @staticmethod
+    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return c[0], 0.0, -2.0 * c[0] / J
+
+    @staticmethod
+    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * c[0] / (J * J)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MooneyRivlin(Material):
+    """Mooney-Rivlin law, equation (16), with the factors as printed.
+
+    W = C1/2 (I1 - 3) + C2/2 (I2 - 3) - (C1 + 2 C2) ln J + lame / 2 (J - 1)^2,  shear modulus C1 + C2.
+
+    Parameters
+    ----------
+    C1 : float [Pa]
+        Positive.
+    C2 : float [Pa]
+        Not negative.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    C1: float
+    C2: float
+
+    def _check_parameters(self) -> None:
+        number_in_range("C1", self.C1, 0.0, open_low=True, unit="Pa")
+        number_in_range("C2", self.C2, 0.0, unit="Pa")
+
+    @property
+    def shear_modulus(self) -> float:
+        return self.C1 + self.C2
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * (self.C1 + self.C2) + 2 * self.C2
+
+    @staticmethod
+    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return 0.5 * c[0] * (I1 - 3.0) + 0.5 * c[1] * (I2 - 3.0) - (c[0] + 2.0 * c[1]) * np.log(J)
+
+    @staticmethod
+    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return 0.5 * c[0], 0.5 * c[1], -(c[0] + 2.0 * c[1]) / J
+
+    @staticmethod
+    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return 0.0, 0.0, 0.0, 0.0, 0.0, (c[0] + 2.0 * c[1]) / (J * J)
