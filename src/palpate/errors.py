@@ -6,7 +6,7 @@ Every message names what is wrong, where, and what to do.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from typing import Any
 
 __all__ = [
     "CloudError",
@@ -76,7 +76,7 @@ def integer_in_range(name: str, value: int, low: int, high: float = math.inf) ->
     return int(value)
 
 
-def first_few(nodes: Sequence[int], most: int = 8) -> str:
-    """Write a list of node numbers, shortened."""
+def first_few(nodes: Any, most: int = 8) -> str:
+    """Write a sequence of node numbers, shortened."""
     text = ", ".join(str(int(i)) for i in nodes[:most])
     return text + (f" and {len(nodes) - most} more" if len(nodes) > most else "")

@@ -23,6 +23,7 @@ from numba import get_thread_id, njit, prange
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x1, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 
 __all__ = ["Body", "Workspace", "kernels", "workspace"]
@@ -233,16 +234,17 @@ def kernels(first_of: Any, second_of: Any, direct: bool) -> Any:
         ``internal_force(u, body, work, force)`` writes the force
         density [N/m^3] of displacements `u`, shape (n, 3), into `force`.
     """
+    digest = law_digest(first_of, second_of, direct)
     respond = _respond(register_jitable(first_of), register_jitable(second_of), direct)
 
-    @njit(parallel=True, fastmath={"contract"})
+    @law_njit(digest, parallel=True, fastmath={"contract"})
     def deform(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             thread = get_thread_id()
             _derivatives(b, u, lanes, first, second, fields[thread], derivatives[thread])
             respond(b, lanes.nodes, derivatives[thread], boundary, coefficients, lame, cofactor, shear, pressure)
 
-    @njit
+    @law_njit(digest)
     def internal_force(u, body, work, force):  # type: ignore[no-untyped-def]
         deform(u, body.lanes, body.first, body.second, body.boundary, body.coefficients, body.lame,
                work.fields, work.derivatives, work.cofactor, work.shear, work.pressure)  # fmt: skip

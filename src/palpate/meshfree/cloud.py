@@ -99,8 +99,8 @@ class Cloud:
         np.add.at(vectors, self.face_nodes, self.face_areas[:, None] * self.face_normals)
         return vectors / self.volumes[:, None]
 
-    def area_shares(self, name: str) -> Floats:
-        """Return the nodes' shares [m^2] of the face that group `name` lies on, shape (g,).
+    def area_vectors(self, name: str) -> Floats:
+        """Return each node's share [m^2] of the face that group `name` lies on, times its normal, shape (g, d).
 
         Raises
         ------
@@ -109,14 +109,13 @@ class Cloud:
         """
         nodes = self.group(name)
         pairs = np.isin(self.face_nodes, nodes)
-        mean = self.face_normals[pairs & (self.face_nodes == nodes[len(nodes) // 2])]
-        for normal in mean:
+        for normal in self.face_normals[self.face_nodes == nodes[len(nodes) // 2]]:
             same = pairs & (self.face_normals @ normal > 0.5)
             if np.array_equal(np.unique(self.face_nodes[same]), nodes):
-                shares = np.zeros(len(self))
-                np.add.at(shares, self.face_nodes[same], self.face_areas[same])
-                return shares[nodes]
-        raise InputError(f"group {name!r} does not lie on the surface: a traction needs nodes of one face")
+                vectors = np.zeros_like(self.points)
+                np.add.at(vectors, self.face_nodes[same], self.face_areas[same, None] * self.face_normals[same])
+                return vectors[nodes]
+        raise InputError(f"group {name!r} does not lie on one face of the surface: a traction needs one")
 
 
 def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 0) -> Cloud:

@@ -64,19 +64,38 @@ class Stencils:
     condition: Floats
 
     def fit(self, field: Floats) -> Floats:
-        """Return the fitted value of a nodal field, shape (n, ...)."""
-        gathered = np.einsum("nk,nk...->n...", self.value[self.row], field[self.neighbours])
-        return gathered + np.einsum("n,n...->n...", self.own[self.row], field)
+        """Return the fitted value of a nodal field of shape (n,) or (n, c), in the same shape."""
+        return self._apply(self.value[:, :, None], self.own[:, None], field)[..., 0]
 
     def gradient(self, field: Floats) -> Floats:
-        """Return the first derivatives of a nodal field, shape (n, ..., d)."""
-        gathered = np.einsum("nkd,nk...->n...d", self.first[self.row], field[self.neighbours])
-        return gathered + np.einsum("nd,n...->n...d", self.own_first[self.row], field)
+        """Return the first derivatives of a nodal field of shape (n,) or (n, c), shape (n, d) or (n, c, d)."""
+        return self._apply(self.first, self.own_first, field)
 
     def hessian(self, field: Floats) -> Floats:
-        """Return the second derivatives of a nodal field, shape (n, ..., d (d + 1) / 2)."""
-        gathered = np.einsum("nkd,nk...->n...d", self.second[self.row], field[self.neighbours])
-        return gathered + np.einsum("nd,n...->n...d", self.own_second[self.row], field)
+        """Return the second derivatives of a nodal field, shape (n, d (d + 1) / 2) or (n, c, d (d + 1) / 2)."""
+        return self._apply(self.second, self.own_second, field)
+
+    def _apply(self, weights: Floats, own: Floats, field: Floats) -> Floats:
+        columns = np.ascontiguousarray(field, dtype=float).reshape(len(self.row), -1)
+        result = _apply(self.neighbours, self.row, weights, own, columns)
+        return result.reshape(*field.shape, weights.shape[2])
+
+
+@njit(parallel=True, cache=True)
+def _apply(neighbours, row, weights, own, field):  # type: ignore[no-untyped-def]
+    """Weighted sums over the neighbours: (n, c) fields to (n, c, w) values."""
+    n, k = neighbours.shape
+    columns, width = field.shape[1], weights.shape[2]
+    result = np.zeros((n, columns, width))
+    for i in prange(n):
+        r = row[i]
+        for c in range(columns):
+            for w in range(width):
+                total = own[r, w] * field[i, c]
+                for j in range(k):
+                    total += weights[r, j, w] * field[neighbours[i, j], c]
+                result[i, c, w] = total
+    return result
 
 
 def moving_least_squares(

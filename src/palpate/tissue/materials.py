@@ -14,7 +14,7 @@ with `lame` chosen so that the law has the asked-for bulk modulus at rest.
 
 A new law is a frozen dataclass with its parameters, `shear_modulus`, `shear_bulk_modulus` and three static functions
 `energy`, `first` and `second` of the invariants and the tuple of coefficients. The functions are inlined in the
-compiled kernels, so they must be plain arithmetic that Numba understands (`math` functions included).
+compiled kernels and called with whole arrays elsewhere, so they are plain arithmetic and NumPy functions.
 """
 
 from __future__ import annotations
@@ -118,18 +118,15 @@ class Material(ABC):
     def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the whole energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""
         I1, I2, J = _invariants(F)
-        shear = np.vectorize(lambda a, b, j: self.energy(a, b, j, self.coefficients), otypes=[float])
-        return np.asarray(shear(I1, I2, J) + self.lame / 2 * (J - 1) ** 2)
+        return np.asarray(self.energy(I1, I2, J, self.coefficients) + self.lame / 2 * (J - 1) ** 2)
 
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the first Piola-Kirchhoff stress dW/dF [Pa], shape (..., 3, 3); the paper's nominal stress (21) transposed."""
-        I1, I2, J = _invariants(F)
-        first = np.vectorize(lambda a, b, j: self.first(a, b, j, self.coefficients), otypes=[float] * 3)
-        W1, W2, WJ = (np.asarray(w)[..., None, None] for w in first(I1, I2, J))
+        I1, I2, J = (i[..., None, None] for i in _invariants(F))
+        W1, W2, WJ = self.first(I1, I2, J, self.coefficients)
         C = np.swapaxes(F, -1, -2) @ F
-        cofactor = J[..., None, None] * np.swapaxes(np.linalg.inv(F), -1, -2)
-        pressure = self.lame * (J - 1)[..., None, None]
-        return np.asarray(2 * W1 * F + 2 * W2 * (I1[..., None, None] * F - F @ C) + (WJ + pressure) * cofactor)
+        cofactor = J * np.swapaxes(np.linalg.inv(F), -1, -2)
+        return np.asarray(2 * W1 * F + 2 * W2 * (I1 * F - F @ C) + (WJ + self.lame * (J - 1)) * cofactor)
 
 
 def _invariants(F: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

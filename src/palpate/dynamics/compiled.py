@@ -1,0 +1,53 @@
+"""Compiled functions that are made for one material law and still found in the cache of the next process.
+
+Numba looks a cached function up by its closure, and a closure over other compiled functions never compares equal
+in a new process; nor does it notice when a function it has inlined changes. Here the key is a digest of the sources
+of this package's kernels and of the law.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+from numba.core.caching import FunctionCache
+
+__all__ = ["law_digest", "law_njit"]
+
+
+class _DigestCache(FunctionCache):  # type: ignore[misc]
+    def __init__(self, function: Callable[..., Any], digest: str) -> None:
+        super().__init__(function)
+        self._digest = digest
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return (sig, codegen.magic_tuple(), self._digest)
+
+
+@cache
+def _kernel_sources() -> bytes:
+    return b"".join(path.read_bytes() for path in sorted(Path(__file__).parents[1].glob("*/*.py")))
+
+
+def law_digest(*what: object) -> str:
+    """Digest of functions (by their source), other values (by their repr), and the sources of the kernels."""
+    digest = hashlib.sha256(_kernel_sources())
+    for item in what:
+        digest.update((inspect.getsource(item) if inspect.isfunction(item) else repr(item)).encode())
+    return digest.hexdigest()
+
+
+def law_njit(digest: str, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile as `numba.njit` does, cached under `digest`."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        compiled = njit(**options)(function)
+        compiled._cache = _DigestCache(function, digest)
+        return compiled
+
+    return decorate

@@ -1,0 +1,225 @@
+"""What holds and pushes a body: tractions, gravity, prescribed motions.
+
+A load says what happens in the user's words; `drive` gathers a list of loads into the arrays that the compiled time
+step reads, for a given cloud and support.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.errors import InputError, first_few
+from palpate.meshfree.cloud import Cloud
+
+__all__ = ["Drive", "Gravity", "Load", "PrescribedMotion", "Traction", "drive"]
+
+Floats = NDArray[np.float64]
+Vector = Sequence[float] | Callable[[float], Sequence[float]]
+FREE, FIXED, DRIVEN = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Traction:
+    """A force or a pressure on the face that a group of nodes makes up (equation 4).
+
+    Parameters
+    ----------
+    group : str
+        Nodes of one face of the body.
+    force : (3,) sequence, or function of time [s] that returns one, optional [N]
+        Total force, spread evenly over the face's reference area, fixed in direction.
+    pressure : float, or function of time [s], optional [Pa]
+        Pressure on the deformed face: it follows the face as it moves and turns.
+    """
+
+    group: str
+    force: Vector | None = None
+    pressure: float | Callable[[float], float] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.force is None) == (self.pressure is None):
+            raise InputError(f"Traction on {self.group!r}: give either force [N] or pressure [Pa]")
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """A body force rho g (equation 3).
+
+    Parameters
+    ----------
+    acceleration : (3,) sequence, or function of time [s] that returns one [m/s^2]
+    """
+
+    acceleration: Vector = (0.0, 0.0, -9.81)
+
+
+@dataclass(frozen=True)
+class PrescribedMotion:
+    """Nodes that follow a tool (equation 6).
+
+    Parameters
+    ----------
+    group : str
+        The nodes the tool holds.
+    displacement : (3,) sequence [m] or function
+        ``displacement(points, time)``, with the group's reference positions (g, 3) [m] and the time [s], returns the
+        displacements, shape (g, 3) or (3,) [m].
+    """
+
+    group: str
+    displacement: Sequence[float] | Callable[[Floats, float], Any]
+
+
+Load = Traction | Gravity | PrescribedMotion
+
+
+class Schedule(NamedTuple):
+    """Values of the loads at the times of some steps, for the compiled step."""
+
+    gravity: Floats  # (s, 3)
+    force: Floats  # (s, groups, 3) total force [N]
+    pressure: Floats  # (s, groups) [Pa]
+    motion: Floats  # (s, driven nodes, 3) [m]
+
+
+class Places(NamedTuple):
+    """Where loads act, for the compiled step."""
+
+    kind: NDArray[np.uint8]  # (n,) FREE, FIXED or DRIVEN
+    force_start: NDArray[np.int64]
+    force_node: NDArray[np.int64]
+    force_share: Floats
+    pressure_start: NDArray[np.int64]
+    pressure_node: NDArray[np.int64]
+    pressure_area: Floats  # (k, 3) area vectors [m^2]
+    driven: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Loads made ready for a cloud and its support.
+
+    Parameters
+    ----------
+    loads : tuple of loads
+    places : Places
+    supports : mapping of group name to nodes
+        Fixed and driven groups, whose reaction forces are reported.
+    """
+
+    loads: tuple[Load, ...]
+    places: Places
+    supports: dict[str, NDArray[np.int64]]
+    points: Floats
+    motions: tuple[tuple[PrescribedMotion, slice], ...] = field(default=())
+
+    def schedule(self, times: Floats) -> Schedule:
+        """Evaluate every load at the given times [s].
+
+        Raises
+        ------
+        InputError
+            A load's function returned the wrong shape or a value that is not finite.
+        """
+        gravity = np.zeros((len(times), 3))
+        forces, pressures = [], []
+        for load in self.loads:
+            if isinstance(load, Gravity):
+                gravity += _vectors(load.acceleration, times, "the acceleration of Gravity")
+            elif isinstance(load, Traction) and load.force is not None:
+                forces.append(_vectors(load.force, times, f"the force of Traction on {load.group!r}"))
+            elif isinstance(load, Traction):
+                of = load.pressure
+                values = np.array([float(of(t)) if callable(of) else float(of or 0.0) for t in times])
+                pressures.append(_finite(values, times, f"the pressure of Traction on {load.group!r}"))
+        motion = np.zeros((len(times), len(self.places.driven), 3))
+        for load, where in self.motions:
+            points = self.points[self.places.driven[where]]
+            for s, t in enumerate(times):
+                of_motion = load.displacement
+                motion[s, where] = of_motion(points, float(t)) if callable(of_motion) else of_motion
+            _finite(motion[:, where], times, f"the PrescribedMotion of {load.group!r}")
+        return Schedule(
+            gravity,
+            np.stack(forces, axis=1) if forces else np.zeros((len(times), 0, 3)),
+            np.stack(pressures, axis=1) if pressures else np.zeros((len(times), 0)),
+            motion,
+        )
+
+
+def _vectors(value: Vector, times: Floats, what: str) -> Floats:
+    rows = [value(float(t)) for t in times] if callable(value) else [value] * len(times)
+    try:
+        array = np.array(rows, dtype=float).reshape(len(times), 3)
+    except (ValueError, TypeError):
+        raise InputError(f"{what} must be three numbers, not {rows[0]!r}") from None
+    return _finite(array, times, what)
+
+
+def _finite(values: Floats, times: Floats, what: str) -> Floats:
+    bad = np.flatnonzero(~np.isfinite(values.reshape(len(times), -1)).all(axis=1))
+    if bad.size:
+        raise InputError(f"{what} is not finite at t = {times[bad[0]]:g} s")
+    return values
+
+
+def drive(cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load]) -> Drive:
+    """Make loads ready for a cloud whose groups `fixed` are held.
+
+    Raises
+    ------
+    InputError
+        An unknown group, a load on a fixed group, or two motions for one node.
+    """
+    kind = np.full(len(cloud), FREE, dtype=np.uint8)
+    supports = {}
+    for name in fixed:
+        supports[name] = cloud.group(name)
+        kind[supports[name]] = FIXED
+    driven: list[NDArray[np.int64]] = []
+    motions, count = [], 0
+    forces: list[tuple[NDArray[np.int64], Floats]] = []
+    pressures: list[tuple[NDArray[np.int64], Floats]] = []
+    for load in loads:
+        if isinstance(load, PrescribedMotion):
+            nodes = cloud.group(load.group)
+            held = nodes[kind[nodes] != FREE]
+            if held.size:
+                raise InputError(
+                    f"PrescribedMotion on group {load.group!r}: its nodes {first_few(held)} are already fixed or driven"
+                )
+            kind[nodes] = DRIVEN
+            supports[load.group] = nodes
+            driven.append(nodes)
+            motions.append((load, slice(count, count + len(nodes))))
+            count += len(nodes)
+        elif isinstance(load, Traction):
+            nodes = cloud.group(load.group)
+            areas = cloud.area_vectors(load.group)
+            shares = np.linalg.norm(areas, axis=1)
+            if load.force is not None:
+                forces.append((nodes, shares / shares.sum()))
+            else:
+                pressures.append((nodes, areas))
+        elif not isinstance(load, Gravity):
+            raise InputError(f"{load!r} is not a load: use Traction, Gravity or PrescribedMotion")
+    for load in loads:
+        if isinstance(load, Traction) and np.all(kind[cloud.group(load.group)] != FREE):
+            raise InputError(f"Traction on group {load.group!r}: the whole group is fixed or driven; load another group")
+    empty = np.zeros(0, dtype=np.int64)
+    places = Places(
+        kind,
+        np.cumsum([0, *(len(n) for n, _ in forces)]),
+        np.concatenate([empty, *(n for n, _ in forces)]),
+        np.concatenate([np.zeros(0), *(s for _, s in forces)]),
+        np.cumsum([0, *(len(n) for n, _ in pressures)]),
+        np.concatenate([empty, *(n for n, _ in pressures)]),
+        np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),
+        np.concatenate([empty, *driven]),
+    )
+    return Drive(tuple(loads), places, supports, cloud.points, tuple(motions))

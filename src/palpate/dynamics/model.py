@@ -1,0 +1,106 @@
+"""The contract of a model: what `rollout` and the real-time engine need of a body, full or reduced."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.loads import Drive, Load
+from palpate.meshfree.cloud import Cloud
+from palpate.tissue.materials import Material
+
+__all__ = ["Model", "Outputs", "State"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """Coordinates and velocities of a model at one time.
+
+    Parameters
+    ----------
+    coordinates, velocities : arrays
+        Nodal (n, 3) [m], [m/s] for a full model, modal (M,) for a reduced one.
+    time : float [s]
+    external_work, dissipated : float [J]
+        Work of loads and tools, and work lost to viscosity, since the run began.
+    """
+
+    coordinates: Floats
+    velocities: Floats
+    time: float = 0.0
+    external_work: float = 0.0
+    dissipated: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What a model tells about a state.
+
+    Parameters
+    ----------
+    displacements, velocities : (n, 3) arrays [m], [m/s]
+    reactions : mapping of group name to (3,) array [N]
+        Force of every support and tool on the body.
+    kinetic, strain, external, dissipated : float [J]
+    """
+
+    displacements: Floats
+    velocities: Floats
+    reactions: dict[str, Floats]
+    kinetic: float
+    strain: float
+    external: float
+    dissipated: float
+
+
+class Model(ABC):
+    """A body that can be stepped through time.
+
+    Attributes
+    ----------
+    cloud : Cloud
+    material : Material
+    fixed : tuple of str
+        Groups that are held.
+    viscosity : float [s]
+        Stiffness-proportional viscosity beta, C = beta K.
+    name : str
+        ``"full"``, ``"reduced"`` ...
+    """
+
+    cloud: Cloud
+    material: Material
+    fixed: tuple[str, ...]
+    viscosity: float
+    name: str
+
+    @abstractmethod
+    def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
+        """Return the state at time 0 with given nodal displacements and velocities (equations 7 and 8)."""
+
+    @abstractmethod
+    def drive(self, loads: Sequence[Load]) -> Drive:
+        """Make loads ready for this model."""
+
+    @abstractmethod
+    def stable_step(self, state: State, drive: Drive) -> float:
+        """Estimate the largest stable time step [s] at a state."""
+
+    @abstractmethod
+    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+        """Advance by a number of steps of one length [s]."""
+
+    @abstractmethod
+    def outputs(self, state: State, drive: Drive) -> Outputs:
+        """Evaluate displacements, velocities, forces and energies at a state."""
+
+    @property
+    def masses(self) -> Floats:
+        """Nodal masses [kg], shape (n,)."""
+        return self.cloud.volumes * self.material.density

@@ -1,0 +1,112 @@
+"""The explicit central-difference step, compiled.
+
+Displacements stand at the times t_n, velocities between them:
+
+    v_{n+1/2} = v_{n-1/2} + dt a(u_n + beta v_{n-1/2}, t_n),      u_{n+1} = u_n + dt v_{n+1/2}.
+
+Evaluating the internal force at u + beta v is the stiffness-proportional damping C = beta K of (29), at no cost. A
+call advances some steps of one length and starts and ends with half a kick, so that its states hold displacements and
+velocities of the same time.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from numba import njit
+
+from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.dynamics.kernels import kernels
+from palpate.dynamics.lanes import LANES
+from palpate.dynamics.loads import FIXED, FREE
+
+__all__ = ["full_step"]
+
+
+@njit(cache=True)
+def external_force(places, schedule, s, volumes, density, slot, cofactor, external):  # type: ignore[no-untyped-def]
+    """Write the external force density [N/m^3] of step s at every loaded node into `external`; elsewhere rho g."""
+    n = external.shape[0]
+    for i in range(n):
+        for c in range(3):
+            external[i, c] = density * schedule.gravity[s, c]
+    for g in range(places.force_start.shape[0] - 1):
+        for k in range(places.force_start[g], places.force_start[g + 1]):
+            i = places.force_node[k]
+            for c in range(3):
+                external[i, c] += places.force_share[k] * schedule.force[s, g, c] / volumes[i]
+    for g in range(places.pressure_start.shape[0] - 1):
+        for k in range(places.pressure_start[g], places.pressure_start[g + 1]):
+            i = places.pressure_node[k]
+            block, lane = slot[i] // LANES, slot[i] % LANES
+            for c in range(3):
+                area = 0.0
+                for d in range(3):
+                    area += cofactor[block, 3 * c + d, lane] * places.pressure_area[k, d]
+                external[i, c] -= schedule.pressure[s, g] * area / volumes[i]
+
+
+@njit(cache=True)
+def _kick(kind, force, external, volumes, density, kick, velocity):  # type: ignore[no-untyped-def]
+    """Accelerate the free nodes over the time `kick`; return the work [J] of the external forces on them."""
+    work = 0.0
+    for i in range(kind.shape[0]):
+        if kind[i] == FREE:
+            for c in range(3):
+                before = velocity[i, c]
+                after = before + kick * (force[i, c] + external[i, c]) / density
+                work += volumes[i] * external[i, c] * 0.5 * (before + after)
+                velocity[i, c] = after
+    return work * kick
+
+
+@njit(cache=True)
+def _drive(places, target, step, u, velocity):  # type: ignore[no-untyped-def]
+    """Give the driven nodes the velocity that brings them to their target after `step`."""
+    for k in range(places.driven.shape[0]):
+        i = places.driven[k]
+        for c in range(3):
+            velocity[i, c] = (target[k, c] - u[i, c]) / step
+
+
+@cache
+def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
+    """Compile the steps of a full model for a law.
+
+    Returns
+    -------
+    function
+        ``advance(u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, force, external, at)``
+        advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has times less one, leaves the
+        forces of the last instant in `force` and `external`, and returns the external work [J].
+    """
+    internal_force = kernels(first_of, second_of, direct)
+
+    @law_njit(law_digest("full_step", first_of, second_of, direct))
+    def advance(  # type: ignore[no-untyped-def]
+        u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, force, external, at
+    ):
+        total = 0.0
+        steps = schedule.motion.shape[0] - 1
+        for s in range(steps + 1):
+            for i in range(u.shape[0]):
+                for c in range(3):
+                    at[i, c] = u[i, c] + beta * velocity[i, c]
+            internal_force(at, body, work, force)
+            external_force(places, schedule, s, volumes, density, slot, work.cofactor, external)
+            kick = 0.5 * step if s in (0, steps) else step
+            total += _kick(places.kind, force, external, volumes, density, kick, velocity)
+            if s == steps:
+                break
+            _drive(places, schedule.motion[s + 1], step, u, velocity)
+            for i in range(u.shape[0]):
+                if places.kind[i] != FIXED:
+                    for c in range(3):
+                        u[i, c] += step * velocity[i, c]
+            for k in range(places.driven.shape[0]):
+                for c in range(3):
+                    u[places.driven[k], c] = schedule.motion[s + 1, k, c]
+        return total
+
+    return advance
