@@ -1,1 +1,46 @@
-"""palpate"""
+"""palpate: real-time simulation of hyperelastic soft tissue.
+
+Names are loaded on first use, so that ``import palpate`` is quick.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_HOME = {
+    "Cloud": "meshfree.cloud",
+    "box": "meshfree.cloud",
+    "Stencils": "meshfree.stencils",
+    "moving_least_squares": "meshfree.stencils",
+    "Material": "tissue.materials",
+    "MooneyRivlin": "tissue.materials",
+    "NeoHookean": "tissue.materials",
+    "FullModel": "dynamics.full",
+    "Gravity": "dynamics.loads",
+    "PrescribedMotion": "dynamics.loads",
+    "Traction": "dynamics.loads",
+    "Trajectory": "dynamics.trajectory",
+    "rollout": "dynamics.rollout",
+    "Basis": "reduction.pod",
+    "pod": "reduction.pod",
+    "ReducedModel": "reduction.reduced",
+    "reduce": "reduction.reduced",
+    "Errors": "reduction.errors",
+    "errors": "reduction.errors",
+    "CloudError": "faults",
+    "DivergenceError": "faults",
+    "FileFormatError": "faults",
+    "InputError": "faults",
+}
+
+__all__ = sorted(_HOME)
+__version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'palpate' has no attribute {name!r}")
+    return getattr(import_module(f"palpate.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

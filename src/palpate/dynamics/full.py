@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.kernels import Body, kernels, workspace
 from palpate.dynamics.lanes import LANES, lane_table
-from palpate.dynamics.loads import FREE, Drive, Load, drive
-from palpate.dynamics.model import Model, Outputs, State
+from palpate.dynamics.loads import FREE, Drive, Load, Schedule, drive
+from palpate.dynamics.model import Model, Nodes, State
 from palpate.dynamics.stability import FrequencyTracker, choose_viscosity, stable_step
-from palpate.dynamics.stepping import external_force, full_step
-from palpate.errors import InputError, integer_in_range, number_in_range
+from palpate.dynamics.reactions import tool_power
+from palpate.dynamics.stepping import full_step, surface_force
+from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.tissue.materials import Material
@@ -95,7 +97,7 @@ class FullModel(Model):
         longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
         self.slot = np.zeros(len(cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
-        self._work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
+        self.work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
         law = type(material)
         self._internal_force = kernels(law.first, law.second, pressure == "direct")
         self._advance = full_step(law.first, law.second, pressure == "direct")
@@ -106,10 +108,21 @@ class FullModel(Model):
         self.stability = choose_viscosity(self, viscosity)
         self.viscosity = self.stability.used
 
+    @property
+    def weights(self) -> Floats:
+        """Weights [m^3] of the inner product in which tractions do their true virtual work, shape (n,).
+
+        The nodal volumes; at the boundary times 2/c, because the balance of a boundary node multiplies a traction by
+        c/h and not by the half cell's 2/h.
+        """
+        weights = self.cloud.volumes.copy()
+        weights[np.unique(self.cloud.face_nodes)] /= self.half_cell
+        return weights
+
     def force(self, displacements: Floats) -> Floats:
         """Return the internal force density [N/m^3] at every node for displacements (n, 3) [m]."""
         result = np.zeros((len(self.cloud), 3))
-        self._internal_force(np.ascontiguousarray(displacements, dtype=float), self.body, self._work, result)
+        self._internal_force(np.ascontiguousarray(displacements, dtype=float), self.body, self.work, result)
         return result
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
@@ -117,14 +130,19 @@ class FullModel(Model):
         return self.stencils.gradient(displacements) + np.eye(3)
 
     def stress(self, displacements: Floats) -> Floats:
-        """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3), with the smoothed pressure of the model."""
+        """Return the first Piola-Kirchhoff stress [Pa] at every node, shape (n, 3, 3), with the model's own pressure."""
         F = self.deformation_gradient(displacements)
-        J = np.linalg.det(F)[:, None, None]
-        stress = self.material.stress(F) @ np.swapaxes(F, 1, 2) / J
+        stress = self.material.stress(F)
         if self.pressure == "split":
             self.force(displacements)
-            stress = stress + (self._work.smooth - self._work.pressure)[:, None, None] * np.eye(3)
+            cofactor = np.linalg.det(F)[:, None, None] * np.swapaxes(np.linalg.inv(F), 1, 2)
+            stress = stress + (self.work.smooth - self.work.pressure)[:, None, None] * cofactor
         return stress
+
+    def cauchy_stress(self, displacements: Floats) -> Floats:
+        """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3)."""
+        F = self.deformation_gradient(displacements)
+        return self.stress(displacements) @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
 
     def drive(self, loads: Sequence[Load]) -> Drive:
         return drive(self.cloud, self.fixed, loads)
@@ -148,40 +166,54 @@ class FullModel(Model):
         number_in_range("step", step, 0.0, open_low=True, unit="s")
         times = state.time + step * np.arange(steps + 1)
         u, v = state.coordinates.copy(), state.velocities.copy()
-        force, external, at = self._scratch
-        loss = self._viscous_power(state, drive)
+        force, surface, at = self._scratch
+        schedule = drive.schedule(times)
+        before = self._losses(state, drive)
         work = self._advance(
-            u, v, step, self.viscosity, self.body, self._work, drive.places, drive.schedule(times), self.cloud.volumes,
-            self.material.density, self.slot, force, external, at,
+            u, v, step, self.viscosity, self.body, self.work, drive.places, schedule, self.cloud.volumes,
+            self.material.density, self.slot, self.half_cell, force, surface, at,
         )  # fmt: skip
         new = State(u, v, float(times[-1]), state.external_work + work, state.dissipated)
-        # trapezium in the viscous power: it is a small, smooth share of the balance
-        loss = 0.5 * (loss + self._viscous_power(new, drive)) * step * steps
-        return State(u, v, new.time, new.external_work, state.dissipated + loss)
+        after = self._losses(new, drive)
+        # trapezium rule for the power of the tools and of the viscosity
+        tools, lost = (0.5 * step * steps * (a + b) for a, b in zip(before, after, strict=True))
+        return replace(new, external_work=new.external_work + tools, dissipated=new.dissipated + lost)
 
-    def _viscous_power(self, state: State, drive: Drive) -> float:
-        """Power [W] lost to viscosity: the nodal velocities on what beta v adds to the internal force."""
+    def _losses(self, state: State, drive: Drive) -> tuple[float, float]:
+        """Power [W] of the tools on the body, and power lost to viscosity."""
+        return tool_power(self, state, drive), self._viscous_power(state)
+
+    def _viscous_power(self, state: State) -> float:
+        """Power [W] of the nodal velocities on what beta v adds to the internal force."""
         u, v = state.coordinates, state.velocities
         if self.viscosity == 0.0:
             return 0.0
         lost = self.force(u) - self.force(u + self.viscosity * v)
         return float(np.sum(self.cloud.volumes[:, None] * v * lost))
 
-    def outputs(self, state: State, drive: Drive) -> Outputs:
-        u, v = state.coordinates, state.velocities
-        total = self.force(u + self.viscosity * v)
-        external = np.zeros_like(total)
-        external_force(
-            drive.places, drive.schedule(np.array([state.time])), 0, self.cloud.volumes, self.material.density,
-            self.slot, self._work.cofactor, external,
-        )  # fmt: skip
-        residual = -(total + external) * self.cloud.volumes[:, None]
-        volumes = self.cloud.volumes
-        return Outputs(
-            u, v,
-            {name: residual[nodes].sum(axis=0) for name, nodes in drive.supports.items()},
-            float(0.5 * np.sum(self.masses[:, None] * v**2)),
-            float(np.sum(volumes * self.material.strain_energy(self.deformation_gradient(u)))),
-            state.external_work,
-            state.dissipated,
-        )  # fmt: skip
+    def tractions(self, drive: Drive, schedule: Schedule) -> Floats:
+        """Return the tractions per nodal volume [N/m^3] at the first time of a schedule, on the body as last evaluated."""
+        surface = np.zeros((len(self.cloud), 3))
+        surface_force(drive.places, schedule, 0, self.cloud.volumes, self.slot, self.work.cofactor, surface)
+        return surface
+
+    def acceleration(self, state: State, drive: Drive) -> Floats:
+        schedule = drive.schedule(np.array([state.time]))
+        force = self.force(state.coordinates + self.viscosity * state.velocities)
+        force += self.half_cell * self.tractions(drive, schedule)
+        acceleration = force / self.material.density + schedule.gravity[0]
+        acceleration[drive.places.kind != FREE] = 0.0
+        acceleration[drive.places.driven] = drive.rates(lambda t: drive.schedule(t).motion, state.time)[1]
+        return acceleration
+
+    def external_force(self, state: State, drive: Drive) -> Floats:
+        schedule = drive.schedule(np.array([state.time]))
+        self.force(state.coordinates)  # the body that a pressure follows
+        surface = self.tractions(drive, schedule)
+        return surface * self.cloud.volumes[:, None] + self.masses[:, None] * schedule.gravity[0]
+
+    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        return state.coordinates[nodes]
+
+    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        return state.velocities[nodes]

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x1, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 
-__all__ = ["Body", "Workspace", "kernels", "workspace"]
+__all__ = ["Body", "Workspace", "finish_force", "kernels", "lift_derivatives", "make_response", "workspace"]
 
 
 class Body(NamedTuple):
@@ -75,7 +75,7 @@ def _address(weights, lanes, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath={"contract"})
-def _derivatives(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
+def lift_derivatives(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
     """First and second derivatives of the displacement at the nodes of one block, into out (27, LANES)."""
     begin, end = lanes.start[b], lanes.start[b + 1]
     for k in range(begin, end):
@@ -124,7 +124,21 @@ def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, 
                 force[i, c] = value
 
 
-def _respond(first_of, second_of, direct):  # type: ignore[no-untyped-def]
+@njit(cache=True)
+def finish_force(body, work, direct, force):  # type: ignore[no-untyped-def]
+    """From what the deformation pass left: smooth the pressure, add its gradient, write the force by node."""
+    if direct:
+        for b in range(body.lanes.nodes.shape[0]):
+            for lane in range(LANES):
+                for c in range(3):
+                    force[body.lanes.nodes[b, lane], c] = work.shear[b, c, lane]
+    else:
+        _smooth(body.smoothing, body.value, body.own, work.fields, work.derivatives, work.pressure, work.smooth)
+        _add_pressure(body.lanes, body.first, body.boundary, work.fields, work.derivatives, work.cofactor,
+                      work.shear, work.smooth, force)  # fmt: skip
+
+
+def make_response(first_of, second_of, direct):  # type: ignore[no-untyped-def]
     """Make the compiled response of one block: stress divergence, cofactor and pressure from F and H."""
 
     @njit(fastmath={"contract"}, forceinline=True)
@@ -235,27 +249,19 @@ def kernels(first_of: Any, second_of: Any, direct: bool) -> Any:
         density [N/m^3] of displacements `u`, shape (n, 3), into `force`.
     """
     digest = law_digest(first_of, second_of, direct)
-    respond = _respond(register_jitable(first_of), register_jitable(second_of), direct)
+    respond = make_response(register_jitable(first_of), register_jitable(second_of), direct)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def deform(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             thread = get_thread_id()
-            _derivatives(b, u, lanes, first, second, fields[thread], derivatives[thread])
+            lift_derivatives(b, u, lanes, first, second, fields[thread], derivatives[thread])
             respond(b, lanes.nodes, derivatives[thread], boundary, coefficients, lame, cofactor, shear, pressure)
 
     @law_njit(digest)
     def internal_force(u, body, work, force):  # type: ignore[no-untyped-def]
         deform(u, body.lanes, body.first, body.second, body.boundary, body.coefficients, body.lame,
                work.fields, work.derivatives, work.cofactor, work.shear, work.pressure)  # fmt: skip
-        if direct:
-            for b in range(body.lanes.nodes.shape[0]):
-                for lane in range(LANES):
-                    for c in range(3):
-                        force[body.lanes.nodes[b, lane], c] = work.shear[b, c, lane]
-        else:
-            _smooth(body.smoothing, body.value, body.own, work.fields, work.derivatives, work.pressure, work.smooth)
-            _add_pressure(body.lanes, body.first, body.boundary, work.fields, work.derivatives, work.cofactor,
-                          work.shear, work.smooth, force)  # fmt: skip
+        finish_force(body, work, direct, force)
 
     return internal_force

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.errors import InputError, first_few
+from palpate.faults import InputError, first_few
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["Drive", "Gravity", "Load", "PrescribedMotion", "Traction", "drive"]
@@ -150,6 +150,13 @@ class Drive:
             np.stack(pressures, axis=1) if pressures else np.zeros((len(times), 0)),
             motion,
         )
+
+
+    @staticmethod
+    def rates(values: Callable[[Floats], Floats], time: float, interval: float = 1e-4) -> tuple[Floats, Floats]:
+        """Return first and second time derivatives of prescribed values, by differences over `interval` [s]."""
+        before, now, after = values(np.array([time - interval, time, time + interval]))
+        return (after - before) / (2 * interval), (after - 2 * now + before) / interval**2
 
 
 def _vectors(value: Vector, times: Floats, what: str) -> Floats:

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.loads import Drive, Load
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-__all__ = ["Model", "Outputs", "State"]
+__all__ = ["Model", "Nodes", "Outputs", "State"]
 
 Floats = NDArray[np.float64]
+Nodes = NDArray[np.int64] | slice
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ class Model(ABC):
     material : Material
     fixed : tuple of str
         Groups that are held.
+    stencils : Stencils
+        For derivatives of nodal fields.
     viscosity : float [s]
         Stiffness-proportional viscosity beta, C = beta K.
     name : str
@@ -76,6 +80,7 @@ class Model(ABC):
 
     cloud: Cloud
     material: Material
+    stencils: Stencils
     fixed: tuple[str, ...]
     viscosity: float
     name: str
@@ -97,8 +102,24 @@ class Model(ABC):
         """Advance by a number of steps of one length [s]."""
 
     @abstractmethod
-    def outputs(self, state: State, drive: Drive) -> Outputs:
-        """Evaluate displacements, velocities, forces and energies at a state."""
+    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        """Return the displacements [m] of some nodes."""
+
+    @abstractmethod
+    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        """Return the velocities [m/s] of some nodes."""
+
+    @abstractmethod
+    def acceleration(self, state: State, drive: Drive) -> Floats:
+        """Return the nodal accelerations [m/s^2], shape (n, 3): zero where fixed, the motion's where driven."""
+
+    @abstractmethod
+    def external_force(self, state: State, drive: Drive) -> Floats:
+        """Return the nodal forces [N] of tractions and gravity, shape (n, 3)."""
+
+    @abstractmethod
+    def stress(self, displacements: Floats) -> Floats:
+        """Return the first Piola-Kirchhoff stress [Pa] at every node for nodal displacements, shape (n, 3, 3)."""
 
     @property
     def masses(self) -> Floats:

@@ -21,21 +21,21 @@ from palpate.dynamics.kernels import kernels
 from palpate.dynamics.lanes import LANES
 from palpate.dynamics.loads import FIXED, FREE
 
-__all__ = ["full_step"]
+__all__ = ["full_step", "surface_force"]
 
 
 @njit(cache=True)
-def external_force(places, schedule, s, volumes, density, slot, cofactor, external):  # type: ignore[no-untyped-def]
-    """Write the external force density [N/m^3] of step s at every loaded node into `external`; elsewhere rho g."""
-    n = external.shape[0]
-    for i in range(n):
-        for c in range(3):
-            external[i, c] = density * schedule.gravity[s, c]
+def surface_force(places, schedule, s, volumes, slot, cofactor, surface):  # type: ignore[no-untyped-def]
+    """Write the tractions of step s, as force per nodal volume [N/m^3], at the loaded nodes of `surface`."""
+    for k in range(places.force_node.shape[0]):
+        surface[places.force_node[k]] = 0.0
+    for k in range(places.pressure_node.shape[0]):
+        surface[places.pressure_node[k]] = 0.0
     for g in range(places.force_start.shape[0] - 1):
         for k in range(places.force_start[g], places.force_start[g + 1]):
             i = places.force_node[k]
             for c in range(3):
-                external[i, c] += places.force_share[k] * schedule.force[s, g, c] / volumes[i]
+                surface[i, c] += places.force_share[k] * schedule.force[s, g, c] / volumes[i]
     for g in range(places.pressure_start.shape[0] - 1):
         for k in range(places.pressure_start[g], places.pressure_start[g + 1]):
             i = places.pressure_node[k]
@@ -44,19 +44,19 @@ def external_force(places, schedule, s, volumes, density, slot, cofactor, extern
                 area = 0.0
                 for d in range(3):
                     area += cofactor[block, 3 * c + d, lane] * places.pressure_area[k, d]
-                external[i, c] -= schedule.pressure[s, g] * area / volumes[i]
+                surface[i, c] -= schedule.pressure[s, g] * area / volumes[i]
 
 
 @njit(cache=True)
-def _kick(kind, force, external, volumes, density, kick, velocity):  # type: ignore[no-untyped-def]
-    """Accelerate the free nodes over the time `kick`; return the work [J] of the external forces on them."""
+def _kick(kind, force, surface, gravity, half_cell, volumes, density, kick, velocity):  # type: ignore[no-untyped-def]
+    """Accelerate the free nodes over the time `kick`; return the work [J] of tractions and gravity on them."""
     work = 0.0
     for i in range(kind.shape[0]):
         if kind[i] == FREE:
             for c in range(3):
                 before = velocity[i, c]
-                after = before + kick * (force[i, c] + external[i, c]) / density
-                work += volumes[i] * external[i, c] * 0.5 * (before + after)
+                after = before + kick * ((force[i, c] + half_cell * surface[i, c]) / density + gravity[c])
+                work += volumes[i] * (surface[i, c] + density * gravity[c]) * 0.5 * (before + after)
                 velocity[i, c] = after
     return work * kick
 
@@ -77,15 +77,15 @@ def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
     Returns
     -------
     function
-        ``advance(u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, force, external, at)``
-        advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has times less one, leaves the
-        forces of the last instant in `force` and `external`, and returns the external work [J].
+        ``advance(u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, half_cell, force,
+        surface, at)`` advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has times less
+        one, and returns the work [J] of tractions and gravity.
     """
     internal_force = kernels(first_of, second_of, direct)
 
     @law_njit(law_digest("full_step", first_of, second_of, direct))
     def advance(  # type: ignore[no-untyped-def]
-        u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, force, external, at
+        u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, half_cell, force, surface, at
     ):
         total = 0.0
         steps = schedule.motion.shape[0] - 1
@@ -94,9 +94,10 @@ def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
                 for c in range(3):
                     at[i, c] = u[i, c] + beta * velocity[i, c]
             internal_force(at, body, work, force)
-            external_force(places, schedule, s, volumes, density, slot, work.cofactor, external)
+            surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
             kick = 0.5 * step if s in (0, steps) else step
-            total += _kick(places.kind, force, external, volumes, density, kick, velocity)
+            gravity = schedule.gravity[s]
+            total += _kick(places.kind, force, surface, gravity, half_cell, volumes, density, kick, velocity)
             if s == steps:
                 break
             _drive(places, schedule.motion[s + 1], step, u, velocity)

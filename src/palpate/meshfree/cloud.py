@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.errors import CloudError, InputError, first_few, integer_in_range, number_in_range
+from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 
 __all__ = ["Cloud", "box"]
 

@@ -17,7 +17,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.errors import CloudError, InputError, first_few, integer_in_range, number_in_range
+from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 
 __all__ = ["Stencils", "moving_least_squares"]
 

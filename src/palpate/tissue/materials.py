@@ -25,7 +25,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.errors import InputError, number_in_range
+from palpate.faults import InputError, number_in_range
 
 __all__ = ["Material", "MooneyRivlin", "NeoHookean"]
 

@@ -1,0 +1,27 @@
+"""A progress bar with the real-time factor, on standard error and only where a person watches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+__all__ = ["progress_bar"]
+
+
+@contextmanager
+def progress_bar(label: str, duration: float, shown: bool) -> Iterator[Callable[[float, float], None]]:
+    """Yield a function to call with the simulated and the wall time [s] reached."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.2f} / {task.total:g} s"),
+        TextColumn("x{task.fields[factor]:.3g} real time"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as bar:
+        task = bar.add_task(label, total=duration, factor=0.0)
+        yield lambda time, wall: bar.update(task, completed=time, factor=time / max(wall, 1e-9))

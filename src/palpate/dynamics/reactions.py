@@ -1,0 +1,69 @@
+"""Forces of supports and tools on the body, and what else a state tells.
+
+The force on a group of held nodes is the virtual work of a displacement that is 1 there and 0 at the other groups,
+
+    R_i = sum over the nodes of  m phi a_i + V P_iL dphi/dX_L - phi f_i,
+
+phi a partition of unity over the groups. It needs no stress at the held nodes themselves, where it is singular, and
+the forces of all groups balance the body's momentum exactly. With one group phi = 1: momentum alone decides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from palpate.dynamics.loads import Drive
+from palpate.dynamics.model import Model, Outputs, State
+
+__all__ = ["evaluate", "partition", "reactions", "tool_power"]
+
+Floats = NDArray[np.float64]
+
+
+def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:
+    """Return functions (groups, n), 1 on their own group and 0 on the others, that sum to 1 (Shepard's)."""
+    if len(supports) == 1:
+        return np.ones((1, len(points)))
+    distance = np.stack([cKDTree(points[nodes]).query(points)[0] for nodes in supports.values()])
+    inverse = np.stack([np.prod(np.delete(distance, g, axis=0) ** 2, axis=0) for g in range(len(distance))])
+    return np.asarray(inverse / inverse.sum(axis=0))
+
+
+def reactions(model: Model, state: State, drive: Drive) -> dict[str, Floats]:
+    """Return the force [N] of every support and tool on the body, shape (3,) each."""
+    if not drive.supports:
+        return {}
+    phi = partition(model.cloud.points, drive.supports)
+    inertia = model.masses[:, None] * model.acceleration(state, drive) - model.external_force(state, drive)
+    forces = phi @ inertia
+    if len(phi) > 1:
+        moved = model.displacement(state, drive) + model.viscosity * model.velocity(state, drive)
+        slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
+        forces = forces + np.einsum("n,nil,ngl->gi", model.cloud.volumes, model.stress(moved), slopes)
+    return dict(zip(drive.supports, forces, strict=True))
+
+
+def tool_power(model: Model, state: State, drive: Drive) -> float:
+    """Return the power [W] of the tools on the body: their forces times the mean velocities of their nodes."""
+    if not drive.motions:
+        return 0.0
+    forces = reactions(model, state, drive)
+    groups = [motion.group for motion, _ in drive.motions]
+    return float(sum(forces[g] @ model.velocity(state, drive, drive.supports[g]).mean(axis=0) for g in groups))
+
+
+def evaluate(model: Model, state: State, drive: Drive) -> Outputs:
+    """Return displacements, velocities, forces and energies at a state."""
+    u, v = model.displacement(state, drive), model.velocity(state, drive)
+    F = model.stencils.gradient(u) + np.eye(3)
+    return Outputs(
+        u,
+        v,
+        reactions(model, state, drive),
+        float(0.5 * np.sum(model.masses[:, None] * v**2)),
+        float(np.sum(model.cloud.volumes * model.material.strain_energy(F))),
+        state.external_work,
+        state.dissipated,
+    )

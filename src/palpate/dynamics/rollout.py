@@ -1,0 +1,129 @@
+"""A run of a model under loads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.loads import Drive, Load
+from palpate.dynamics.model import Model, State
+from palpate.dynamics.reactions import evaluate
+from palpate.dynamics.progress import progress_bar
+from palpate.dynamics.trajectory import Recorder, Trajectory
+from palpate.faults import DivergenceError, number_in_range
+
+__all__ = ["rollout"]
+
+Floats = NDArray[np.float64]
+
+CHUNK = 50  # steps between two estimates of the stable step
+RUNAWAY = 100.0  # displacement in body sizes
+
+
+def rollout(
+    model: Model,
+    loads: Sequence[Load] = (),
+    *,
+    duration: float,
+    every: float,
+    displacement: Floats | None = None,
+    velocity: Floats | None = None,
+    step: float | None = None,
+    file: str | Path | None = None,
+    progress: bool = True,
+) -> Trajectory:
+    """Run a model from time 0 and keep a snapshot at regular times.
+
+    Parameters
+    ----------
+    model : Model
+        Full or reduced.
+    loads : sequence of loads
+    duration, every : float [s]
+        Length of the run, and time between snapshots; the first is the initial state.
+    displacement, velocity : (n, 3) arrays, optional [m], [m/s]
+        Initial state (equations 7 and 8); at rest by default.
+    step : float, optional [s]
+        Time step. By default the stable step, which follows the state of the body.
+    file : path, optional
+        HDF5 file to stream the frames to; it keeps them if the run is stopped.
+    progress : bool
+        Whether to show a bar on standard error when that is a terminal.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    DivergenceError
+        The state became non-finite, ran away or turned inside out. Its `trajectory` holds the frames until then.
+    InputError, OSError
+        Bad arguments; a file that cannot be written.
+    """
+    number_in_range("duration", duration, 0.0, open_low=True, unit="s")
+    number_in_range("every", every, 0.0, duration * (1 + 1e-9), open_low=True, unit="s")
+    if step is not None:
+        number_in_range("step", step, 0.0, every, open_low=True, unit="s")
+    drive = model.drive(loads)
+    state = model.state(drive, displacement, velocity)
+    recorder = Recorder(None if file is None else Path(file), model.name, model.cloud.points, model.viscosity)
+    frames = int(round(duration / every))
+    start, complete, steps = perf_counter(), False, 0
+    try:
+        with progress_bar(model.name, duration, progress) as shown:
+            recorder.add(0.0, 0, evaluate(model, state, drive))
+            for frame in range(1, frames + 1):
+                state, taken = _advance_to(model, state, drive, frame * every, step)
+                steps += taken
+                outputs = evaluate(model, state, drive)
+                _check(model, state, drive, outputs.displacements, outputs.strain)
+                recorder.add(state.time, steps, outputs)
+                shown(state.time, perf_counter() - start)
+        complete = True
+    except DivergenceError as error:
+        error.trajectory = recorder.trajectory(perf_counter() - start, complete=False)
+        raise
+    finally:
+        recorder.close(perf_counter() - start, complete)
+    return recorder.trajectory(perf_counter() - start, complete=True)
+
+
+def _advance_to(model: Model, state: State, drive: Drive, time: float, fixed_step: float | None) -> tuple[State, int]:
+    taken = 0
+    while time - state.time > 1e-12 * time:
+        wished = model.stable_step(state, drive) if fixed_step is None else fixed_step
+        if not np.isfinite(wished) or (time - state.time) / wished > 1e9:
+            raise _diverged(model, state, drive, "no step is stable", wished)
+        left = int(np.ceil((time - state.time) / wished * (1 - 1e-9)))
+        step = (time - state.time) / left
+        count = min(left, CHUNK)
+        before, state = state, model.advance(state, drive, step, count)
+        if not np.isfinite(state.coordinates).all():
+            raise _diverged(model, before, drive, "the state became non-finite", step)
+        taken += count
+    return state, taken
+
+
+def _check(model: Model, state: State, drive: Drive, displacements: Floats, strain: float) -> None:
+    size = np.ptp(model.cloud.points, axis=0).max()
+    if np.abs(displacements).max() > RUNAWAY * size:
+        raise _diverged(model, state, drive, f"the body moved more than {RUNAWAY:g} times its size", None)
+    if not np.isfinite(strain):
+        raise _diverged(model, state, drive, "the body turned inside out (J <= 0)", None)
+
+
+def _diverged(model: Model, state: State, drive: Drive, what: str, step: float | None) -> DivergenceError:
+    speed = np.linalg.norm(model.velocity(state, drive), axis=1)
+    worst = int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
+    at = np.array2string(model.cloud.points[worst], precision=4)
+    using = "" if step is None else f", step {step:.3g} s"
+    return DivergenceError(
+        f"{what} at t = {state.time:.5g} s; fastest node {worst} at {at} m{using}, viscosity {model.viscosity:.3g} s. "
+        f"Try more viscosity (viscosity={2 * max(model.viscosity, 1e-5):.2g}), smaller loads, or a finer spacing"
+    )
+

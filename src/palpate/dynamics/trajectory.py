@@ -1,0 +1,210 @@
+"""Trajectories: the states of a run at chosen times, in memory and in HDF5 files."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.model import Outputs
+from palpate.faults import FileFormatError
+
+__all__ = ["Recorder", "Trajectory"]
+
+Floats = NDArray[np.float64]
+
+FORMAT, VERSION = "palpate trajectory", 1
+SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What a run leaves: the snapshots, forces and energies at f times.
+
+    Parameters
+    ----------
+    model : str
+        Name of the model.
+    times : (f,) array [s]
+    displacements, velocities : (f, n, 3) arrays [m], [m/s]
+    reactions : mapping of group name to (f, 3) array [N]
+        Force of every support and tool on the body.
+    kinetic, strain, external, dissipated : (f,) arrays [J]
+        Energies; `external` is the work of loads and tools, `dissipated` what viscosity took.
+    steps : (f,) array
+        Time steps taken until then.
+    points : (n, 3) array [m]
+        Reference positions.
+    wall_seconds : float [s]
+        Computing time of the run.
+    viscosity : float [s]
+    complete : bool
+        False if the run stopped before its end.
+    """
+
+    model: str
+    times: Floats
+    displacements: Floats
+    velocities: Floats
+    reactions: dict[str, Floats]
+    kinetic: Floats
+    strain: Floats
+    external: Floats
+    dissipated: Floats
+    steps: Floats
+    points: Floats
+    wall_seconds: float = 0.0
+    viscosity: float = 0.0
+    complete: bool = True
+
+    @property
+    def balance(self) -> Floats:
+        """Kinetic + strain + dissipated - external energy since the start [J], (f,): what the balance misses."""
+        total = self.kinetic + self.strain + self.dissipated - self.external
+        return np.asarray(total - total[0])
+
+    def save(self, path: str | Path) -> None:
+        """Write to an HDF5 file, whole or not at all."""
+        path = Path(path)
+        partial = path.with_name(path.name + ".partial")
+        recorder = Recorder(partial, self.model, self.points, self.viscosity)
+        try:
+            for k in range(len(self.times)):
+                recorder.add(float(self.times[k]), int(self.steps[k]), self._outputs(k))
+            recorder.close(self.wall_seconds, self.complete)
+            os.replace(partial, path)
+        except BaseException:
+            recorder.discard()
+            raise
+
+    def _outputs(self, k: int) -> Outputs:
+        energies = (float(e[k]) for e in (self.kinetic, self.strain, self.external, self.dissipated))
+        forces = {name: force[k] for name, force in self.reactions.items()}
+        return Outputs(self.displacements[k], self.velocities[k], forces, *energies)
+
+    @staticmethod
+    def load(path: str | Path) -> Trajectory:
+        """Read a trajectory, complete or interrupted.
+
+        Raises
+        ------
+        FileNotFoundError
+            There is no such file.
+        FileFormatError
+            The file is truncated, corrupt, or not a trajectory.
+        """
+        import h5py
+
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"no trajectory file at {path}")
+        try:
+            with h5py.File(path, "r") as file:
+                if file.attrs.get("format") != FORMAT or file.attrs.get("version") != VERSION:
+                    raise FileFormatError(f"{path} is not a {FORMAT} of version {VERSION}")
+                frames = int(file.attrs["frames"])
+                data: dict[str, Any] = {n: file[n][:frames] for n in (*SERIES, "displacements", "velocities")}
+                data["reactions"] = {n: d[:frames] for n, d in file["reactions"].items()}
+                data["points"] = file["points"][:]
+                for name in ("model", "wall_seconds", "viscosity", "complete"):
+                    data[name] = file.attrs[name]
+        except (OSError, KeyError, RuntimeError) as error:
+            raise FileFormatError(f"{path} is truncated or corrupt ({error}); run the simulation again") from error
+        n = len(data["points"])
+        shapes = {name: (frames, n, 3) for name in ("displacements", "velocities")} | {s: (frames,) for s in SERIES}
+        for name, shape in shapes.items():
+            if data[name].shape != shape or not np.isfinite(data[name]).all():
+                raise FileFormatError(f"{path}: {name} is not finite or has shape {data[name].shape}, expected {shape}")
+        data["complete"] = bool(data["complete"])
+        return Trajectory(**data)
+
+
+@dataclass
+class Recorder:
+    """Collects the frames of a run and streams them to an HDF5 file when it has a path.
+
+    Every frame is flushed, so that whatever stops the run, the file holds the frames until then.
+
+    Raises
+    ------
+    OSError
+        The file cannot be created or the disk is full; names the file.
+    """
+
+    path: Path | None
+    model: str
+    points: Floats
+    viscosity: float
+    times: list[float] = field(default_factory=list)
+    steps: list[int] = field(default_factory=list)
+    frames: list[Outputs] = field(default_factory=list)
+    _file: Any = None
+
+    def __post_init__(self) -> None:
+        if self.path is None:
+            return
+        import h5py
+
+        try:
+            self._file = h5py.File(self.path, "w")
+            self._file["points"] = self.points
+            self._file.attrs.update(
+                format=FORMAT, version=VERSION, model=self.model, frames=0, viscosity=self.viscosity, complete=False,
+                wall_seconds=0.0,
+            )  # fmt: skip
+        except OSError as error:
+            raise OSError(f"cannot write {self.path}: {error}; choose another folder or free some space") from error
+
+    def add(self, time: float, steps: int, frame: Outputs) -> None:
+        """Keep a frame."""
+        self.times.append(time)
+        self.steps.append(steps)
+        self.frames.append(frame)
+        if self._file is None:
+            return
+        values = {
+            "times": time, "steps": steps, "kinetic": frame.kinetic, "strain": frame.strain,
+            "external": frame.external, "dissipated": frame.dissipated, "displacements": frame.displacements,
+            "velocities": frame.velocities, **{f"reactions/{name}": f for name, f in frame.reactions.items()},
+        }  # fmt: skip
+        try:
+            self._file.require_group("reactions")
+            for name, value in values.items():
+                array = np.asarray(value, dtype=float)
+                if name not in self._file:
+                    self._file.create_dataset(name, (0, *array.shape), maxshape=(None, *array.shape), dtype="f8")
+                self._file[name].resize(len(self.times), axis=0)
+                self._file[name][-1] = array
+            self._file.attrs["frames"] = len(self.times)
+            self._file.flush()
+        except OSError as error:
+            raise OSError(f"cannot write {self.path}: {error}; its earlier frames are kept") from error
+
+    def close(self, wall_seconds: float, complete: bool) -> None:
+        """Finish the file."""
+        if self._file is not None:
+            self._file.attrs.update(wall_seconds=wall_seconds, complete=complete)
+            self._file.close()
+            self._file = None
+
+    def discard(self) -> None:
+        """Drop the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+
+    def trajectory(self, wall_seconds: float, complete: bool) -> Trajectory:
+        """Return what was collected."""
+        series = {f.name: np.array([getattr(o, f.name) for o in self.frames]) for f in fields(Outputs) if f.name != "reactions"}
+        names = self.frames[0].reactions if self.frames else {}
+        return Trajectory(
+            model=self.model, times=np.array(self.times), steps=np.array(self.steps, dtype=float), points=self.points,
+            reactions={name: np.array([o.reactions[name] for o in self.frames]) for name in names},
+            wall_seconds=wall_seconds, viscosity=self.viscosity, complete=complete, **series,
+        )  # fmt: skip

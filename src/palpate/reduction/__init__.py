@@ -1,0 +1,1 @@
+"""Proper orthogonal decomposition, and models of few coordinates."""

@@ -1,0 +1,73 @@
+"""How far a reduced run is from the full one."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.trajectory import Trajectory
+from palpate.faults import InputError
+
+__all__ = ["Errors", "errors"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Relative errors of a run against a reference.
+
+    Parameters
+    ----------
+    displacement, velocity : float
+        As (34), read as: mean over the snapshots of sum_I |u_full - u| / sum_I |u_full|; snapshots where the
+        reference does not move are left out.
+    energy : float
+        Mean of |E - E_full| over the peak of E_full, E the kinetic and strain energy.
+    reaction : float
+        Mean of |R - R_full| over the peak of |R_full|, for the worst support or tool.
+    """
+
+    displacement: float
+    velocity: float
+    energy: float
+    reaction: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the errors by name."""
+        return asdict(self)
+
+
+def errors(full: Trajectory, other: Trajectory) -> Errors:
+    """Compare a run with a reference at the same times.
+
+    Raises
+    ------
+    InputError
+        The runs have different times or bodies.
+    """
+    if full.displacements.shape != other.displacements.shape or not np.allclose(full.times, other.times):
+        raise InputError("the two runs have different times or numbers of nodes: run both with the same `every`")
+    energy, reference = (t.kinetic + t.strain for t in (other, full))
+    force = 0.0
+    for name, expected in full.reactions.items():
+        peak = np.linalg.norm(expected, axis=1).max()
+        if peak > 0:
+            force = max(force, float(np.mean(np.linalg.norm(other.reactions[name] - expected, axis=1)) / peak))
+    return Errors(
+        displacement=_relative(full.displacements, other.displacements),
+        velocity=_relative(full.velocities, other.velocities),
+        energy=float(np.mean(np.abs(energy - reference)) / reference.max()) if reference.max() > 0 else 0.0,
+        reaction=force,
+    )
+
+
+def _relative(expected: Floats, found: Floats) -> float:
+    size = np.linalg.norm(expected, axis=2).sum(axis=1)
+    moving = size > 1e-12 * size.max()
+    if not moving.any():
+        return 0.0
+    difference = np.linalg.norm(found - expected, axis=2).sum(axis=1)
+    return float(np.mean(difference[moving] / size[moving]))

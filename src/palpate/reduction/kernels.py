@@ -1,0 +1,122 @@
+"""The compiled step of a reduced model: the full model's passes on derivatives lifted from few coordinates."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from numba import get_thread_id, njit, prange
+from numba.extending import register_jitable
+
+from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.dynamics.kernels import finish_force, lift_derivatives, make_response
+from palpate.dynamics.lanes import LANES
+from palpate.dynamics.stepping import surface_force
+
+__all__ = ["mode_derivatives", "reduced_step"]
+
+
+@njit(cache=True, parallel=True)
+def mode_derivatives(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
+    """Write the derivatives of every column (m, n, 3) at every block into table (b, m, 27, LANES)."""
+    for b in prange(lanes.nodes.shape[0]):
+        for m in range(modes.shape[0]):
+            lift_derivatives(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
+
+
+@njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+def _project(test, force, result):  # type: ignore[no-untyped-def]
+    """result[m] = sum over the nodes of test[m] . force; every mode by one thread, in one order."""
+    flat = force.reshape(-1)
+    for m in prange(test.shape[0]):
+        total = 0.0
+        row = test[m]
+        for k in range(flat.shape[0]):
+            total += row[k] * flat[k]
+        result[m] = total
+
+
+@njit(cache=True)
+def _tractions(places, surface, modes, test, volumes, half_cell, velocity, result, power):  # type: ignore[no-untyped-def]
+    """Add the tractions to the projected force, and the power of their parts on each coordinate to `power`."""
+    for nodes in (places.force_node, places.pressure_node):
+        for k in range(nodes.shape[0]):
+            i = nodes[k]
+            for c in range(3):
+                value = surface[i, c]
+                surface[i, c] = 0.0  # a node that two loads share counts once
+                for m in range(modes.shape[0]):
+                    power[m] += volumes[i] * value * modes[m, i, c]
+                for m in range(result.shape[0]):
+                    result[m] += half_cell * value * test[m, 3 * i + c]
+
+
+@cache
+def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]:
+    """Compile the projected force and the steps of a reduced model for a law.
+
+    Returns
+    -------
+    projected_force, advance : functions
+    """
+    digest = law_digest("reduced_step", first_of, second_of, direct)
+    respond = make_response(register_jitable(first_of), register_jitable(second_of), direct)
+
+    @law_njit(digest, parallel=True, fastmath={"contract"})
+    def deform(columns, table, lanes, boundary, coefficients, lame, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
+        for b in prange(table.shape[0]):
+            out = derivatives[get_thread_id()]
+            for q in range(27):
+                for lane in range(LANES):
+                    out[q, lane] = table[b, 0, q, lane] * columns[0]
+            for m in range(1, table.shape[1]):
+                for q in range(27):
+                    for lane in range(LANES):
+                        out[q, lane] += table[b, m, q, lane] * columns[m]
+            respond(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
+
+    @law_njit(digest)
+    def projected_force(columns, table, test, body, work, force, result):  # type: ignore[no-untyped-def]
+        deform(columns, table, body.lanes, body.boundary, body.coefficients, body.lame, work.derivatives,
+               work.cofactor, work.shear, work.pressure)  # fmt: skip
+        finish_force(body, work, direct, force)
+        _project(test, force, result)
+
+    @law_njit(digest)
+    def advance(  # type: ignore[no-untyped-def]
+        a, velocity, lifting, step, beta, table, modes, test, test_lifting, body, work, places, schedule, gravity_test,
+        gravity_work, volumes, density, slot, half_cell, force, surface, columns, result, power
+    ):
+        total, m_count, steps = 0.0, a.shape[0], lifting.shape[0] - 3
+        for s in range(steps + 1):
+            # lifting has one time before the first and one after the last
+            for m in range(m_count):
+                columns[m] = a[m] + beta * velocity[m]
+            for j in range(lifting.shape[1]):
+                rate = (lifting[s + 1, j] - lifting[s, j]) / step
+                columns[m_count + j] = lifting[s + 1, j] + beta * rate
+            projected_force(columns, table, test, body, work, force, result)
+            surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
+            power[:] = 0.0
+            _tractions(places, surface, modes, test, volumes, half_cell, velocity, result, power)
+            kick = 0.5 * step if s in (0, steps) else step
+            for m in range(m_count):
+                rate = result[m] / density
+                for c in range(3):
+                    rate += gravity_test[m, c] * schedule.gravity[s, c]
+                    power[m] += gravity_work[m, c] * schedule.gravity[s, c]
+                for j in range(lifting.shape[1]):
+                    rate -= test_lifting[m, j] * (lifting[s + 2, j] - 2 * lifting[s + 1, j] + lifting[s, j]) / step**2
+                before = velocity[m]
+                velocity[m] = before + kick * rate
+                total += kick * power[m] * 0.5 * (before + velocity[m])
+            for j in range(lifting.shape[1]):
+                for c in range(3):
+                    power[m_count + j] += gravity_work[m_count + j, c] * schedule.gravity[s, c]
+                total += kick * power[m_count + j] * (lifting[s + 2, j] - lifting[s, j]) / (2 * step)
+            if s < steps:
+                for m in range(m_count):
+                    a[m] += step * velocity[m]
+        return total
+
+    return projected_force, advance

@@ -1,0 +1,237 @@
+"""The reduced model: the equations of motion projected on the modes (section 5, equations 28 to 32)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.full import FullModel
+from palpate.dynamics.loads import DRIVEN, Drive, Load
+from palpate.dynamics.model import Model, Nodes, State
+from palpate.dynamics.reactions import tool_power
+from palpate.dynamics.stability import stable_step
+from palpate.dynamics.trajectory import Trajectory
+from palpate.faults import InputError
+from palpate.reduction.kernels import mode_derivatives, reduced_step
+from palpate.reduction.pod import Basis, pod
+
+__all__ = ["ReducedModel", "reduce"]
+
+Floats = NDArray[np.float64]
+
+MOVED = 0.02  # of the largest coordinate seen: how far the state goes before the spectrum is taken anew
+UNTRAINED = 1e-3  # share of a prescribed motion that the lifting columns may miss
+
+
+class ReducedModel(Model):
+    """A full model whose displacements are modes times few coordinates, U = Q A (30), and lifted tool motions.
+
+    The equations are those of the full model at every node, multiplied by Q^T in the inner product of the basis (32).
+
+    Parameters
+    ----------
+    full : FullModel
+    basis : Basis
+        Modes that vanish at fixed and driven nodes.
+    lifting : (l, n, 3) array, optional
+        Columns for prescribed motions: displacement fields whose coordinates are known from the motion of the tool.
+    """
+
+    name = "reduced"
+
+    def __init__(self, full: FullModel, basis: Basis, lifting: Floats | None = None) -> None:
+        if basis.modes.shape[1:] != full.cloud.points.shape:
+            raise InputError(f"the basis has modes of shape {basis.modes.shape[1:]}, the body {full.cloud.points.shape}")
+        self.full, self.basis = full, basis
+        self.cloud, self.material, self.fixed = full.cloud, full.material, full.fixed
+        self.viscosity, self.stencils = full.viscosity, full.stencils
+        n, count = len(full.cloud), len(basis)
+        self.lifting = np.zeros((0, n, 3)) if lifting is None else np.asarray(lifting, dtype=float)
+        self.columns = np.ascontiguousarray(np.concatenate([basis.modes, self.lifting]))
+        # test functions: acceleration = test . force / density. The modes are orthonormal, so the mass matrix is 1
+        self.test = np.ascontiguousarray((basis.modes * basis.weights[:, None]).reshape(count, -1))
+        self._test_lifting = self.test @ self.lifting.reshape(len(self.lifting), 3 * n).T
+        self._gravity_test = self.test.reshape(count, n, 3).sum(axis=1)
+        self._gravity_work = np.einsum("n,mnc->mc", full.masses, self.columns)
+        self._table = np.zeros((len(full.body.lanes.nodes), len(self.columns), 27, full.body.boundary.shape[2]))
+        work = full.work
+        mode_derivatives(self.columns, full.body.lanes, full.body.first, full.body.second, work.fields, self._table)
+        law = type(full.material)
+        self._projected_force, self._advance = reduced_step(law.first, law.second, full.pressure == "direct")
+        self._force, self._surface = np.zeros((n, 3)), np.zeros((n, 3))
+        self._result, self._columns, self._power = (np.zeros(k) for k in (count, len(self.columns), len(self.columns)))
+        self._frequency_at: Floats | None = None
+        self._frequency, self._reach = 0.0, 0.0
+
+    def force(self, coordinates: Floats) -> Floats:
+        """Return Q^T f / rho [m^1/2 / s^2], shape (M,), for coordinates of modes and lifting columns, (M + l,)."""
+        self._projected_force(
+            np.ascontiguousarray(coordinates), self._table, self.test, self.full.body, self.full.work, self._force,
+            self._result,
+        )  # fmt: skip
+        return self._result / self.material.density
+
+    def drive(self, loads: Sequence[Load]) -> Drive:
+        drive = self.full.drive(loads)
+        if len(drive.places.driven) and not len(self.lifting):
+            raise InputError(
+                "this reduced model was trained without a prescribed motion; train it with one on "
+                + ", ".join(repr(m.group) for m, _ in drive.motions)
+            )
+        return drive
+
+    def _lifted(self, drive: Drive, times: Floats) -> Floats:
+        """Coordinates (t, l) of the lifting columns at some times."""
+        if not len(self.lifting):
+            return np.zeros((len(times), 0))
+        nodes = np.flatnonzero(drive.places.kind == DRIVEN)
+        order = np.argsort(drive.places.driven)
+        motion = drive.schedule(times).motion[:, order].reshape(len(times), -1)
+        span = self.lifting[:, nodes].reshape(len(self.lifting), -1)
+        coordinates, *_ = np.linalg.lstsq(span.T, motion.T, rcond=None)
+        missed = np.abs(coordinates.T @ span - motion).max()
+        if missed > UNTRAINED * max(np.abs(motion).max(), 1e-3 * self.cloud.spacing):
+            raise InputError(
+                f"the prescribed motion is not one this reduced model was trained on: {missed:.3g} m of it is missed at "
+                f"t = {times[0]:.4g} s; train with such a motion"
+            )
+        return np.asarray(coordinates.T)
+
+    def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
+        nodal = self.full.state(drive, displacement, velocity)
+        lifted = np.tensordot(self._lifted(drive, np.zeros(1))[0], self.lifting, 1)
+        return State(self.basis.project(nodal.coordinates - lifted), self.basis.project(nodal.velocities))
+
+    def stable_step(self, state: State, drive: Drive) -> float:
+        columns = np.concatenate([state.coordinates, self._lifted(drive, np.array([state.time]))[0]])
+        self._reach = max(self._reach, float(np.abs(columns).max()))
+        if self._frequency_at is None or np.abs(columns - self._frequency_at).max() > MOVED * self._reach:
+            self._frequency = float(np.sqrt(np.abs(self.spectrum(columns)).max()))
+            self._frequency_at = columns
+        return stable_step(self._frequency, self.viscosity)
+
+    def stiffness(self, columns: Floats) -> Floats:
+        """Return the tangent -d(acceleration)/da [1/s^2], shape (M, M), by central differences."""
+        count = len(self.basis)
+        tangent = np.empty((count, count))
+        for m in range(count):
+            # a displacement of about a millionth of the spacing
+            delta = 1e-6 * self.cloud.spacing / np.abs(self.basis.modes[m]).max()
+            ahead, behind = columns.copy(), columns.copy()
+            ahead[m] += delta
+            behind[m] -= delta
+            tangent[:, m] = (self.force(behind) - self.force(ahead)) / (2 * delta)
+        return tangent
+
+    def spectrum(self, columns: Floats) -> NDArray[np.complex128]:
+        """Return the eigenvalues w^2 [1/s^2] of the reduced tangent."""
+        return np.linalg.eigvals(self.stiffness(columns)).astype(complex)
+
+    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+        full = self.full
+        times = state.time + step * np.arange(-1, steps + 2)
+        lifting = self._lifted(drive, times)
+        a, v = state.coordinates.copy(), state.velocities.copy()
+        before = self._losses(state, drive)
+        work = self._advance(
+            a, v, lifting, step, self.viscosity, self._table, self.columns, self.test, self._test_lifting, full.body,
+            full.work, drive.places, drive.schedule(times[1:-1]), self._gravity_test, self._gravity_work,
+            self.cloud.volumes, self.material.density, full.slot, full.half_cell, self._force, self._surface,
+            self._columns, self._result, self._power,
+        )  # fmt: skip
+        new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated)
+        after = self._losses(new, drive)
+        tools, lost = (0.5 * step * steps * (x + y) for x, y in zip(before, after, strict=True))
+        return replace(new, external_work=new.external_work + tools, dissipated=new.dissipated + lost)
+
+    def _losses(self, state: State, drive: Drive) -> tuple[float, float]:
+        """Power [W] of the tools on the body, and power lost to viscosity."""
+        lifted = self._lifted(drive, np.array([state.time]))[0]
+        at = np.concatenate([state.coordinates, lifted])
+        moved = at.copy()
+        moved[: len(self.basis)] += self.viscosity * state.velocities
+        lost = self.material.density * state.velocities @ (self.force(at) - self.force(moved))
+        return tool_power(self, state, drive), float(lost)
+
+    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        """Return the displacements [m] of some nodes, lifted only there."""
+        columns = np.concatenate([state.coordinates, self._lifted(drive, np.array([state.time]))[0]])
+        return np.tensordot(columns, self.columns[:, nodes], 1)
+
+    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        """Return the velocities [m/s] of some nodes."""
+        rates = drive.rates(lambda times: self._lifted(drive, times), state.time)[0]
+        return np.tensordot(np.concatenate([state.velocities, rates]), self.columns[:, nodes], 1)
+
+    def acceleration(self, state: State, drive: Drive) -> Floats:
+        rates, curvature = drive.rates(lambda times: self._lifted(drive, times), state.time)
+        lifted = self._lifted(drive, np.array([state.time]))[0] + self.viscosity * rates
+        inner = self.force(np.concatenate([state.coordinates + self.viscosity * state.velocities, lifted]))
+        schedule = drive.schedule(np.array([state.time]))
+        tractions = self.full.tractions(drive, schedule).reshape(-1)
+        inner = inner + self.full.half_cell * (self.test @ tractions) / self.material.density
+        inner += self._gravity_test @ schedule.gravity[0] - self._test_lifting @ curvature
+        return np.tensordot(np.concatenate([inner, curvature]), self.columns, 1)
+
+    def external_force(self, state: State, drive: Drive) -> Floats:
+        return self.full.external_force(State(self.displacement(state, drive), state.velocities, state.time), drive)
+
+    def stress(self, displacements: Floats) -> Floats:
+        return self.full.stress(displacements)
+
+
+def reduce(
+    full: FullModel,
+    trajectories: Trajectory | Sequence[Trajectory],
+    *,
+    modes: int | None = None,
+    tolerance: float | None = None,
+    driven: Sequence[str] = (),
+) -> ReducedModel:
+    """Train a reduced model on runs of a full one.
+
+    Parameters
+    ----------
+    full : FullModel
+    trajectories : Trajectory or several
+        The snapshots.
+    modes, tolerance
+        Size of the basis, as for `pod`.
+    driven : sequence of str
+        Groups whose motion was prescribed in the trajectories and will be again. Their motion is lifted: every
+        independent motion they made gets a column that is fitted to the snapshots; the modes vanish there.
+
+    Raises
+    ------
+    InputError
+        More modes than snapshots, a driven group that never moved, trajectories of another body.
+    """
+    runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
+    if not runs:
+        raise InputError("reduce needs at least one trajectory to learn from")
+    for run in runs:
+        if run.points.shape != full.cloud.points.shape or not np.allclose(run.points, full.cloud.points):
+            raise InputError("a trajectory belongs to another cloud than the model")
+    snapshots = np.concatenate([run.displacements for run in runs])
+    if not driven:
+        return ReducedModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance))
+    lifting, rest = _lifting_columns(full, snapshots, driven)
+    basis = pod(rest, full.weights, modes=modes, tolerance=tolerance)
+    return ReducedModel(full, basis, lifting)
+
+
+def _lifting_columns(full: FullModel, snapshots: Floats, driven: Sequence[str]) -> tuple[Floats, Floats]:
+    """Columns (l, n, 3) that carry the driven nodes' motions, and what they leave of the snapshots."""
+    nodes = np.unique(np.concatenate([full.cloud.group(name) for name in driven]))
+    motion = snapshots[:, nodes].reshape(len(snapshots), -1)
+    u, values, _ = np.linalg.svd(motion, full_matrices=False)
+    if values[0] == 0:
+        raise InputError(f"the driven groups {', '.join(map(repr, driven))} never move in the trajectories")
+    coordinates = u[:, values > 1e-6 * values[0]]  # orthonormal histories: regression is a product
+    lifting = np.tensordot(coordinates.T, snapshots, 1)
+    rest = snapshots - np.tensordot(coordinates, lifting, 1)
+    rest[:, nodes] = 0.0  # rounding
+    return lifting, rest

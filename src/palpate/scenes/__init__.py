@@ -1,0 +1,1 @@
+"""Ready-made bodies with their loads, one file each."""

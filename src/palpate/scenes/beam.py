@@ -1,0 +1,53 @@
+"""A soft beam pulled along its axis (section 6.1, Figures 2 to 5)."""
+
+from __future__ import annotations
+
+from palpate.dynamics.full import FullModel
+from palpate.dynamics.loads import Traction
+from palpate.faults import number_in_range
+from palpate.meshfree.cloud import box
+from palpate.scenes.scene import Scene
+from palpate.tissue.materials import MooneyRivlin
+
+__all__ = ["DURATION", "EVERY", "SIZE", "beam", "pull"]
+
+SIZE = (0.2, 0.02, 0.02)  # [m]
+DURATION, EVERY = 1.0, 0.01  # [s]
+MOST_LOAD = 1000.0  # [N] ten times the paper's
+
+
+def pull(time: float, load: float = 100.0) -> float:
+    """Return the force [N] of equation (33) at a time [s]: up to `load` [N] at half the run, and back to zero."""
+    half = DURATION / 2
+    return load * max(0.0, min(time, DURATION - time) / half)
+
+
+def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> Scene:
+    """Return the paper's beam: 200 mm by 20 mm by 20 mm, one end held, the other pulled along the axis.
+
+    Mooney-Rivlin with C1 = 60 kPa and C2 = 1.2 kPa, density 1120 kg/m^3. The pull is spread over the face ``"x+"``; it
+    rises linearly to `load` at 0.5 s and falls back to zero at 1 s (33). A snapshot is kept every 0.01 s.
+
+    Parameters
+    ----------
+    spacing : float [m]
+        Distance between nodes, at most a third of the thickness.
+    load : float [N]
+        Largest force, in [-1000, 1000] but not 0; the paper's is 100 N. Negative pushes.
+    poisson : float
+        Poisson's ratio at rest, in [0, 0.499]; the paper prints none.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, by its name.
+    """
+    spacing = number_in_range("spacing", spacing, 0.0, SIZE[1] / 3 * 1.1, open_low=True, unit="m")
+    load = number_in_range("load", load, -MOST_LOAD, MOST_LOAD, unit="N")
+    if load == 0.0:
+        number_in_range("load", load, 0.0, MOST_LOAD, open_low=True, unit="N")
+    material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
+    model = FullModel(box(SIZE, spacing=spacing), material, fixed="x-")
+    traction = Traction("x+", force=lambda time: (pull(time, load), 0.0, 0.0))
+    parameters = {"spacing": spacing, "load": load, "poisson": float(poisson)}
+    return Scene(model, (traction,), DURATION, EVERY, f"Beam under traction, {load:g} N", parameters)
