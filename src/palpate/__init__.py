@@ -3,8 +3,12 @@
 Names are loaded on first use, so that ``import palpate`` is quick.
 """
 
+import os
 from importlib import import_module
 from typing import Any
+
+# Threads that wait for each other spin only briefly, so that other work on the same cores does not stall them.
+os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 
 _HOME = {
     "Cloud": "meshfree.cloud",

@@ -21,6 +21,7 @@ __all__ = ["rollout"]
 Floats = NDArray[np.float64]
 
 CHUNK = 50  # steps between two estimates of the stable step
+FEWEST = 20  # steps between two snapshots: a model of few modes is stable long before it is accurate
 RUNAWAY = 100.0  # displacement in body sizes
 
 
@@ -78,7 +79,7 @@ def rollout(
         with progress_bar(model.name, duration, progress) as shown:
             recorder.add(0.0, 0, evaluate(model, state, drive))
             for frame in range(1, frames + 1):
-                state, taken = _advance_to(model, state, drive, frame * every, step)
+                state, taken = _advance_to(model, state, drive, frame * every, step, every / FEWEST)
                 steps += taken
                 outputs = evaluate(model, state, drive)
                 _check(model, state, drive, outputs.displacements, outputs.strain)
@@ -93,10 +94,12 @@ def rollout(
     return recorder.trajectory(perf_counter() - start, complete=True)
 
 
-def _advance_to(model: Model, state: State, drive: Drive, time: float, fixed_step: float | None) -> tuple[State, int]:
+def _advance_to(
+    model: Model, state: State, drive: Drive, time: float, fixed_step: float | None, longest: float
+) -> tuple[State, int]:
     taken = 0
     while time - state.time > 1e-12 * time:
-        wished = model.stable_step(state, drive) if fixed_step is None else fixed_step
+        wished = min(model.stable_step(state, drive), longest) if fixed_step is None else fixed_step
         if not np.isfinite(wished) or (time - state.time) / wished > 1e9:
             raise _diverged(model, state, drive, "no step is stable", wished)
         left = int(np.ceil((time - state.time) / wished * (1 - 1e-9)))
