@@ -22,6 +22,7 @@ _HOME = {
     "Gravity": "dynamics.loads",
     "PrescribedMotion": "dynamics.loads",
     "Traction": "dynamics.loads",
+    "State": "dynamics.model",
     "Trajectory": "dynamics.trajectory",
     "rollout": "dynamics.rollout",
     "Basis": "reduction.pod",

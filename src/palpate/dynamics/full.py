@@ -86,6 +86,9 @@ class FullModel(Model):
         self.stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
         smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
         lanes, (first, second) = lane_table(self.stencils, ("first", "second"))
+        # the lanes hold the second derivatives now; what stays is for gradients of nodal fields
+        nothing = np.zeros((0, 0))
+        self.stencils = replace(self.stencils, second=nothing[:, :, None], value=nothing)
         smooth_lanes, (value,) = lane_table(smoother, ("value",))
         self.body = Body(
             lanes, first, second, smooth_lanes, value,
@@ -148,6 +151,7 @@ class FullModel(Model):
         return drive(self.cloud, self.fixed, loads)
 
     def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
+        self.highest_frequency.restart()
         fields = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
             array = np.zeros((len(self.cloud), 3)) if given is None else np.array(given, dtype=float)

@@ -117,6 +117,10 @@ class FrequencyTracker:
     def __init__(self, model: FullModel) -> None:
         self._model = model
         self._noise = np.random.default_rng(0).standard_normal(model.cloud.points.shape)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the body's past, so that equal runs take equal steps."""
         self._vector, self._iterations = self._noise, 60
 
     def __call__(self, displacements: Floats, held: NDArray[np.bool_]) -> float:

@@ -155,7 +155,7 @@ def moving_least_squares(
     near, row, sample = _arrangements(points, near)
     offsets = points[near[sample]] - points[sample][:, None, :]
     present = near[sample] != sample[:, None]
-    weights, own, condition = _fit(offsets, present, reach[sample], exponents, interpolating)
+    value, first, second, own, condition = _fit(offsets, present, reach[sample], exponents, interpolating)
     bad = np.flatnonzero(~(condition < WORST_CONDITION)[row])
     if bad.size:
         worst = condition[row[bad[0]]]
@@ -166,7 +166,7 @@ def moving_least_squares(
         )
     return Stencils(
         near.astype(np.int32), row.astype(np.int32),
-        weights[:, :, 0].copy(), weights[:, :, 1 : d + 1].copy(), weights[:, :, d + 1 :].copy(),
+        value, first, second,
         own[:, 0].copy(), own[:, 1 : d + 1].copy(), own[:, d + 1 :].copy(), condition,
     )  # fmt: skip
 
@@ -245,13 +245,15 @@ def _arrangements(points: Floats, near: Ints) -> tuple[Ints, Ints, Ints]:
 
 @njit(parallel=True, cache=True)
 def _fit(offsets, present, reach, exponents, interpolating):  # type: ignore[no-untyped-def]
-    """Weights of value and derivatives, (s, k, 1 + d + d (d + 1) / 2), own weights, condition numbers."""
+    """Weights of value, first and second derivatives, own weights, condition numbers."""
     s, k, d = offsets.shape
     m = exponents.shape[0]
     skip = 1 if interpolating else 0
     basis = m - skip
     size = 1 + d + d * (d + 1) // 2
-    weights = np.zeros((s, k, size))
+    value = np.zeros((s, k))
+    first = np.zeros((s, k, d))
+    second = np.zeros((s, k, size - 1 - d))
     own = np.zeros((s, size))
     condition = np.zeros(s)
     for i in prange(s):
@@ -291,10 +293,17 @@ def _fit(offsets, present, reach, exponents, interpolating):  # type: ignore[no-
             for a in range(d):
                 factor *= (2.0 if exponents[c, a] == 2 else 1.0) / reach[i] ** exponents[c, a]
             for j in range(k):
-                weights[i, j, c] = factor * coefficients[b, j]
-            own[i, c] = factor * coefficients[b, k]
+                weight = factor * coefficients[b, j]
+                if c == 0:
+                    value[i, j] = weight
+                elif c <= d:
+                    first[i, j, c - 1] = weight
+                else:
+                    second[i, j, c - 1 - d] = weight
+                if interpolating:
+                    own[i, c] -= weight
+            if not interpolating:
+                own[i, c] = factor * coefficients[b, k]
         if interpolating:
             own[i, 0] = 1.0
-            for c in range(1, size):
-                own[i, c] = -np.sum(weights[i, :, c])
-    return weights, own, condition
+    return value, first, second, own, condition

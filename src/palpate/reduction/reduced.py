@@ -101,6 +101,7 @@ class ReducedModel(Model):
         return np.asarray(coordinates.T)
 
     def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
+        self._frequency_at, self._reach = None, 0.0
         nodal = self.full.state(drive, displacement, velocity)
         lifted = np.tensordot(self._lifted(drive, np.zeros(1))[0], self.lifting, 1)
         return State(self.basis.project(nodal.coordinates - lifted), self.basis.project(nodal.velocities))

@@ -1,0 +1,92 @@
+"""One force evaluation of the full model over the time of reading its stencil weights once from memory.
+
+    python benchmarks/force.py [--nodes 20000 100000] [--jitter 0 0.2]
+
+Each case runs in a process of its own, so that its peak memory can be told. The weights are what an unshared table
+holds: 9 derivative weights of 8 bytes for every neighbour of every node; reading them is a sum over that many bytes
+with all threads. On a lattice the model reads far fewer, because nodes share their stencils.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+from time import perf_counter
+
+import numpy as np
+
+
+def median_seconds(call, repeats: int = 15) -> float:  # type: ignore[no-untyped-def]
+    """Median wall time of a call [s] after one warm-up."""
+    call()
+    times = []
+    for _ in range(repeats):
+        start = perf_counter()
+        call()
+        times.append(perf_counter() - start)
+    return float(np.median(times))
+
+
+def case(nodes: int, jitter: float) -> dict[str, float]:
+    """Measure one cloud."""
+    from numba import njit, prange
+
+    import palpate as pt
+
+    @njit(parallel=True, fastmath=True)
+    def read(table):  # type: ignore[no-untyped-def]
+        parts = np.zeros(64)
+        size = table.shape[0] // 64
+        for p in prange(64):
+            total = 0.0
+            for k in range(p * size, (p + 1) * size):
+                total += table[k]
+            parts[p] = total
+        return parts.sum()
+
+    side = round(nodes ** (1 / 3))
+    cloud = pt.box(((side - 1) * 0.005,) * 3, 0.005, jitter)
+    pt.moving_least_squares(pt.box((0.02,) * 3, 0.005).points, neighbours=42)  # compile
+    start = perf_counter()
+    stencils = pt.moving_least_squares(cloud.points, neighbours=42)
+    build = perf_counter() - start
+    law = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.45)
+    start = perf_counter()
+    model = pt.FullModel(cloud, law, "x-", viscosity=5e-5)
+    prepare = perf_counter() - start
+    u = 1e-4 * np.random.default_rng(0).standard_normal(cloud.points.shape)
+    result = np.zeros_like(u)
+    force = median_seconds(lambda: model._internal_force(u, model.body, model.work, result))
+    neighbours = int(np.sum(stencils.neighbours != np.arange(len(cloud))[:, None]))
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    weights = np.ones(neighbours * 9)
+    reading = median_seconds(lambda: read(weights))
+    return {
+        "nodes": len(cloud), "jitter": jitter, "neighbours": neighbours / len(cloud), "stencils_s": build,
+        "model_s": prepare, "force_ns_per_node": force / len(cloud) * 1e9, "read_ns_per_node": reading / len(cloud) * 1e9,
+        "read_GB_per_s": weights.nbytes / reading / 1e9, "ratio": force / reading, "peak_GB": memory,
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Run every case and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--nodes", type=int, nargs="+", default=[20_000, 100_000])
+    parser.add_argument("--jitter", type=float, nargs="+", default=[0.0, 0.2])
+    parser.add_argument("--case", action="store_true", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.case:
+        print(json.dumps(case(args.nodes[0], args.jitter[0])))
+        return
+    for nodes in args.nodes:
+        for jitter in args.jitter:
+            command = [sys.executable, __file__, "--case", "--nodes", str(nodes), "--jitter", str(jitter)]
+            row = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+            print("  ".join(f"{k} {v:.4g}" for k, v in row.items()), flush=True)
+
+
+if __name__ == "__main__":
+    main()

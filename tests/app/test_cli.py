@@ -1,0 +1,234 @@
+"""The command line: what it prints, what it leaves, how it fails."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.app.cli import main
+from palpate.app.files import check_space
+from palpate.app.pictures import DrawingError, check_drawing
+from palpate.app.reproduce import FIGURES, FILES
+from palpate.dynamics.reactions import evaluate
+
+COARSE = ["reproduce", "beam", "--spacing", str(0.02 / 3), "--load", "2"]
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A coarse study, run as a person would: its folder, report, standard output and standard error."""
+    out = tmp_path_factory.mktemp("study") / "results" / "beam"
+    command = [
+        sys.executable,
+        "-W",
+        "error",
+        "-m",
+        "palpate",
+        *COARSE,
+        "--modes",
+        "4",
+        "2",
+        "2",
+        "--json",
+        "--out",
+        out,
+    ]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return out, json.loads((out / "report.json").read_text()), run.stdout, run.stderr
+
+
+def test_every_file_is_there_and_no_other(study):
+    out = study[0]
+    assert {path.name for path in out.iterdir()} == set(FILES)
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_figure_is_a_picture_with_something_on_it(study, name):
+    from matplotlib.image import imread
+
+    picture = imread(study[0] / name)
+    assert min(picture.shape[:2]) > 500
+    assert picture[..., :3].std() > 0.02
+
+
+def test_standard_output_is_the_report_and_nothing_else(study):
+    _, report, stdout, stderr = study
+    assert json.loads(stdout) == report
+    assert "reduced, 4 modes" in stderr
+
+
+def test_the_report_says_what_was_run_and_on_what(study):
+    report = study[1]
+    expected = {"spacing": 0.02 / 3, "load": 2.0, "poisson": 0.49, "duration": 1.0, "every": 0.01}
+    assert report["parameters"] == pytest.approx(expected)
+    assert report["nodes"] == 31 * 4 * 4
+    assert report["machine"]["versions"]["palpate"] == pt.__version__
+    assert report["machine"]["cpu_count"] == os.cpu_count()
+    assert report["stability"]["step"] > 0
+    assert report["missing"] == {}
+
+
+def test_the_pulled_end_moves_as_a_slender_bar_does(study):
+    full = study[1]["full"]
+    young = 2 * 61.2e3 * 1.49
+    assert full["peak_tip_displacement"] == pytest.approx(2.0 * 0.2 / (young * 0.02**2), rel=0.05)
+    assert full["peak_tip_time"] == pytest.approx(0.5, abs=0.02)
+    assert full["load_at_peak"] == pytest.approx(2.0)
+    assert full["reaction_at_peak"] == pytest.approx(2.0, rel=0.05)
+    assert full["energy_balance"] < 0.03
+    assert full["real_time_factor"] == pytest.approx(1.0 / full["wall_seconds"])
+
+
+def test_every_reduced_model_is_reported_once_in_order(study):
+    report = study[1]
+    assert [entry["modes"] for entry in report["reduced"]] == [2, 4]
+    for entry in report["reduced"]:
+        assert not entry["failed"]
+        assert set(entry["errors"]) == {"displacement", "velocity", "energy", "reaction"}
+        # no run in the space of the modes is nearer than the projection, up to the norm's choice
+        assert 0 < entry["projection_error"] <= 1.1 * entry["errors"]["displacement"]
+        assert entry["ratio"] == pytest.approx(entry["wall_seconds"] / report["full"]["wall_seconds"])
+        assert entry["steps"] >= 100
+    assert report["reduced"][1]["projection_error"] < report["reduced"][0]["projection_error"]
+
+
+def test_singular_values_descend_and_claims_of_the_paper_are_listed(study):
+    report = study[1]
+    values = np.array(report["singular_values"])
+    assert len(values) == report["snapshots"] == 101
+    assert np.all(np.diff(values) <= 0)
+    assert [claim["figure"] for claim in report["paper"]] == ["Figure 3"] * 2 + ["Figure 4"] + ["Figure 5"] * 2
+    assert report["paper"][0]["holds"] is None  # not run with 6 modes
+
+
+def test_the_snapshots_and_the_export_agree(study):
+    out = study[0]
+    run = pt.Trajectory.load(out / "full.h5")
+    assert run.complete
+    with h5py.File(out / "beam.vtkhdf") as file:
+        exported = file["VTKHDF/PointData/displacement"][:].reshape(run.displacements.shape)
+        np.testing.assert_array_equal(exported, run.displacements)
+        assert set(file["VTKHDF/PointData"]) == {"displacement", "velocity", "von_mises"}
+        stress = file["VTKHDF/PointData/von_mises"][:].reshape(101, -1)
+    middle = np.abs(run.points[:, 0] - 0.1) < 0.02  # far from the ends the stress is the force over the area
+    assert stress[50, middle].mean() == pytest.approx(2.0 / 0.02**2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("option", "named", "allowed"),
+    [
+        (["--spacing", "0.01"], "spacing = 0.01", "0.00666667] m"),
+        (["--spacing", "nan"], "spacing = nan", "0.00666667] m"),
+        (["--poisson", "0.6"], "poisson = 0.6", "0.499]"),
+        (["--load", "0"], "load = 0.0", "(0, 1000] N"),
+        (["--modes", "0"], "modes = 0", "from 1 to 100"),
+        (["--modes", "2", "-3"], "modes = -3", "from 1 to 100"),
+        (["--modes", "1000"], "modes = 1000", "from 1 to 100"),
+        (["--modes", "two"], "argument --modes", "'two'"),
+    ],
+)
+def test_bad_values_are_refused_in_one_line_and_leave_nothing(tmp_path, capsys, option, named, allowed):
+    out = tmp_path / "results"
+    assert _code([*COARSE, "--out", str(out), *option]) == 2
+    _assert_one_line(capsys, named, allowed)
+    assert not out.exists()
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path, capsys):
+    place = tmp_path / "results"
+    place.write_text("mine")
+    for out in (place, place / "beam"):
+        assert _code([*COARSE, "--out", str(out)]) == 2
+        _assert_one_line(capsys, "out = ", "is not a folder")
+    assert place.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [place]
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys, monkeypatch):
+    def refuse(*_arguments, **_options):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("palpate.app.files.TemporaryDirectory", refuse)  # the superuser may write anywhere
+    assert _code([*COARSE, "--out", str(tmp_path / "results")]) == 2
+    _assert_one_line(capsys, "out = ", "cannot be written (permission denied)")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_without_room_is_refused(tmp_path):
+    with pytest.raises(pt.InputError, match=r"this run writes about 1000000000000 MB"):
+        check_space(tmp_path / "results", 10**18)
+
+
+def _stop_late(error):
+    """Evaluate states as ever, but raise an error at the sixth snapshot of the full run."""
+
+    def stop(model, state, drive):
+        if state.time > 0.045:
+            raise error
+        return evaluate(model, state, drive)
+
+    return stop
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted in the full run"),
+        (pt.DivergenceError("ran away"), 1, "diverged: ran away"),
+    ],
+)
+def test_a_full_run_that_stops_keeps_its_frames_and_says_where(tmp_path, capsys, monkeypatch, error, code, said):
+    monkeypatch.setattr("palpate.dynamics.rollout.evaluate", _stop_late(error))
+    assert main([*COARSE, "--out", str(tmp_path)]) == code
+    captured = capsys.readouterr()
+    last = captured.err.splitlines()[-1]
+    assert last.startswith("palpate: ")
+    assert said in last
+    assert str(tmp_path / "full.partial.h5") in last
+    assert "Traceback" not in captured.err
+    kept = pt.Trajectory.load(tmp_path / "full.partial.h5")
+    assert not kept.complete
+    np.testing.assert_allclose(kept.times, np.arange(5) * 0.01)
+
+
+def test_a_machine_that_cannot_draw_is_told_what_to_install(monkeypatch):
+    monkeypatch.setattr("palpate.app.pictures.PROBE", "import os; os.abort()")
+    with pytest.raises(DrawingError, match="apt-get install libegl1 libgl1-mesa-dri"):
+        check_drawing()
+
+
+@pytest.mark.parametrize("option", [["--help"], ["--version"], ["reproduce", "beam", "--help"]])
+def test_help_and_version_load_nothing_heavy(option):
+    code = (
+        "import sys\nfrom palpate.app.cli import main\n"
+        f"try:\n    main({option!r})\nexcept SystemExit as end:\n    assert not end.code\n"
+        "print(*sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(run.stderr.split())
+    assert not loaded & {"numba", "numpy", "scipy", "h5py", "matplotlib", "pyvista", "vtkmodules", "rich"}
+    assert "palpate" in run.stdout
+
+
+def _code(argv):
+    """Return the exit code of a command line, whether it is returned or raised."""
+    try:
+        return main(argv)
+    except SystemExit as end:
+        return end.code
+
+
+def _assert_one_line(capsys, *parts):
+    captured = capsys.readouterr()
+    said = [line for line in captured.err.splitlines() if not line.endswith("...")]
+    assert captured.out == ""
+    assert len(said) == 1
+    assert all(part in said[0] for part in parts), said[0]

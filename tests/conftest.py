@@ -1,0 +1,67 @@
+"""Bodies and runs that several tests look at; they are made once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import palpate as pt
+
+
+@pytest.fixture(scope="session")
+def jittered_points():
+    return pt.box((0.5, 0.6, 0.5), spacing=0.1, jitter=0.2).points
+
+
+@pytest.fixture(scope="session")
+def tissue():
+    return pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45)
+
+
+@pytest.fixture(scope="session")
+def bar():
+    """A bar, 30 mm by 15 mm by 15 mm, with a patch ``"tip"`` of nine nodes in the middle of its end."""
+    cloud = pt.box((0.03, 0.015, 0.015), spacing=0.00375)
+    end = cloud.group("x+")
+    tip = end[np.all(np.abs(cloud.points[end, 1:] - 0.0075) < 0.004, axis=1)]
+    return replace(cloud, groups={**cloud.groups, "tip": tip})
+
+
+@pytest.fixture(scope="session")
+def held(bar, tissue):
+    """The bar, held at one end."""
+    return pt.FullModel(bar, tissue, fixed="x-")
+
+
+@pytest.fixture(scope="session")
+def small_cloud():
+    """The smallest box: four nodes a side, 15 mm."""
+    return pt.box((0.015, 0.015, 0.015), spacing=0.005)
+
+
+@pytest.fixture(scope="session")
+def free(small_cloud, tissue):
+    """The smallest box, held nowhere."""
+    return pt.FullModel(small_cloud, tissue)
+
+
+@pytest.fixture(scope="session")
+def rotation():
+    """Some rotation in space."""
+    q, r = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+@pytest.fixture(scope="session")
+def pull():
+    """A smooth pull at the end of the bar, sideways too."""
+    return pt.Traction("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.6, 0.15, 0.05]))
+
+
+@pytest.fixture(scope="session")
+def run(held, pull):
+    """A short run of the bar under that pull."""
+    return pt.rollout(held, [pull], duration=0.03, every=0.0005)
