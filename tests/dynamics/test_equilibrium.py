@@ -44,7 +44,8 @@ def test_a_slowly_pulled_bar_comes_to_the_closed_form(poisson, stretch):
     force = np.array([nominal * 0.015**2, 0, 0])
     ramp = lambda t: min(1.0, t / 0.01)  # noqa: E731
     loads = [pt.Traction("x+", force=lambda t: ramp(t) * force), pt.Traction("x-", force=lambda t: -ramp(t) * force)]
-    last = pt.rollout(model, loads, duration=0.08, every=0.08).displacements[-1]
+    last = pt.rollout(model, loads, duration=0.03, every=0.03).displacements[-1]
+    # in the long run a compressed bar would turn over: dead forces push it
     size = np.ptp(cloud.points + last, axis=0) / np.ptp(cloud.points, axis=0)
     np.testing.assert_allclose(size, [stretch, lateral, lateral], rtol=1e-4)
 

@@ -85,7 +85,7 @@ def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]
     @law_njit(digest)
     def advance(  # type: ignore[no-untyped-def]
         a, velocity, lifting, step, beta, table, modes, test, test_lifting, body, work, places, schedule, gravity_test,
-        gravity_work, volumes, density, slot, half_cell, force, surface, columns, result, power
+        gravity_work, slowing, volumes, density, slot, half_cell, force, surface, columns, result, rates, power
     ):
         total, m_count, steps = 0.0, a.shape[0], lifting.shape[0] - 3
         for s in range(steps + 1):
@@ -101,12 +101,17 @@ def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]
             _tractions(places, surface, modes, test, volumes, half_cell, velocity, result, power)
             kick = 0.5 * step if s in (0, steps) else step
             for m in range(m_count):
-                rate = result[m] / density
+                rates[m] = result[m] / density
                 for c in range(3):
-                    rate += gravity_test[m, c] * schedule.gravity[s, c]
+                    rates[m] += gravity_test[m, c] * schedule.gravity[s, c]
                     power[m] += gravity_work[m, c] * schedule.gravity[s, c]
                 for j in range(lifting.shape[1]):
-                    rate -= test_lifting[m, j] * (lifting[s + 2, j] - 2 * lifting[s + 1, j] + lifting[s, j]) / step**2
+                    bend = (lifting[s + 2, j] - 2 * lifting[s + 1, j] + lifting[s, j]) / step**2
+                    rates[m] -= test_lifting[m, j] * bend
+            for m in range(m_count):
+                rate = 0.0
+                for k in range(m_count):
+                    rate += slowing[m, k] * rates[k]
                 before = velocity[m]
                 velocity[m] = before + kick * rate
                 total += kick * power[m] * 0.5 * (before + velocity[m])

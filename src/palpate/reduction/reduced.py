@@ -22,7 +22,7 @@ __all__ = ["ReducedModel", "reduce"]
 
 Floats = NDArray[np.float64]
 
-MOVED = 0.02  # of the largest coordinate seen: how far the state goes before the spectrum is taken anew
+MOVED = 0.03  # of the largest coordinate seen: how far the state goes before the tangent is taken anew
 UNTRAINED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
@@ -38,11 +38,16 @@ class ReducedModel(Model):
         Modes that vanish at fixed and driven nodes.
     lifting : (l, n, 3) array, optional
         Columns for prescribed motions: displacement fields whose coordinates are known from the motion of the tool.
+    implicit : bool
+        Whether modes too fast for the step are slowed down instead of limiting it: accelerations are multiplied by
+        (1 + g K)^-1, g = dt^2/2 + beta dt, K the present reduced tangent. A mode of frequency w then has
+        w'^2 = w^2 / (1 + g w^2), and (dt^2 + 2 beta dt) w'^2 < 2, half of what the central-difference step allows;
+        slow modes keep their frequency up to g w^2 / 2. Otherwise the step is the explicit one of the reduced spectrum.
     """
 
     name = "reduced"
 
-    def __init__(self, full: FullModel, basis: Basis, lifting: Floats | None = None) -> None:
+    def __init__(self, full: FullModel, basis: Basis, lifting: Floats | None = None, *, implicit: bool = True) -> None:
         if basis.modes.shape[1:] != full.cloud.points.shape:
             raise InputError(f"the basis has modes of shape {basis.modes.shape[1:]}, the body {full.cloud.points.shape}")
         self.full, self.basis = full, basis
@@ -62,9 +67,11 @@ class ReducedModel(Model):
         law = type(full.material)
         self._projected_force, self._advance = reduced_step(law.first, law.second, full.pressure == "direct")
         self._force, self._surface = np.zeros((n, 3)), np.zeros((n, 3))
-        self._result, self._columns, self._power = (np.zeros(k) for k in (count, len(self.columns), len(self.columns)))
-        self._frequency_at: Floats | None = None
-        self._frequency, self._reach = 0.0, 0.0
+        self._result, self._rates = np.zeros(count), np.zeros(count)
+        self._columns, self._power = np.zeros(len(self.columns)), np.zeros(len(self.columns))
+        self._tangent_at: Floats | None = None
+        self._tangent, self._reach = np.zeros((count, count)), 0.0
+        self.implicit = implicit
 
     def force(self, coordinates: Floats) -> Floats:
         """Return Q^T f / rho [m^1/2 / s^2], shape (M,), for coordinates of modes and lifting columns, (M + l,)."""
@@ -101,30 +108,41 @@ class ReducedModel(Model):
         return np.asarray(coordinates.T)
 
     def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
-        self._frequency_at, self._reach = None, 0.0
+        self._tangent_at, self._reach = None, 0.0
         nodal = self.full.state(drive, displacement, velocity)
         lifted = np.tensordot(self._lifted(drive, np.zeros(1))[0], self.lifting, 1)
         return State(self.basis.project(nodal.coordinates - lifted), self.basis.project(nodal.velocities))
 
     def stable_step(self, state: State, drive: Drive) -> float:
+        if self.implicit:
+            return np.inf
+        self._follow(state, drive)
+        return stable_step(float(np.sqrt(np.abs(np.linalg.eigvals(self._tangent)).max())), self.viscosity)
+
+    def _follow(self, state: State, drive: Drive) -> None:
+        """Take the tangent anew when the state has moved far enough from where it was taken."""
         columns = np.concatenate([state.coordinates, self._lifted(drive, np.array([state.time]))[0]])
         self._reach = max(self._reach, float(np.abs(columns).max()))
-        if self._frequency_at is None or np.abs(columns - self._frequency_at).max() > MOVED * self._reach:
-            self._frequency = float(np.sqrt(np.abs(self.spectrum(columns)).max()))
-            self._frequency_at = columns
-        return stable_step(self._frequency, self.viscosity)
+        if self._tangent_at is None or np.abs(columns - self._tangent_at).max() > MOVED * self._reach:
+            self._tangent, self._tangent_at = self.stiffness(columns), columns
+
+    def _slowing(self, state: State, drive: Drive, step: float) -> Floats:
+        """The matrix (1 + (dt^2 / 2 + beta dt) K)^-1 on the accelerations; the identity for the explicit step."""
+        if not self.implicit:
+            return np.eye(len(self.basis))
+        self._follow(state, drive)
+        return np.linalg.inv(np.eye(len(self.basis)) + step * (0.5 * step + self.viscosity) * self._tangent)
 
     def stiffness(self, columns: Floats) -> Floats:
-        """Return the tangent -d(acceleration)/da [1/s^2], shape (M, M), by central differences."""
+        """Return the tangent -d(acceleration)/da [1/s^2], shape (M, M), by differences."""
         count = len(self.basis)
-        tangent = np.empty((count, count))
+        tangent, base = np.empty((count, count)), self.force(columns).copy()
         for m in range(count):
             # a displacement of about a millionth of the spacing
             delta = 1e-6 * self.cloud.spacing / np.abs(self.basis.modes[m]).max()
-            ahead, behind = columns.copy(), columns.copy()
-            ahead[m] += delta
-            behind[m] -= delta
-            tangent[:, m] = (self.force(behind) - self.force(ahead)) / (2 * delta)
+            moved = columns.copy()
+            moved[m] += delta
+            tangent[:, m] = (base - self.force(moved)) / delta
         return tangent
 
     def spectrum(self, columns: Floats) -> NDArray[np.complex128]:
@@ -140,8 +158,8 @@ class ReducedModel(Model):
         work = self._advance(
             a, v, lifting, step, self.viscosity, self._table, self.columns, self.test, self._test_lifting, full.body,
             full.work, drive.places, drive.schedule(times[1:-1]), self._gravity_test, self._gravity_work,
-            self.cloud.volumes, self.material.density, full.slot, full.half_cell, self._force, self._surface,
-            self._columns, self._result, self._power,
+            self._slowing(state, drive, step), self.cloud.volumes, self.material.density, full.slot, full.half_cell, self._force, self._surface,
+            self._columns, self._result, self._rates, self._power,
         )  # fmt: skip
         new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated)
         after = self._losses(new, drive)
