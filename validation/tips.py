@@ -48,10 +48,11 @@ def refined(coarse: pt.Cloud, states: list[np.ndarray], fine: pt.Cloud) -> list[
     """Interpolate states of one lattice to another."""
     axes = [np.unique(np.round(coarse.points[:, a], 9)) for a in range(3)]
     shape = [len(axis) for axis in axes]
-    return [
-        RegularGridInterpolator(axes, u.reshape(*shape, 3), method="cubic", bounds_error=False, fill_value=None)(fine.points)
+    fields = [
+        RegularGridInterpolator(axes, u.reshape(*shape, 3), method="cubic", bounds_error=False, fill_value=None)
         for u in states
     ]
+    return [field(fine.points) for field in fields]
 
 
 def main() -> None:
@@ -80,8 +81,10 @@ def main() -> None:
             for r, u in zip(expected, starts, strict=True):
                 tip, target = u[model.cloud.group("x+")].mean(axis=0), np.array(r["mean_tip"])
                 error = float(np.linalg.norm(tip - target) / np.linalg.norm(target))
-                key = dict(kind=kind, spacing=spacing, poisson=poisson, pressure=pressure, force=r["force"],
-                           half_cell=args.half_cell)  # fmt: skip
+                key = {
+                    "kind": kind, "spacing": spacing, "poisson": poisson, "pressure": pressure, "force": r["force"],
+                    "half_cell": args.half_cell,
+                }  # fmt: skip
                 rows = [row for row in rows if any(row[k] != v for k, v in key.items())]
                 rows.append({**key, "tip": tip.tolist(), "reference": target.tolist(), "error": error})
                 print(*key.values(), np.round(tip * 1e3, 3), np.round(target * 1e3, 3), f"{error:.2%}", flush=True)

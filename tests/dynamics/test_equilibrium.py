@@ -11,6 +11,7 @@ import palpate as pt
 
 def uniaxial(material, stretch):
     """Lateral stretch and nominal stress of a bar pulled or pushed along x with free sides."""
+
     def sides(lateral):
         return material.stress(np.diag([stretch, lateral, lateral]))[1, 1]
 

@@ -88,7 +88,13 @@ class LinearVolume(Quadratic):
     def __init__(self, seed):
         super().__init__(seed)
         shear = np.zeros((3, 3, 3))  # triangular: J = det(F0) (1 + b X_0)
-        for (i, j, k), value in {(0, 0, 0): 0.3, (0, 1, 2): 0.4, (0, 2, 2): -0.5, (0, 1, 1): 0.3, (1, 2, 2): 0.6}.items():
+        for (i, j, k), value in {
+            (0, 0, 0): 0.3,
+            (0, 1, 2): 0.4,
+            (0, 2, 2): -0.5,
+            (0, 1, 1): 0.3,
+            (1, 2, 2): 0.6,
+        }.items():
             shear[i, j, k] = shear[i, k, j] = value / LENGTH
         self.B = np.einsum("ai,ijk->ajk", self.F0, shear)
 

@@ -27,7 +27,11 @@ def sums(lanes, weights, field):
         begin = lanes.weight_start[b]
         table = weights.one[..., None] if lanes.shared[b] else weights.lanes
         difference = field[near] - field[nodes]
-        result[nodes] = np.einsum("kwl,kl->lw", np.broadcast_to(table[begin : begin + len(near)], (len(near), *table.shape[1:-1], LANES)), difference)
+        result[nodes] = np.einsum(
+            "kwl,kl->lw",
+            np.broadcast_to(table[begin : begin + len(near)], (len(near), *table.shape[1:-1], LANES)),
+            difference,
+        )
     return result
 
 

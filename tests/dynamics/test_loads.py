@@ -25,8 +25,14 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
         (lambda: pt.Traction("x+", force=(1, 0)), "force of Traction on 'x+' must be three numbers"),
         (lambda: pt.Traction("x+", force="strong"), "force of Traction on 'x+' must be three numbers"),
         (lambda: pt.Traction("x+", force=lambda t: (1, 0)), "force of Traction on 'x+' must be three numbers"),
-        (lambda: pt.Traction("x+", force=lambda t: (np.nan, 0, 0)), r"force of Traction on 'x\+' is not finite at t = 0"),
-        (lambda: pt.Traction("x+", force=lambda t: (1 / (t < 1e-4) if t < 1e-4 else np.inf, 0, 0)), "not finite at t = "),
+        (
+            lambda: pt.Traction("x+", force=lambda t: (np.nan, 0, 0)),
+            r"force of Traction on 'x\+' is not finite at t = 0",
+        ),
+        (
+            lambda: pt.Traction("x+", force=lambda t: (1 / (t < 1e-4) if t < 1e-4 else np.inf, 0, 0)),
+            "not finite at t = ",
+        ),
         (lambda: pt.Traction("x+", pressure=lambda t: np.inf), r"pressure of Traction on 'x\+' is not finite"),
         (lambda: pt.Traction("x+", pressure=np.nan), r"pressure of Traction on 'x\+' is not finite"),
         (lambda: pt.Gravity((0, 0)), "acceleration of Gravity must be three numbers"),
@@ -58,7 +64,7 @@ def test_a_load_of_the_wrong_shape_is_refused_by_name(held, load):
 
 
 def test_two_motions_of_one_node_are_refused(held):
-    with pytest.raises(pt.InputError, match="'tip'.*already fixed or driven"):
+    with pytest.raises(pt.InputError, match=r"'tip'.*already fixed or driven"):
         pt.rollout(held, [pt.PrescribedMotion("x+", (0, 0, 0)), MOVE], duration=1e-3, every=5e-4)
 
 

@@ -79,7 +79,15 @@ def test_a_run_turns_with_the_frame(free, rotation):
             pt.Gravity(R @ gravity),
         ]
         runs.append(
-            pt.rollout(free, loads, duration=0.01, every=0.002, step=2e-5, displacement=X @ (R - np.eye(3)).T, velocity=velocity @ R.T)
+            pt.rollout(
+                free,
+                loads,
+                duration=0.01,
+                every=0.002,
+                step=2e-5,
+                displacement=X @ (R - np.eye(3)).T,
+                velocity=velocity @ R.T,
+            )
         )
     turned = (X + runs[0].displacements) @ rotation.T - X
     assert np.abs(runs[0].displacements).max() > 1e-3

@@ -16,7 +16,7 @@ SECOND = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2
 
 def polynomial(points, order, seed=0):
     """A random polynomial of a total degree: its values, first and second derivatives."""
-    n, d = points.shape
+    d = points.shape[1]
     powers = np.stack(np.meshgrid(*[np.arange(order + 1)] * d, indexing="ij"), axis=-1).reshape(-1, d)
     powers = powers[powers.sum(axis=1) <= order]
     factors = np.random.default_rng(seed).normal(size=len(powers))
@@ -161,7 +161,7 @@ def test_accepted_moment_matrices_are_well_conditioned(jittered_points):
 
 @pytest.mark.parametrize("distance", [0.0, 0.01])
 def test_duplicate_and_nearly_duplicate_nodes_are_refused_by_number(jittered_points, distance):
-    points = np.concatenate([jittered_points, jittered_points[17:18] + (distance, 0, 0)])
+    points = np.concatenate([jittered_points, jittered_points[17:18] + np.array([distance, 0, 0])])
     with pytest.raises(pt.CloudError, match=rf"nodes 17, {len(jittered_points)} are duplicates.*node 17 at"):
         pt.moving_least_squares(points, neighbours=42)
 

@@ -32,7 +32,9 @@ def test_a_scaled_run_is_wrong_by_its_scale(run):
 
 
 def test_the_displacement_error_is_equation_34(run):
-    other = replace(run, displacements=run.displacements + 1e-6 * np.random.default_rng(0).normal(size=run.displacements.shape))
+    other = replace(
+        run, displacements=run.displacements + 1e-6 * np.random.default_rng(0).normal(size=run.displacements.shape)
+    )
     per_snapshot = [
         np.linalg.norm(b - a, axis=1).sum() / np.linalg.norm(a, axis=1).sum()
         for a, b in zip(run.displacements[1:], other.displacements[1:], strict=True)  # the first does not move

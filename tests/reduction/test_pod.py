@@ -85,7 +85,11 @@ def test_projecting_what_was_lifted_gives_the_coordinates(snapshots, weights):
 
 def test_truncating_keeps_the_first_modes(snapshots, weights):
     basis = pt.pod(snapshots, weights, modes=8)
-    np.testing.assert_allclose(np.abs(inner(basis.truncated(3).modes, pt.pod(snapshots, weights, modes=3).modes, weights)), np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(inner(basis.truncated(3).modes, pt.pod(snapshots, weights, modes=3).modes, weights)),
+        np.eye(3),
+        atol=1e-9,
+    )
     with pytest.raises(pt.InputError, match="modes = 9 is out of range"):
         basis.truncated(9)
 
@@ -101,7 +105,7 @@ def test_several_trajectories_count_as_one_set_of_snapshots(run, held):
 
 def test_many_snapshots_of_many_nodes_stay_in_memory():
     resource = pytest.importorskip("resource")
-    snapshots = np.random.default_rng(0).normal(size=(200, 5000, 3))
+    snapshots = np.random.default_rng(0).normal(size=(100, 5000, 3))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     pt.pod(snapshots, np.ones(5000), modes=5)
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.kernels import Body, kernels, workspace
-from palpate.dynamics.lanes import LANES, lane_table
+from palpate.dynamics.lanes import lane_table
 from palpate.dynamics.loads import FREE, Drive, Load, Schedule, drive
 from palpate.dynamics.model import Model, Nodes, State
-from palpate.dynamics.stability import FrequencyTracker, choose_viscosity, stable_step
 from palpate.dynamics.reactions import tool_power
+from palpate.dynamics.stability import FrequencyTracker, choose_viscosity, stable_step
 from palpate.dynamics.stepping import full_step, surface_force
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
@@ -133,7 +133,7 @@ class FullModel(Model):
         return self.stencils.gradient(displacements) + np.eye(3)
 
     def stress(self, displacements: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa] at every node, shape (n, 3, 3), with the model's own pressure."""
+        """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 3), with the model's own pressure."""
         F = self.deformation_gradient(displacements)
         stress = self.material.stress(F)
         if self.pressure == "split":
@@ -152,7 +152,7 @@ class FullModel(Model):
 
     def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
         self.highest_frequency.restart()
-        fields = []
+        fields: list[Floats] = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
             array = np.zeros((len(self.cloud), 3)) if given is None else np.array(given, dtype=float)
             if array.shape != (len(self.cloud), 3) or not np.isfinite(array).all():
@@ -160,7 +160,7 @@ class FullModel(Model):
             array[self.held] = 0.0
             fields.append(array)
         fields[0][drive.places.driven] = drive.schedule(np.zeros(1)).motion[0]
-        return State(*fields)
+        return State(fields[0], fields[1])
 
     def stable_step(self, state: State, drive: Drive) -> float:
         frequency = self.highest_frequency(state.coordinates, drive.places.kind != FREE)
@@ -168,7 +168,7 @@ class FullModel(Model):
 
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
         number_in_range("step", step, 0.0, open_low=True, unit="s")
-        times = state.time + step * np.arange(steps + 1)
+        times: Floats = state.time + step * np.arange(steps + 1, dtype=float)
         u, v = state.coordinates.copy(), state.velocities.copy()
         force, surface, at = self._scratch
         schedule = drive.schedule(times)
@@ -196,7 +196,7 @@ class FullModel(Model):
         return float(np.sum(self.cloud.volumes[:, None] * v * lost))
 
     def tractions(self, drive: Drive, schedule: Schedule) -> Floats:
-        """Return the tractions per nodal volume [N/m^3] at the first time of a schedule, on the body as last evaluated."""
+        """Return tractions per nodal volume [N/m^3] at a schedule's first time, on the body as last evaluated."""
         surface = np.zeros((len(self.cloud), 3))
         surface_force(drive.places, schedule, 0, self.cloud.volumes, self.slot, self.work.cofactor, surface)
         return surface

@@ -106,7 +106,7 @@ def _smooth(lanes, value, own, fields, derivatives, pressure, smooth):  # type: 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
 def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, smooth, force):  # type: ignore[no-untyped-def]
-    """force = shear + cof(F) (grad p - p b) with the smoothed pressure."""
+    """Force = shear + cof(F) (grad p - p b) with the smoothed pressure."""
     for b in prange(lanes.nodes.shape[0]):
         field = fields[get_thread_id()].reshape(-1, LANES)
         gradient = derivatives[get_thread_id()]
@@ -138,7 +138,7 @@ def finish_force(body, work, direct, force):  # type: ignore[no-untyped-def]
                       work.shear, work.smooth, force)  # fmt: skip
 
 
-def make_response(first_of, second_of, direct):  # type: ignore[no-untyped-def]
+def make_response(first_of: Any, second_of: Any, direct: bool) -> Any:
     """Make the compiled response of one block: stress divergence, cofactor and pressure from F and H."""
 
     @njit(fastmath={"contract"}, forceinline=True)

@@ -7,7 +7,7 @@ block live in vector registers, which no loop written in Python persuades the co
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -19,7 +19,16 @@ from palpate.meshfree.stencils import Stencils
 
 LANES = 8
 
-__all__ = ["LANES", "Lanes", "Weights", "lane_sums_1x1", "lane_sums_1x3", "lane_sums_3x3", "lane_sums_3x6", "lane_table"]
+__all__ = [
+    "LANES",
+    "Lanes",
+    "Weights",
+    "lane_sums_1x1",
+    "lane_sums_1x3",
+    "lane_sums_3x3",
+    "lane_sums_3x6",
+    "lane_table",
+]
 
 
 class Lanes(NamedTuple):
@@ -100,7 +109,7 @@ def _blocks(row: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.bool_
     return np.concatenate(blocks), np.concatenate(shared)
 
 
-def _lane_sums(fields: int, weights: int, name: str):  # type: ignore[no-untyped-def]
+def _lane_sums(fields: int, weights: int, name: str) -> Any:
     """Make the intrinsic out[f, w, :] = sum over k of weight[k, w, :] * field[k, f, :].
 
     Arguments are the addresses of the weights, the fields (k, fields, LANES) and the result, the number of
@@ -111,12 +120,11 @@ def _lane_sums(fields: int, weights: int, name: str):  # type: ignore[no-untyped
         signature = types.void(types.intp, types.intp, types.intp, types.intp, types.boolean)
 
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            weight_at, field_at, out_at, count, shared = args
-            with builder.if_else(builder.trunc(shared, ir.IntType(1))) as (then, otherwise):
+            with builder.if_else(builder.trunc(args[4], ir.IntType(1))) as (then, otherwise):
                 with then:
-                    _emit_loop(builder, weight_at, field_at, out_at, count, fields, weights, broadcast=True)
+                    _emit_loop(builder, args[:4], fields, weights, broadcast=True)
                 with otherwise:
-                    _emit_loop(builder, weight_at, field_at, out_at, count, fields, weights, broadcast=False)
+                    _emit_loop(builder, args[:4], fields, weights, broadcast=False)
             return context.get_dummy_value()
 
         return signature, codegen
@@ -125,7 +133,9 @@ def _lane_sums(fields: int, weights: int, name: str):  # type: ignore[no-untyped
     return intrinsic(sums)
 
 
-def _emit_loop(builder, weight_at, field_at, out_at, count, fields, weights, broadcast):  # type: ignore[no-untyped-def]
+def _emit_loop(builder: Any, args: list[Any], fields: int, weights: int, broadcast: bool) -> None:
+    """Emit the loop over neighbours; its sums are vectors that live in registers from start to end."""
+    weight_at, field_at, out_at, count = args
     i64, scalar = ir.IntType(64), ir.DoubleType()
     vector = ir.VectorType(scalar, LANES)
     weight_ptr = builder.inttoptr(weight_at, (scalar if broadcast else vector).as_pointer())
@@ -143,10 +153,9 @@ def _emit_loop(builder, weight_at, field_at, out_at, count, fields, weights, bro
     k = builder.phi(i64)
     k.add_incoming(ir.Constant(i64, 0), entry)
     sums = [[builder.phi(vector) for _ in range(weights)] for _ in range(fields)]
-    load = [
-        builder.load(builder.gep(field_ptr, [builder.add(builder.mul(k, ir.Constant(i64, fields)), ir.Constant(i64, f))]), align=8)
-        for f in range(fields)
-    ]
+    row = builder.mul(k, ir.Constant(i64, fields))
+    at_field = [builder.gep(field_ptr, [builder.add(row, ir.Constant(i64, f))]) for f in range(fields)]
+    load = [builder.load(at, align=8) for at in at_field]
     for w in range(weights):
         at = builder.add(builder.mul(k, ir.Constant(i64, weights)), ir.Constant(i64, w))
         weight = builder.load(builder.gep(weight_ptr, [at]), align=8)

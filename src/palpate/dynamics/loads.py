@@ -151,7 +151,6 @@ class Drive:
             motion,
         )
 
-
     @staticmethod
     def rates(values: Callable[[Floats], Floats], time: float, interval: float = 1e-4) -> tuple[Floats, Floats]:
         """Return first and second time derivatives of prescribed values, by differences over `interval` [s]."""
@@ -217,7 +216,7 @@ def drive(cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load]) -> Drive:
             raise InputError(f"{load!r} is not a load: use Traction, Gravity or PrescribedMotion")
     for load in loads:
         if isinstance(load, Traction) and np.all(kind[cloud.group(load.group)] != FREE):
-            raise InputError(f"Traction on group {load.group!r}: the whole group is fixed or driven; load another group")
+            raise InputError(f"Traction on group {load.group!r}: all of it is fixed or driven; load another group")
     empty = np.zeros(0, dtype=np.int64)
     places = Places(
         kind,

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.loads import Drive, Load
-from palpate.dynamics.model import Model, State
-from palpate.dynamics.reactions import evaluate
+from palpate.dynamics.model import Model, Outputs, State
 from palpate.dynamics.progress import progress_bar
+from palpate.dynamics.reactions import evaluate
 from palpate.dynamics.trajectory import Recorder, Trajectory
 from palpate.faults import DivergenceError, number_in_range
 
@@ -73,16 +73,16 @@ def rollout(
     drive = model.drive(loads)
     state = model.state(drive, displacement, velocity)
     recorder = Recorder(None if file is None else Path(file), model.name, model.cloud.points, model.viscosity)
-    frames = int(round(duration / every))
+    frames = round(duration / every)
     start, complete, steps = perf_counter(), False, 0
     try:
         with progress_bar(model.name, duration, progress) as shown:
             recorder.add(0.0, 0, evaluate(model, state, drive))
             for frame in range(1, frames + 1):
-                state, taken = _advance_to(model, state, drive, frame * every, step, every / FEWEST)
+                state, taken, last = _advance_to(model, state, drive, frame * every, step, every / FEWEST)
                 steps += taken
                 outputs = evaluate(model, state, drive)
-                _check(model, state, drive, outputs.displacements, outputs.strain)
+                _check(model, state, drive, outputs, last)
                 recorder.add(state.time, steps, outputs)
                 shown(state.time, perf_counter() - start)
         complete = True
@@ -96,8 +96,8 @@ def rollout(
 
 def _advance_to(
     model: Model, state: State, drive: Drive, time: float, fixed_step: float | None, longest: float
-) -> tuple[State, int]:
-    taken = 0
+) -> tuple[State, int, float]:
+    taken, used = 0, longest
     while time - state.time > 1e-12 * time:
         wished = min(model.stable_step(state, drive), longest) if fixed_step is None else fixed_step
         if not np.isfinite(wished) or (time - state.time) / wished > 1e9:
@@ -108,25 +108,24 @@ def _advance_to(
         before, state = state, model.advance(state, drive, step, count)
         if not np.isfinite(state.coordinates).all():
             raise _diverged(model, before, drive, "the state became non-finite", step)
-        taken += count
-    return state, taken
+        taken, used = taken + count, step
+    return state, taken, used
 
 
-def _check(model: Model, state: State, drive: Drive, displacements: Floats, strain: float) -> None:
+def _check(model: Model, state: State, drive: Drive, outputs: Outputs, step: float) -> None:
     size = np.ptp(model.cloud.points, axis=0).max()
-    if np.abs(displacements).max() > RUNAWAY * size:
-        raise _diverged(model, state, drive, f"the body moved more than {RUNAWAY:g} times its size", None)
-    if not np.isfinite(strain):
-        raise _diverged(model, state, drive, "the body turned inside out (J <= 0)", None)
+    if np.abs(outputs.displacements).max() > RUNAWAY * size:
+        raise _diverged(model, state, drive, f"the body moved more than {RUNAWAY:g} times its size", step)
+    if not np.isfinite(outputs.strain):
+        raise _diverged(model, state, drive, "the body turned inside out (J <= 0)", step)
 
 
-def _diverged(model: Model, state: State, drive: Drive, what: str, step: float | None) -> DivergenceError:
+def _diverged(model: Model, state: State, drive: Drive, what: str, step: float) -> DivergenceError:
     speed = np.linalg.norm(model.velocity(state, drive), axis=1)
     worst = int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
     at = np.array2string(model.cloud.points[worst], precision=4)
-    using = "" if step is None else f", step {step:.3g} s"
     return DivergenceError(
-        f"{what} at t = {state.time:.5g} s; fastest node {worst} at {at} m{using}, viscosity {model.viscosity:.3g} s. "
+        f"{what} at t = {state.time:.5g} s; fastest node {worst} at {at} m, step {step:.3g} s, "
+        f"viscosity {model.viscosity:.3g} s. "
         f"Try more viscosity (viscosity={2 * max(model.viscosity, 1e-5):.2g}), smaller loads, or a finer spacing"
     )
-

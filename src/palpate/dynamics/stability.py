@@ -84,7 +84,7 @@ def stable_step(frequency: float, viscosity: float) -> float:
 
 
 def stiffness(model: FullModel, displacements: Floats | None = None) -> Floats:
-    """Return the dense tangent -d(acceleration)/du of the free nodes [1/s^2], by central differences: for small clouds."""
+    """Return the dense tangent -d(acceleration)/du of the free nodes [1/s^2], by central differences."""
     u = np.zeros_like(model.cloud.points) if displacements is None else displacements.copy()
     free = np.flatnonzero(np.repeat(~model.held, 3))
     flat, step = u.reshape(-1), 1e-5 * model.cloud.spacing
@@ -195,7 +195,7 @@ def _viscosity_by_steps(model: FullModel, frequency: float) -> tuple[float, floa
             state = model.advance(state, drive, step, WINDOW)
             force = model.force(state.coordinates)
             logs.append(np.log(np.linalg.norm(force) / size))
-            scale = np.linalg.norm(tiny) / max(np.linalg.norm(state.coordinates), 1e-300)
+            scale = np.linalg.norm(tiny) / max(float(np.linalg.norm(state.coordinates)), 1e-300)
             state = State(state.coordinates * scale, state.velocities * scale)
             size = np.linalg.norm(force) * scale
         growth = float(np.mean(logs[-4:]))

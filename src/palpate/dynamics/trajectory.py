@@ -115,7 +115,7 @@ class Trajectory:
         except (OSError, KeyError, RuntimeError) as error:
             raise FileFormatError(f"{path} is truncated or corrupt ({error}); run the simulation again") from error
         n = len(data["points"])
-        shapes = {name: (frames, n, 3) for name in ("displacements", "velocities")} | {s: (frames,) for s in SERIES}
+        shapes = dict.fromkeys(("displacements", "velocities"), (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
         for name, shape in shapes.items():
             if data[name].shape != shape or not np.isfinite(data[name]).all():
                 raise FileFormatError(f"{path}: {name} is not finite or has shape {data[name].shape}, expected {shape}")
@@ -201,7 +201,8 @@ class Recorder:
 
     def trajectory(self, wall_seconds: float, complete: bool) -> Trajectory:
         """Return what was collected."""
-        series = {f.name: np.array([getattr(o, f.name) for o in self.frames]) for f in fields(Outputs) if f.name != "reactions"}
+        kept = [f.name for f in fields(Outputs) if f.name != "reactions"]
+        series = {name: np.array([getattr(o, name) for o in self.frames]) for name in kept}
         names = self.frames[0].reactions if self.frames else {}
         return Trajectory(
             model=self.model, times=np.array(self.times), steps=np.array(self.steps, dtype=float), points=self.points,

@@ -173,7 +173,7 @@ def moving_least_squares(
 
 def _exponents(d: int, order: int) -> Ints:
     """Monomial exponents (m, d): constant, linear, quadratic as 00, 11, 22, 01, 02, 12, then the cubic ones."""
-    rows = [[0] * d] + np.eye(d, dtype=int).tolist()
+    rows = [[0] * d, *np.eye(d, dtype=int).tolist()]
     if order >= 2:
         rows += (2 * np.eye(d, dtype=int)).tolist()
         rows += [[int(a in (i, j)) for a in range(d)] for i in range(d) for j in range(i + 1, d)]
@@ -193,7 +193,8 @@ def _refuse_duplicates(points: Floats, tree: cKDTree) -> None:
         i = int(close[0]) if close.size else 0
         raise CloudError(
             f"nodes {first_few(close)} are duplicates or nearly so: node {i} at {points[i]} is {distance[i, 1]:.3g} m "
-            f"from node {other[i, 1] if other[i, 1] != i else other[i, 0]}, others keep {typical:.3g} m; remove one of each pair"
+            f"from node {other[i].max() if other[i].min() == i else other[i].min()}, others keep {typical:.3g} m; "
+            f"remove one of each pair"
         )
 
 
@@ -227,7 +228,7 @@ def _arrangements(points: Floats, near: Ints) -> tuple[Ints, Ints, Ints]:
 
     Returns the sorted neighbours, each node's arrangement, and one node of every arrangement.
     """
-    n, k = near.shape
+    n = len(near)
     scale = np.median(np.linalg.norm(points[near[:, 0]] - points, axis=1))
     keys = np.rint((points[near] - points[:, None, :]) / scale * 1e6).astype(np.int64)
     rank = keys @ (np.int64(4_000_000_007) ** np.arange(points.shape[1], dtype=np.int64)[::-1] % (1 << 62))

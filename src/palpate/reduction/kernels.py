@@ -84,8 +84,32 @@ def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]
 
     @law_njit(digest)
     def advance(  # type: ignore[no-untyped-def]
-        a, velocity, lifting, step, beta, table, modes, test, test_lifting, body, work, places, schedule, gravity_test,
-        gravity_work, slowing, volumes, density, slot, half_cell, force, surface, columns, result, rates, power
+        a,
+        velocity,
+        lifting,
+        step,
+        beta,
+        table,
+        modes,
+        test,
+        test_lifting,
+        body,
+        work,
+        places,
+        schedule,
+        gravity_test,
+        gravity_work,
+        slowing,
+        volumes,
+        density,
+        slot,
+        half_cell,
+        force,
+        surface,
+        columns,
+        result,
+        rates,
+        power,
     ):
         total, m_count, steps = 0.0, a.shape[0], lifting.shape[0] - 3
         for s in range(steps + 1):

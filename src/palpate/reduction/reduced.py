@@ -49,7 +49,7 @@ class ReducedModel(Model):
 
     def __init__(self, full: FullModel, basis: Basis, lifting: Floats | None = None, *, implicit: bool = True) -> None:
         if basis.modes.shape[1:] != full.cloud.points.shape:
-            raise InputError(f"the basis has modes of shape {basis.modes.shape[1:]}, the body {full.cloud.points.shape}")
+            raise InputError(f"the basis has {basis.modes.shape[1]} nodes, the body {len(full.cloud)}")
         self.full, self.basis = full, basis
         self.cloud, self.material, self.fixed = full.cloud, full.material, full.fixed
         self.viscosity, self.stencils = full.viscosity, full.stencils
@@ -102,8 +102,8 @@ class ReducedModel(Model):
         missed = np.abs(coordinates.T @ span - motion).max()
         if missed > UNTRAINED * max(np.abs(motion).max(), 1e-3 * self.cloud.spacing):
             raise InputError(
-                f"the prescribed motion is not one this reduced model was trained on: {missed:.3g} m of it is missed at "
-                f"t = {times[0]:.4g} s; train with such a motion"
+                f"the prescribed motion is not one this reduced model was trained on: {missed:.3g} m of it is missed "
+                f"at t = {times[0]:.4g} s; train with such a motion"
             )
         return np.asarray(coordinates.T)
 
@@ -131,7 +131,8 @@ class ReducedModel(Model):
         if not self.implicit:
             return np.eye(len(self.basis))
         self._follow(state, drive)
-        return np.linalg.inv(np.eye(len(self.basis)) + step * (0.5 * step + self.viscosity) * self._tangent)
+        g = step * (0.5 * step + self.viscosity)
+        return np.asarray(np.linalg.inv(np.eye(len(self.basis)) + g * self._tangent), dtype=float)
 
     def stiffness(self, columns: Floats) -> Floats:
         """Return the tangent -d(acceleration)/da [1/s^2], shape (M, M), by differences."""
@@ -151,14 +152,15 @@ class ReducedModel(Model):
 
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
         full = self.full
-        times = state.time + step * np.arange(-1, steps + 2)
+        times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         lifting = self._lifted(drive, times)
         a, v = state.coordinates.copy(), state.velocities.copy()
         before = self._losses(state, drive)
         work = self._advance(
             a, v, lifting, step, self.viscosity, self._table, self.columns, self.test, self._test_lifting, full.body,
             full.work, drive.places, drive.schedule(times[1:-1]), self._gravity_test, self._gravity_work,
-            self._slowing(state, drive, step), self.cloud.volumes, self.material.density, full.slot, full.half_cell, self._force, self._surface,
+            self._slowing(state, drive, step), self.cloud.volumes, self.material.density, full.slot,
+            full.half_cell, self._force, self._surface,
             self._columns, self._result, self._rates, self._power,
         )  # fmt: skip
         new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated)

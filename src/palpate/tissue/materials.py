@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +87,7 @@ class Material(ABC):
     @property
     def bulk_modulus(self) -> float:
         """Bulk modulus at rest [Pa]."""
-        assert self.bulk is not None  # noqa: S101 - set in __post_init__
+        assert self.bulk is not None
         return self.bulk
 
     @property
@@ -102,17 +103,17 @@ class Material(ABC):
 
     @staticmethod
     @abstractmethod
-    def energy(I1: float, I2: float, J: float, c: tuple[float, ...]) -> float:
+    def energy(I1: Any, I2: Any, J: Any, c: tuple[float, ...]) -> Any:
         """W_s [J/m^3]."""
 
     @staticmethod
     @abstractmethod
-    def first(I1: float, I2: float, J: float, c: tuple[float, ...]) -> tuple[float, float, float]:
+    def first(I1: Any, I2: Any, J: Any, c: tuple[float, ...]) -> tuple[Any, Any, Any]:
         """Derivatives of W_s by I1, I2, J."""
 
     @staticmethod
     @abstractmethod
-    def second(I1: float, I2: float, J: float, c: tuple[float, ...]) -> tuple[float, float, float, float, float, float]:
+    def second(I1: Any, I2: Any, J: Any, c: tuple[float, ...]) -> tuple[Any, Any, Any, Any, Any, Any]:
         """Second derivatives of W_s by (I1 I1), (I1 I2), (I2 I2), (I1 J), (I2 J), (J J)."""
 
     def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -121,7 +122,7 @@ class Material(ABC):
         return np.asarray(self.energy(I1, I2, J, self.coefficients) + self.lame / 2 * (J - 1) ** 2)
 
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the first Piola-Kirchhoff stress dW/dF [Pa], shape (..., 3, 3); the paper's nominal stress (21) transposed."""
+        """Return the first Piola-Kirchhoff stress dW/dF [Pa], (..., 3, 3): the transpose of (21)."""
         I1, I2, J = (i[..., None, None] for i in _invariants(F))
         W1, W2, WJ = self.first(I1, I2, J, self.coefficients)
         C = np.swapaxes(F, -1, -2) @ F
