@@ -67,7 +67,8 @@ def case(nodes: int, jitter: float) -> dict[str, float]:
     return {
         "nodes": len(cloud), "jitter": jitter, "neighbours": neighbours / len(cloud), "stencils_s": build,
         "model_s": prepare, "force_ns_per_node": force / len(cloud) * 1e9,
-        "read_ns_per_node": reading / len(cloud) * 1e9, "read_GB_per_s": weights.nbytes / reading / 1e9, "ratio": force / reading, "peak_GB": memory,
+        "read_ns_per_node": reading / len(cloud) * 1e9,
+        "read_GB_per_s": weights.nbytes / reading / 1e9, "ratio": force / reading, "peak_GB": memory,
     }  # fmt: skip
 
 

@@ -17,14 +17,14 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
     [
         (lambda: pt.Traction("top", force=(1, 0, 0)), "unknown group 'top'"),
         (lambda: pt.PrescribedMotion("top", (0, 0, 0)), "unknown group 'top'"),
-        (lambda: pt.Traction("x-", force=(1, 0, 0)), "'x-': the whole group is fixed or driven"),
+        (lambda: pt.Traction("x-", force=(1, 0, 0)), "'x-': .* fixed or driven"),
         (lambda: pt.PrescribedMotion("x-", (0, 0, 0)), "group 'x-': its nodes 0, 1, .* already fixed or driven"),
         (lambda: pt.PrescribedMotion("y-", (0, 0, 0)), "group 'y-'.*already fixed or driven"),
         (lambda: pt.Traction("x+"), "'x+'.*give either force .* or pressure"),
         (lambda: pt.Traction("x+", force=(1, 0, 0), pressure=1.0), "'x+'.*give either force .* or pressure"),
-        (lambda: pt.Traction("x+", force=(1, 0)), "force of Traction on 'x+' must be three numbers"),
-        (lambda: pt.Traction("x+", force="strong"), "force of Traction on 'x+' must be three numbers"),
-        (lambda: pt.Traction("x+", force=lambda t: (1, 0)), "force of Traction on 'x+' must be three numbers"),
+        (lambda: pt.Traction("x+", force=(1, 0)), "force of Traction on 'x+' must be "),
+        (lambda: pt.Traction("x+", force="strong"), "force of Traction on 'x+' must be "),
+        (lambda: pt.Traction("x+", force=lambda t: (1, 0)), "force of Traction on 'x+' must be "),
         (
             lambda: pt.Traction("x+", force=lambda t: (np.nan, 0, 0)),
             r"force of Traction on 'x\+' is not finite at t = 0",
@@ -35,7 +35,7 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
         ),
         (lambda: pt.Traction("x+", pressure=lambda t: np.inf), r"pressure of Traction on 'x\+' is not finite"),
         (lambda: pt.Traction("x+", pressure=np.nan), r"pressure of Traction on 'x\+' is not finite"),
-        (lambda: pt.Gravity((0, 0)), "acceleration of Gravity must be three numbers"),
+        (lambda: pt.Gravity((0, 0)), "acceleration of Gravity must be "),
         (lambda: pt.Gravity((0, 0, np.inf)), "acceleration of Gravity is not finite"),
         (lambda: pt.PrescribedMotion("tip", (np.nan, 0, 0)), "PrescribedMotion of 'tip' is not finite"),
         (lambda: pt.PrescribedMotion("tip", lambda p, t: p * np.nan), "PrescribedMotion of 'tip' is not finite"),
@@ -47,7 +47,6 @@ def test_a_load_that_cannot_be_is_refused_by_name(held, load, message):
         pt.rollout(held, [load()], duration=1e-3, every=5e-4)
 
 
-@pytest.mark.xfail(reason="NumPy's own error comes out, without the group's name", raises=(ValueError, TypeError))
 @pytest.mark.parametrize(
     "load",
     [
@@ -70,7 +69,7 @@ def test_two_motions_of_one_node_are_refused(held):
 
 def test_a_traction_on_a_driven_group_is_refused(held):
     loads = [pt.Traction("x+", force=(1, 0, 0)), pt.PrescribedMotion("x+", (0, 0, 0))]
-    with pytest.raises(pt.InputError, match="the whole group is fixed or driven"):
+    with pytest.raises(pt.InputError, match="fixed or driven; load another group"):
         pt.rollout(held, loads, duration=1e-3, every=5e-4)
 
 

@@ -278,7 +278,6 @@ def test_any_number_of_threads_gives_the_same_bits(bar, tissue, calm, pull):
     same(*runs)
 
 
-@pytest.mark.xfail(reason="tractions of an earlier run stay in the model's scratch arrays and push on")
 def test_loads_of_an_earlier_run_are_forgotten(held):
     pt.rollout(held, [pt.Traction("x+", force=(1.0, 0, 0))], duration=1e-3, every=1e-3)
     run = pt.rollout(held, duration=1e-3, every=1e-3)

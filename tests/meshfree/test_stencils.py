@@ -211,7 +211,6 @@ def test_a_handful_of_points_is_refused(jittered_points, count):
         pt.moving_least_squares(jittered_points[:count], neighbours=42)
 
 
-@pytest.mark.xfail(reason="the k-d tree raises its own ValueError, which names no node", raises=ValueError)
 def test_points_that_are_not_finite_are_refused(jittered_points):
     points = jittered_points.copy()
     points[4, 1] = np.nan

@@ -205,5 +205,5 @@ def test_training_that_cannot_be_is_refused(model, run, body):
         pt.reduce(model, run, modes=2, driven=["tool"])
     with pytest.raises(pt.InputError, match="either modes or tolerance"):
         pt.reduce(model, run)
-    with pytest.raises(pt.InputError, match=r"the basis has modes of shape \(112, 3\)"):
+    with pytest.raises(pt.InputError, match=r"the basis has .*112.* the body .*64"):
         pt.ReducedModel(body, pt.pod(run, model.weights, modes=2))

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 __all__ = ["law_digest", "law_njit"]
 
@@ -24,6 +24,8 @@ class _DigestCache(FunctionCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], digest: str) -> None:
         super().__init__(function)
         self._digest = digest
+        # files of its own for every law: processes that write one index at once could mix up the code of two laws
+        self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._impl.filename_base}-{digest[:16]}", digest)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         return (sig, codegen.magic_tuple(), self._digest)

@@ -172,6 +172,7 @@ class FullModel(Model):
         u, v = state.coordinates.copy(), state.velocities.copy()
         force, surface, at = self._scratch
         schedule = drive.schedule(times)
+        surface[:] = 0.0  # of another run's loads
         before = self._losses(state, drive)
         work = self._advance(
             u, v, step, self.viscosity, self.body, self.work, drive.places, schedule, self.cloud.volumes,

@@ -134,16 +134,17 @@ class Drive:
             elif isinstance(load, Traction) and load.force is not None:
                 forces.append(_vectors(load.force, times, f"the force of Traction on {load.group!r}"))
             elif isinstance(load, Traction):
-                of = load.pressure
-                values = np.array([float(of(t)) if callable(of) else float(of or 0.0) for t in times])
-                pressures.append(_finite(values, times, f"the pressure of Traction on {load.group!r}"))
+                of, what = load.pressure, f"the pressure of Traction on {load.group!r}"
+                pressures.append(_shaped([of(t) if callable(of) else of for t in times], (), times, what))
         motion = np.zeros((len(times), len(self.places.driven), 3))
         for load, where in self.motions:
-            points = self.points[self.places.driven[where]]
-            for s, t in enumerate(times):
-                of_motion = load.displacement
-                motion[s, where] = of_motion(points, float(t)) if callable(of_motion) else of_motion
-            _finite(motion[:, where], times, f"the PrescribedMotion of {load.group!r}")
+            points, of_motion = self.points[self.places.driven[where]], load.displacement
+            what = f"the PrescribedMotion of {load.group!r}"
+            values = [of_motion(points, float(t)) if callable(of_motion) else of_motion for t in times]
+            if np.shape(values[0]) == (3,):
+                motion[:, where] = _shaped(values, (3,), times, what)[:, None]
+            else:
+                motion[:, where] = _shaped(values, points.shape, times, what)
         return Schedule(
             gravity,
             np.stack(forces, axis=1) if forces else np.zeros((len(times), 0, 3)),
@@ -159,19 +160,22 @@ class Drive:
 
 
 def _vectors(value: Vector, times: Floats, what: str) -> Floats:
-    rows = [value(float(t)) for t in times] if callable(value) else [value] * len(times)
+    return _shaped([value(float(t)) if callable(value) else value for t in times], (3,), times, what)
+
+
+def _shaped(values: list[Any], shape: tuple[int, ...], times: Floats, what: str) -> Floats:
+    """Stack values over times, or raise `InputError` that says what is not of the shape or not finite."""
     try:
-        array = np.array(rows, dtype=float).reshape(len(times), 3)
+        array = np.array(values, dtype=float)
     except (ValueError, TypeError):
-        raise InputError(f"{what} must be three numbers, not {rows[0]!r}") from None
-    return _finite(array, times, what)
-
-
-def _finite(values: Floats, times: Floats, what: str) -> Floats:
-    bad = np.flatnonzero(~np.isfinite(values.reshape(len(times), -1)).all(axis=1))
+        array = np.zeros(0)
+    if array.shape != (len(times), *shape):
+        wanted = {(): "a number", (3,): "three numbers"}.get(shape, f"an array of shape {shape}")
+        raise InputError(f"{what} must be {wanted}, not {values[0]!r}")
+    bad = np.flatnonzero(~np.isfinite(array.reshape(len(times), -1)).all(axis=1))
     if bad.size:
         raise InputError(f"{what} is not finite at t = {times[bad[0]]:g} s")
-    return values
+    return array
 
 
 def drive(cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load]) -> Drive:

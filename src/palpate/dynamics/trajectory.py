@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ __all__ = ["Recorder", "Trajectory"]
 
 Floats = NDArray[np.float64]
 
+SPARE = 1 << 18  # bytes kept free for HDF5's own tables
 FORMAT, VERSION = "palpate trajectory", 1
 SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
 
@@ -116,9 +118,12 @@ class Trajectory:
             raise FileFormatError(f"{path} is truncated or corrupt ({error}); run the simulation again") from error
         n = len(data["points"])
         shapes = dict.fromkeys(("displacements", "velocities"), (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
-        for name, shape in shapes.items():
-            if data[name].shape != shape or not np.isfinite(data[name]).all():
-                raise FileFormatError(f"{path}: {name} is not finite or has shape {data[name].shape}, expected {shape}")
+        arrays: dict[str, tuple[Any, tuple[int, ...]]] = {name: (data[name], shape) for name, shape in shapes.items()}
+        arrays |= {f"reactions/{name}": (force, (frames, 3)) for name, force in data["reactions"].items()}
+        arrays["points"] = data["points"], (n, 3)
+        for name, (array, shape) in arrays.items():
+            if array.shape != shape or not np.isfinite(array).all():
+                raise FileFormatError(f"{path}: {name} is not finite or has shape {array.shape}, expected {shape}")
         data["complete"] = bool(data["complete"])
         return Trajectory(**data)
 
@@ -171,6 +176,12 @@ class Recorder:
             "external": frame.external, "dissipated": frame.dissipated, "displacements": frame.displacements,
             "velocities": frame.velocities, **{f"reactions/{name}": f for name, f in frame.reactions.items()},
         }  # fmt: skip
+        needed = sum(np.asarray(value).nbytes for value in values.values())
+        free = shutil.disk_usage(Path(self.path or ".").absolute().parent).free
+        if free < 2 * needed + SPARE:  # HDF5 does not survive a failed write
+            raise OSError(
+                f"cannot write {self.path}: the disk is full ({free / 1e6:.1f} MB left); earlier frames are kept"
+            )
         try:
             self._file.require_group("reactions")
             for name, value in values.items():

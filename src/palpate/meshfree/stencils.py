@@ -133,6 +133,9 @@ def moving_least_squares(
     """
     points = np.ascontiguousarray(points, dtype=float)
     n, d = points.shape
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise CloudError(f"points of nodes {first_few(bad)} are not finite")
     order = integer_in_range("order", order, 1, 3)
     exponents = _exponents(d, order)
     if (neighbours is None) == (radius is None):

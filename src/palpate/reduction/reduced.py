@@ -155,6 +155,7 @@ class ReducedModel(Model):
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         lifting = self._lifted(drive, times)
         a, v = state.coordinates.copy(), state.velocities.copy()
+        self._surface[:] = 0.0  # of another run's loads
         before = self._losses(state, drive)
         work = self._advance(
             a, v, lifting, step, self.viscosity, self._table, self.columns, self.test, self._test_lifting, full.body,

@@ -119,6 +119,7 @@ class Material(ABC):
     def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the whole energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""
         I1, I2, J = _invariants(F)
+        J = np.where(J > 0, J, np.nan)  # a body turned inside out has no energy
         return np.asarray(self.energy(I1, I2, J, self.coefficients) + self.lame / 2 * (J - 1) ** 2)
 
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
