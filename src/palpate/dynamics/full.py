@@ -104,7 +104,7 @@ class FullModel(Model):
         law = type(material)
         self._internal_force = kernels(law.first, law.second, pressure == "direct")
         self._advance = full_step(law.first, law.second, pressure == "direct")
-        self._scratch = tuple(np.zeros((len(cloud), 3)) for _ in range(3))
+        self._scratch = tuple(np.zeros((len(cloud), 3)) for _ in range(4))
         self.neighbours = neighbours
         self.held = self.drive(()).places.kind != FREE
         self.highest_frequency = FrequencyTracker(self)
@@ -170,31 +170,19 @@ class FullModel(Model):
         number_in_range("step", step, 0.0, open_low=True, unit="s")
         times: Floats = state.time + step * np.arange(steps + 1, dtype=float)
         u, v = state.coordinates.copy(), state.velocities.copy()
-        force, surface, at = self._scratch
+        force, previous, surface, at = self._scratch
         schedule = drive.schedule(times)
         surface[:] = 0.0  # of another run's loads
-        before = self._losses(state, drive)
-        work = self._advance(
+        before = tool_power(self, state, drive)
+        work, lost = self._advance(
             u, v, step, self.viscosity, self.body, self.work, drive.places, schedule, self.cloud.volumes,
-            self.material.density, self.slot, self.half_cell, force, surface, at,
+            self.material.density, self.slot, self.half_cell, force, previous,
+            surface, at,
         )  # fmt: skip
-        new = State(u, v, float(times[-1]), state.external_work + work, state.dissipated)
-        after = self._losses(new, drive)
-        # trapezium rule for the power of the tools and of the viscosity
-        tools, lost = (0.5 * step * steps * (a + b) for a, b in zip(before, after, strict=True))
-        return replace(new, external_work=new.external_work + tools, dissipated=new.dissipated + lost)
-
-    def _losses(self, state: State, drive: Drive) -> tuple[float, float]:
-        """Power [W] of the tools on the body, and power lost to viscosity."""
-        return tool_power(self, state, drive), self._viscous_power(state)
-
-    def _viscous_power(self, state: State) -> float:
-        """Power [W] of the nodal velocities on what beta v adds to the internal force."""
-        u, v = state.coordinates, state.velocities
-        if self.viscosity == 0.0:
-            return 0.0
-        lost = self.force(u) - self.force(u + self.viscosity * v)
-        return float(np.sum(self.cloud.volumes[:, None] * v * lost))
+        new = State(u, v, float(times[-1]), state.external_work + work, state.dissipated + lost)
+        # trapezium rule for the power of the tools
+        tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
+        return replace(new, external_work=new.external_work + tools)
 
     def tractions(self, drive: Drive, schedule: Schedule) -> Floats:
         """Return tractions per nodal volume [N/m^3] at a schedule's first time, on the body as last evaluated."""

@@ -62,6 +62,21 @@ def _kick(kind, force, surface, gravity, half_cell, volumes, density, kick, velo
 
 
 @njit(cache=True)
+def _viscous_work(force, previous, volumes, velocity):  # type: ignore[no-untyped-def]
+    """Return sum of V v . (previous - force) [W], and keep the force as the next previous one.
+
+    Between two evaluations the internal force changes by -K v dt, so that beta times this sum is what viscosity
+    takes from the body in a step, beta v . K v dt [J].
+    """
+    work = 0.0
+    for i in range(force.shape[0]):
+        for c in range(3):
+            work += volumes[i] * velocity[i, c] * (previous[i, c] - force[i, c])
+            previous[i, c] = force[i, c]
+    return work
+
+
+@njit(cache=True)
 def _drive(places, target, step, u, velocity):  # type: ignore[no-untyped-def]
     """Give the driven nodes the velocity that brings them to their target after `step`."""
     for k in range(places.driven.shape[0]):
@@ -78,22 +93,40 @@ def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
     -------
     function
         ``advance(u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, half_cell, force,
-        surface, at)`` advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has times less
-        one, and returns the work [J] of tractions and gravity.
+        previous, surface, at)`` advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has
+        times less one, and returns the work [J] of tractions and gravity, and the energy [J] lost to viscosity.
     """
     internal_force = kernels(first_of, second_of, direct)
 
     @law_njit(law_digest("full_step", first_of, second_of, direct))
     def advance(  # type: ignore[no-untyped-def]
-        u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, half_cell, force, surface, at
+        u,
+        velocity,
+        step,
+        beta,
+        body,
+        work,
+        places,
+        schedule,
+        volumes,
+        density,
+        slot,
+        half_cell,
+        force,
+        previous,
+        surface,
+        at,
     ):
-        total = 0.0
+        total, lost = 0.0, 0.0
         steps = schedule.motion.shape[0] - 1
         for s in range(steps + 1):
             for i in range(u.shape[0]):
                 for c in range(3):
                     at[i, c] = u[i, c] + beta * velocity[i, c]
             internal_force(at, body, work, force)
+            change = _viscous_work(force, previous, volumes, velocity)
+            if s > 0:
+                lost += beta * change
             surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
             kick = 0.5 * step if s in (0, steps) else step
             gravity = schedule.gravity[s]
@@ -108,6 +141,6 @@ def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
             for k in range(places.driven.shape[0]):
                 for c in range(3):
                     u[places.driven[k], c] = schedule.motion[s + 1, k, c]
-        return total
+        return total, lost
 
     return advance

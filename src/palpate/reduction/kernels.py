@@ -108,10 +108,11 @@ def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]
         surface,
         columns,
         result,
+        previous,
         rates,
         power,
     ):
-        total, m_count, steps = 0.0, a.shape[0], lifting.shape[0] - 3
+        total, lost, m_count, steps = 0.0, 0.0, a.shape[0], lifting.shape[0] - 3
         for s in range(steps + 1):
             # lifting has one time before the first and one after the last
             for m in range(m_count):
@@ -120,6 +121,10 @@ def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]
                 rate = (lifting[s + 1, j] - lifting[s, j]) / step
                 columns[m_count + j] = lifting[s + 1, j] + beta * rate
             projected_force(columns, table, test, body, work, force, result)
+            for m in range(m_count):
+                if s > 0:
+                    lost += beta * velocity[m] * (previous[m] - result[m])
+                previous[m] = result[m]
             surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
             power[:] = 0.0
             _tractions(places, surface, modes, test, volumes, half_cell, velocity, result, power)
@@ -146,6 +151,6 @@ def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]
             if s < steps:
                 for m in range(m_count):
                     a[m] += step * velocity[m]
-        return total
+        return total, lost
 
     return projected_force, advance

@@ -67,7 +67,7 @@ class ReducedModel(Model):
         law = type(full.material)
         self._projected_force, self._advance = reduced_step(law.first, law.second, full.pressure == "direct")
         self._force, self._surface = np.zeros((n, 3)), np.zeros((n, 3))
-        self._result, self._rates = np.zeros(count), np.zeros(count)
+        self._result, self._previous, self._rates = (np.zeros(count) for _ in range(3))
         self._columns, self._power = np.zeros(len(self.columns)), np.zeros(len(self.columns))
         self._tangent_at: Floats | None = None
         self._tangent, self._reach = np.zeros((count, count)), 0.0
@@ -156,27 +156,18 @@ class ReducedModel(Model):
         lifting = self._lifted(drive, times)
         a, v = state.coordinates.copy(), state.velocities.copy()
         self._surface[:] = 0.0  # of another run's loads
-        before = self._losses(state, drive)
-        work = self._advance(
+        before = tool_power(self, state, drive)
+        work, lost = self._advance(
             a, v, lifting, step, self.viscosity, self._table, self.columns, self.test, self._test_lifting, full.body,
             full.work, drive.places, drive.schedule(times[1:-1]), self._gravity_test, self._gravity_work,
             self._slowing(state, drive, step), self.cloud.volumes, self.material.density, full.slot,
             full.half_cell, self._force, self._surface,
-            self._columns, self._result, self._rates, self._power,
+            self._columns, self._result, self._previous, self._rates, self._power,
         )  # fmt: skip
-        new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated)
-        after = self._losses(new, drive)
-        tools, lost = (0.5 * step * steps * (x + y) for x, y in zip(before, after, strict=True))
-        return replace(new, external_work=new.external_work + tools, dissipated=new.dissipated + lost)
-
-    def _losses(self, state: State, drive: Drive) -> tuple[float, float]:
-        """Power [W] of the tools on the body, and power lost to viscosity."""
-        lifted = self._lifted(drive, np.array([state.time]))[0]
-        at = np.concatenate([state.coordinates, lifted])
-        moved = at.copy()
-        moved[: len(self.basis)] += self.viscosity * state.velocities
-        lost = self.material.density * state.velocities @ (self.force(at) - self.force(moved))
-        return tool_power(self, state, drive), float(lost)
+        new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated + lost)
+        # trapezium rule for the power of the tools
+        tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
+        return replace(new, external_work=new.external_work + tools)
 
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes, lifted only there."""
