@@ -284,10 +284,7 @@ def test_loads_of_an_earlier_run_are_forgotten(held):
     np.testing.assert_allclose(run.displacements, 0, atol=1e-15)
 
 
-SAMPLED = pytest.mark.xfail(reason="the power of tools is integrated from the ends of 50 steps only")
-
-
-@pytest.mark.parametrize("loaded", ["vibrating", pytest.param("driven", marks=SAMPLED)])
+@pytest.mark.parametrize("loaded", ["vibrating", "driven"])
 def test_works_do_not_depend_on_how_steps_are_bundled(held, loaded):
     u = np.zeros((len(held.cloud), 3))
     loads = [pt.PrescribedMotion("x+", lambda points, t: (1e-3 * np.sin(500 * t) ** 2, 0, 0))]

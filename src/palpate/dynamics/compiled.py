@@ -12,20 +12,19 @@ import inspect
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 from numba import njit
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache
 
-__all__ = ["law_digest", "law_njit"]
+__all__ = ["law_digest", "law_njit", "named_for"]
 
 
 class _DigestCache(FunctionCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], digest: str) -> None:
         super().__init__(function)
         self._digest = digest
-        # files of its own for every law: processes that write one index at once could mix up the code of two laws
-        self._cache_file = IndexDataCacheFile(self._cache_path, f"{self._impl.filename_base}-{digest[:16]}", digest)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         return (sig, codegen.magic_tuple(), self._digest)
@@ -47,12 +46,28 @@ def law_digest(*what: object) -> str:
     return digest.hexdigest()
 
 
-def law_njit(digest: str, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile as `numba.njit` does, cached under `digest`."""
+def named_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a copy of a function whose name holds a digest.
+
+    Compiled code is linked by name. Two laws' functions of one name, compiled in two processes and both read from the
+    cache by a third, would be taken for each other there.
+    """
+    copy = FunctionType(
+        function.__code__, function.__globals__, function.__name__, function.__defaults__, function.__closure__
+    )
+    copy.__qualname__ = f"{function.__qualname__}_{digest[:16]}"
+    copy.__module__ = function.__module__
+    return copy
+
+
+def law_njit(digest: str, *, cached: bool = True, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile as `numba.njit` does, under a name of its own and, unless told otherwise, cached under `digest`."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        compiled = njit(**options)(function)
-        compiled._cache = _DigestCache(function, digest)
+        own = named_for(digest, function)
+        compiled = njit(**options)(own)
+        if cached:
+            compiled._cache = _DigestCache(own, digest)
         return compiled
 
     return decorate

@@ -23,7 +23,7 @@ from numba import get_thread_id, njit, prange
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.dynamics.compiled import law_digest, law_njit, named_for
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x1, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 
 __all__ = ["Body", "Workspace", "finish_force", "kernels", "lift_derivatives", "make_response", "workspace"]
@@ -138,10 +138,11 @@ def finish_force(body, work, direct, force):  # type: ignore[no-untyped-def]
                       work.shear, work.smooth, force)  # fmt: skip
 
 
-def make_response(first_of: Any, second_of: Any, direct: bool) -> Any:
+def make_response(digest: str, law_first: Any, law_second: Any, direct: bool) -> Any:
     """Make the compiled response of one block: stress divergence, cofactor and pressure from F and H."""
+    first_of, second_of = (register_jitable(named_for(digest, f)) for f in (law_first, law_second))
 
-    @njit(fastmath={"contract"}, forceinline=True)
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
@@ -249,7 +250,7 @@ def kernels(first_of: Any, second_of: Any, direct: bool) -> Any:
         density [N/m^3] of displacements `u`, shape (n, 3), into `force`.
     """
     digest = law_digest(first_of, second_of, direct)
-    respond = make_response(register_jitable(first_of), register_jitable(second_of), direct)
+    respond = make_response(digest, first_of, second_of, direct)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def deform(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]

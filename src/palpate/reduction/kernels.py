@@ -6,7 +6,6 @@ from functools import cache
 from typing import Any
 
 from numba import get_thread_id, njit, prange
-from numba.extending import register_jitable
 
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.kernels import finish_force, lift_derivatives, make_response
@@ -60,7 +59,7 @@ def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]
     projected_force, advance : functions
     """
     digest = law_digest("reduced_step", first_of, second_of, direct)
-    respond = make_response(register_jitable(first_of), register_jitable(second_of), direct)
+    respond = make_response(digest, first_of, second_of, direct)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def deform(columns, table, lanes, boundary, coefficients, lame, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]

@@ -1,0 +1,95 @@
+"""Static tip of the paper's beam, pulled and bent, against the finite-element reference.
+
+    python validation/tips.py [--spacings 0.005 0.0025] [--pressure split direct]
+
+writes docs/validation/tips.json and prints the table. The reference is validation/reference/finite_elements.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from equilibrium import relax
+from scipy.interpolate import RegularGridInterpolator
+
+import palpate as pt
+
+HERE = Path(__file__).parent
+OUTPUT = Path("/tmp/p/tips2.json")
+
+
+def body(spacing: float, poisson: float, pressure: str, half_cell: float) -> pt.FullModel:
+    cloud = pt.box((0.2, 0.02, 0.02), spacing)
+    law = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
+    # more than the default viscosity: it changes no static state
+    return pt.FullModel(cloud, law, "x-", viscosity=1.8e-2 * spacing, pressure=pressure, half_cell=half_cell)
+
+
+def tips(model: pt.FullModel, kind: str, forces: list[float], starts: list[np.ndarray] | None) -> list[np.ndarray]:
+    """Displacements (n, 3) [m] under load after load; from given states, the coarser body's, if there are any."""
+    direction = np.array([0.0, 0.0, 1.0] if kind == "sideways" else [1.0, 0.0, 0.0])
+    settle, damping = (1.2, 13.0) if kind == "sideways" else (0.3, 60.0)  # about critical for the first mode
+    u, found, last = np.zeros_like(model.cloud.points), [], 0.0
+    for k, force in enumerate(forces):
+        if starts:
+            u, last, settle = starts[k], force, 0.6 if kind == "sideways" else 0.15
+        load = pt.Traction("x+", force=lambda t, a=last, b=force: (a + (b - a) * min(t / 0.1, 1.0)) * direction)
+        u = relax(model, [load], u, settle, damping)
+        found.append(u)
+        last = force
+    return found
+
+
+def refined(coarse: pt.Cloud, states: list[np.ndarray], fine: pt.Cloud) -> list[np.ndarray]:
+    """Interpolate states of one lattice to another."""
+    axes = [np.unique(np.round(coarse.points[:, a], 9)) for a in range(3)]
+    shape = [len(axis) for axis in axes]
+    fields = [
+        RegularGridInterpolator(axes, u.reshape(*shape, 3), method="cubic", bounds_error=False, fill_value=None)
+        for u in states
+    ]
+    return [field(fine.points) for field in fields]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--spacings", type=float, nargs="+", default=[0.005, 0.0025])
+    parser.add_argument("--pressure", nargs="+", default=["split", "direct"])
+    parser.add_argument("--poisson", type=float, nargs="+", default=[0.3, 0.45, 0.49])
+    parser.add_argument("--kinds", nargs="+", default=["sideways", "axial"])
+    parser.add_argument("--half-cell", type=float, default=3.0)
+    args = parser.parse_args()
+    reference = json.loads((HERE / "reference" / "finite_elements.json").read_text())
+    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
+    rows = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
+    for kind, poisson, pressure in product(args.kinds, args.poisson, args.pressure):
+        expected = [r for r in reference[kind] if r["poisson"] == poisson]
+        starts, coarse = None, None
+        for spacing in args.spacings:
+            model = body(spacing, poisson, pressure, args.half_cell)
+            if coarse is not None and starts is not None:
+                starts = refined(coarse, starts, model.cloud)
+            try:
+                starts, coarse = tips(model, kind, [r["force"] for r in expected], starts), model.cloud
+            except (RuntimeError, ValueError) as error:
+                print(f"{kind} {spacing} {poisson} {pressure}: unstable ({error})", flush=True)
+                break
+            for r, u in zip(expected, starts, strict=True):
+                tip, target = u[model.cloud.group("x+")].mean(axis=0), np.array(r["mean_tip"])
+                error = float(np.linalg.norm(tip - target) / np.linalg.norm(target))
+                key = {
+                    "kind": kind, "spacing": spacing, "poisson": poisson, "pressure": pressure, "force": r["force"],
+                    "half_cell": args.half_cell,
+                }  # fmt: skip
+                rows = [row for row in rows if any(row[k] != v for k, v in key.items())]
+                rows.append({**key, "tip": tip.tolist(), "reference": target.tolist(), "error": error})
+                print(*key.values(), np.round(tip * 1e3, 3), np.round(target * 1e3, 3), f"{error:.2%}", flush=True)
+            OUTPUT.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
