@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -44,3 +45,27 @@ def test_models_of_one_law_share_their_compiled_functions(bar, small_cloud):
         for cloud, c in ((bar, 10e3), (small_cloud, 20e3))
     ]
     assert models[0]._advance is models[1]._advance
+
+
+FORCES = """
+import sys
+import numpy as np
+import palpate as pt
+law = pt.NeoHookean(C1=10e3, density=1000, poisson=0.4)
+cloud = pt.box((0.02, 0.02, 0.02), 0.005)
+for pressure in sys.argv[1:]:
+    model = pt.FullModel(cloud, law, viscosity=0.0, pressure=pressure)
+    print(repr(float(np.abs(model.force(0.01 * np.sin(200 * cloud.points))).sum())))
+"""
+
+
+def test_code_compiled_by_two_processes_is_not_mixed_up_by_a_third(tmp_path):
+    def forces(*pressures):
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        command = [sys.executable, "-c", FORCES, *pressures]
+        return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout.split()
+
+    split, direct = forces("split"), forces("direct")
+    assert split != direct
+    assert forces("split", "direct") == split + direct
+    assert forces("direct", "split") == direct + split
