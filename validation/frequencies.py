@@ -46,7 +46,9 @@ def main() -> None:
             "negative": negative, "bending_error": bending / target["bending"] - 1,
             "axial_error": axial / target["axial"] - 1,
         })  # fmt: skip
-        print("  ".join(f"{name} {value:.4}" for name, value in rows[-1].items() if value), flush=True)
+        print(
+            "  ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()), flush=True
+        )
         OUTPUT.parent.mkdir(parents=True, exist_ok=True)
         OUTPUT.write_text(json.dumps(rows, indent=1))
 

@@ -148,7 +148,7 @@ def moving_least_squares(
     else:
         near, reach = _within(points, tree, number_in_range("radius", radius or 0.0, 0.0, open_low=True, unit="m"))
     count = np.sum(near != np.arange(n)[:, None], axis=1)
-    needed = len(exponents) - (1 if interpolating else 0) - (0 if interpolating else 1)
+    needed = len(exponents) - 1  # the node itself is a point of either fit
     few = np.flatnonzero(count < needed)
     if few.size:
         raise CloudError(
