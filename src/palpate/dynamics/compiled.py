@@ -30,7 +30,14 @@ class _DigestCache(FunctionCache):  # type: ignore[misc]
         return (sig, codegen.magic_tuple(), self._digest)
 
 
-KERNELS = ("dynamics/kernels.py", "dynamics/lanes.py", "dynamics/stepping.py", "reduction/kernels.py")
+KERNELS = (
+    "dynamics/kernels.py",
+    "dynamics/lanes.py",
+    "dynamics/solid.py",
+    "dynamics/sheet.py",
+    "dynamics/stepping.py",
+    "reduction/kernels.py",
+)
 
 
 @cache

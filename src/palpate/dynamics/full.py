@@ -9,13 +9,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.kernels import Body, kernels, workspace
 from palpate.dynamics.lanes import lane_table
-from palpate.dynamics.loads import FREE, Drive, Load, Schedule, drive
-from palpate.dynamics.model import Model, Nodes, State
-from palpate.dynamics.reactions import tool_power
-from palpate.dynamics.stability import FrequencyTracker, choose_viscosity, stable_step
-from palpate.dynamics.stepping import full_step, surface_force
+from palpate.dynamics.loads import Drive, Load, drive
+from palpate.dynamics.nodal import NodalModel
+from palpate.dynamics.solid import Body, solid, workspace
+from palpate.dynamics.stability import choose_viscosity
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import moving_least_squares
@@ -26,7 +24,7 @@ __all__ = ["FullModel"]
 Floats = NDArray[np.float64]
 
 
-class FullModel(Model):
+class FullModel(NodalModel):
     """A hyperelastic body, its equations of motion collocated at the nodes.
 
     Parameters
@@ -59,6 +57,7 @@ class FullModel(Model):
     """
 
     name = "full"
+    conservative = False
 
     def __init__(
         self,
@@ -90,7 +89,7 @@ class FullModel(Model):
         nothing = np.zeros((0, 0))
         self.stencils = replace(self.stencils, second=nothing[:, :, None], value=nothing)
         smooth_lanes, (value,) = lane_table(smoother, ("value",))
-        self.body = Body(
+        body = Body(
             lanes, first, second, smooth_lanes, value,
             np.ascontiguousarray(smoother.own[smoother.row]),
             np.ascontiguousarray(self.half_cell * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
@@ -98,22 +97,16 @@ class FullModel(Model):
             material.lame,
         )  # fmt: skip
         longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
-        self.slot = np.zeros(len(cloud), dtype=np.int64)
-        self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
-        self.work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
+        work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
         law = type(material)
-        self._internal_force = kernels(law.first, law.second, pressure == "direct")
-        self._advance = full_step(law.first, law.second, pressure == "direct")
-        self._scratch = tuple(np.zeros((len(cloud), 3)) for _ in range(4))
         self.neighbours = neighbours
-        self.held = self.drive(()).places.kind != FREE
-        self.highest_frequency = FrequencyTracker(self)
+        self._compile(solid(law.first, law.second, pressure == "direct"), body, work, lanes)
         self.stability = choose_viscosity(self, viscosity)
         self.viscosity = self.stability.used
 
     @property
     def weights(self) -> Floats:
-        """Weights [m^3] of the inner product in which tractions do their true virtual work, shape (n,).
+        """Weights [m^3] of the inner product, shape (n,), in which tractions do their true virtual work.
 
         The nodal volumes; at the boundary times 2/c, because the balance of a boundary node multiplies a traction by
         c/h and not by the half cell's 2/h.
@@ -122,18 +115,14 @@ class FullModel(Model):
         weights[np.unique(self.cloud.face_nodes)] /= self.half_cell
         return weights
 
-    def force(self, displacements: Floats) -> Floats:
-        """Return the internal force density [N/m^3] at every node for displacements (n, 3) [m]."""
-        result = np.zeros((len(self.cloud), 3))
-        self._internal_force(np.ascontiguousarray(displacements, dtype=float), self.body, self.work, result)
-        return result
+    @property
+    def volumes(self) -> Floats:
+        return self.cloud.volumes
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
-        """Return F = I + du/dX at every node, shape (n, 3, 3)."""
         return self.stencils.gradient(displacements) + np.eye(3)
 
     def stress(self, displacements: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 3), with the model's own pressure."""
         F = self.deformation_gradient(displacements)
         stress = self.material.stress(F)
         if self.pressure == "split":
@@ -142,6 +131,9 @@ class FullModel(Model):
             stress = stress + (self.work.smooth - self.work.pressure)[:, None, None] * cofactor
         return stress
 
+    def strain_energy(self, displacements: Floats) -> float:
+        return float(np.sum(self.volumes * self.material.strain_energy(self.deformation_gradient(displacements))))
+
     def cauchy_stress(self, displacements: Floats) -> Floats:
         """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3)."""
         F = self.deformation_gradient(displacements)
@@ -149,64 +141,3 @@ class FullModel(Model):
 
     def drive(self, loads: Sequence[Load]) -> Drive:
         return drive(self.cloud, self.fixed, loads)
-
-    def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
-        self.highest_frequency.restart()
-        fields: list[Floats] = []
-        for name, given in (("displacement", displacement), ("velocity", velocity)):
-            array = np.zeros((len(self.cloud), 3)) if given is None else np.array(given, dtype=float)
-            if array.shape != (len(self.cloud), 3) or not np.isfinite(array).all():
-                raise InputError(f"initial {name} must be finite, of shape {(len(self.cloud), 3)}, not {array.shape}")
-            array[self.held] = 0.0
-            fields.append(array)
-        fields[0][drive.places.driven] = drive.schedule(np.zeros(1)).motion[0]
-        return State(fields[0], fields[1])
-
-    def stable_step(self, state: State, drive: Drive) -> float:
-        frequency = self.highest_frequency(state.coordinates, drive.places.kind != FREE)
-        return stable_step(frequency, self.viscosity)
-
-    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
-        number_in_range("step", step, 0.0, open_low=True, unit="s")
-        times: Floats = state.time + step * np.arange(steps + 1, dtype=float)
-        u, v = state.coordinates.copy(), state.velocities.copy()
-        force, previous, surface, at = self._scratch
-        schedule = drive.schedule(times)
-        surface[:] = 0.0  # of another run's loads
-        before = tool_power(self, state, drive)
-        work, lost = self._advance(
-            u, v, step, self.viscosity, self.body, self.work, drive.places, schedule, self.cloud.volumes,
-            self.material.density, self.slot, self.half_cell, force, previous,
-            surface, at,
-        )  # fmt: skip
-        new = State(u, v, float(times[-1]), state.external_work + work, state.dissipated + lost)
-        # trapezium rule for the power of the tools
-        tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
-        return replace(new, external_work=new.external_work + tools)
-
-    def tractions(self, drive: Drive, schedule: Schedule) -> Floats:
-        """Return tractions per nodal volume [N/m^3] at a schedule's first time, on the body as last evaluated."""
-        surface = np.zeros((len(self.cloud), 3))
-        surface_force(drive.places, schedule, 0, self.cloud.volumes, self.slot, self.work.cofactor, surface)
-        return surface
-
-    def acceleration(self, state: State, drive: Drive) -> Floats:
-        schedule = drive.schedule(np.array([state.time]))
-        force = self.force(state.coordinates + self.viscosity * state.velocities)
-        force += self.half_cell * self.tractions(drive, schedule)
-        acceleration = force / self.material.density + schedule.gravity[0]
-        acceleration[drive.places.kind != FREE] = 0.0
-        acceleration[drive.places.driven] = drive.rates(lambda t: drive.schedule(t).motion, state.time)[1]
-        return acceleration
-
-    def external_force(self, state: State, drive: Drive) -> Floats:
-        schedule = drive.schedule(np.array([state.time]))
-        self.force(state.coordinates)  # the body that a pressure follows
-        surface = self.tractions(drive, schedule)
-        return surface * self.cloud.volumes[:, None] + self.masses[:, None] * schedule.gravity[0]
-
-    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
-        return state.coordinates[nodes]
-
-    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
-        return state.velocities[nodes]

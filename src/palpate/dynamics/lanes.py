@@ -25,6 +25,8 @@ __all__ = [
     "Weights",
     "lane_sums_1x1",
     "lane_sums_1x3",
+    "lane_sums_3x1",
+    "lane_sums_3x2",
     "lane_sums_3x3",
     "lane_sums_3x6",
     "lane_table",
@@ -183,3 +185,5 @@ lane_sums_3x3 = _lane_sums(3, 3, "lane_sums_3x3")
 lane_sums_3x6 = _lane_sums(3, 6, "lane_sums_3x6")
 lane_sums_1x1 = _lane_sums(1, 1, "lane_sums_1x1")
 lane_sums_1x3 = _lane_sums(1, 3, "lane_sums_1x3")
+lane_sums_3x1 = _lane_sums(3, 1, "lane_sums_3x1")
+lane_sums_3x2 = _lane_sums(3, 2, "lane_sums_3x2")

@@ -154,9 +154,12 @@ class Drive:
 
     @staticmethod
     def rates(values: Callable[[Floats], Floats], time: float, interval: float = 1e-4) -> tuple[Floats, Floats]:
-        """Return first and second time derivatives of prescribed values, by differences over `interval` [s]."""
-        before, now, after = values(np.array([time - interval, time, time + interval]))
-        return (after - before) / (2 * interval), (after - 2 * now + before) / interval**2
+        """Return first and second time derivatives of prescribed values, by differences over `interval` [s].
+
+        The differences look back: at a time when the motion jumps or changes its speed, they tell what was until then.
+        """
+        f3, f2, f1, now = values(time - interval * np.array([3.0, 2.0, 1.0, 0.0]))
+        return (3 * now - 4 * f1 + f2) / (2 * interval), (2 * now - 5 * f1 + 4 * f2 - f3) / interval**2
 
 
 def _vectors(value: Vector, times: Floats, what: str) -> Floats:

@@ -76,6 +76,9 @@ class Model(ABC):
         Stiffness-proportional viscosity beta, C = beta K.
     name : str
         ``"full"``, ``"reduced"`` ...
+    conservative : bool
+        Whether the nodal forces are the derivative of an energy of the nodes' displacements: their virtual work is then
+        that of the stresses.
     """
 
     cloud: Cloud
@@ -84,6 +87,7 @@ class Model(ABC):
     fixed: tuple[str, ...]
     viscosity: float
     name: str
+    conservative: bool
 
     @abstractmethod
     def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
@@ -118,10 +122,27 @@ class Model(ABC):
         """Return the nodal forces [N] of tractions and gravity, shape (n, 3)."""
 
     @abstractmethod
+    def nodal_force(self, displacements: Floats) -> Floats:
+        """Return the internal force density [N/m^3] at every node for nodal displacements, shape (n, 3)."""
+
+    @abstractmethod
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        """Return F = dx/dX at every node for nodal displacements, shape (n, 3, d)."""
+
+    @abstractmethod
     def stress(self, displacements: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa] at every node for nodal displacements, shape (n, 3, 3)."""
+        """Return the first Piola-Kirchhoff stress [Pa] at every node for nodal displacements, shape (n, 3, d)."""
+
+    @abstractmethod
+    def strain_energy(self, displacements: Floats) -> float:
+        """Return the strain energy [J] of nodal displacements; not a number where the body is turned inside out."""
+
+    @property
+    @abstractmethod
+    def volumes(self) -> Floats:
+        """Nodal volumes [m^3] of the unstressed body, shape (n,)."""
 
     @property
     def masses(self) -> Floats:
         """Nodal masses [kg], shape (n,)."""
-        return self.cloud.volumes * self.material.density
+        return self.volumes * self.material.density

@@ -5,7 +5,8 @@ The force on a group of held nodes is the virtual work of a displacement that is
     R_i = sum over the nodes of  m phi a_i + V P_iL dphi/dX_L - phi f_i,
 
 phi a partition of unity over the groups. It needs no stress at the held nodes themselves, where it is singular, and
-the forces of all groups balance the body's momentum exactly. With one group phi = 1: momentum alone decides.
+the forces of all groups balance the body's momentum exactly. With one group phi = 1: momentum alone decides. Where the
+nodal forces f are the derivative of an energy, the stresses' virtual work is - V phi f, and R the exact residual.
 """
 
 from __future__ import annotations
@@ -38,10 +39,13 @@ def reactions(model: Model, state: State, drive: Drive) -> dict[str, Floats]:
     phi = partition(model.cloud.points, drive.supports)
     inertia = model.masses[:, None] * model.acceleration(state, drive) - model.external_force(state, drive)
     forces = phi @ inertia
-    if len(phi) > 1:
+    if model.conservative:
+        moved = model.displacement(state, drive) + model.viscosity * model.velocity(state, drive)
+        forces = forces - (phi * model.volumes) @ model.nodal_force(moved)
+    elif len(phi) > 1:
         moved = model.displacement(state, drive) + model.viscosity * model.velocity(state, drive)
         slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
-        forces = forces + np.einsum("n,nil,ngl->gi", model.cloud.volumes, model.stress(moved), slopes)
+        forces = forces + np.einsum("n,nil,ngl->gi", model.volumes, model.stress(moved), slopes)
     return dict(zip(drive.supports, forces, strict=True))
 
 
@@ -57,13 +61,12 @@ def tool_power(model: Model, state: State, drive: Drive) -> float:
 def evaluate(model: Model, state: State, drive: Drive) -> Outputs:
     """Return displacements, velocities, forces and energies at a state."""
     u, v = model.displacement(state, drive), model.velocity(state, drive)
-    F = model.stencils.gradient(u) + np.eye(3)
     return Outputs(
         u,
         v,
         reactions(model, state, drive),
         float(0.5 * np.sum(model.masses[:, None] * v**2)),
-        float(np.sum(model.cloud.volumes * model.material.strain_energy(F))),
+        model.strain_energy(u),
         state.external_work,
         state.dissipated,
     )

@@ -23,6 +23,7 @@ from palpate.faults import CloudError, number_in_range
 
 if TYPE_CHECKING:
     from palpate.dynamics.full import FullModel
+    from palpate.dynamics.nodal import NodalModel
 
 __all__ = ["FrequencyTracker", "StabilityReport", "choose_viscosity", "spectrum", "stable_step"]
 
@@ -83,9 +84,9 @@ def stable_step(frequency: float, viscosity: float) -> float:
     return float(SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency)
 
 
-def stiffness(model: FullModel, displacements: Floats | None = None) -> Floats:
+def stiffness(model: NodalModel, displacements: Floats | None = None) -> Floats:
     """Return the dense tangent -d(acceleration)/du of the free nodes [1/s^2], by central differences."""
-    u = np.zeros_like(model.cloud.points) if displacements is None else displacements.copy()
+    u = np.zeros((len(model.cloud), 3)) if displacements is None else displacements.copy()
     free = np.flatnonzero(np.repeat(~model.held, 3))
     flat, step = u.reshape(-1), 1e-5 * model.cloud.spacing
     columns = np.empty((len(free), len(free)))
@@ -99,7 +100,7 @@ def stiffness(model: FullModel, displacements: Floats | None = None) -> Floats:
     return columns
 
 
-def spectrum(model: FullModel, displacements: Floats | None = None) -> NDArray[np.complex128]:
+def spectrum(model: NodalModel, displacements: Floats | None = None) -> NDArray[np.complex128]:
     """Return all eigenvalues w^2 [1/s^2] of the linearised body at a state: the oracle for small clouds."""
     return np.linalg.eigvals(stiffness(model, displacements)).astype(complex)
 
@@ -114,9 +115,9 @@ def needed_viscosity(eigenvalues: NDArray[np.complex128]) -> float:
 class FrequencyTracker:
     """Highest frequency of a deforming body, by power iterations that go on from call to call."""
 
-    def __init__(self, model: FullModel) -> None:
+    def __init__(self, model: NodalModel) -> None:
         self._model = model
-        self._noise = np.random.default_rng(0).standard_normal(model.cloud.points.shape)
+        self._noise = np.random.default_rng(0).standard_normal((len(model.cloud), 3))
         self.restart()
 
     def restart(self) -> None:
@@ -187,7 +188,7 @@ def _viscosity_by_steps(model: FullModel, frequency: float) -> tuple[float, floa
     for _ in range(ROUNDS):
         model.viscosity = needed
         step = stable_step(frequency, needed)
-        tiny = 1e-9 * model.cloud.spacing * np.random.default_rng(1).standard_normal(model.cloud.points.shape)
+        tiny = 1e-9 * model.cloud.spacing * np.random.default_rng(1).standard_normal((len(model.cloud), 3))
         tiny[model.held] = 0.0
         state, logs = State(tiny, np.zeros_like(tiny)), []
         size = np.linalg.norm(model.force(state.coordinates))

@@ -16,8 +16,8 @@ from typing import Any
 
 from numba import njit
 
-from palpate.dynamics.compiled import law_digest, law_njit
-from palpate.dynamics.kernels import kernels
+from palpate.dynamics.compiled import law_njit
+from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import LANES
 from palpate.dynamics.loads import FIXED, FREE
 
@@ -77,28 +77,37 @@ def _viscous_work(force, previous, volumes, velocity):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def _drive(places, target, step, u, velocity):  # type: ignore[no-untyped-def]
-    """Give the driven nodes the velocity that brings them to their target after `step`."""
+def _drive(places, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity):  # type: ignore[no-untyped-def]
+    """Give the driven nodes the velocity that brings them to their target after `step`; return the tools' work [J].
+
+    A tool's force is what the node's acceleration needs beyond the other forces on it.
+    """
+    work = 0.0
     for k in range(places.driven.shape[0]):
         i = places.driven[k]
         for c in range(3):
-            velocity[i, c] = (target[k, c] - u[i, c]) / step
+            before, after = velocity[i, c], (target[k, c] - u[i, c]) / step
+            inertia = density * ((after - before) / step - gravity[c])
+            work += volumes[i] * (inertia - force[i, c] - half_cell * surface[i, c]) * 0.5 * (before + after)
+            velocity[i, c] = after
+    return work * step
 
 
 @cache
-def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
-    """Compile the steps of a full model for a law.
+def full_step(formulation: Formulation) -> Any:
+    """Compile the steps of a body whose unknowns are nodal displacements.
 
     Returns
     -------
     function
         ``advance(u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, half_cell, force,
         previous, surface, at)`` advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has
-        times less one, and returns the work [J] of tractions and gravity, and the energy [J] lost to viscosity.
+        times less one, and returns the work [J] of tractions and gravity, the energy [J] lost to viscosity, and the
+        work [J] of the nodal forces that drive nodes.
     """
-    internal_force = kernels(first_of, second_of, direct)
+    force_of = internal_force(formulation)
 
-    @law_njit(law_digest("full_step", first_of, second_of, direct))
+    @law_njit(formulation.digest)
     def advance(  # type: ignore[no-untyped-def]
         u,
         velocity,
@@ -117,13 +126,13 @@ def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
         surface,
         at,
     ):
-        total, lost = 0.0, 0.0
+        total, lost, tools = 0.0, 0.0, 0.0
         steps = schedule.motion.shape[0] - 1
         for s in range(steps + 1):
             for i in range(u.shape[0]):
                 for c in range(3):
                     at[i, c] = u[i, c] + beta * velocity[i, c]
-            internal_force(at, body, work, force)
+            force_of(at, body, work, force)
             change = _viscous_work(force, previous, volumes, velocity)
             if s > 0:
                 lost += beta * change
@@ -133,7 +142,10 @@ def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
             total += _kick(places.kind, force, surface, gravity, half_cell, volumes, density, kick, velocity)
             if s == steps:
                 break
-            _drive(places, schedule.motion[s + 1], step, u, velocity)
+            target = schedule.motion[s + 1]
+            tools += _drive(
+                places, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity
+            )  # fmt: skip
             for i in range(u.shape[0]):
                 if places.kind[i] != FIXED:
                     for c in range(3):
@@ -141,6 +153,6 @@ def full_step(first_of: Any, second_of: Any, direct: bool) -> Any:
             for k in range(places.driven.shape[0]):
                 for c in range(3):
                     u[places.driven[k], c] = schedule.motion[s + 1, k, c]
-        return total, lost
+        return total, lost, tools
 
     return advance

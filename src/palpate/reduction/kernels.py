@@ -5,22 +5,13 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from numba import get_thread_id, njit, prange
+from numba import njit, prange
 
-from palpate.dynamics.compiled import law_digest, law_njit
-from palpate.dynamics.kernels import finish_force, lift_derivatives, make_response
-from palpate.dynamics.lanes import LANES
+from palpate.dynamics.compiled import law_njit
+from palpate.dynamics.kernels import Formulation
 from palpate.dynamics.stepping import surface_force
 
-__all__ = ["mode_derivatives", "reduced_step"]
-
-
-@njit(cache=True, parallel=True)
-def mode_derivatives(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
-    """Write the derivatives of every column (m, n, 3) at every block into table (b, m, 27, LANES)."""
-    for b in prange(lanes.nodes.shape[0]):
-        for m in range(modes.shape[0]):
-            lift_derivatives(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
+__all__ = ["reduced_step"]
 
 
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
@@ -51,34 +42,19 @@ def _tractions(places, surface, modes, test, volumes, half_cell, velocity, resul
 
 
 @cache
-def reduced_step(first_of: Any, second_of: Any, direct: bool) -> tuple[Any, Any]:
-    """Compile the projected force and the steps of a reduced model for a law.
+def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
+    """Compile the projected force and the steps of a reduced model.
 
     Returns
     -------
     projected_force, advance : functions
     """
-    digest = law_digest("reduced_step", first_of, second_of, direct)
-    respond = make_response(digest, first_of, second_of, direct)
-
-    @law_njit(digest, parallel=True, fastmath={"contract"})
-    def deform(columns, table, lanes, boundary, coefficients, lame, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
-        for b in prange(table.shape[0]):
-            out = derivatives[get_thread_id()]
-            for q in range(27):
-                for lane in range(LANES):
-                    out[q, lane] = table[b, 0, q, lane] * columns[0]
-            for m in range(1, table.shape[1]):
-                for q in range(27):
-                    for lane in range(LANES):
-                        out[q, lane] += table[b, m, q, lane] * columns[m]
-            respond(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
+    digest, respond, finish = formulation.digest, formulation.respond_to_columns, formulation.finish
 
     @law_njit(digest)
     def projected_force(columns, table, test, body, work, force, result):  # type: ignore[no-untyped-def]
-        deform(columns, table, body.lanes, body.boundary, body.coefficients, body.lame, work.derivatives,
-               work.cofactor, work.shear, work.pressure)  # fmt: skip
-        finish_force(body, work, direct, force)
+        respond(columns, table, body, work)
+        finish(body, work, force)
         _project(test, force, result)
 
     @law_njit(digest)

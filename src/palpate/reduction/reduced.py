@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import DRIVEN, Drive, Load
 from palpate.dynamics.model import Model, Nodes, State
+from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.reactions import tool_power
 from palpate.dynamics.stability import stable_step
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
-from palpate.reduction.kernels import mode_derivatives, reduced_step
+from palpate.reduction.kernels import reduced_step
 from palpate.reduction.pod import Basis, pod
 
 __all__ = ["ReducedModel", "reduce"]
@@ -33,7 +33,7 @@ class ReducedModel(Model):
 
     Parameters
     ----------
-    full : FullModel
+    full : NodalModel
     basis : Basis
         Modes that vanish at fixed and driven nodes.
     lifting : (l, n, 3) array, optional
@@ -47,11 +47,12 @@ class ReducedModel(Model):
 
     name = "reduced"
 
-    def __init__(self, full: FullModel, basis: Basis, lifting: Floats | None = None, *, implicit: bool = True) -> None:
-        if basis.modes.shape[1:] != full.cloud.points.shape:
+    def __init__(self, full: NodalModel, basis: Basis, lifting: Floats | None = None, *, implicit: bool = True) -> None:
+        if basis.modes.shape[1:] != (len(full.cloud), 3):
             raise InputError(f"the basis has {basis.modes.shape[1]} nodes, the body {len(full.cloud)}")
         self.full, self.basis = full, basis
         self.cloud, self.material, self.fixed = full.cloud, full.material, full.fixed
+        self.conservative = full.conservative
         self.viscosity, self.stencils = full.viscosity, full.stencils
         n, count = len(full.cloud), len(basis)
         self.lifting = np.zeros((0, n, 3)) if lifting is None else np.asarray(lifting, dtype=float)
@@ -61,11 +62,10 @@ class ReducedModel(Model):
         self._test_lifting = self.test @ self.lifting.reshape(len(self.lifting), 3 * n).T
         self._gravity_test = self.test.reshape(count, n, 3).sum(axis=1)
         self._gravity_work = np.einsum("n,mnc->mc", full.masses, self.columns)
-        self._table = np.zeros((len(full.body.lanes.nodes), len(self.columns), 27, full.body.boundary.shape[2]))
-        work = full.work
-        mode_derivatives(self.columns, full.body.lanes, full.body.first, full.body.second, work.fields, self._table)
-        law = type(full.material)
-        self._projected_force, self._advance = reduced_step(law.first, law.second, full.pressure == "direct")
+        blocks, lanes = full.body.lanes.nodes.shape
+        self._table = np.zeros((blocks, len(self.columns), full.formulation.numbers, lanes))
+        full.formulation.differentiate(self.columns, full.body, full.work, self._table)
+        self._projected_force, self._advance = reduced_step(full.formulation)
         self._force, self._surface = np.zeros((n, 3)), np.zeros((n, 3))
         self._result, self._previous, self._rates = (np.zeros(count) for _ in range(3))
         self._columns, self._power = np.zeros(len(self.columns)), np.zeros(len(self.columns))
@@ -160,7 +160,7 @@ class ReducedModel(Model):
         work, lost = self._advance(
             a, v, lifting, step, self.viscosity, self._table, self.columns, self.test, self._test_lifting, full.body,
             full.work, drive.places, drive.schedule(times[1:-1]), self._gravity_test, self._gravity_work,
-            self._slowing(state, drive, step), self.cloud.volumes, self.material.density, full.slot,
+            self._slowing(state, drive, step), self.volumes, self.material.density, full.slot,
             full.half_cell, self._force, self._surface,
             self._columns, self._result, self._previous, self._rates, self._power,
         )  # fmt: skip
@@ -192,12 +192,25 @@ class ReducedModel(Model):
     def external_force(self, state: State, drive: Drive) -> Floats:
         return self.full.external_force(State(self.displacement(state, drive), state.velocities, state.time), drive)
 
+    def nodal_force(self, displacements: Floats) -> Floats:
+        return self.full.nodal_force(displacements)
+
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        return self.full.deformation_gradient(displacements)
+
     def stress(self, displacements: Floats) -> Floats:
         return self.full.stress(displacements)
 
+    def strain_energy(self, displacements: Floats) -> float:
+        return self.full.strain_energy(displacements)
+
+    @property
+    def volumes(self) -> Floats:
+        return self.full.volumes
+
 
 def reduce(
-    full: FullModel,
+    full: NodalModel,
     trajectories: Trajectory | Sequence[Trajectory],
     *,
     modes: int | None = None,
@@ -208,7 +221,7 @@ def reduce(
 
     Parameters
     ----------
-    full : FullModel
+    full : NodalModel
     trajectories : Trajectory or several
         The snapshots.
     modes, tolerance
@@ -236,7 +249,7 @@ def reduce(
     return ReducedModel(full, basis, lifting)
 
 
-def _lifting_columns(full: FullModel, snapshots: Floats, driven: Sequence[str]) -> tuple[Floats, Floats]:
+def _lifting_columns(full: NodalModel, snapshots: Floats, driven: Sequence[str]) -> tuple[Floats, Floats]:
     """Columns (l, n, 3) that carry the driven nodes' motions, and what they leave of the snapshots."""
     nodes = np.unique(np.concatenate([full.cloud.group(name) for name in driven]))
     motion = snapshots[:, nodes].reshape(len(snapshots), -1)

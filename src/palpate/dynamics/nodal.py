@@ -1,0 +1,133 @@
+"""Models whose unknowns are the displacements of the nodes: what solids and membranes share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.kernels import Formulation, internal_force
+from palpate.dynamics.lanes import Lanes
+from palpate.dynamics.loads import FREE, Drive, Load, Schedule
+from palpate.dynamics.model import Model, Nodes, State
+from palpate.dynamics.reactions import tool_power
+from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step
+from palpate.dynamics.stepping import full_step, surface_force
+from palpate.faults import InputError, number_in_range
+
+__all__ = ["NodalModel"]
+
+Floats = NDArray[np.float64]
+
+
+class NodalModel(Model):
+    """A body stepped node by node.
+
+    Attributes
+    ----------
+    body, work : NamedTuples
+        What the compiled passes read, and where they write.
+    formulation : Formulation
+    half_cell : float
+        Half the c of the half-cell balance at the boundary.
+    held : (n,) bool array
+        Nodes of the fixed groups.
+    stability : StabilityReport
+    highest_frequency : FrequencyTracker
+    """
+
+    body: Any
+    work: Any
+    formulation: Formulation
+    half_cell: float
+    held: NDArray[np.bool_]
+    stability: StabilityReport
+    highest_frequency: FrequencyTracker
+
+    def _compile(self, formulation: Formulation, body: Any, work: Any, lanes: Lanes) -> None:
+        """Take the compiled passes with what they read and write; called once the cloud and the supports are known."""
+        self.formulation, self.body, self.work = formulation, body, work
+        self._internal_force, self._advance = internal_force(formulation), full_step(formulation)
+        self.slot = np.zeros(len(self.cloud), dtype=np.int64)
+        self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
+        self._scratch = tuple(np.zeros((len(self.cloud), 3)) for _ in range(4))
+        self.held = self.drive(()).places.kind != FREE
+        self.highest_frequency = FrequencyTracker(self)
+
+    @property
+    def weights(self) -> Floats:
+        """Weights [m^3] of the inner product in which the nodal forces do their virtual work, shape (n,)."""
+        return self.volumes
+
+    def force(self, displacements: Floats) -> Floats:
+        """Return the internal force density [N/m^3] at every node for displacements (n, 3) [m]."""
+        result = np.zeros((len(self.cloud), 3))
+        self._internal_force(np.ascontiguousarray(displacements, dtype=float), self.body, self.work, result)
+        return result
+
+    def nodal_force(self, displacements: Floats) -> Floats:
+        return self.force(displacements)
+
+    def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
+        self.highest_frequency.restart()
+        fields: list[Floats] = []
+        for name, given in (("displacement", displacement), ("velocity", velocity)):
+            array = np.zeros((len(self.cloud), 3)) if given is None else np.array(given, dtype=float)
+            if array.shape != (len(self.cloud), 3) or not np.isfinite(array).all():
+                raise InputError(f"initial {name} must be finite, of shape {(len(self.cloud), 3)}, not {array.shape}")
+            array[self.held] = 0.0
+            fields.append(array)
+        fields[0][drive.places.driven] = drive.schedule(np.zeros(1)).motion[0]
+        return State(fields[0], fields[1])
+
+    def stable_step(self, state: State, drive: Drive) -> float:
+        frequency = self.highest_frequency(state.coordinates, drive.places.kind != FREE)
+        return stable_step(frequency, self.viscosity)
+
+    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+        number_in_range("step", step, 0.0, open_low=True, unit="s")
+        times: Floats = state.time + step * np.arange(steps + 1, dtype=float)
+        u, v = state.coordinates.copy(), state.velocities.copy()
+        force, previous, surface, at = self._scratch
+        schedule = drive.schedule(times)
+        surface[:] = 0.0  # of another run's loads
+        before = 0.0 if self.conservative else tool_power(self, state, drive)
+        work, lost, tools = self._advance(
+            u, v, step, self.viscosity, self.body, self.work, drive.places, schedule, self.volumes,
+            self.material.density, self.slot, self.half_cell, force, previous,
+            surface, at,
+        )  # fmt: skip
+        new = State(u, v, float(times[-1]), state.external_work + work, state.dissipated + lost)
+        if not self.conservative:  # trapezium rule for the power of the tools
+            tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
+        return replace(new, external_work=new.external_work + tools)
+
+    def tractions(self, drive: Drive, schedule: Schedule) -> Floats:
+        """Return tractions per nodal volume [N/m^3] at a schedule's first time, on the body as last evaluated."""
+        surface = np.zeros((len(self.cloud), 3))
+        surface_force(drive.places, schedule, 0, self.volumes, self.slot, self.work.cofactor, surface)
+        return surface
+
+    def acceleration(self, state: State, drive: Drive) -> Floats:
+        schedule = drive.schedule(np.array([state.time]))
+        force = self.force(state.coordinates + self.viscosity * state.velocities)
+        force += self.half_cell * self.tractions(drive, schedule)
+        acceleration = force / self.material.density + schedule.gravity[0]
+        acceleration[drive.places.kind != FREE] = 0.0
+        acceleration[drive.places.driven] = drive.rates(lambda t: drive.schedule(t).motion, state.time)[1]
+        return acceleration
+
+    def external_force(self, state: State, drive: Drive) -> Floats:
+        schedule = drive.schedule(np.array([state.time]))
+        self.force(state.coordinates)  # the body that a pressure follows
+        surface = self.tractions(drive, schedule)
+        return surface * self.volumes[:, None] + self.masses[:, None] * schedule.gravity[0]
+
+    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        return state.coordinates[nodes]
+
+    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        return state.velocities[nodes]
