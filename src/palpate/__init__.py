@@ -19,6 +19,7 @@ _HOME = {
     "MooneyRivlin": "tissue.materials",
     "NeoHookean": "tissue.materials",
     "FullModel": "dynamics.full",
+    "Membrane": "dynamics.membrane",
     "Gravity": "dynamics.loads",
     "PrescribedMotion": "dynamics.loads",
     "Traction": "dynamics.loads",

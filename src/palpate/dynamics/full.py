@@ -73,6 +73,8 @@ class FullModel(NodalModel):
     ) -> None:
         if cloud.points.shape[1] != 3:
             raise InputError("FullModel needs a cloud in space; this one is plane")
+        if material.incompressible:
+            raise InputError("FullModel needs a compressible material: poisson at most 0.499, not 0.5")
         if pressure not in ("split", "direct"):
             raise InputError(f"pressure = {pressure!r}: allowed are 'split' and 'direct'")
         self.cloud = cloud
@@ -84,11 +86,13 @@ class FullModel(NodalModel):
         integer_in_range("smoothing", smoothing, 5)
         self.stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
         smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
-        lanes, (first, second) = lane_table(self.stencils, ("first", "second"))
+        lanes, (first, second) = lane_table(
+            self.stencils.neighbours, self.stencils.row, self.stencils.first, self.stencils.second
+        )
         # the lanes hold the second derivatives now; what stays is for gradients of nodal fields
         nothing = np.zeros((0, 0))
         self.stencils = replace(self.stencils, second=nothing[:, :, None], value=nothing)
-        smooth_lanes, (value,) = lane_table(smoother, ("value",))
+        smooth_lanes, (value,) = lane_table(smoother.neighbours, smoother.row, smoother.value)
         body = Body(
             lanes, first, second, smooth_lanes, value,
             np.ascontiguousarray(smoother.own[smoother.row]),

@@ -15,8 +15,6 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from palpate.meshfree.stencils import Stencils
-
 LANES = 8
 
 __all__ = [
@@ -56,6 +54,12 @@ class Lanes(NamedTuple):
     shared: NDArray[np.bool_]
     weight_start: NDArray[np.int64]
 
+    @classmethod
+    def none(cls) -> Lanes:
+        """Lay out nothing."""
+        nodes, start = np.zeros((0, LANES), dtype=np.int32), np.zeros(1, dtype=np.int64)
+        return cls(nodes, start, nodes.copy(), np.zeros(0, dtype=np.bool_), start[:0].copy())
+
 
 class Weights(NamedTuple):
     """Weights that go with `Lanes`: shared ones (s, r), and one for every lane (t, r, LANES)."""
@@ -63,12 +67,27 @@ class Weights(NamedTuple):
     one: NDArray[np.float64]
     lanes: NDArray[np.float64]
 
+    @classmethod
+    def none(cls) -> Weights:
+        """Hold nothing."""
+        return cls(np.zeros((0, 1)), np.zeros((0, 1, LANES)))
 
-def lane_table(stencils: Stencils, kinds: tuple[str, ...]) -> tuple[Lanes, tuple[Weights, ...]]:
-    """Lay out stencils in blocks; `kinds` names the weights wanted, as `Stencils` calls them."""
-    n, k = stencils.neighbours.shape
-    nodes, shared = _blocks(stencils.row)
-    padding = stencils.neighbours == np.arange(n)[:, None]
+
+def lane_table(
+    near: NDArray[np.int32], row: NDArray[np.integer[Any]], *tables: NDArray[np.float64]
+) -> tuple[Lanes, tuple[Weights, ...]]:
+    """Lay out stencils in blocks.
+
+    Parameters
+    ----------
+    near, row : (n, k) and (n,) int arrays
+        `Stencils.neighbours` and `Stencils.row`.
+    tables : (s, k) or (s, k, w) arrays
+        Weights, by row.
+    """
+    n, k = near.shape
+    nodes, shared = _blocks(row)
+    padding = near == np.arange(n)[:, None]
     length = (k - padding.sum(axis=1))[nodes].max(axis=1)
     start = np.concatenate([[0], np.cumsum(length)])
     block = np.repeat(np.arange(len(nodes)), length)
@@ -76,27 +95,27 @@ def lane_table(stencils: Stencils, kinds: tuple[str, ...]) -> tuple[Lanes, tuple
     own = ~shared[block]
 
     # shared weights are stored once for every row that a block uses
-    rows, first_block = np.unique(stencils.row[nodes[shared, 0]], return_index=True)
+    rows, first_block = np.unique(row[nodes[shared, 0]], return_index=True)
     row_length = length[shared][first_block]
     row_start = np.concatenate([[0], np.cumsum(row_length)]).astype(np.int64)
     r = np.repeat(np.arange(len(rows)), row_length)
     row_position = np.arange(row_start[-1]) - row_start[r]
     weight_start = np.zeros(len(nodes), dtype=np.int64)
-    weight_start[shared] = row_start[np.searchsorted(rows, stencils.row[nodes[shared, 0]])]
+    weight_start[shared] = row_start[np.searchsorted(rows, row[nodes[shared, 0]])]
     weight_start[~shared] = np.cumsum(length[~shared]) - length[~shared]
 
     weights = []
-    for kind in kinds:
-        table = np.asarray(getattr(stencils, kind)).reshape(len(stencils.first), k, -1)
+    for table in tables:
+        table = table.reshape(len(table), k, -1)
         by_lane = np.empty((int(own.sum()), table.shape[2], LANES))
         for lane in range(LANES):  # lane by lane, to hold one copy only
-            by_lane[:, :, lane] = table[stencils.row[nodes[block[own], lane]], position[own]]
+            by_lane[:, :, lane] = table[row[nodes[block[own], lane]], position[own]]
         weights.append(Weights(np.ascontiguousarray(table[rows[r], row_position]), by_lane))
-    neighbours = np.ascontiguousarray(stencils.neighbours[nodes[block], position[:, None]])
+    neighbours = np.ascontiguousarray(near[nodes[block], position[:, None]])
     return Lanes(nodes.astype(np.int32), start.astype(np.int64), neighbours, shared, weight_start), tuple(weights)
 
 
-def _blocks(row: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _blocks(row: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Blocks of nodes, and whether each shares one row of weights: rows with fewer than LANES nodes go mixed."""
     large = (np.bincount(row) >= LANES)[row]
     mixed = np.flatnonzero(~large)

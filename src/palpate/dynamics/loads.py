@@ -69,10 +69,26 @@ class PrescribedMotion:
     displacement : (3,) sequence [m] or function
         ``displacement(points, time)``, with the group's reference positions (g, 3) [m] and the time [s], returns the
         displacements, shape (g, 3) or (3,) [m].
+    until : float [s]
+        When the tool lets go of the nodes; by default never.
+
+    Raises
+    ------
+    InputError
+        `until` is negative or not a number.
     """
 
     group: str
     displacement: Sequence[float] | Callable[[Floats, float], Any]
+    until: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.until >= 0:
+            raise InputError(f"PrescribedMotion of {self.group!r}: until = {self.until!r} must not be negative [s]")
+
+    def holds(self, times: Floats) -> NDArray[np.bool_]:
+        """Return whether the tool holds its nodes at some times [s]."""
+        return np.asarray(times <= self.until * (1 + 1e-9))
 
 
 Load = Traction | Gravity | PrescribedMotion
@@ -85,6 +101,7 @@ class Schedule(NamedTuple):
     force: Floats  # (s, groups, 3) total force [N]
     pressure: Floats  # (s, groups) [Pa]
     motion: Floats  # (s, driven nodes, 3) [m]
+    holds: NDArray[np.bool_]  # (s, driven nodes) whether the tool still holds them
 
 
 class Places(NamedTuple):
@@ -137,10 +154,13 @@ class Drive:
                 of, what = load.pressure, f"the pressure of Traction on {load.group!r}"
                 pressures.append(_shaped([of(t) if callable(of) else of for t in times], (), times, what))
         motion = np.zeros((len(times), len(self.places.driven), 3))
+        holds = np.ones(motion.shape[:2], dtype=np.bool_)
         for load, where in self.motions:
+            holds[:, where] = load.holds(times)[:, None]
             points, of_motion = self.points[self.places.driven[where]], load.displacement
             what = f"the PrescribedMotion of {load.group!r}"
-            values = [of_motion(points, float(t)) if callable(of_motion) else of_motion for t in times]
+            last = np.minimum(times, load.until)
+            values = [of_motion(points, float(t)) if callable(of_motion) else of_motion for t in last]
             if np.shape(values[0]) == (3,):
                 motion[:, where] = _shaped(values, (3,), times, what)[:, None]
             else:
@@ -150,7 +170,21 @@ class Drive:
             np.stack(forces, axis=1) if forces else np.zeros((len(times), 0, 3)),
             np.stack(pressures, axis=1) if pressures else np.zeros((len(times), 0)),
             motion,
+            holds,
         )
+
+    def held(self, time: float) -> NDArray[np.bool_]:
+        """Return which nodes are fixed or held by a tool at a time [s], shape (n,)."""
+        held = self.places.kind != FREE
+        for load, where in self.motions:
+            if not load.holds(np.array(time)):
+                held[self.places.driven[where]] = False
+        return held
+
+    def holding(self, time: float) -> dict[str, NDArray[np.int64]]:
+        """Return the supports and the tools that still hold the body at a time [s], with their nodes."""
+        gone = {load.group for load, _ in self.motions if not load.holds(np.array(time))}
+        return {name: nodes for name, nodes in self.supports.items() if name not in gone}
 
     @staticmethod
     def rates(values: Callable[[Floats], Floats], time: float, interval: float = 1e-4) -> tuple[Floats, Floats]:
@@ -181,8 +215,18 @@ def _shaped(values: list[Any], shape: tuple[int, ...], times: Floats, what: str)
     return array
 
 
-def drive(cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load]) -> Drive:
+def drive(
+    cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load], areas_of: Callable[[Traction], Floats] | None = None
+) -> Drive:
     """Make loads ready for a cloud whose groups `fixed` are held.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    fixed : sequence of str
+    loads : sequence of loads
+    areas_of : function, optional
+        Of a traction, returns its group's area vectors (g, 3) [m^2]; by default those of the cloud's faces.
 
     Raises
     ------
@@ -213,7 +257,7 @@ def drive(cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load]) -> Drive:
             count += len(nodes)
         elif isinstance(load, Traction):
             nodes = cloud.group(load.group)
-            areas = cloud.area_vectors(load.group)
+            areas = cloud.area_vectors(load.group) if areas_of is None else areas_of(load)
             shares = np.linalg.norm(areas, axis=1)
             if load.force is not None:
                 forces.append((nodes, shares / shares.sum()))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import Lanes
-from palpate.dynamics.loads import FREE, Drive, Load, Schedule
+from palpate.dynamics.loads import FIXED, FREE, Drive, Load, Schedule
 from palpate.dynamics.model import Model, Nodes, State
 from palpate.dynamics.reactions import tool_power
 from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step
@@ -84,7 +84,7 @@ class NodalModel(Model):
         return State(fields[0], fields[1])
 
     def stable_step(self, state: State, drive: Drive) -> float:
-        frequency = self.highest_frequency(state.coordinates, drive.places.kind != FREE)
+        frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
         return stable_step(frequency, self.viscosity)
 
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
@@ -116,8 +116,11 @@ class NodalModel(Model):
         force = self.force(state.coordinates + self.viscosity * state.velocities)
         force += self.half_cell * self.tractions(drive, schedule)
         acceleration = force / self.material.density + schedule.gravity[0]
-        acceleration[drive.places.kind != FREE] = 0.0
-        acceleration[drive.places.driven] = drive.rates(lambda t: drive.schedule(t).motion, state.time)[1]
+        acceleration[drive.places.kind == FIXED] = 0.0
+        holds, driven = schedule.holds[0], drive.places.driven
+        if holds.any():
+            rates = drive.rates(lambda t: drive.schedule(t).motion, state.time)[1]
+            acceleration[driven[holds]] = rates[holds]
         return acceleration
 
     def external_force(self, state: State, drive: Drive) -> Floats:

@@ -33,10 +33,12 @@ def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:
 
 
 def reactions(model: Model, state: State, drive: Drive) -> dict[str, Floats]:
-    """Return the force [N] of every support and tool on the body, shape (3,) each."""
-    if not drive.supports:
-        return {}
-    phi = partition(model.cloud.points, drive.supports)
+    """Return the force [N] of every support and tool on the body, shape (3,) each; zero once a tool has let go."""
+    none = {name: np.zeros(3) for name in drive.supports}
+    supports = drive.holding(state.time)
+    if not supports:
+        return none
+    phi = partition(model.cloud.points, supports)
     inertia = model.masses[:, None] * model.acceleration(state, drive) - model.external_force(state, drive)
     forces = phi @ inertia
     if model.conservative:
@@ -46,7 +48,7 @@ def reactions(model: Model, state: State, drive: Drive) -> dict[str, Floats]:
         moved = model.displacement(state, drive) + model.viscosity * model.velocity(state, drive)
         slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
         forces = forces + np.einsum("n,nil,ngl->gi", model.volumes, model.stress(moved), slopes)
-    return dict(zip(drive.supports, forces, strict=True))
+    return none | dict(zip(supports, forces, strict=True))
 
 
 def tool_power(model: Model, state: State, drive: Drive) -> float:

@@ -1,0 +1,339 @@
+"""The compiled internal force of a membrane: three displacements over a plane sheet.
+
+With F = dx/dX (3, 2) and C = F^T F, incompressibility gives the thickness stretch 1 / sqrt(det C), and plane stress
+the first Piola-Kirchhoff stress of any isotropic law W(I1, I2),
+
+    P = a F + g F adj(C),    I1 = tr C + 1 / det C,    I2 = det C + tr C / det C.
+
+A sheet without bending stiffness wrinkles instead of carrying compression. Its relaxed energy (Pipkin, IMA J. Appl.
+Math. 36, 1986) follows from the principal stretches l1 >= l2: where l2 < l1^(-1/2), the width that simple tension
+leaves, the sheet is wrinkled, l2 drops out of the energy and P is uniaxial; where l1 <= 1 it is slack and carries nothing.
+
+Two forms of the equations of motion are compiled from the first and second derivatives H of the displacement at nodes:
+
+*energy*    rho a V = -d/du sum of V mean of W(F + H xi) over six points xi about the node: the derivative of an energy.
+*strong*    rho a = Div P - P b, differentiated directly with H, b the boundary vector of the half-cell balance.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import get_thread_id, njit, prange
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.kernels import Formulation, combine, differences, weights_address
+from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x2, lane_sums_3x3
+
+__all__ = ["SheetBody", "SheetWork", "sheet", "sheet_work"]
+
+NUMBERS = 15  # derivatives a node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
+POINTS = 6  # about a node: six keep the symmetry of a triangular lattice
+# of a regular hexagon of unit area: sqrt(2 * second moment)
+RADIUS = np.sqrt(2 * 5 / (36 * np.sqrt(3)))
+COSINE, SINE = (f(np.arange(POINTS) * (2 * np.pi / POINTS)) for f in (np.cos, np.sin))
+NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
+
+
+class SheetBody(NamedTuple):
+    """Everything constant about a membrane that the compiled passes read."""
+
+    lanes: Lanes
+    first: Weights
+    second: Weights
+    transposed: Lanes  # of every node, the nodes whose stencils hold it
+    back: Weights  # their five weights on it, times the ratio of the volumes
+    own: NDArray[np.float64]  # (n, 5) own weights
+    boundary: NDArray[np.float64]  # (b, 2, LANES) boundary vectors [1/m]
+    radius: NDArray[np.float64]  # (n,) of the points about a node [m]
+    coefficients: tuple[float, ...]
+    prestretch: float
+
+
+class SheetWork(NamedTuple):
+    """What the passes hand on, so that a step allocates nothing."""
+
+    fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences, or their fluxes
+    derivatives: NDArray[np.float64]  # (threads, 15, LANES)
+    cofactor: NDArray[np.float64]  # (b, 9, LANES): the last of every three is the deformed normal's component
+    flux: NDArray[np.float64]  # (n, 15) stress and its first moments; in the strong form the force (n, 0:3)
+    energy: NDArray[np.float64]  # (n,) [J/m^3]
+
+
+def sheet_work(nodes: int, blocks: int, longest: int, threads: int) -> SheetWork:
+    """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
+    return SheetWork(
+        np.zeros((threads, longest, 3, LANES)),
+        np.zeros((threads, NUMBERS, LANES)),
+        np.zeros((blocks, 9, LANES)),
+        np.zeros((nodes, NUMBERS)),
+        np.zeros(nodes),
+    )
+
+
+@njit(cache=True, fastmath={"contract"})
+def _lift(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
+    """First and second derivatives of the displacement at the nodes of one block, into out (15, LANES)."""
+    count, shared = differences(b, u, lanes, fields), lanes.shared[b]
+    lane_sums_3x2(weights_address(first, lanes, b), fields.ctypes.data, out.ctypes.data, count, shared)
+    lane_sums_3x3(weights_address(second, lanes, b), fields.ctypes.data, out[6:].ctypes.data, count, shared)
+
+
+@njit(cache=True, parallel=True)
+def _lift_columns(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
+    for b in prange(lanes.nodes.shape[0]):
+        for m in range(modes.shape[0]):
+            _lift(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
+
+
+@njit(cache=True)
+def _differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
+    _lift_columns(modes, body.lanes, body.first, body.second, work.fields, table)
+
+
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def _gather(lanes, back, own, fields, sums, flux, force):  # type: ignore[no-untyped-def]
+    """Force of the energy form: minus the transposed derivatives of the fluxes."""
+    for b in prange(lanes.nodes.shape[0]):
+        field, total = fields[get_thread_id()], sums[get_thread_id()]
+        begin, end = lanes.start[b], lanes.start[b + 1]
+        for k in range(begin, end):
+            for lane in range(LANES):
+                i = lanes.neighbours[k, lane]
+                for w in range(5):
+                    for c in range(3):
+                        field[5 * (k - begin) + w, c, lane] = flux[i, 3 * w + c]
+        count = 5 * (end - begin)
+        lane_sums_3x1(weights_address(back, lanes, b), field.ctypes.data, total.ctypes.data, count, lanes.shared[b])
+        for lane in range(LANES):
+            i = lanes.nodes[b, lane]
+            for c in range(3):
+                value = total[c, lane]
+                for w in range(5):
+                    value += own[i, w] * flux[i, 3 * w + c]
+                force[i, c] = -value
+
+
+@njit(cache=True)
+def _copy_force(flux, force):  # type: ignore[no-untyped-def]
+    for i in range(force.shape[0]):
+        for c in range(3):
+            force[i, c] = flux[i, c]
+
+
+def _make_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> tuple[Any, Any]:
+    """Make the functions of C that give energy, a and g in P = a F + g F adj(C), and their derivatives.
+
+    In a wrinkled state P = h F N N^T, N the direction of tension, is of the same form: F N N^T (c1 - c2) = c1 F - F adj(C)
+    by the theorem of Cayley and Hamilton, c1 > c2 the eigenvalues of C.
+    """
+    energy, first_of, second_of = (register_jitable(named_for(digest, f)) for f in (energy_of, law_first, law_second))
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
+        """Energy, a and g; in the relaxed law the state is first moved to where the energy is the same."""
+        t, D = C00 + C11, C00 * C11 - C01 * C01
+        if relaxed:
+            reach = np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
+            c1, c2 = 0.5 * t + reach, 0.5 * t - reach
+            longer = max(c1, 1.0)
+            width = 1.0 / np.sqrt(longer)
+            if c2 < width:
+                I1, I2 = longer + 2.0 * width, 2.0 / width + width * width
+                W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
+                h = 2.0 * (W1 * (1.0 - width**3) + W2 * (width - width**4)) / max(c1 - c2, NEVER)
+                return energy(I1, I2, 1.0, coefficients), h * c1, -h
+        I1, I2 = t + 1.0 / D, D + t / D
+        W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
+        a, g = 2.0 * (W1 + W2 / D), 2.0 * (W2 * (1.0 - t / (D * D)) - W1 / (D * D))
+        return energy(I1, I2, 1.0, coefficients), a, g
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def slopes(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
+        """Derivatives of a and g by t = tr C, then by D = det C."""
+        t, D = C00 + C11, C00 * C11 - C01 * C01
+        if relaxed:
+            reach = np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
+            c1, c2 = 0.5 * t + reach, 0.5 * t - reach
+            longer = max(c1, 1.0)
+            width = 1.0 / np.sqrt(longer)
+            if c2 < width:
+                I1, I2 = longer + 2.0 * width, 2.0 / width + width * width
+                W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
+                W11, W12, W22, _, _, _ = second_of(I1, I2, 1.0, coefficients)
+                gap = max(c1 - c2, NEVER)
+                s1, s2 = 1.0 - width**3, width - width**4  # derivatives of I1 and I2 by c1
+                h = 2.0 * (W1 * s1 + W2 * s2) / gap
+                dh = 2.0 * (W11 * s1 * s1 + 2.0 * W12 * s1 * s2 + W22 * s2 * s2)
+                dh += 2.0 * (W1 * 1.5 * width**5 + W2 * (2.0 * width**6 - 0.5 * width**3))
+                if c1 <= 1.0:
+                    dh = 0.0
+                # c1 - c2 = sqrt(t^2 - 4 D); c1 by t is c1 / gap, by D -1 / gap
+                h_t = (dh * c1 / gap - h * t / gap) / gap
+                h_D = (-dh / gap + 2.0 * h / gap) / gap
+                return h_t * c1 + h * c1 / gap, h_D * c1 - h / gap, -h_t, -h_D
+        I1, I2 = t + 1.0 / D, D + t / D
+        W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
+        W11, W12, W22, _, _, _ = second_of(I1, I2, 1.0, coefficients)
+        I1_D, I2_t, I2_D = -1.0 / (D * D), 1.0 / D, 1.0 - t / (D * D)
+        W1_t, W1_D = W11 + W12 * I2_t, W11 * I1_D + W12 * I2_D
+        W2_t, W2_D = W12 + W22 * I2_t, W12 * I1_D + W22 * I2_D
+        a_t, a_D = 2.0 * (W1_t + W2_t / D), 2.0 * (W1_D + W2_D / D - W2 / (D * D))
+        g_t = 2.0 * (W2_t * I2_D - W2 / (D * D) - W1_t / (D * D))
+        g_D = 2.0 * (W2_D * I2_D + 2.0 * (W2 * t + W1) / D**3 - W1_D / (D * D))
+        return a_t, a_D, g_t, g_D
+
+    return moduli, slopes
+
+
+def _make_energy_answer(digest: str, moduli: Any) -> Any:
+    """Make the energy form's answer of one block: mean stress about a node, its moments with xi, the energy."""
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+        for v in range(LANES):
+            i = nodes[b, v]
+            total = 0.0
+            for q in range(NUMBERS):
+                flux[i, q] = 0.0
+            for q in range(POINTS):
+                x, y = radius[i] * COSINE[q], radius[i] * SINE[q]
+                F00 = prestretch + d[0, v] + d[6, v] * x + d[8, v] * y
+                F10 = d[2, v] + d[9, v] * x + d[11, v] * y
+                F20 = d[4, v] + d[12, v] * x + d[14, v] * y
+                F01 = d[1, v] + d[8, v] * x + d[7, v] * y
+                F11 = prestretch + d[3, v] + d[11, v] * x + d[10, v] * y
+                F21 = d[5, v] + d[14, v] * x + d[13, v] * y
+                C00 = F00 * F00 + F10 * F10 + F20 * F20
+                C11 = F01 * F01 + F11 * F11 + F21 * F21
+                C01 = F00 * F01 + F10 * F11 + F20 * F21
+                W, a, g = moduli(C00, C11, C01, coefficients)
+                total += W
+                l00, l01, l11 = (a + g * C11) / POINTS, -g * C01 / POINTS, (a + g * C00) / POINTS
+                P00, P01 = F00 * l00 + F01 * l01, F00 * l01 + F01 * l11
+                P10, P11 = F10 * l00 + F11 * l01, F10 * l01 + F11 * l11
+                P20, P21 = F20 * l00 + F21 * l01, F20 * l01 + F21 * l11
+                flux[i, 0] += P00
+                flux[i, 1] += P10
+                flux[i, 2] += P20
+                flux[i, 3] += P01
+                flux[i, 4] += P11
+                flux[i, 5] += P21
+                flux[i, 6] += P00 * x
+                flux[i, 7] += P10 * x
+                flux[i, 8] += P20 * x
+                flux[i, 9] += P01 * y
+                flux[i, 10] += P11 * y
+                flux[i, 11] += P21 * y
+                flux[i, 12] += P00 * y + P01 * x
+                flux[i, 13] += P10 * y + P11 * x
+                flux[i, 14] += P20 * y + P21 * x
+            energy[i] = total / POINTS
+            _normal(b, v, d, prestretch, cofactor)
+
+    return answer
+
+
+def _make_strong_answer(digest: str, moduli: Any, slopes: Any) -> Any:
+    """Make the strong form's answer of one block: Div P - P b from F and H."""
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+        for v in range(LANES):
+            i = nodes[b, v]
+            C00, C11, C01, K00, K11, L00, L11, L01, M01 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for c in range(3):
+                F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)
+                F1 = d[2 * c + 1, v] + (prestretch if c == 1 else 0.0)
+                H00, H11, H01 = d[6 + 3 * c, v], d[7 + 3 * c, v], d[8 + 3 * c, v]
+                C00, C11, C01 = C00 + F0 * F0, C11 + F1 * F1, C01 + F0 * F1
+                # derivatives of C00, C11, C01 by X0, then by X1
+                K00, K11, L01 = K00 + 2 * F0 * H00, K11 + 2 * F1 * H01, L01 + F0 * H01 + F1 * H00
+                L00, L11, M01 = L00 + 2 * F0 * H01, L11 + 2 * F1 * H11, M01 + F0 * H11 + F1 * H01
+            energy[i], a, g = moduli(C00, C11, C01, coefficients)
+            a_t, a_D, g_t, g_D = slopes(C00, C11, C01, coefficients)
+            D0, D1 = K00 * C11 + C00 * K11 - 2 * C01 * L01, L00 * C11 + C00 * L11 - 2 * C01 * M01
+            t0, t1 = K00 + K11, L00 + L11
+            b0, b1 = boundary[b, 0, v], boundary[b, 1, v]
+            a0, a1 = a_t * t0 + a_D * D0 - a * b0, a_t * t1 + a_D * D1 - a * b1
+            g0, g1 = g_t * t0 + g_D * D0 - g * b0, g_t * t1 + g_D * D1 - g * b1
+            for c in range(3):
+                F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)
+                F1 = d[2 * c + 1, v] + (prestretch if c == 1 else 0.0)
+                H00, H11, H01 = d[6 + 3 * c, v], d[7 + 3 * c, v], d[8 + 3 * c, v]
+                # columns of F adj(C), and its divergence
+                G0, G1 = F0 * C11 - F1 * C01, F1 * C00 - F0 * C01
+                spread = H00 * C11 + H11 * C00 - 2 * H01 * C01 + F0 * (K11 - M01) + F1 * (L00 - L01)
+                flux[i, c] = a * (H00 + H11) + F0 * a0 + F1 * a1 + g * spread + G0 * g0 + G1 * g1
+            _normal(b, v, d, prestretch, cofactor)
+
+    return answer
+
+
+@njit(cache=True, forceinline=True)
+def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
+    """Deformed normal times the ratio of areas, where `surface_force` looks for it."""
+    F00, F01, F10 = prestretch + d[0, v], d[1, v], d[2, v]
+    F11, F20, F21 = prestretch + d[3, v], d[4, v], d[5, v]
+    cofactor[b, 2, v] = F10 * F21 - F20 * F11
+    cofactor[b, 5, v] = F20 * F01 - F00 * F21
+    cofactor[b, 8, v] = F00 * F11 - F10 * F01
+
+
+@cache
+def sheet(energy_of: Any, first_of: Any, second_of: Any, relaxed: bool, strong: bool) -> Formulation:
+    """Compile the passes of a membrane for a law given by its energy and derivative functions.
+
+    Parameters
+    ----------
+    energy_of, first_of, second_of : functions
+        As `palpate.tissue.materials.Material` has them.
+    relaxed : bool
+        Whether wrinkled and slack states carry no compression.
+    strong : bool
+        The strong form instead of the energy form.
+    """
+    digest = law_digest("sheet", energy_of, first_of, second_of, relaxed, strong)
+    moduli, slopes = _make_moduli(digest, energy_of, first_of, second_of, relaxed)
+    answer = _make_strong_answer(digest, moduli, slopes) if strong else _make_energy_answer(digest, moduli)
+
+    @law_njit(digest, parallel=True, fastmath={"contract"})
+    def each(  # type: ignore[no-untyped-def]
+        u, lanes, first, second, boundary, radius, coefficients, prestretch, fields, derivatives, cofactor, flux, energy
+    ):  # fmt: skip
+        for b in prange(lanes.nodes.shape[0]):
+            out = derivatives[get_thread_id()]
+            _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
+            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, cofactor, flux, energy)
+
+    @law_njit(digest)
+    def respond(u, body, work):  # type: ignore[no-untyped-def]
+        each(u, body.lanes, body.first, body.second, body.boundary, body.radius, body.coefficients, body.prestretch,
+             work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
+
+    @law_njit(digest, parallel=True, fastmath={"contract"})
+    def each_column(  # type: ignore[no-untyped-def]
+        columns, table, lanes, boundary, radius, coefficients, prestretch, derivatives, cofactor, flux, energy
+    ):  # fmt: skip
+        for b in prange(table.shape[0]):
+            out = derivatives[get_thread_id()]
+            combine(b, columns, table, out)
+            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, cofactor, flux, energy)
+
+    @law_njit(digest)
+    def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
+        each_column(columns, table, body.lanes, body.boundary, body.radius, body.coefficients, body.prestretch,
+                    work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
+
+    @law_njit(digest)
+    def finish(body, work, force):  # type: ignore[no-untyped-def]
+        if strong:
+            _copy_force(work.flux, force)
+        else:
+            _gather(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
+
+    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish)

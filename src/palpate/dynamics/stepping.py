@@ -47,17 +47,28 @@ def surface_force(places, schedule, s, volumes, slot, cofactor, surface):  # typ
                 surface[i, c] -= schedule.pressure[s, g] * area / volumes[i]
 
 
+@njit(cache=True, forceinline=True)
+def _kick_node(i, force, surface, gravity, half_cell, volumes, density, kick, velocity):  # type: ignore[no-untyped-def]
+    work = 0.0
+    for c in range(3):
+        before = velocity[i, c]
+        after = before + kick * ((force[i, c] + half_cell * surface[i, c]) / density + gravity[c])
+        work += volumes[i] * (surface[i, c] + density * gravity[c]) * 0.5 * (before + after)
+        velocity[i, c] = after
+    return work
+
+
 @njit(cache=True)
-def _kick(kind, force, surface, gravity, half_cell, volumes, density, kick, velocity):  # type: ignore[no-untyped-def]
+def _kick(places, holds, force, surface, gravity, half_cell, volumes, density, kick, velocity):  # type: ignore[no-untyped-def]
     """Accelerate the free nodes over the time `kick`; return the work [J] of tractions and gravity on them."""
     work = 0.0
-    for i in range(kind.shape[0]):
-        if kind[i] == FREE:
-            for c in range(3):
-                before = velocity[i, c]
-                after = before + kick * ((force[i, c] + half_cell * surface[i, c]) / density + gravity[c])
-                work += volumes[i] * (surface[i, c] + density * gravity[c]) * 0.5 * (before + after)
-                velocity[i, c] = after
+    for i in range(places.kind.shape[0]):
+        if places.kind[i] == FREE:
+            work += _kick_node(i, force, surface, gravity, half_cell, volumes, density, kick, velocity)
+    for k in range(places.driven.shape[0]):
+        if not holds[k]:
+            i = places.driven[k]
+            work += _kick_node(i, force, surface, gravity, half_cell, volumes, density, kick, velocity)
     return work * kick
 
 
@@ -77,13 +88,15 @@ def _viscous_work(force, previous, volumes, velocity):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def _drive(places, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity):  # type: ignore[no-untyped-def]
+def _drive(places, holds, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity):  # type: ignore[no-untyped-def]
     """Give the driven nodes the velocity that brings them to their target after `step`; return the tools' work [J].
 
     A tool's force is what the node's acceleration needs beyond the other forces on it.
     """
     work = 0.0
     for k in range(places.driven.shape[0]):
+        if not holds[k]:
+            continue
         i = places.driven[k]
         for c in range(3):
             before, after = velocity[i, c], (target[k, c] - u[i, c]) / step
@@ -138,21 +151,22 @@ def full_step(formulation: Formulation) -> Any:
                 lost += beta * change
             surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
             kick = 0.5 * step if s in (0, steps) else step
-            gravity = schedule.gravity[s]
-            total += _kick(places.kind, force, surface, gravity, half_cell, volumes, density, kick, velocity)
+            gravity, target = schedule.gravity[s], schedule.motion[min(s + 1, steps)]
+            holds = schedule.holds[min(s + 1, steps)]
+            total += _kick(places, holds, force, surface, gravity, half_cell, volumes, density, kick, velocity)
             if s == steps:
                 break
-            target = schedule.motion[s + 1]
             tools += _drive(
-                places, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity
+                places, holds, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity
             )  # fmt: skip
             for i in range(u.shape[0]):
                 if places.kind[i] != FIXED:
                     for c in range(3):
                         u[i, c] += step * velocity[i, c]
             for k in range(places.driven.shape[0]):
-                for c in range(3):
-                    u[places.driven[k], c] = schedule.motion[s + 1, k, c]
+                if holds[k]:
+                    for c in range(3):
+                        u[places.driven[k], c] = target[k, c]
         return total, lost, tools
 
     return advance

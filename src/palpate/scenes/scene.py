@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from palpate.dynamics.full import FullModel
+from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.loads import Load
 
 __all__ = ["Scene"]
@@ -17,7 +17,7 @@ class Scene:
 
     Parameters
     ----------
-    model : FullModel
+    model : NodalModel
     loads : tuple of loads
     duration, every : float [s]
         Length of the run, and time between snapshots.
@@ -26,7 +26,7 @@ class Scene:
         What the scene was made with, in SI units.
     """
 
-    model: FullModel
+    model: NodalModel
     loads: tuple[Load, ...]
     duration: float
     every: float

@@ -42,7 +42,7 @@ class Material(ABC):
     density : float [kg/m^3]
         Of the reference state.
     poisson : float, optional
-        Poisson's ratio at rest, 0 to 0.499. Give this or `bulk`.
+        Poisson's ratio at rest, 0 to 0.499, or 0.5 for the incompressible material of a membrane. Give this or `bulk`.
     bulk : float, optional [Pa]
         Bulk modulus at rest.
 
@@ -62,7 +62,9 @@ class Material(ABC):
         mu = self.shear_modulus
         if (self.poisson is None) == (self.bulk is None):
             raise InputError("give either poisson or bulk, to say how compressible the material is")
-        if self.poisson is not None:
+        if self.incompressible:
+            object.__setattr__(self, "bulk", np.inf)
+        elif self.poisson is not None:
             number_in_range("poisson", self.poisson, 0.0, MOST_POISSON)
             object.__setattr__(self, "bulk", 2 * mu * (1 + self.poisson) / (3 * (1 - 2 * self.poisson)))
         else:
@@ -83,6 +85,11 @@ class Material(ABC):
     @abstractmethod
     def shear_bulk_modulus(self) -> float:
         """The shear part's own share of the bulk modulus at rest [Pa]."""
+
+    @property
+    def incompressible(self) -> bool:
+        """Whether Poisson's ratio is 0.5: the pressure is not the law's to tell then."""
+        return self.poisson == 0.5
 
     @property
     def bulk_modulus(self) -> float:
@@ -118,17 +125,23 @@ class Material(ABC):
 
     def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the whole energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""
+        self._refuse_incompressible()
         I1, I2, J = _invariants(F)
         J = np.where(J > 0, J, np.nan)  # a body turned inside out has no energy
         return np.asarray(self.energy(I1, I2, J, self.coefficients) + self.lame / 2 * (J - 1) ** 2)
 
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the first Piola-Kirchhoff stress dW/dF [Pa], (..., 3, 3): the transpose of (21)."""
+        self._refuse_incompressible()
         I1, I2, J = (i[..., None, None] for i in _invariants(F))
         W1, W2, WJ = self.first(I1, I2, J, self.coefficients)
         C = np.swapaxes(F, -1, -2) @ F
         cofactor = J * np.swapaxes(np.linalg.inv(F), -1, -2)
         return np.asarray(2 * W1 * F + 2 * W2 * (I1 * F - F @ C) + (WJ + self.lame * (J - 1)) * cofactor)
+
+    def _refuse_incompressible(self) -> None:
+        if self.incompressible:
+            raise InputError("an incompressible material (poisson = 0.5) has no stress of F alone; a Membrane has")
 
 
 def _invariants(F: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

@@ -1,0 +1,233 @@
+"""A hyperelastic membrane: three displacements of every node of a plane sheet, without bending stiffness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.lanes import Lanes, Weights, lane_table
+from palpate.dynamics.loads import Drive, Load, Traction, drive
+from palpate.dynamics.model import State
+from palpate.dynamics.nodal import NodalModel
+from palpate.dynamics.sheet import RADIUS, SheetBody, sheet, sheet_work
+from palpate.dynamics.stability import StabilityReport, stable_step
+from palpate.faults import InputError, number_in_range
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.consistent import consistent_gradient
+from palpate.meshfree.stencils import Stencils, moving_least_squares
+from palpate.tissue.materials import Material
+
+__all__ = ["Membrane"]
+
+Floats = NDArray[np.float64]
+
+TAUT = 1e-3  # extension at which the whole sheet answers, to find its highest frequency
+DAMPING = {"energy": 0.1, "strong": 0.5}  # default viscosity times the highest frequency
+
+
+class Membrane(NodalModel):
+    """An incompressible membrane in plane stress.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        In the plane (d = 2), as mounted. Displacements have three components; the sheet lies in z = 0.
+    material : Material
+        With ``poisson=0.5``.
+    thickness : float [m]
+        Of the unstressed sheet.
+    fixed : str or sequence of str
+        Groups that are held; none leaves the sheet free.
+    prestretch : float
+        How many times longer the mounted sheet is than unstressed, in both directions; at least 1.
+    relaxed : bool
+        Whether the sheet wrinkles instead of carrying compression (tension-field theory).
+    form : str
+        ``"energy"``: nodal forces are the derivative of a nodally summed energy, stable in every state of tension.
+        ``"strong"``: the equations of motion are collocated; a slack or wrinkling sheet is not stable then.
+    viscosity : float, optional [s]
+        Stiffness-proportional viscosity beta of C = beta K in (29). By default 0.1 over the highest frequency, so that
+        waves as short as the spacing lose a tenth of their amplitude in a third of a period; 0.5 over it in the
+        strong form.
+    neighbours : int
+        Wished number of points in a stencil.
+
+    Raises
+    ------
+    InputError
+        A cloud in space, a compressible material, an unknown group or a parameter out of range.
+    CloudError
+        The cloud cannot carry the stencils.
+    """
+
+    name = "full"
+
+    def __init__(
+        self,
+        cloud: Cloud,
+        material: Material,
+        thickness: float,
+        fixed: str | Sequence[str] = (),
+        *,
+        prestretch: float = 1.0,
+        relaxed: bool = True,
+        form: str = "energy",
+        viscosity: float | None = None,
+        neighbours: int = 18,
+    ) -> None:
+        if cloud.points.shape[1] != 2:
+            raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
+        if not material.incompressible:
+            raise InputError(f"a membrane is incompressible: give its material poisson=0.5, not {material.poisson:g}")
+        if form not in DAMPING:
+            raise InputError(f"form = {form!r}: allowed are 'energy' and 'strong'")
+        self.cloud, self.material = cloud, material
+        self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
+        self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
+        self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
+        self.relaxed, self.form, self.conservative = bool(relaxed), form, form == "energy"
+        # the mounted boundary vectors are those of the half cell, c = 2, which the energy form has by itself
+        self.half_cell = 1.0
+        self.viscosity = 0.0
+        self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=neighbours)
+        self._areas = cloud.volumes / self.prestretch**2
+        law = type(material)
+        body, longest = self._body()
+        self._compile(
+            sheet(law.energy, law.first, law.second, self.relaxed, form == "strong"),
+            body,
+            sheet_work(len(cloud), len(body.lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS),
+            body.lanes,
+        )
+        self._taut = self.highest_frequency(TAUT * self._flat(cloud.points), self.held)
+        wanted = DAMPING[form] / self._taut if viscosity is None else viscosity
+        self.viscosity = number_in_range("viscosity", wanted, 0.0, unit="s")
+        self.stability = StabilityReport(
+            "the taut sheet", None, np.nan, self.viscosity, self._taut, stable_step(self._taut, self.viscosity)
+        )
+
+    def _body(self) -> tuple[SheetBody, int]:
+        """Lay out the stencils; return them with the longest list of neighbours that a pass holds."""
+        cloud, stencils = self.cloud, self.stencils
+        row, first, second = stencils.row, stencils.first, stencils.second
+        own = np.zeros((len(cloud), 5))
+        transposed, back = Lanes.none(), Weights.none()
+        if self.form == "energy":
+            edges = cloud.boundary_vectors() * cloud.volumes[:, None] / self.prestretch
+            first = consistent_gradient(stencils, cloud.points / self.prestretch, self._areas, edges)
+            row, second = np.arange(len(cloud)), second[row]
+            both = np.concatenate([first, second], axis=2)
+            own = -both.sum(axis=1)
+            near, weights = _transposed(stencils.neighbours, both, self._areas)
+            transposed, (back,) = lane_table(near, row, weights)
+        lanes, (first_weights, second_weights) = lane_table(stencils.neighbours, row, first, second)
+        body = SheetBody(
+            lanes, first_weights, second_weights, transposed, back, own,
+            np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
+            RADIUS * np.sqrt(self._areas), self.material.coefficients, self.prestretch,
+        )  # fmt: skip
+        return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(transposed.start).max(initial=0)))
+
+    @staticmethod
+    def _flat(points: Floats) -> Floats:
+        """Plane points as displacements or places in space, shape (n, 3)."""
+        return np.column_stack([points, np.zeros(len(points))])
+
+    @property
+    def volumes(self) -> Floats:
+        return self._areas * self.thickness
+
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        """Return F = dx/dX of the unstressed sheet at every node, shape (n, 3, 2)."""
+        return self.stencils.gradient(displacements) + self.prestretch * np.eye(3, 2)
+
+    def strain_energy(self, displacements: Floats) -> float:
+        self.force(displacements)
+        return float(np.sum(self.volumes * self.work.energy))
+
+    def stress(self, displacements: Floats) -> Floats:
+        """Return the first Piola-Kirchhoff stress [Pa] at every node, shape (n, 3, 2); zero where slack."""
+        F = self.deformation_gradient(displacements)
+        stretches, directions = _principal(F)
+        tensions = self._nominal(stretches)
+        scaled = np.divide(tensions, stretches, out=np.zeros_like(tensions), where=stretches > 0)
+        return np.asarray(F @ np.einsum("nla,na,nma->nlm", directions, scaled, directions))
+
+    def principal_stretches(self, displacements: Floats) -> Floats:
+        """Return the principal stretches of the sheet at every node, the larger first, shape (n, 2)."""
+        return _principal(self.deformation_gradient(displacements))[0]
+
+    def principal_stress(self, displacements: Floats) -> Floats:
+        """Return the principal Cauchy stresses [Pa] at every node, shape (n, 2), along the principal stretches."""
+        stretches = self.principal_stretches(displacements)
+        stress = self._nominal(stretches) * stretches
+        return stress
+
+    def tension(self, displacements: Floats) -> NDArray[np.int8]:
+        """Return what every node's surroundings are, shape (n,): 0 slack, 1 wrinkled, 2 taut."""
+        stretches = self.principal_stretches(displacements)
+        taut = stretches[:, 1] >= np.maximum(stretches[:, 0], 1.0) ** -0.5
+        return np.where(taut, 2, np.where(stretches[:, 0] > 1.0, 1, 0)).astype(np.int8)
+
+    def wrinkled_area(self, displacements: Floats) -> float:
+        """Return the area [m^2] of the mounted sheet that is wrinkled: taut in one direction only."""
+        return float(self.cloud.volumes[self.tension(displacements) == 1].sum())
+
+    def _nominal(self, stretches: Floats) -> Floats:
+        """Principal nominal stresses [Pa], (n, 2), of principal stretches."""
+        l1, l2 = stretches.T
+        if self.relaxed:
+            l1 = np.maximum(l1, 1.0)
+            l2 = np.maximum(l2, l1**-0.5)
+        t, D = l1**2 + l2**2, (l1 * l2) ** 2
+        I1, I2 = t + 1 / D, D + t / D
+        W1, W2, _ = self.material.first(I1, I2, np.ones_like(I1), self.material.coefficients)
+        nominal = [2 * (W1 * (a - 1 / (a * D)) + W2 * (a * b**2 + (a - t / a) / D)) for a, b in ((l1, l2), (l2, l1))]
+        return np.stack(nominal, axis=1)
+
+    def drive(self, loads: Sequence[Load]) -> Drive:
+        return drive(self.cloud, self.fixed, loads, self._load_areas)
+
+    def _load_areas(self, load: Traction) -> Floats:
+        """Area vectors of a load: a pressure acts on the face, a force on an edge, or spread over the sheet."""
+        nodes = self.cloud.group(load.group)
+        face = self._areas[nodes, None] * [0.0, 0.0, 1.0]
+        if load.pressure is not None:
+            return face
+        try:
+            return self.cloud.area_vectors(load.group)
+        except InputError:
+            return face
+
+    def stable_step(self, state: State, drive: Drive) -> float:
+        # a slack place has no frequency until it is taut, sooner than the next estimate
+        frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
+        return stable_step(max(frequency, self._taut), self.viscosity)
+
+
+def _principal(F: Floats) -> tuple[Floats, Floats]:
+    """Principal stretches (n, 2), the larger first, and their directions in the sheet (n, 2, 2), last axis the pair."""
+    squares, directions = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)
+    return np.sqrt(np.maximum(squares[:, ::-1], 0.0)), directions[:, :, ::-1]
+
+
+def _transposed(neighbours: NDArray[np.int32], weights: Floats, areas: Floats) -> tuple[NDArray[np.int32], Floats]:
+    """For every node the nodes whose stencils hold it (n, t), padded with itself, and their weights on it (n, t, w).
+
+    The weights are those of a sum over nodes' areas, per area of the node.
+    """
+    n = len(neighbours)
+    node, place = np.nonzero(neighbours != np.arange(n)[:, None])
+    other = neighbours[node, place]
+    order = np.lexsort((node, other))
+    node, place, other = node[order], place[order], other[order]
+    count = np.bincount(other, minlength=n)
+    column = np.arange(len(other)) - np.repeat(np.cumsum(count) - count, count)
+    near = np.tile(np.arange(n, dtype=np.int32)[:, None], (1, count.max()))
+    near[other, column] = node
+    back = np.zeros((n, count.max(), weights.shape[2]))
+    back[other, column] = weights[node, place] * (areas[node] / areas[other])[:, None]
+    return near, back

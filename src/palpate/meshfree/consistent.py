@@ -1,0 +1,101 @@
+"""Derivatives that make a nodally summed energy exact for uniform stress.
+
+The energy of a uniformly stressed body is summed over nodes; its derivative by the displacement of node J is
+P sum over I of V_I g_IJ, g_IJ the weight of J in the gradient at I. Integration by parts says what it must be: nothing inside, and the
+node's share B_J of the boundary's area vector on it. Weights of moving least squares miss this on all but regular clouds, so that
+uniform stress would push the nodes about. Here they are changed as little as possible such that they do not miss it
+and still differentiate linear fields exactly: variationally consistent integration (Chen, Hillman and Rueter, Int. J.
+Numer. Methods Eng. 95, 2013), with one linear system for the whole cloud.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import cg
+
+from palpate.faults import CloudError
+from palpate.meshfree.stencils import Stencils
+
+__all__ = ["consistent_gradient"]
+
+Floats = NDArray[np.float64]
+
+TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
+MOST_CHANGE = 0.6  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form
+
+
+def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, boundary: Floats) -> Floats:
+    """Return first-derivative weights for every node, shape (n, k, d) [1/m], in the order of `stencils.neighbours`.
+
+    Parameters
+    ----------
+    stencils : Stencils
+        Of an interpolating fit; a node's own weight is minus the sum of the others.
+    points : (n, d) array [m]
+    volumes : (n,) array
+        Nodal volumes (areas, for d = 2).
+    boundary : (n, d) array
+        Nodal area vectors (normals times lengths, for d = 2), zero inside; changed as little as possible so that
+        they meet the divergence theorem for linear fields exactly.
+
+    Raises
+    ------
+    CloudError
+        The condition cannot be met, or only with weights that are far from those of the fit.
+    """
+    n, d = points.shape
+    near = stencils.neighbours
+    present = near != np.arange(n)[:, None]
+    node = np.repeat(np.arange(n), present.sum(axis=1))
+    other = near[present]
+    spacing = float(np.median(volumes) ** (1 / d))
+    offset = (points[other] - points[node]) / spacing
+    freedom = np.exp(-np.sum(offset**2, axis=1) / 4)  # near neighbours' weights change more than far ones'
+    weights = spacing * stencils.first[stencils.row][present]
+    size = volumes / np.median(volumes)
+    pair = np.arange(len(node))
+    divergence = sparse.csr_matrix(
+        (np.concatenate([size[node], -size[node]]), (np.concatenate([other, node]), np.tile(pair, 2))), (n, len(pair))
+    )
+    exactness = sparse.csr_matrix(
+        (offset.T.ravel(), ((d * node + np.arange(d)[:, None]).ravel(), np.tile(pair, d))), (n * d, len(pair))
+    )
+    scaled = divergence @ sparse.diags(freedom)
+    moments = np.zeros((n, d, d))
+    np.add.at(moments, node, freedom[:, None, None] * offset[:, :, None] * offset[:, None, :])
+    inverse = sparse.bsr_matrix((np.linalg.inv(moments), np.arange(n), np.arange(n + 1))).tocsr()
+    coupling = scaled @ exactness.T
+    system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
+    wanted = _balanced(boundary, points, volumes) * spacing / np.median(volumes)
+    for a in range(d):
+        missing = wanted[:, a] - divergence @ weights[:, a]
+        multiplier, _ = cg(system, missing, rtol=0.0, atol=0.1 * TOLERANCE, maxiter=20 * n)
+        change = divergence.T @ multiplier - exactness.T @ (inverse @ (coupling.T @ multiplier))
+        weights[:, a] += freedom * change
+        left = np.abs(wanted[:, a] - divergence @ weights[:, a])
+        changed = np.abs(freedom * change)
+        if left.max() > TOLERANCE or changed.max() > MOST_CHANGE:
+            worst = int(np.argmax(left)) if left.max() > TOLERANCE else int(node[np.argmax(changed)])
+            raise CloudError(
+                f"the cloud is too irregular for consistent derivatives near node {worst} at {points[worst]} m "
+                f"(weights change by {changed.max():.2g} / h, {left.max():.1g} is left): spread the points there"
+            )
+    result = np.zeros((*near.shape, d))
+    result[present] = weights / spacing
+    return result
+
+
+def _balanced(boundary: Floats, points: Floats, volumes: Floats) -> Floats:
+    """Boundary vectors with sum of B = 0 and sum of B_a X_b = V delta_ab, by the least change at the boundary nodes."""
+    on = np.any(boundary != 0, axis=1)
+    d = points.shape[1]
+    linear = np.column_stack([np.ones(on.sum()), points[on] - points.mean(axis=0)])
+    length = np.linalg.norm(boundary[on], axis=1)[:, None]
+    target = np.vstack([np.zeros(d), volumes.sum() * np.eye(d)])
+    missing = target - linear.T @ boundary[on]
+    change = length * linear @ np.linalg.solve(linear.T @ (length * linear), missing)
+    result = boundary.copy()
+    result[on] += change
+    return result

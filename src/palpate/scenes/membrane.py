@@ -1,0 +1,77 @@
+"""A circular membrane pushed at its centre (section 6.2, Figures 6 to 9)."""
+
+from __future__ import annotations
+
+from palpate.dynamics.loads import PrescribedMotion
+from palpate.dynamics.membrane import Membrane
+from palpate.faults import InputError, number_in_range
+from palpate.meshfree.sheets import disc
+from palpate.scenes.scene import Scene
+from palpate.tissue.materials import NeoHookean
+
+__all__ = ["AFTER", "DURATION", "EVERY", "RADIUS", "membrane", "tool_tip"]
+
+RADIUS, THICKNESS = 0.1, 1e-5  # [m]
+SPEED, PUSHED = 0.1, 0.1  # [m/s], [s]
+DURATION, EVERY = 0.2, 0.001  # [s]
+FINEST = 0.0005  # [m] 145,000 nodes
+AFTER = ("return", "hold", "release")
+
+
+def tool_tip(time: float, after: str = "return") -> float:
+    """Return the displacement [m] of the tool tip in equation (35) at a time [s].
+
+    It rises at 0.1 m/s for 0.1 s. At that time it still is 10 mm, and after it back at 0, or held.
+    """
+    if time <= PUSHED * (1 + 1e-9):
+        return SPEED * max(time, 0.0)
+    return 0.0 if after == "return" else SPEED * PUSHED
+
+
+def membrane(
+    spacing: float = 0.005,
+    after: str = "return",
+    tool_radius: float = 0.0,
+    prestretch: float = 1.0,
+    layout: str = "rings",
+    jitter: float = 0.0,
+    seed: int = 0,
+    relaxed: bool = True,
+    form: str = "energy",
+) -> Scene:
+    """Return the paper's membrane: a disc of radius 100 mm and 0.01 mm thick, its rim held, its centre pushed by a tool.
+
+    Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot is kept every
+    millisecond for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or lets go.
+
+    Parameters
+    ----------
+    spacing : float [m]
+        Distance between nodes, from 0.5 mm.
+    after : str
+        What the tool does after 0.1 s: ``"return"`` to 0 at once, as (35) prints, ``"hold"`` or ``"release"``.
+    tool_radius : float [m]
+        All nodes within it follow the tool; 0 is the paper's point: the node at the centre.
+    prestretch : float
+        As for `palpate.Membrane`.
+    layout, jitter, seed
+        As for `palpate.disc`.
+    relaxed, form
+        As for `palpate.Membrane`.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, by its name.
+    """
+    spacing = number_in_range("spacing", spacing, FINEST, unit="m")
+    tool_radius = number_in_range("tool_radius", tool_radius, 0.0, 0.8 * RADIUS, unit="m")
+    if after not in AFTER:
+        raise InputError(f"after = {after!r}: allowed are {', '.join(map(repr, AFTER))}")
+    cloud = disc(RADIUS, spacing, layout, jitter, seed).within("tool", (0.0, 0.0), tool_radius)
+    material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
+    model = Membrane(cloud, material, THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed, form=form)
+    until = PUSHED if after == "release" else float("inf")
+    tool = PrescribedMotion("tool", lambda points, time: (0.0, 0.0, tool_tip(time, after)), until)
+    parameters = {"spacing": spacing, "tool_radius": tool_radius, "prestretch": float(prestretch)}
+    return Scene(model, (tool,), DURATION, EVERY, f"Membrane under a tool tip, then {after}", parameters)
