@@ -27,7 +27,7 @@ def _project(test, force, result):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _tractions(places, surface, modes, test, volumes, half_cell, velocity, result, power):  # type: ignore[no-untyped-def]
+def _tractions(places, surface, modes, test, volumes, half_cell, result, power):  # type: ignore[no-untyped-def]
     """Add the tractions to the projected force, and the power of their parts on each coordinate to `power`."""
     for nodes in (places.force_node, places.pressure_node):
         for k in range(nodes.shape[0]):
@@ -62,23 +62,25 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
         a,
         velocity,
         lifting,
+        holds,
         step,
         beta,
         table,
         modes,
         test,
-        test_lifting,
+        mass,
         body,
         work,
         places,
         schedule,
         gravity_test,
         gravity_work,
-        slowing,
+        held_response,
+        free_response,
         volumes,
         density,
-        slot,
         half_cell,
+        slot,
         force,
         surface,
         columns,
@@ -87,45 +89,53 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
         rates,
         power,
     ):
-        total, lost, m_count, steps = 0.0, 0.0, a.shape[0], lifting.shape[0] - 3
+        total, lost, tools, steps = 0.0, 0.0, 0.0, lifting.shape[0] - 3
+        count, first = a.shape[0], a.shape[0] - lifting.shape[1]
         for s in range(steps + 1):
             # lifting has one time before the first and one after the last
-            for m in range(m_count):
+            if holds[s]:
+                for j in range(first, count):
+                    a[j] = lifting[s + 1, j - first]
+                    velocity[j] = (lifting[s + 1, j - first] - lifting[s, j - first]) / step
+            for m in range(count):
                 columns[m] = a[m] + beta * velocity[m]
-            for j in range(lifting.shape[1]):
-                rate = (lifting[s + 1, j] - lifting[s, j]) / step
-                columns[m_count + j] = lifting[s + 1, j] + beta * rate
             projected_force(columns, table, test, body, work, force, result)
-            for m in range(m_count):
+            for m in range(count):
                 if s > 0:
                     lost += beta * velocity[m] * (previous[m] - result[m])
                 previous[m] = result[m]
             surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
             power[:] = 0.0
-            _tractions(places, surface, modes, test, volumes, half_cell, velocity, result, power)
+            _tractions(places, surface, modes, test, volumes, half_cell, result, power)
             kick = 0.5 * step if s in (0, steps) else step
-            for m in range(m_count):
+            held = holds[min(s + 1, steps)]
+            moving = first if held else count  # coordinates that obey the equations of motion
+            for m in range(count):
                 rates[m] = result[m] / density
                 for c in range(3):
                     rates[m] += gravity_test[m, c] * schedule.gravity[s, c]
                     power[m] += gravity_work[m, c] * schedule.gravity[s, c]
-                for j in range(lifting.shape[1]):
-                    bend = (lifting[s + 2, j] - 2 * lifting[s + 1, j] + lifting[s, j]) / step**2
-                    rates[m] -= test_lifting[m, j] * bend
-            for m in range(m_count):
+                if held:
+                    for j in range(first, count):
+                        bend = lifting[s + 2, j - first] - 2 * lifting[s + 1, j - first] + lifting[s, j - first]
+                        rates[m] -= mass[m, j] * bend / step**2
+            response = held_response if held else free_response
+            for m in range(moving):
                 rate = 0.0
-                for k in range(m_count):
-                    rate += slowing[m, k] * rates[k]
+                for k in range(moving):
+                    rate += response[m, k] * rates[k]
                 before = velocity[m]
                 velocity[m] = before + kick * rate
                 total += kick * power[m] * 0.5 * (before + velocity[m])
-            for j in range(lifting.shape[1]):
-                for c in range(3):
-                    power[m_count + j] += gravity_work[m_count + j, c] * schedule.gravity[s, c]
-                total += kick * power[m_count + j] * (lifting[s + 2, j] - lifting[s, j]) / (2 * step)
+                for j in range(moving, count):
+                    rates[j] -= mass[j, m] * rate
+            for j in range(moving, count):
+                speed = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
+                total += kick * power[j] * speed
+                tools -= kick * density * rates[j] * speed
             if s < steps:
-                for m in range(m_count):
+                for m in range(moving):
                     a[m] += step * velocity[m]
-        return total, lost
+        return total, lost, tools
 
     return projected_force, advance

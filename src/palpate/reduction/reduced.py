@@ -57,24 +57,24 @@ class ReducedModel(Model):
         n, count = len(full.cloud), len(basis)
         self.lifting = np.zeros((0, n, 3)) if lifting is None else np.asarray(lifting, dtype=float)
         self.columns = np.ascontiguousarray(np.concatenate([basis.modes, self.lifting]))
-        # test functions: acceleration = test . force / density. The modes are orthonormal, so the mass matrix is 1
-        self.test = np.ascontiguousarray((basis.modes * basis.weights[:, None]).reshape(count, -1))
-        self._test_lifting = self.test @ self.lifting.reshape(len(self.lifting), 3 * n).T
-        self._gravity_test = self.test.reshape(count, n, 3).sum(axis=1)
+        # test functions: mass @ acceleration = test . force / density; the modes' own part of the mass is 1
+        self.test = np.ascontiguousarray((self.columns * basis.weights[:, None]).reshape(len(self.columns), -1))
+        self.mass = self.test @ self.columns.reshape(len(self.columns), -1).T
+        self.mass[:count, :count] = np.eye(count)
+        self._gravity_test = self.test.reshape(len(self.columns), n, 3).sum(axis=1)
         self._gravity_work = np.einsum("n,mnc->mc", full.masses, self.columns)
         blocks, lanes = full.body.lanes.nodes.shape
         self._table = np.zeros((blocks, len(self.columns), full.formulation.numbers, lanes))
         full.formulation.differentiate(self.columns, full.body, full.work, self._table)
         self._projected_force, self._advance = reduced_step(full.formulation)
         self._force, self._surface = np.zeros((n, 3)), np.zeros((n, 3))
-        self._result, self._previous, self._rates = (np.zeros(count) for _ in range(3))
-        self._columns, self._power = np.zeros(len(self.columns)), np.zeros(len(self.columns))
+        self._columns, self._result, self._previous, self._rates, self._power = np.zeros((5, len(self.columns)))
         self._tangent_at: Floats | None = None
-        self._tangent, self._reach = np.zeros((count, count)), 0.0
+        self._tangent, self._reach = np.zeros_like(self.mass), 0.0
         self.implicit = implicit
 
     def force(self, coordinates: Floats) -> Floats:
-        """Return Q^T f / rho [m^1/2 / s^2], shape (M,), for coordinates of modes and lifting columns, (M + l,)."""
+        """Return the columns' Q^T f / rho for coordinates of modes and lifting columns, both of shape (M + l,)."""
         self._projected_force(
             np.ascontiguousarray(coordinates), self._table, self.test, self.full.body, self.full.work, self._force,
             self._result,
@@ -88,7 +88,14 @@ class ReducedModel(Model):
                 "this reduced model was trained without a prescribed motion; train it with one on "
                 + ", ".join(repr(m.group) for m, _ in drive.motions)
             )
+        if len({m.until for m, _ in drive.motions}) > 1:
+            raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
         return drive
+
+    @staticmethod
+    def _holds(drive: Drive, times: Floats) -> NDArray[np.bool_]:
+        """Whether the tools hold the body at some times, shape (t,)."""
+        return drive.motions[0][0].holds(times) if drive.motions else np.ones(len(times), dtype=np.bool_)
 
     def _lifted(self, drive: Drive, times: Floats) -> Floats:
         """Coordinates (t, l) of the lifting columns at some times."""
@@ -109,85 +116,92 @@ class ReducedModel(Model):
 
     def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
         self._tangent_at, self._reach = None, 0.0
-        nodal = self.full.state(drive, displacement, velocity)
-        lifted = np.tensordot(self._lifted(drive, np.zeros(1))[0], self.lifting, 1)
-        return State(self.basis.project(nodal.coordinates - lifted), self.basis.project(nodal.velocities))
+        nodal, start = self.full.state(drive, displacement, velocity), np.zeros(1)
+        lifted = self._lifted(drive, start)[0]
+        rates = drive.rates(lambda times: self._lifted(drive, times), 0.0)[0]
+        rest = nodal.coordinates - np.tensordot(lifted, self.lifting, 1)
+        return State(
+            np.concatenate([self.basis.project(rest), lifted]),
+            np.concatenate([self.basis.project(nodal.velocities - np.tensordot(rates, self.lifting, 1)), rates]),
+        )
 
     def stable_step(self, state: State, drive: Drive) -> float:
         if self.implicit:
             return np.inf
-        self._follow(state, drive)
-        return stable_step(float(np.sqrt(np.abs(np.linalg.eigvals(self._tangent)).max())), self.viscosity)
+        self._follow(state)
+        moving = slice(len(self.basis) if self._holds(drive, np.array([state.time]))[0] else None)
+        tangent = np.linalg.solve(self.mass[moving, moving], self._tangent[moving, moving])
+        return stable_step(float(np.sqrt(np.abs(np.linalg.eigvals(tangent)).max())), self.viscosity)
 
-    def _follow(self, state: State, drive: Drive) -> None:
+    def _follow(self, state: State) -> None:
         """Take the tangent anew when the state has moved far enough from where it was taken."""
-        columns = np.concatenate([state.coordinates, self._lifted(drive, np.array([state.time]))[0]])
+        columns = state.coordinates
         self._reach = max(self._reach, float(np.abs(columns).max()))
         if self._tangent_at is None or np.abs(columns - self._tangent_at).max() > MOVED * self._reach:
-            self._tangent, self._tangent_at = self.stiffness(columns), columns
+            self._tangent, self._tangent_at = self.stiffness(columns), columns.copy()
 
-    def _slowing(self, state: State, drive: Drive, step: float) -> Floats:
-        """The matrix (1 + (dt^2 / 2 + beta dt) K)^-1 on the accelerations; the identity for the explicit step."""
-        if not self.implicit:
-            return np.eye(len(self.basis))
-        self._follow(state, drive)
-        g = step * (0.5 * step + self.viscosity)
-        return np.asarray(np.linalg.inv(np.eye(len(self.basis)) + g * self._tangent), dtype=float)
+    def _responses(self, state: State, step: float) -> tuple[Floats, Floats]:
+        """The matrices (mass + (dt^2 / 2 + beta dt) K)^-1 on the forces: of the modes alone, and of all columns."""
+        matrix, held = self.mass, slice(len(self.basis))
+        if self.implicit:
+            self._follow(state)
+            matrix = self.mass + step * (0.5 * step + self.viscosity) * self._tangent
+        return np.linalg.inv(matrix[held, held]), np.linalg.inv(matrix)
 
     def stiffness(self, columns: Floats) -> Floats:
-        """Return the tangent -d(acceleration)/da [1/s^2], shape (M, M), by differences."""
-        count = len(self.basis)
-        tangent, base = np.empty((count, count)), self.force(columns).copy()
-        for m in range(count):
+        """Return the tangent -d(force)/d(coordinates) [1/s^2], (M + l, M + l), by differences."""
+        tangent, base = np.empty_like(self.mass), self.force(columns).copy()
+        for m, column in enumerate(self.columns):
             # a displacement of about a millionth of the spacing
-            delta = 1e-6 * self.cloud.spacing / np.abs(self.basis.modes[m]).max()
+            delta = 1e-6 * self.cloud.spacing / np.abs(column).max()
             moved = columns.copy()
             moved[m] += delta
             tangent[:, m] = (base - self.force(moved)) / delta
         return tangent
 
     def spectrum(self, columns: Floats) -> NDArray[np.complex128]:
-        """Return the eigenvalues w^2 [1/s^2] of the reduced tangent."""
-        return np.linalg.eigvals(self.stiffness(columns)).astype(complex)
+        """Return the eigenvalues w^2 [1/s^2] of the modes' tangent, the tools held."""
+        count = len(self.basis)
+        return np.linalg.eigvals(self.stiffness(columns)[:count, :count]).astype(complex)
 
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
         full = self.full
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
-        lifting = self._lifted(drive, times)
         a, v = state.coordinates.copy(), state.velocities.copy()
         self._surface[:] = 0.0  # of another run's loads
-        before = tool_power(self, state, drive)
-        work, lost = self._advance(
-            a, v, lifting, step, self.viscosity, self._table, self.columns, self.test, self._test_lifting, full.body,
-            full.work, drive.places, drive.schedule(times[1:-1]), self._gravity_test, self._gravity_work,
-            self._slowing(state, drive, step), self.volumes, self.material.density, full.slot,
-            full.half_cell, self._force, self._surface,
+        before = 0.0 if self.conservative else tool_power(self, state, drive)
+        work, lost, tools = self._advance(
+            a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, self._table,
+            self.columns, self.test, self.mass, full.body, full.work, drive.places, drive.schedule(times[1:-1]),
+            self._gravity_test, self._gravity_work, *self._responses(state, step), self.volumes,
+            self.material.density, full.half_cell, full.slot, self._force, self._surface,
             self._columns, self._result, self._previous, self._rates, self._power,
         )  # fmt: skip
         new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated + lost)
-        # trapezium rule for the power of the tools
-        tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
+        if not self.conservative:  # trapezium rule for the power of the tools
+            tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
         return replace(new, external_work=new.external_work + tools)
 
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes, lifted only there."""
-        columns = np.concatenate([state.coordinates, self._lifted(drive, np.array([state.time]))[0]])
-        return np.tensordot(columns, self.columns[:, nodes], 1)
+        return np.tensordot(state.coordinates, self.columns[:, nodes], 1)
 
     def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
-        rates = drive.rates(lambda times: self._lifted(drive, times), state.time)[0]
-        return np.tensordot(np.concatenate([state.velocities, rates]), self.columns[:, nodes], 1)
+        return np.tensordot(state.velocities, self.columns[:, nodes], 1)
 
     def acceleration(self, state: State, drive: Drive) -> Floats:
-        rates, curvature = drive.rates(lambda times: self._lifted(drive, times), state.time)
-        lifted = self._lifted(drive, np.array([state.time]))[0] + self.viscosity * rates
-        inner = self.force(np.concatenate([state.coordinates + self.viscosity * state.velocities, lifted]))
-        schedule = drive.schedule(np.array([state.time]))
+        schedule, count = drive.schedule(np.array([state.time])), len(self.basis)
+        rates = self.force(state.coordinates + self.viscosity * state.velocities).copy()
         tractions = self.full.tractions(drive, schedule).reshape(-1)
-        inner = inner + self.full.half_cell * (self.test @ tractions) / self.material.density
-        inner += self._gravity_test @ schedule.gravity[0] - self._test_lifting @ curvature
-        return np.tensordot(np.concatenate([inner, curvature]), self.columns, 1)
+        rates += self.full.half_cell * (self.test @ tractions) / self.material.density
+        rates += self._gravity_test @ schedule.gravity[0]
+        if self._holds(drive, np.array([state.time]))[0]:
+            curvature = drive.rates(lambda times: self._lifted(drive, times), state.time)[1]
+            rates = np.concatenate([rates[:count] - self.mass[:count, count:] @ curvature, curvature])
+        else:
+            rates = np.linalg.solve(self.mass, rates)
+        return np.tensordot(rates, self.columns, 1)
 
     def external_force(self, state: State, drive: Drive) -> Floats:
         return self.full.external_force(State(self.displacement(state, drive), state.velocities, state.time), drive)
