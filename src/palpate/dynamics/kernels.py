@@ -36,6 +36,9 @@ class Formulation(NamedTuple):
         ``differentiate(modes, body, work, table)``: writes that table for columns (m, n, 3).
     finish : function
         ``finish(body, work, force)``: forces by node [N/m^3] from the responses.
+    project : function or None
+        ``project(table, body, work, volumes, partial, result)``: virtual work of the responses on the columns of the
+        table, by way of partial sums (b, m), where the forces are the derivative of an energy.
     """
 
     digest: str
@@ -44,6 +47,7 @@ class Formulation(NamedTuple):
     respond_to_columns: Any
     differentiate: Any
     finish: Any
+    project: Any = None
 
 
 @njit(cache=True, forceinline=True)

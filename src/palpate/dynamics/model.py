@@ -90,8 +90,10 @@ class Model(ABC):
     conservative: bool
 
     @abstractmethod
-    def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
-        """Return the state at time 0 with given nodal displacements and velocities (equations 7 and 8)."""
+    def state(
+        self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
+    ) -> State:
+        """Return the state at a time [s] with given nodal displacements and velocities (equations 7 and 8)."""
 
     @abstractmethod
     def drive(self, loads: Sequence[Load]) -> Drive:

@@ -71,7 +71,9 @@ class NodalModel(Model):
     def nodal_force(self, displacements: Floats) -> Floats:
         return self.force(displacements)
 
-    def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
+    def state(
+        self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
+    ) -> State:
         self.highest_frequency.restart()
         fields: list[Floats] = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
@@ -80,8 +82,10 @@ class NodalModel(Model):
                 raise InputError(f"initial {name} must be finite, of shape {(len(self.cloud), 3)}, not {array.shape}")
             array[self.held] = 0.0
             fields.append(array)
-        fields[0][drive.places.driven] = drive.schedule(np.zeros(1)).motion[0]
-        return State(fields[0], fields[1])
+        schedule = drive.schedule(np.array([time]))
+        holds = schedule.holds[0]
+        fields[0][drive.places.driven[holds]] = schedule.motion[0, holds]
+        return State(fields[0], fields[1], time)
 
     def stable_step(self, state: State, drive: Drive) -> float:
         frequency = self.highest_frequency(state.coordinates, drive.held(state.time))

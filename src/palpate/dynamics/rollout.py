@@ -31,13 +31,14 @@ def rollout(
     *,
     duration: float,
     every: float,
+    start: float = 0.0,
     displacement: Floats | None = None,
     velocity: Floats | None = None,
     step: float | None = None,
     file: str | Path | None = None,
     progress: bool = True,
 ) -> Trajectory:
-    """Run a model from time 0 and keep a snapshot at regular times.
+    """Run a model and keep a snapshot at regular times.
 
     Parameters
     ----------
@@ -46,6 +47,8 @@ def rollout(
     loads : sequence of loads
     duration, every : float [s]
         Length of the run, and time between snapshots; the first is the initial state.
+    start : float [s]
+        Time of the initial state.
     displacement, velocity : (n, 3) arrays, optional [m], [m/s]
         Initial state (equations 7 and 8); at rest by default.
     step : float, optional [s]
@@ -71,34 +74,34 @@ def rollout(
     if step is not None:
         number_in_range("step", step, 0.0, every, open_low=True, unit="s")
     drive = model.drive(loads)
-    state = model.state(drive, displacement, velocity)
+    state = model.state(drive, displacement, velocity, number_in_range("start", start, unit="s"))
     recorder = Recorder(None if file is None else Path(file), model.name, model.cloud.points, model.viscosity)
     frames = round(duration / every)
-    start, complete, steps = perf_counter(), False, 0
+    began, complete, steps = perf_counter(), False, 0
     try:
         with progress_bar(model.name, duration, progress) as shown:
-            recorder.add(0.0, 0, evaluate(model, state, drive))
+            recorder.add(start, 0, evaluate(model, state, drive))
             for frame in range(1, frames + 1):
-                state, taken, last = _advance_to(model, state, drive, frame * every, step, every / FEWEST)
+                state, taken, last = _advance_to(model, state, drive, start + frame * every, step, every / FEWEST)
                 steps += taken
                 outputs = evaluate(model, state, drive)
                 _check(model, state, drive, outputs, last)
                 recorder.add(state.time, steps, outputs)
-                shown(state.time, perf_counter() - start)
+                shown(state.time - start, perf_counter() - began)
         complete = True
     except DivergenceError as error:
-        error.trajectory = recorder.trajectory(perf_counter() - start, complete=False)
+        error.trajectory = recorder.trajectory(perf_counter() - began, complete=False)
         raise
     finally:
-        recorder.close(perf_counter() - start, complete)
-    return recorder.trajectory(perf_counter() - start, complete=True)
+        recorder.close(perf_counter() - began, complete)
+    return recorder.trajectory(perf_counter() - began, complete=True)
 
 
 def _advance_to(
     model: Model, state: State, drive: Drive, time: float, fixed_step: float | None, longest: float
 ) -> tuple[State, int, float]:
     taken, used = 0, longest
-    while time - state.time > 1e-12 * time:
+    while time - state.time > 1e-12 * abs(time):
         wished = min(model.stable_step(state, drive), longest) if fixed_step is None else fixed_step
         if not np.isfinite(wished) or (time - state.time) / wished > 1e9:
             raise _diverged(model, state, drive, "no step is stable", wished)

@@ -118,6 +118,35 @@ def _gather(lanes, back, own, fields, sums, flux, force):  # type: ignore[no-unt
                 force[i, c] = -value
 
 
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
+    """Minus the work [J] of the fluxes of every block on the derivatives of every column, (b, m)."""
+    for b in prange(table.shape[0]):
+        for m in range(table.shape[1]):
+            total = 0.0
+            for lane in range(LANES):
+                i = nodes[b, lane]
+                if lane > 0 and i == nodes[b, lane - 1]:
+                    break  # the last node of an unfilled block is repeated
+                work = 0.0
+                for c in range(3):
+                    work += flux[i, c] * table[b, m, 2 * c, lane] + flux[i, 3 + c] * table[b, m, 2 * c + 1, lane]
+                    for w in range(3):
+                        work += flux[i, 6 + 3 * w + c] * table[b, m, 6 + 3 * c + w, lane]
+                total -= volumes[i] * work
+            partial[b, m] = total
+
+
+@njit(cache=True)
+def _project(table, body, work, volumes, partial, result):  # type: ignore[no-untyped-def]
+    """Sum the virtual work over the blocks, in one order whatever the number of threads."""
+    _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
+    result[:] = 0.0
+    for b in range(partial.shape[0]):
+        for m in range(partial.shape[1]):
+            result[m] += partial[b, m]
+
+
 @njit(cache=True)
 def _copy_force(flux, force):  # type: ignore[no-untyped-def]
     for i in range(force.shape[0]):
@@ -336,4 +365,5 @@ def sheet(energy_of: Any, first_of: Any, second_of: Any, relaxed: bool, strong: 
         else:
             _gather(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
 
-    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish)
+    project = None if strong else _project
+    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, project)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.model import Outputs
-from palpate.faults import FileFormatError
+from palpate.faults import FileFormatError, InputError
 
 __all__ = ["Recorder", "Trajectory"]
 
@@ -39,7 +39,7 @@ class Trajectory:
         Energies; `external` is the work of loads and tools, `dissipated` what viscosity took.
     steps : (f,) array
         Time steps taken until then.
-    points : (n, 3) array [m]
+    points : (n, d) array [m]
         Reference positions.
     wall_seconds : float [s]
         Computing time of the run.
@@ -68,6 +68,30 @@ class Trajectory:
         """Kinetic + strain + dissipated - external energy since the start [J], (f,): what the balance misses."""
         total = self.kinetic + self.strain + self.dissipated - self.external
         return np.asarray(total - total[0])
+
+    def then(self, other: Trajectory) -> Trajectory:
+        """Return this run with another one that went on from its last frame.
+
+        Raises
+        ------
+        InputError
+            The other run does not start at this one's end, or is of another body.
+        """
+        if self.points.shape != other.points.shape or not np.isclose(self.times[-1], other.times[0], rtol=1e-9):
+            raise InputError(
+                f"a run that ends at {self.times[-1]:g} s cannot be followed by one that starts at "
+                f"{other.times[0]:g} s, nor by one of another body"
+            )
+        joined: dict[str, Any] = {}
+        for name in (*SERIES, "displacements", "velocities"):
+            first, second = getattr(self, name), getattr(other, name)
+            since = first[-1] - second[0] if name in ("external", "dissipated", "steps") else 0.0
+            joined[name] = np.concatenate([first, second[1:] + since])
+        joined["reactions"] = {
+            name: np.concatenate([force, other.reactions[name][1:]]) for name, force in self.reactions.items()
+        }
+        seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
+        return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
     def save(self, path: str | Path) -> None:
         """Write to an HDF5 file, whole or not at all."""
@@ -120,7 +144,7 @@ class Trajectory:
         shapes = dict.fromkeys(("displacements", "velocities"), (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
         arrays: dict[str, tuple[Any, tuple[int, ...]]] = {name: (data[name], shape) for name, shape in shapes.items()}
         arrays |= {f"reactions/{name}": (force, (frames, 3)) for name, force in data["reactions"].items()}
-        arrays["points"] = data["points"], (n, 3)
+        arrays["points"] = data["points"], (n, data["points"].shape[-1])
         for name, (array, shape) in arrays.items():
             if array.shape != shape or not np.isfinite(array).all():
                 raise FileFormatError(f"{path}: {name} is not finite or has shape {array.shape}, expected {shape}")

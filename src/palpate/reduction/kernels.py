@@ -50,12 +50,22 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
     projected_force, advance : functions
     """
     digest, respond, finish = formulation.digest, formulation.respond_to_columns, formulation.finish
+    project = formulation.project
 
-    @law_njit(digest)
-    def projected_force(columns, table, test, body, work, force, result):  # type: ignore[no-untyped-def]
-        respond(columns, table, body, work)
-        finish(body, work, force)
-        _project(test, force, result)
+    if project is None:
+
+        @law_njit(digest)
+        def projected_force(columns, table, test, body, work, volumes, partial, force, result):  # type: ignore[no-untyped-def]
+            respond(columns, table, body, work)
+            finish(body, work, force)
+            _project(test, force, result)
+
+    else:
+
+        @law_njit(digest)
+        def projected_force(columns, table, test, body, work, volumes, partial, force, result):  # type: ignore[no-untyped-def]
+            respond(columns, table, body, work)
+            project(table, body, work, volumes, partial, result)
 
     @law_njit(digest)
     def advance(  # type: ignore[no-untyped-def]
@@ -82,6 +92,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
         half_cell,
         slot,
         force,
+        partial,
         surface,
         columns,
         result,
@@ -99,7 +110,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
                     velocity[j] = (lifting[s + 1, j - first] - lifting[s, j - first]) / step
             for m in range(count):
                 columns[m] = a[m] + beta * velocity[m]
-            projected_force(columns, table, test, body, work, force, result)
+            projected_force(columns, table, test, body, work, volumes, partial, force, result)
             for m in range(count):
                 if s > 0:
                     lost += beta * velocity[m] * (previous[m] - result[m])
@@ -132,7 +143,8 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
             for j in range(moving, count):
                 speed = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
                 total += kick * power[j] * speed
-                tools -= kick * density * rates[j] * speed
+                if s < steps:  # the last time is the next call's first
+                    tools -= step * density * rates[j] * speed
             if s < steps:
                 for m in range(moving):
                     a[m] += step * velocity[m]

@@ -22,7 +22,8 @@ __all__ = ["ReducedModel", "reduce"]
 
 Floats = NDArray[np.float64]
 
-MOVED = 0.03  # of the largest coordinate seen: how far the state goes before the tangent is taken anew
+MOVED = 0.1  # of the largest coordinate seen: how far the state goes before the tangent is taken anew
+SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less in a relative basis
 UNTRAINED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
@@ -68,6 +69,7 @@ class ReducedModel(Model):
         full.formulation.differentiate(self.columns, full.body, full.work, self._table)
         self._projected_force, self._advance = reduced_step(full.formulation)
         self._force, self._surface = np.zeros((n, 3)), np.zeros((n, 3))
+        self._partial = np.zeros((blocks, len(self.columns)))
         self._columns, self._result, self._previous, self._rates, self._power = np.zeros((5, len(self.columns)))
         self._tangent_at: Floats | None = None
         self._tangent, self._reach = np.zeros_like(self.mass), 0.0
@@ -76,8 +78,8 @@ class ReducedModel(Model):
     def force(self, coordinates: Floats) -> Floats:
         """Return the columns' Q^T f / rho for coordinates of modes and lifting columns, both of shape (M + l,)."""
         self._projected_force(
-            np.ascontiguousarray(coordinates), self._table, self.test, self.full.body, self.full.work, self._force,
-            self._result,
+            np.ascontiguousarray(coordinates), self._table, self.test, self.full.body, self.full.work, self.volumes,
+            self._partial, self._force, self._result,
         )  # fmt: skip
         return self._result / self.material.density
 
@@ -114,16 +116,21 @@ class ReducedModel(Model):
             )
         return np.asarray(coordinates.T)
 
-    def state(self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None) -> State:
+    def state(
+        self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
+    ) -> State:
         self._tangent_at, self._reach = None, 0.0
-        nodal, start = self.full.state(drive, displacement, velocity), np.zeros(1)
-        lifted = self._lifted(drive, start)[0]
-        rates = drive.rates(lambda times: self._lifted(drive, times), 0.0)[0]
-        rest = nodal.coordinates - np.tensordot(lifted, self.lifting, 1)
-        return State(
-            np.concatenate([self.basis.project(rest), lifted]),
-            np.concatenate([self.basis.project(nodal.velocities - np.tensordot(rates, self.lifting, 1)), rates]),
-        )
+        nodal = self.full.state(drive, displacement, velocity, time)
+        fields = np.stack([nodal.coordinates, nodal.velocities])
+        if self._holds(drive, np.array([time]))[0]:
+            lifted = self._lifted(drive, np.array([time]))[0]
+            rates = drive.rates(lambda times: self._lifted(drive, times), time)[0]
+            known = np.stack([lifted, rates])
+            coordinates = np.hstack([self.basis.project(fields - np.tensordot(known, self.lifting, 1)), known])
+        else:
+            weighted = (fields * self.basis.weights[:, None]).reshape(2, -1)
+            coordinates = np.linalg.solve(self.mass, (weighted @ self.columns.reshape(len(self.mass), -1).T).T).T
+        return State(coordinates[0], coordinates[1], time)
 
     def stable_step(self, state: State, drive: Drive) -> float:
         if self.implicit:
@@ -174,8 +181,8 @@ class ReducedModel(Model):
             a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, self._table,
             self.columns, self.test, self.mass, full.body, full.work, drive.places, drive.schedule(times[1:-1]),
             self._gravity_test, self._gravity_work, *self._responses(state, step), self.volumes,
-            self.material.density, full.half_cell, full.slot, self._force, self._surface,
-            self._columns, self._result, self._previous, self._rates, self._power,
+            self.material.density, full.half_cell, full.slot, self._force, self._partial,
+            self._surface, self._columns, self._result, self._previous, self._rates, self._power,
         )  # fmt: skip
         new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated + lost)
         if not self.conservative:  # trapezium rule for the power of the tools
@@ -230,6 +237,8 @@ def reduce(
     modes: int | None = None,
     tolerance: float | None = None,
     driven: Sequence[str] = (),
+    lifting: str = "fitted",
+    relative: bool = False,
 ) -> ReducedModel:
     """Train a reduced model on runs of a full one.
 
@@ -242,7 +251,14 @@ def reduce(
         Size of the basis, as for `pod`.
     driven : sequence of str
         Groups whose motion was prescribed in the trajectories and will be again. Their motion is lifted: every
-        independent motion they made gets a column that is fitted to the snapshots; the modes vanish there.
+        independent motion they made gets a column; the modes vanish there.
+    lifting : str
+        ``"fitted"``: the columns are fitted to the snapshots, so that the whole body follows a tool at once.
+        ``"local"``: they move the driven nodes alone, and all else is left to the modes: for a tool that starts a
+        wave, or jumps.
+    relative : bool
+        Whether every snapshot counts by its shape alone, whatever its size (down to a thousandth of the largest), as
+        in the error (34).
 
     Raises
     ------
@@ -256,14 +272,20 @@ def reduce(
         if run.points.shape != full.cloud.points.shape or not np.allclose(run.points, full.cloud.points):
             raise InputError("a trajectory belongs to another cloud than the model")
     snapshots = np.concatenate([run.displacements for run in runs])
-    if not driven:
-        return ReducedModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance))
-    lifting, rest = _lifting_columns(full, snapshots, driven)
-    basis = pod(rest, full.weights, modes=modes, tolerance=tolerance)
-    return ReducedModel(full, basis, lifting)
+    if lifting not in ("fitted", "local"):
+        raise InputError(f"lifting = {lifting!r}: allowed are 'fitted' and 'local'")
+    sizes = np.sqrt(np.sum(snapshots**2, axis=2) @ full.weights)
+    columns = None
+    if driven:
+        columns, snapshots = _lifting_columns(full, snapshots, driven, lifting == "local")
+    if relative:
+        snapshots = snapshots / np.maximum(sizes, SMALLEST * sizes.max())[:, None, None]
+    return ReducedModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance), columns)
 
 
-def _lifting_columns(full: NodalModel, snapshots: Floats, driven: Sequence[str]) -> tuple[Floats, Floats]:
+def _lifting_columns(
+    full: NodalModel, snapshots: Floats, driven: Sequence[str], local: bool
+) -> tuple[Floats, Floats]:
     """Columns (l, n, 3) that carry the driven nodes' motions, and what they leave of the snapshots."""
     nodes = np.unique(np.concatenate([full.cloud.group(name) for name in driven]))
     motion = snapshots[:, nodes].reshape(len(snapshots), -1)
@@ -272,6 +294,10 @@ def _lifting_columns(full: NodalModel, snapshots: Floats, driven: Sequence[str])
         raise InputError(f"the driven groups {', '.join(map(repr, driven))} never move in the trajectories")
     coordinates = u[:, values > 1e-6 * values[0]]  # orthonormal histories: regression is a product
     lifting = np.tensordot(coordinates.T, snapshots, 1)
+    if local:
+        alone = np.zeros_like(lifting)
+        alone[:, nodes] = lifting[:, nodes]
+        lifting = alone
     rest = snapshots - np.tensordot(coordinates, lifting, 1)
     rest[:, nodes] = 0.0  # rounding
     return lifting, rest
