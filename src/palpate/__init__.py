@@ -13,6 +13,8 @@ os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 _HOME = {
     "Cloud": "meshfree.cloud",
     "box": "meshfree.cloud",
+    "disc": "meshfree.sheets",
+    "sheet": "meshfree.sheets",
     "Stencils": "meshfree.stencils",
     "moving_least_squares": "meshfree.stencils",
     "Material": "tissue.materials",

@@ -17,7 +17,7 @@ from palpate.dynamics.stability import StabilityReport, stable_step
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
-from palpate.meshfree.stencils import Stencils, moving_least_squares
+from palpate.meshfree.stencils import moving_least_squares
 from palpate.tissue.materials import Material
 
 __all__ = ["Membrane"]
@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 
 TAUT = 1e-3  # extension at which the whole sheet answers, to find its highest frequency
 DAMPING = {"energy": 0.1, "strong": 0.5}  # default viscosity times the highest frequency
+NEIGHBOURS = {"energy": 14, "strong": 18}  # default; fewer do not hold the strong form, more soften the energy form
 
 
 class Membrane(NodalModel):
@@ -52,8 +53,8 @@ class Membrane(NodalModel):
         Stiffness-proportional viscosity beta of C = beta K in (29). By default 0.1 over the highest frequency, so that
         waves as short as the spacing lose a tenth of their amplitude in a third of a period; 0.5 over it in the
         strong form.
-    neighbours : int
-        Wished number of points in a stencil.
+    neighbours : int, optional
+        Wished number of points in a stencil; by default 14, in the strong form 18.
 
     Raises
     ------
@@ -76,7 +77,7 @@ class Membrane(NodalModel):
         relaxed: bool = True,
         form: str = "energy",
         viscosity: float | None = None,
-        neighbours: int = 18,
+        neighbours: int | None = None,
     ) -> None:
         if cloud.points.shape[1] != 2:
             raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
@@ -92,7 +93,8 @@ class Membrane(NodalModel):
         # the mounted boundary vectors are those of the half cell, c = 2, which the energy form has by itself
         self.half_cell = 1.0
         self.viscosity = 0.0
-        self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=neighbours)
+        wished = NEIGHBOURS[form] if neighbours is None else neighbours
+        self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=wished)
         self._areas = cloud.volumes / self.prestretch**2
         law = type(material)
         body, longest = self._body()
@@ -118,7 +120,7 @@ class Membrane(NodalModel):
         if self.form == "energy":
             edges = cloud.boundary_vectors() * cloud.volumes[:, None] / self.prestretch
             first = consistent_gradient(stencils, cloud.points / self.prestretch, self._areas, edges)
-            row, second = np.arange(len(cloud)), second[row]
+            row, second = np.arange(len(cloud), dtype=np.int32), second[row]
             both = np.concatenate([first, second], axis=2)
             own = -both.sum(axis=1)
             near, weights = _transposed(stencils.neighbours, both, self._areas)

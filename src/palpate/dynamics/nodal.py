@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import Lanes
-from palpate.dynamics.loads import FIXED, FREE, Drive, Load, Schedule
+from palpate.dynamics.loads import FIXED, FREE, Drive, Schedule
 from palpate.dynamics.model import Model, Nodes, State
 from palpate.dynamics.reactions import tool_power
 from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step

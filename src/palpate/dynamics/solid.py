@@ -97,7 +97,9 @@ def _smooth(lanes, value, own, fields, derivatives, pressure, smooth):  # type: 
         for k in range(begin, end):
             for lane in range(LANES):
                 field[k - begin, lane] = pressure[lanes.neighbours[k, lane]]
-        lane_sums_1x1(weights_address(value, lanes, b), field.ctypes.data, total.ctypes.data, end - begin, lanes.shared[b])
+        lane_sums_1x1(
+            weights_address(value, lanes, b), field.ctypes.data, total.ctypes.data, end - begin, lanes.shared[b]
+        )
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
             smooth[i] = total[0, lane] + own[i] * pressure[i]
@@ -113,7 +115,9 @@ def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, 
         for k in range(begin, end):
             for lane in range(LANES):
                 field[k - begin, lane] = smooth[lanes.neighbours[k, lane]] - smooth[lanes.nodes[b, lane]]
-        lane_sums_1x3(weights_address(first, lanes, b), field.ctypes.data, gradient.ctypes.data, end - begin, lanes.shared[b])
+        lane_sums_1x3(
+            weights_address(first, lanes, b), field.ctypes.data, gradient.ctypes.data, end - begin, lanes.shared[b]
+        )
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
             for c in range(3):

@@ -7,7 +7,7 @@ the body it lies on, and named groups of points that loads refer to.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -90,6 +90,28 @@ class Cloud:
             raise InputError(f"unknown group {name!r}: this cloud has {', '.join(map(repr, sorted(self.groups)))}")
         return self.groups[name]
 
+    def within(self, name: str, centre: Sequence[float], radius: float) -> Cloud:
+        """Return a copy with one more group: all nodes within `radius` [m] of the point `centre`, shape (d,) [m].
+
+        Raises
+        ------
+        InputError
+            The name is taken, `centre` is no point, `radius` is not positive, or no node is that near.
+        """
+        if name in self.groups:
+            raise InputError(f"group {name!r} exists already: choose another name")
+        point = np.array([number_in_range("centre", x, unit="m") for x in centre])
+        if len(point) != self.points.shape[1]:
+            raise InputError(f"centre must have {self.points.shape[1]} entries, not {len(point)}")
+        radius = number_in_range("radius", radius, 0.0, open_low=True, unit="m")
+        distance = np.linalg.norm(self.points - point, axis=1)
+        nodes = np.flatnonzero(distance <= radius * (1 + 1e-9))
+        if nodes.size == 0:
+            raise InputError(
+                f"radius = {radius:g} m around {point} m holds no node; the nearest is {distance.min():.3g} m away"
+            )
+        return replace(self, groups={**self.groups, name: nodes})
+
     def boundary_vectors(self) -> Floats:
         """Return sum over a node's faces of (area / volume) times normal, shape (n, d) [1/m].
 
@@ -109,8 +131,10 @@ class Cloud:
         """
         nodes = self.group(name)
         pairs = np.isin(self.face_nodes, nodes)
-        for normal in self.face_normals[self.face_nodes == nodes[len(nodes) // 2]]:
-            same = pairs & (self.face_normals @ normal > 0.5)
+        normals = self.face_normals[self.face_nodes == nodes[len(nodes) // 2]]
+        # a flat face has one normal; a curved one may turn, unless that takes in the faces beside it
+        for near, normal in product((1 - 1e-9, 0.5), normals):
+            same = pairs & (self.face_normals @ normal > near)
             if np.array_equal(np.unique(self.face_nodes[same]), nodes):
                 vectors = np.zeros_like(self.points)
                 np.add.at(vectors, self.face_nodes[same], self.face_areas[same, None] * self.face_normals[same])

@@ -1,11 +1,11 @@
 """Derivatives that make a nodally summed energy exact for uniform stress.
 
-The energy of a uniformly stressed body is summed over nodes; its derivative by the displacement of node J is
-P sum over I of V_I g_IJ, g_IJ the weight of J in the gradient at I. Integration by parts says what it must be: nothing inside, and the
-node's share B_J of the boundary's area vector on it. Weights of moving least squares miss this on all but regular clouds, so that
-uniform stress would push the nodes about. Here they are changed as little as possible such that they do not miss it
-and still differentiate linear fields exactly: variationally consistent integration (Chen, Hillman and Rueter, Int. J.
-Numer. Methods Eng. 95, 2013), with one linear system for the whole cloud.
+The energy of a uniformly stressed body is summed over nodes; its derivative by the displacement of node J is P times
+the sum over I of V_I g_IJ, g_IJ the weight of J in the gradient at I. Integration by parts says what that sum must be:
+nothing inside, and at the boundary the node's share B_J of its area vector. Weights of moving least squares miss this
+on all but regular clouds, so that uniform stress would push the nodes about. Here they are changed as little as
+possible such that they do not miss it and still differentiate linear fields exactly: variationally consistent
+integration (Chen, Hillman and Rueter, Int. J. Numer. Methods Eng. 95, 2013), with one linear system for the cloud.
 """
 
 from __future__ import annotations

@@ -283,9 +283,7 @@ def reduce(
     return ReducedModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance), columns)
 
 
-def _lifting_columns(
-    full: NodalModel, snapshots: Floats, driven: Sequence[str], local: bool
-) -> tuple[Floats, Floats]:
+def _lifting_columns(full: NodalModel, snapshots: Floats, driven: Sequence[str], local: bool) -> tuple[Floats, Floats]:
     """Columns (l, n, 3) that carry the driven nodes' motions, and what they leave of the snapshots."""
     nodes = np.unique(np.concatenate([full.cloud.group(name) for name in driven]))
     motion = snapshots[:, nodes].reshape(len(snapshots), -1)

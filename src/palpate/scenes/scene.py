@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.loads import Load
+from palpate.dynamics.nodal import NodalModel
 
 __all__ = ["Scene"]
 

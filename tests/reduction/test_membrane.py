@@ -1,0 +1,153 @@
+"""Reduced models of a membrane: its tool lifted, its force, and the tool that lets go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.reduction.reduced import ReducedModel
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    cloud = pt.disc(0.1, 0.0125).within("tool", (0.0, 0.0), 1e-6)
+    return pt.Membrane(cloud, pt.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5), 1e-5, "rim")
+
+
+def tip(points, time):
+    return (0.0, 0.0, 0.1 * max(time, 0.0))
+
+
+PUSH = pt.PrescribedMotion("tool", tip)
+LET_GO = pt.PrescribedMotion("tool", tip, until=0.1)
+
+
+@pytest.fixture(scope="module")
+def push(sheet):
+    return pt.rollout(sheet, [PUSH], duration=0.1, every=0.0025, progress=False)
+
+
+@pytest.fixture(scope="module")
+def freed(sheet):
+    return pt.rollout(sheet, [LET_GO], duration=0.15, every=0.0025, progress=False)
+
+
+def shapes(sheet, count, seed=0):
+    """Random modes that vanish at the rim and the tool, and a column that moves the tool alone."""
+    rng = np.random.default_rng(seed)
+    held = sheet.held.copy()
+    held[sheet.cloud.group("tool")] = True
+    fields = rng.standard_normal((count, len(sheet.cloud), 3)) * ~held[:, None]
+    column = np.zeros((1, len(sheet.cloud), 3))
+    column[0, sheet.cloud.group("tool"), 2] = 1.0
+    return pt.pod(fields, sheet.weights, modes=count), column
+
+
+def test_the_projected_force_is_the_projection_of_the_nodal_force(sheet):
+    basis, column = shapes(sheet, 5)
+    rom = ReducedModel(sheet, basis, column)
+    coordinates = np.concatenate([1e-7 * np.random.default_rng(1).standard_normal(5), [0.004]])
+    u = np.tensordot(coordinates, rom.columns, 1)
+    expected = np.einsum("n,mnc,nc->m", sheet.volumes, rom.columns, sheet.force(u)) / 1200.0
+    np.testing.assert_allclose(rom.force(coordinates), expected, atol=1e-11 * np.abs(expected).max())
+    strong = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", form="strong")
+    rom = ReducedModel(strong, basis, column)
+    expected = np.einsum("n,mnc,nc->m", sheet.volumes, rom.columns, strong.force(u)) / 1200.0
+    np.testing.assert_allclose(rom.force(coordinates), expected, atol=1e-11 * np.abs(expected).max())
+
+
+def test_the_reduced_tangent_of_a_pushed_sheet_is_symmetric(sheet, push):
+    rom = pt.reduce(sheet, push, modes=8, driven=["tool"], lifting="local")
+    state = rom.state(rom.drive([PUSH]), push.displacements[-1], push.velocities[-1], 0.1)
+    tangent = rom.stiffness(state.coordinates)
+    np.testing.assert_allclose(tangent, tangent.T, atol=1e-3 * np.abs(tangent).max())
+    assert np.linalg.eigvalsh(tangent + tangent.T).min() > 0
+
+
+@pytest.mark.parametrize(("modes", "displacement", "force"), [(8, 0.15, 0.1), (20, 0.01, 0.02), (39, 1e-3, 1e-2)])
+def test_more_modes_come_nearer_to_the_full_push(sheet, push, modes, displacement, force):
+    rom = pt.reduce(sheet, push, modes=modes, driven=["tool"], lifting="local", relative=True)
+    found = pt.errors(push, pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False))
+    assert found.displacement < displacement
+    assert found.reaction < force
+
+
+def test_local_lifting_and_relative_snapshots_each_help(sheet, push):
+    errors = []
+    for lifting, relative in (("fitted", False), ("local", False), ("local", True)):
+        rom = pt.reduce(sheet, push, modes=8, driven=["tool"], lifting=lifting, relative=relative)
+        run = pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False)
+        errors.append(pt.errors(push, run).displacement)
+    assert errors[2] < 0.5 * errors[1] < 0.25 * errors[0]
+
+
+def test_a_local_column_moves_the_tool_alone(sheet, push):
+    rom = pt.reduce(sheet, push, modes=4, driven=["tool"], lifting="local")
+    tool = sheet.cloud.group("tool")
+    others = np.setdiff1d(np.arange(len(sheet.cloud)), tool)
+    assert np.all(rom.lifting[:, others] == 0)
+    np.testing.assert_allclose(rom.basis.modes[:, tool], 0, atol=1e-9 * np.abs(rom.basis.modes).max())
+    run = pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False)
+    np.testing.assert_allclose(run.displacements[:, tool[0], 2], 0.1 * run.times, atol=1e-12)
+
+
+def test_the_tool_of_a_reduced_sheet_does_the_work_of_the_full_one(sheet, push):
+    rom = pt.reduce(sheet, push, modes=20, driven=["tool"], lifting="local", relative=True)
+    run = pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False)
+    assert run.external[-1] == pytest.approx(push.external[-1], rel=0.02)
+    assert np.abs(run.balance).max() < 0.02 * push.external.max()
+
+
+def test_a_reduced_tool_lets_go(sheet, freed):
+    rom = pt.reduce(sheet, freed, modes=40, driven=["tool"], lifting="local")
+    run = pt.rollout(rom, [LET_GO], duration=0.15, every=0.0025, progress=False)
+    let_go = run.times > 0.1 + 1e-9
+    assert np.all(run.reactions["tool"][let_go] == 0)
+    tool = sheet.cloud.group("tool")[0]
+    moved = freed.displacements[let_go, tool, 2]
+    assert np.ptp(moved) > 1e-3
+    np.testing.assert_allclose(run.displacements[let_go, tool, 2], moved, atol=0.1 * np.ptp(moved))
+    work = run.external[let_go]
+    np.testing.assert_allclose(work, work[0], rtol=1e-9)  # nothing pushes then
+
+
+def test_a_reduced_run_can_start_where_the_tool_has_let_go(sheet, freed):
+    start = 44  # 0.11 s
+    u, v = freed.displacements[start], freed.velocities[start]
+    rom = pt.reduce(sheet, freed, modes=40, driven=["tool"], lifting="local")
+    drive = rom.drive([LET_GO])
+    state = rom.state(drive, u, v, 0.11)
+    assert np.abs(rom.displacement(state, drive) - u).max() < 0.02 * np.abs(u).max()
+    run = pt.rollout(rom, [LET_GO], duration=0.02, every=0.0025, start=0.11, displacement=u, velocity=v, progress=False)
+    expected = freed.displacements[start : start + 9]
+    assert np.abs(run.displacements - expected).max() < 0.1 * np.abs(expected).max()
+
+
+def test_tools_that_let_go_at_different_times_are_refused(sheet, push):
+    cloud = sheet.cloud.within("other", (0.05, 0.0), 0.007)
+    model = pt.Membrane(cloud, sheet.material, 1e-5, "rim")
+    rom = ReducedModel(model, *shapes(sheet, 2))
+    with pytest.raises(pt.InputError, match="let go"):
+        rom.drive([LET_GO, pt.PrescribedMotion("other", (0.0, 0.0, 0.0), until=0.2)])
+
+
+def test_an_unknown_lifting_is_refused(sheet, push):
+    with pytest.raises(pt.InputError, match="allowed are 'fitted' and 'local'"):
+        pt.reduce(sheet, push, modes=2, driven=["tool"], lifting="global")
+
+
+def test_runs_that_follow_each_other_are_one(sheet, push):
+    half = pt.rollout(sheet, [PUSH], duration=0.05, every=0.0025, progress=False)
+    rest = pt.rollout(
+        sheet, [PUSH], duration=0.05, every=0.0025, start=0.05, progress=False,
+        displacement=half.displacements[-1], velocity=half.velocities[-1],
+    )  # fmt: skip
+    whole = half.then(rest)
+    np.testing.assert_allclose(whole.times, push.times, atol=1e-12)
+    np.testing.assert_allclose(whole.displacements, push.displacements, atol=2e-5)
+    np.testing.assert_allclose(whole.external, push.external, atol=0.02 * push.external[-1])
+    assert whole.steps[-1] == half.steps[-1] + rest.steps[-1]
+    assert whole.wall_seconds == half.wall_seconds + rest.wall_seconds
+    with pytest.raises(pt.InputError, match="cannot be followed"):
+        rest.then(half)
