@@ -9,13 +9,15 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from palpate import __version__
 
 __all__ = ["main"]
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+MODES = [2, 4, 6, 8, 10, 12]  # the paper's
+LEAVES = "and leave a report, figures, the snapshots and a file for ParaView in a folder."
 
 
 class _Parser(argparse.ArgumentParser):
@@ -39,25 +41,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 when all went well, 1 when a run diverged or a file could not be written, 2 for bad input, 130 when
         interrupted.
     """
-    options = _parser().parse_args(argv)
-    from palpate.app.reproduce import ReproduceError, reproduce_beam
+    options = vars(_parser().parse_args(argv))
+    del options["command"]
+    from palpate.app.study import ReproduceError
     from palpate.faults import InputError
 
     try:
-        return reproduce_beam(
-            spacing=options.spacing,
-            load=options.load,
-            poisson=options.poisson,
-            modes=options.modes,
-            out=options.out,
-            as_json=options.json,
-        )
+        return _reproduce(options.pop("example"), options)
     except InputError as error:
         return _complain(str(error), BAD_INPUT)
     except (ReproduceError, OSError) as error:
         return _complain(str(error), FAILED)
     except KeyboardInterrupt as interrupt:
         return _complain(" ".join(["interrupted", *map(str, interrupt.args)]), INTERRUPTED)
+
+
+def _reproduce(example: str, options: dict[str, Any]) -> int:
+    if example == "beam":
+        from palpate.app.beam.reproduce import reproduce_beam
+
+        return reproduce_beam(**options)
+    from palpate.app.membrane.reproduce import reproduce_membrane
+
+    return reproduce_membrane(**options)
 
 
 def _complain(message: str, code: int) -> int:
@@ -74,18 +80,51 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     reproduce = commands.add_parser("reproduce", help="run an example of the paper and compare with its figures")
     examples = reproduce.add_subparsers(dest="example", required=True, metavar="EXAMPLE")
+    _add_beam(examples)
+    _add_membrane(examples)
+    return parser
+
+
+def _add_beam(examples: Any) -> None:
     beam = examples.add_parser(
         "beam",
         help="the beam under traction: section 6.1, Figures 3 to 5",
-        description="Run the paper's beam under traction with the full model and with reduced ones, and leave a "
-        "report, figures, the snapshots and a file for ParaView in a folder.",
+        description=f"Run the paper's beam under traction with the full model and with reduced ones, {LEAVES}",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     add = beam.add_argument
     add("--spacing", type=float, default=0.005, metavar="M", help="distance between nodes [m], at most 0.00666")
     add("--load", type=float, default=100.0, metavar="N", help="largest force [N], reached at 0.5 s")
     add("--poisson", type=float, default=0.49, metavar="NU", help="Poisson's ratio, at most 0.499")
-    add("--modes", type=int, nargs="+", default=[2, 4, 6, 8, 10, 12], metavar="M", help="sizes of reduced models")
-    add("--out", type=Path, default=Path("out/beam"), metavar="FOLDER", help="where the results go")
-    add("--json", action="store_true", help="print the report as JSON instead of a table")
-    return parser
+    _add_common(beam, Path("out/beam"))
+
+
+def _add_membrane(examples: Any) -> None:
+    membrane = examples.add_parser(
+        "membrane",
+        help="the membrane under a tool tip: section 6.2, Figures 7 to 9",
+        description="Run the paper's circular membrane, its centre pushed by a tool for 0.1 s, with the full model and "
+        f"with reduced ones, {LEAVES}",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add = membrane.add_argument
+    add("--spacing", type=float, default=0.005, metavar="M", help="distance between nodes [m], from 0.0005 to 0.05")
+    add(
+        "--after",
+        choices=("return", "hold", "release"),
+        default="return",
+        help="what the tool does after 0.1 s: jump back as (35) prints, stay, or let go",
+    )
+    add("--tool-radius", type=float, default=0.0, metavar="M", help="radius of the tool [m]; 0 moves the central node")
+    add("--prestretch", type=float, default=1.0, metavar="S", help="stretch of the mounted sheet, from 1 to 10")
+    add("--layout", choices=("rings", "hexagonal"), default="rings", help="how the nodes lie")
+    add("--jitter", type=float, default=0.0, metavar="J", help="random shift of the nodes in spacings, at most 0.3")
+    add("--seed", type=int, default=0, metavar="K", help="of the random shift")
+    _add_common(membrane, Path("out/membrane"))
+
+
+def _add_common(parser: argparse.ArgumentParser, out: Path) -> None:
+    add = parser.add_argument
+    add("--modes", type=int, nargs="+", default=MODES, metavar="M", help="sizes of reduced models")
+    add("--out", type=Path, default=out, metavar="FOLDER", help="where the results go")
+    add("--json", action="store_true", dest="as_json", help="print the report as JSON instead of a table")

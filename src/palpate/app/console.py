@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import rich.console
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-__all__ = ["Console", "print_results"]
+__all__ = ["Console", "print_json", "print_tables", "quantities_table", "reduced_table"]
 
 
 class Console:
@@ -37,18 +37,19 @@ class Console:
             yield
 
 
-def print_results(report: dict[str, Any], out: Path, files: Sequence[str], as_json: bool) -> None:
-    """Print the report on standard output, as JSON for machines or as tables for people."""
-    if as_json:
-        json.dump(report, sys.stdout, indent=2, allow_nan=False)
-        sys.stdout.write("\n")
-        return
+def print_json(report: dict[str, Any]) -> None:
+    """Print a report on standard output, for machines."""
+    json.dump(report, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def print_tables(tables: Sequence[Table], claims: Sequence[dict[str, Any]], out: Path, files: Sequence[str]) -> None:
+    """Print a study's tables, the paper's claims and where the files lie on standard output, for people."""
     console = rich.console.Console(highlight=False, markup=False)
     if not console.is_terminal:
         console.width = 100
-    console.print(_full_table(report))
-    console.print(_reduced_table(report))
-    console.print(_claims_table(report))
+    for table in (*tables, _claims_table(claims)):
+        console.print(table)
     console.print(f"In {out}: {', '.join(files)}", soft_wrap=True)
 
 
@@ -56,42 +57,41 @@ def _table(title: str) -> Table:
     return Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
 
 
-def _full_table(report: dict[str, Any]) -> Table:
-    full, table = report["full"], _table(f"{report['title']}, {report['nodes']} nodes: full model")
+def quantities_table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]]) -> Table:
+    """Return a table of quantities by name, one value or more for each."""
+    table = _table(title)
     table.add_column("quantity")
-    table.add_column("value", justify="right")
-    rows = {
-        "computing time": f"{full['wall_seconds']:.2f} s",
-        "simulated time over computing time": f"{full['real_time_factor']:.3g}",
-        "time steps": f"{full['steps']}",
-        "largest displacement of the pulled end": f"{1e3 * full['peak_tip_displacement']:.2f} mm",
-        "support force at the largest load": f"{full['reaction_at_peak']:.4g} N for {full['load_at_peak']:.4g} N",
-        "energy balance, largest miss over largest work": f"{full['energy_balance']:.2%}",
-    }
-    for name, value in rows.items():
-        table.add_row(name, value)
+    for heading in columns:
+        table.add_column(heading, justify="right")
+    for name, values in rows.items():
+        table.add_row(name, *values)
     return table
 
 
-def _reduced_table(report: dict[str, Any]) -> Table:
-    table = _table("Reduced models: errors, and time over the full model's")
+def reduced_table(title: str, entries: Sequence[dict[str, Any]]) -> Table:
+    """Return a table of reduced runs, from their entries in the report."""
+    table = _table(title)
     for heading in ("modes", "displ.", "velocity", "energy", "force", "proj.", "time", "ratio", "steps"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for entry in report["reduced"]:
+    for entry in entries:
         if entry["failed"]:
             table.add_row(str(entry["modes"]), *(["failed"] + 7 * ["-"]))
             continue
-        wrong = [f"{value:.2%}" for value in (*entry["errors"].values(), entry["projection_error"])]
+        wrong = [_percent(value) for value in (*entry["errors"].values(), entry["projection_error"])]
         time = f"{entry['wall_seconds']:.2f} s", f"{entry['ratio']:.1%}", str(entry["steps"])
         table.add_row(str(entry["modes"]), *wrong, *time)
     return table
 
 
-def _claims_table(report: dict[str, Any]) -> Table:
+def _percent(value: float) -> str:
+    return f"{value:.2%}" if value < 10 else "> 1000%"
+
+
+def _claims_table(claims: Sequence[dict[str, Any]]) -> Table:
     table = _table("What the paper says")
     for heading in ("figure", "paper", "here", "holds"):
         table.add_column(heading)
-    for claim in report["paper"]:
+    for claim in claims:
         holds = {True: "yes", False: "no", None: "-"}[claim["holds"]]
         table.add_row(claim["figure"], claim["claim"], claim["here"], holds)
     return table

@@ -1,27 +1,36 @@
-"""The figures of a study, beside the paper's claims."""
+"""What the figures of all studies share: their style, and curves over the number of modes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from palpate.app.files import whole_file
-from palpate.app.report import tip_displacement
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from palpate.app.reproduce import Study
-
-__all__ = ["draw_figures", "figure"]
+__all__ = [
+    "draw_singular_values",
+    "energy_unit",
+    "figure",
+    "heading",
+    "legend_below",
+    "over_modes",
+    "percent_axis",
+    "plot_errors",
+    "scale_bar",
+]
 
 # Okabe and Ito's colours, which colour-blind people tell apart
-BLUE, ORANGE, GREEN, RED, PINK, SKY, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#777777"
+BLUE, ORANGE, GREEN, RED, PINK, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
+YELLOW, GREY = "#F0E442", "#777777"
 STYLE: dict[Any, Any] = {
     "font.size": 10,
     "axes.titlesize": 11,
@@ -40,26 +49,6 @@ STYLE: dict[Any, Any] = {
 MODES = "number of POD modes"
 
 
-def draw_figures(study: Study, report: dict[str, Any], out: Path) -> None:
-    """Draw Figures 3 to 5 of the paper, the singular values, the pulled end and the energies.
-
-    Parameters
-    ----------
-    study : Study
-    report : dict
-        Of `palpate.app.report.build_report`.
-    out : path
-        Folder.
-    """
-    done = [entry for entry in report["reduced"] if not entry["failed"]]
-    draw_error(done, out / "figure3_error.png")
-    draw_time(done, out / "figure4_time.png")
-    draw_ratio(done, out / "figure5_ratio.png")
-    draw_singular_values(report["singular_values"], out / "singular_values.png")
-    draw_tip(study, out / "tip.png")
-    draw_energies(study, out / "energies.png")
-
-
 @contextmanager
 def figure(path: Path, size: tuple[float, float] = (7.0, 4.6)) -> Iterator[Figure]:
     """Yield an empty figure [inch] in this package's style; save it whole or not at all."""
@@ -75,8 +64,13 @@ def figure(path: Path, size: tuple[float, float] = (7.0, 4.6)) -> Iterator[Figur
             drawn.savefig(partial)
 
 
-def _axes_over_modes(drawn: Figure, done: list[dict[str, Any]], title: str, label: str) -> Axes:
-    axes = drawn.subplots()
+def heading(drawn: Figure, text: str) -> None:
+    """Give a figure of several axes a common title."""
+    drawn.suptitle(text, x=0.01, ha="left", weight="bold", size=12)
+
+
+def over_modes(axes: Axes, done: Sequence[dict[str, Any]], title: str, label: str) -> None:
+    """Make axes ready for curves over the number of modes of some finished runs; say so if there are none."""
     axes.set(title=title, xlabel=MODES, ylabel=label)
     sizes = [entry["modes"] for entry in done]
     if sizes:
@@ -84,126 +78,64 @@ def _axes_over_modes(drawn: Figure, done: list[dict[str, Any]], title: str, labe
         axes.set_xlim(min(sizes) - 0.7, max(sizes) + 0.7)
     else:
         axes.text(0.5, 0.5, "every reduced run failed", ha="center", transform=axes.transAxes)
-    return axes
 
 
-def draw_error(done: list[dict[str, Any]], path: Path) -> None:
-    """Draw errors over the number of modes (Figure 3)."""
-    with figure(path, (7.0, 5.0)) as drawn:
-        axes = _axes_over_modes(drawn, done, "Error of the reduced models (paper: Figure 3)", "relative error [%]")
-        if not done:
-            return
-        sizes = [entry["modes"] for entry in done]
-        others = (("velocity", GREEN, "s"), ("energy", ORANGE, "^"), ("reaction", PINK, "D"))
-        for name, colour, marker in others:
-            values = [100 * entry["errors"][name] for entry in done]
-            axes.plot(sizes, values, marker=marker, color=colour, lw=1, ms=4, alpha=0.75, label=name)
-        values = [100 * entry["projection_error"] for entry in done]
-        axes.plot(sizes, values, "--", marker="x", color=GREY, lw=1, ms=5, label="projection: best these modes can do")
-        values = [100 * entry["errors"]["displacement"] for entry in done]
-        axes.plot(sizes, values, "o-", color=BLUE, lw=2.2, ms=7, label="displacement, equation (34)")
-        _draw_error_claims(axes, sizes)
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(_plain)
-        handles, labels = axes.get_legend_handles_labels()
-        drawn.legend(handles[::-1], labels[::-1], loc="outside lower center", ncols=2, fontsize=9)
+def plot_errors(axes: Axes, done: Sequence[dict[str, Any]]) -> None:
+    """Plot all errors [%] of finished runs over their number of modes, the displacement's above the others."""
+    sizes = [entry["modes"] for entry in done]
+    others = (("velocity", GREEN, "s"), ("energy", ORANGE, "^"), ("reaction", PINK, "D"))
+    for name, colour, marker in others:
+        values = [100 * entry["errors"][name] for entry in done]
+        label = "reaction forces" if name == "reaction" else name
+        axes.plot(sizes, values, marker=marker, color=colour, lw=1, ms=4, alpha=0.75, label=label)
+    values = [100 * entry["projection_error"] for entry in done]
+    axes.plot(sizes, values, "--", marker="x", color=GREY, lw=1, ms=5, label="projection: best these modes can do")
+    values = [100 * entry["errors"]["displacement"] for entry in done]
+    axes.plot(sizes, values, "o-", color=BLUE, lw=2.2, ms=7, label="displacement, equation (34)")
 
 
-def _draw_error_claims(axes: Axes, sizes: list[int]) -> None:
-    """Draw what the paper says of Figure 3: below 3 % with 6 modes; a slight decrease after 8."""
-    if min(sizes) < 8 < max(sizes):
-        label = "paper: only a slight decrease after 8"
-        axes.axvspan(8, max(sizes) + 0.7, color=RED, alpha=0.08, lw=0, label=label)
-    if min(sizes) <= 6 <= max(sizes):
-        axes.axhline(3, color=RED, lw=1, ls=":")
-        axes.plot(6, 3, "v", color=RED, ms=9, zorder=4, label="paper: below 3 % with 6 modes")
+def percent_axis(axes: Axes) -> None:
+    """Make the vertical axis logarithmic, with plain numbers."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(_plain)
 
 
 def _plain(value: float, _position: object = None) -> str:
     return f"{value:g}"
 
 
-def draw_time(done: list[dict[str, Any]], path: Path) -> None:
-    """Draw the computing time over the number of modes (Figure 4)."""
-    with figure(path) as drawn:
-        axes = _axes_over_modes(
-            drawn, done, "Computing time of the reduced models (paper: Figure 4)", "wall-clock time of the run [s]"
-        )
-        if not done:
-            return
-        sizes = np.array([entry["modes"] for entry in done], dtype=float)
-        seconds = np.array([entry["wall_seconds"] for entry in done])
-        if len(sizes) > 2:
-            line = np.polynomial.Polynomial.fit(sizes, seconds, 1)
-            axes.plot(sizes, line(sizes), "--", color=RED, lw=1.2, label="straight line fitted (paper: almost linear)")
-        axes.plot(sizes, seconds, "o-", color=BLUE, lw=2, label="here")
-        axes.set_ylim(0, 1.25 * seconds.max())
-        axes.legend(loc="upper left")
+def legend_below(drawn: Figure, axes: Axes) -> None:
+    """Set the legend of some axes below the whole figure, what was drawn last first."""
+    handles, labels = axes.get_legend_handles_labels()
+    drawn.legend(handles[::-1], labels[::-1], loc="outside lower center", ncols=2, fontsize=9)
 
 
-def draw_ratio(done: list[dict[str, Any]], path: Path) -> None:
-    """Draw the computing time relative to the full model's over the number of modes (Figure 5)."""
-    with figure(path) as drawn:
-        title = "Computing time relative to the full model (paper: Figure 5)"
-        axes = _axes_over_modes(drawn, done, title, "time of reduced / full model [%]")
-        if not done:
-            return
-        sizes, ratios = [entry["modes"] for entry in done], [100 * entry["ratio"] for entry in done]
-        axes.plot(sizes, ratios, "o-", color=BLUE, lw=2, label="here")
-        axes.plot([2, 8], [1, 3], "D", color=RED, ms=7, label="paper: almost 1 % with 2 modes, around 3 % with 8")
-        for size, ratio in zip(sizes, ratios, strict=True):
-            axes.annotate(f"{ratio:.2g}", (size, ratio), (0, 8), textcoords="offset points", ha="center", color=BLUE)
-        axes.set_yscale("log")
-        axes.set_ylim(0.5 * min(1, *ratios), 3.5 * max(3, *ratios))
-        axes.set_xlim(min(2, *sizes) - 0.7, max(8, *sizes) + 0.7)
-        axes.yaxis.set_major_formatter(_plain)
-        axes.legend(loc="upper left")
-
-
-def draw_singular_values(values: list[float], path: Path) -> None:
-    """Draw the singular values of the snapshots, relative to the first, down to rounding noise."""
+def draw_singular_values(series: Mapping[str, Sequence[float]], title: str, path: Path) -> None:
+    """Draw singular values of snapshots by name, each series relative to its first, down to rounding noise."""
     with figure(path) as drawn:
         axes = drawn.subplots()
-        relative = np.array(values) / values[0]
-        relative = relative[relative > 1e-16]
-        axes.semilogy(np.arange(1, len(relative) + 1), relative, "o", ms=3.5, color=BLUE)
-        axes.set(title="Singular values of the full model's snapshots", xlabel="index", ylabel="relative to the first")
-        axes.set_xlim(0, len(relative) + 1)
+        most = 1
+        for (name, values), colour in zip(series.items(), (BLUE, RED, GREEN), strict=False):
+            relative = np.array(values) / values[0]
+            relative = relative[relative > 1e-16]
+            most = max(most, len(relative))
+            axes.semilogy(np.arange(1, len(relative) + 1), relative, "o", ms=3.5, color=colour, label=name)
+        axes.set(title=title, xlabel="index", ylabel="relative to the first")
+        axes.set_xlim(0, most + 1)
+        if len(series) > 1:
+            axes.legend()
 
 
-def draw_tip(study: Study, path: Path) -> None:
-    """Draw the displacement of the pulled end, and the support force against the load, over time."""
-    full, shown = study.full, study.shown
-    force: Any = study.scene.loads[0].force  # type: ignore[union-attr]
-    with figure(path, (8.6, 6.0)) as drawn:
-        upper, lower = drawn.subplots(2, 1, sharex=True)
-        upper.plot(full.times, 1e3 * tip_displacement(study, full), color=BLUE, lw=2.4, label="full model")
-        lower.plot(full.times, [force(t)[0] for t in full.times], ":", color="black", lw=1.4, label="load applied")
-        lower.plot(full.times, -full.reactions["x-"][:, 0], color=BLUE, lw=2.4, label="full model")
-        if shown is not None:
-            label = f"reduced model, {study.shown_modes} modes"
-            upper.plot(shown.times, 1e3 * tip_displacement(study, shown), "--", color=ORANGE, lw=1.6, label=label)
-            lower.plot(shown.times, -shown.reactions["x-"][:, 0], "--", color=ORANGE, lw=1.6, label=label)
-        upper.set(title="Pulled end: mean axial displacement", ylabel="displacement [mm]")
-        lower.set(title="Held end: force of the support", xlabel="time [s]", ylabel="force [N]")
-        for axes in (upper, lower):
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-            axes.set_xlim(0, full.times[-1])
+def energy_unit(values: ArrayLike) -> tuple[str, float]:
+    """Return a unit of energy for some values [J], and how many of it make a joule."""
+    largest = np.abs(values).max()
+    return ("J", 1.0) if largest >= 1 else ("mJ", 1e3) if largest >= 1e-3 else ("\u00b5J", 1e6)
 
 
-def draw_energies(study: Study, path: Path) -> None:
-    """Draw the energies of the full model over time, the large ones above and the small ones below."""
-    full = study.full
-    unit, scale = ("mJ", 1e3) if np.abs(full.external).max() < 1 else ("J", 1.0)
-    with figure(path, (8.6, 6.0)) as drawn:
-        upper, lower = drawn.subplots(2, 1, sharex=True)
-        upper.plot(full.times, scale * full.external, color="black", lw=2.4, label="work of the load")
-        upper.plot(full.times, scale * full.strain, "--", color=ORANGE, lw=1.8, label="strain energy")
-        lower.plot(full.times, scale * full.kinetic, color=BLUE, lw=1.6, label="kinetic")
-        lower.plot(full.times, scale * full.dissipated, "--", color=GREEN, lw=1.6, label="lost to viscosity")
-        lower.plot(full.times, scale * full.balance, color=RED, lw=1.6, label="missed by the balance of all")
-        upper.set(title="Energies of the full model", ylabel=f"energy [{unit}]")
-        lower.set(title="The small ones", xlabel="time [s]", ylabel=f"energy [{unit}]")
-        for axes in (upper, lower):
-            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-            axes.set_xlim(0, full.times[-1])
+def scale_bar(axes: Axes, left: float, right: float, at: float) -> None:
+    """Draw a bar of a round length [mm] near the right end of axes that reach from `left` to `right` [mm]."""
+    length = max(n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500) if n <= max(1.0, (right - left) / 8))
+    end = right - 0.02 * (right - left)
+    axes.plot([end - length, end], [at, at], color="black", lw=2.5, solid_capstyle="butt")
+    beside = {"textcoords": "offset points", "ha": "right", "va": "center", "fontsize": 9}
+    axes.annotate(f"{length} mm", (end - length, at), (-5, 0), **beside)  # type: ignore[arg-type]

@@ -108,7 +108,12 @@ class Membrane(NodalModel):
         wanted = DAMPING[form] / self._taut if viscosity is None else viscosity
         self.viscosity = number_in_range("viscosity", wanted, 0.0, unit="s")
         self.stability = StabilityReport(
-            "the taut sheet", None, np.nan, self.viscosity, self._taut, stable_step(self._taut, self.viscosity)
+            "the taut sheet",
+            None,
+            0.0 if self.conservative else np.nan,
+            self.viscosity,
+            self._taut,
+            stable_step(self._taut, self.viscosity),
         )
 
     def _body(self) -> tuple[SheetBody, int]:

@@ -43,7 +43,8 @@ class StabilityReport:
     Parameters
     ----------
     method : str
-        ``"dense spectrum"`` or ``"step map"``.
+        ``"dense spectrum"``, ``"step map"``, ``"given"`` where nothing was examined, or ``"the taut sheet"`` of a
+        membrane.
     worst_real_part : float or None [1/s^2]
         Least real part among the eigenvalues w^2; None where only the step map was examined.
     needed, used : float [s]
@@ -63,12 +64,16 @@ class StabilityReport:
     step: float
     growth: float | None = None
 
+    @property
+    def _needed(self) -> str:
+        return "not examined" if np.isnan(self.needed) else f"{self.needed:.3g} s"
+
     def __str__(self) -> str:
         worst = "not computed" if self.worst_real_part is None else f"{self.worst_real_part:.4g} 1/s^2"
         lines = [
             f"stability at rest, by {self.method}",
             f"  worst real part of the spectrum  {worst}",
-            f"  viscosity needed                 {self.needed:.3g} s",
+            f"  viscosity needed                 {self._needed}",
             f"  viscosity used                   {self.used:.3g} s",
             f"  highest frequency                {self.highest_frequency:.4g} rad/s",
             f"  stable step                      {self.step:.3g} s",

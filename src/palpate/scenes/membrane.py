@@ -9,11 +9,11 @@ from palpate.meshfree.sheets import disc
 from palpate.scenes.scene import Scene
 from palpate.tissue.materials import NeoHookean
 
-__all__ = ["AFTER", "DURATION", "EVERY", "RADIUS", "membrane", "tool_tip"]
+__all__ = ["AFTER", "DURATION", "EVERY", "PUSHED", "RADIUS", "membrane", "tool_tip"]
 
 RADIUS, THICKNESS = 0.1, 1e-5  # [m]
 SPEED, PUSHED = 0.1, 0.1  # [m/s], [s]
-DURATION, EVERY = 0.2, 0.001  # [s]
+DURATION, EVERY = 0.2, 0.002  # [s]
 FINEST = 0.0005  # [m] 145,000 nodes
 AFTER = ("return", "hold", "release")
 
@@ -39,10 +39,10 @@ def membrane(
     relaxed: bool = True,
     form: str = "energy",
 ) -> Scene:
-    """Return the paper's membrane: a disc of radius 100 mm and 0.01 mm thick, its rim held, its centre pushed by a tool.
+    """Return the paper's membrane: a disc, 0.2 m across and 0.01 mm thick, its rim held, its centre pushed by a tool.
 
-    Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot is kept every
-    millisecond for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or lets go.
+    Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot is kept every 2 ms
+    for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or lets go.
 
     Parameters
     ----------
@@ -68,10 +68,17 @@ def membrane(
     tool_radius = number_in_range("tool_radius", tool_radius, 0.0, 0.8 * RADIUS, unit="m")
     if after not in AFTER:
         raise InputError(f"after = {after!r}: allowed are {', '.join(map(repr, AFTER))}")
-    cloud = disc(RADIUS, spacing, layout, jitter, seed).within("tool", (0.0, 0.0), tool_radius)
+    cloud = disc(RADIUS, spacing, layout, jitter, seed)
+    cloud = cloud.within("tool", (0.0, 0.0), max(tool_radius, 1e-6 * spacing))
     material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
     model = Membrane(cloud, material, THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed, form=form)
     until = PUSHED if after == "release" else float("inf")
     tool = PrescribedMotion("tool", lambda points, time: (0.0, 0.0, tool_tip(time, after)), until)
-    parameters = {"spacing": spacing, "tool_radius": tool_radius, "prestretch": float(prestretch)}
+    parameters = {
+        "spacing": spacing,
+        "tool_radius": tool_radius,
+        "prestretch": model.prestretch,
+        "jitter": float(jitter),
+        "seed": seed,
+    }
     return Scene(model, (tool,), DURATION, EVERY, f"Membrane under a tool tip, then {after}", parameters)

@@ -1,0 +1,261 @@
+"""A study: a full model, and reduced ones trained on its run, under the same loads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.console import Console
+from palpate.app.files import check_folder, check_space
+from palpate.dynamics.nodal import NodalModel
+from palpate.dynamics.rollout import rollout
+from palpate.dynamics.trajectory import Trajectory
+from palpate.faults import DivergenceError, InputError
+from palpate.reduction.errors import errors
+from palpate.reduction.reduced import ReducedModel
+from palpate.scenes.scene import Scene
+
+__all__ = ["SHOWN_MODES", "Phase", "ReproduceError", "Study", "prepare", "run_full", "run_reduced"]
+
+Floats = NDArray[np.float64]
+
+FOR_FIGURES = 5_000_000  # bytes
+SHOWN_MODES = 8  # the reduced model that figures compare with the full one: the paper's choice
+
+
+class ReproduceError(RuntimeError):
+    """The study could not be finished; says what is kept."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a run that has reduced models of its own.
+
+    Parameters
+    ----------
+    name : str
+    start, duration : float [s]
+    """
+
+    name: str
+    start: float
+    duration: float
+
+
+@dataclass
+class Study:
+    """What is run, and what came out.
+
+    Parameters
+    ----------
+    scene : Scene
+    phases : sequence of Phase
+        One after the other; together they are the scene's whole run.
+    train : function
+        Of a full model, its run over a phase and a number of modes, returns the reduced model.
+    step : float, optional [s]
+        Time step of the reduced runs; by default the one that `palpate.rollout` chooses.
+    parts : list of Trajectory
+        Runs of the full model, one for every phase.
+    full : Trajectory
+        The same joined.
+    reduced : list of dict
+        One for every number of modes: ``"modes"``, ``"failed"``, for every phase its entry in ``"phases"``, and those
+        of the whole run in ``"joined"``.
+    shown : list of Trajectory
+        The reduced runs that the figures compare with the full ones, one for every phase; empty if none was finished.
+    shown_modes : int
+        Their number of modes.
+    """
+
+    scene: Scene
+    phases: Sequence[Phase]
+    train: Callable[[NodalModel, Trajectory, int], ReducedModel]
+    step: float | None = None
+    parts: list[Trajectory] = field(default_factory=list)
+    reduced: list[dict[str, Any]] = field(default_factory=list)
+    shown: list[Trajectory] = field(default_factory=list)
+    shown_modes: int = 0
+    full: Trajectory = field(init=False)
+
+
+def prepare(build: Callable[[], Scene], out: Path, doubles: int, console: Console) -> Scene:
+    """Build a scene, and make the folder for its results once it is known that they can be written there.
+
+    Parameters
+    ----------
+    build : function
+        Returns the scene.
+    out : path
+        Folder.
+    doubles : int
+        Numbers that the snapshots and the export hold for every node and time.
+    console : Console
+
+    Raises
+    ------
+    InputError
+        A parameter of the scene is out of range, or the folder cannot take the files.
+    """
+    check_folder(out)
+    with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):
+        scene = build()
+    frames, nodes = round(scene.duration / scene.every) + 1, len(scene.model.cloud)
+    check_space(out, doubles * frames * nodes * 8 + FOR_FIGURES)
+    out.mkdir(parents=True, exist_ok=True)
+    console.say(f"{scene.title}: {nodes} nodes; {scene.model.stability.step:.3g} s is stable at rest")
+    return scene
+
+
+def run_full(study: Study, out: Path, files: Sequence[str], console: Console) -> None:
+    """Run the full model into ``full.h5``, streaming its frames beside that name until they are complete.
+
+    Parameters
+    ----------
+    study : Study
+    out : path
+        Folder.
+    files : sequence of str
+        What an earlier study may have left there; removed once the run is complete.
+    console : Console
+
+    Raises
+    ------
+    ReproduceError
+        The run diverged; its frames are kept.
+    """
+    scene, step = study.scene, study.scene.model.stability.step
+    begun: list[Path] = []
+    try:
+        rollout(scene.model, scene.loads, duration=step, every=step, progress=False)  # compiles what is left
+        console.say(f"full model: {scene.duration:g} s, {round(scene.duration / scene.every)} snapshots ...")
+        for phase in study.phases:
+            (out / _partial(phase)).unlink(missing_ok=True)  # of an earlier run that was stopped
+        for phase in study.phases:
+            begun.append(out / _partial(phase))
+            begin: dict[str, Any] = {"start": phase.start, "file": begun[-1]}
+            begin |= _last(study.parts[-1] if study.parts else None)
+            study.parts.append(rollout(scene.model, scene.loads, duration=phase.duration, every=scene.every, **begin))
+    except DivergenceError as error:
+        raise ReproduceError(f"the full model diverged: {error}; {_kept(begun)}") from error
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"in the full run; {_kept(begun)}" if begun else "") from None
+    study.full = _joined(study.parts)
+    for name in files:  # of an earlier study: what stands in the folder belongs together
+        (out / name).unlink(missing_ok=True)
+    _keep(study, begun, out / "full.h5")
+    console.say(f"full model: {study.full.wall_seconds:.2f} s, {int(study.full.steps[-1])} steps")
+
+
+def _partial(phase: Phase) -> str:
+    return f"{phase.name}.partial.h5"
+
+
+def _last(run: Trajectory | None) -> dict[str, Any]:
+    """Return the initial state for a run that goes on from another one's end."""
+    return {} if run is None else {"displacement": run.displacements[-1], "velocity": run.velocities[-1]}
+
+
+def _kept(partials: list[Path]) -> str:
+    return f"the frames until then are kept in {' and '.join(str(path) for path in partials if path.exists())}"
+
+
+def _joined(parts: Sequence[Trajectory]) -> Trajectory:
+    return reduce(Trajectory.then, parts)
+
+
+def _keep(study: Study, partials: list[Path], path: Path) -> None:
+    """Give the complete run its name."""
+    if len(partials) == 1:
+        os.replace(partials[0], path)
+        return
+    study.full.save(path)
+    for partial in partials:
+        partial.unlink()
+
+
+def run_reduced(study: Study, sizes: Sequence[int], console: Console) -> None:
+    """Train and run a reduced model of every size, each phase from its own end of the phase before."""
+    try:
+        for size in sizes:
+            runs = _run_size(study, size, console)
+            if len(runs) < len(study.phases):
+                continue
+            if not study.shown or abs(size - SHOWN_MODES) < abs(study.shown_modes - SHOWN_MODES):
+                study.shown, study.shown_modes = runs, size
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("in the reduced runs; the full model's frames are kept in full.h5") from None
+
+
+def _run_size(study: Study, size: int, console: Console) -> list[Trajectory]:
+    """Run a reduced model of one size through all phases; return the runs that were finished."""
+    entry: dict[str, Any] = {"modes": size, "failed": False, "phases": {}}
+    runs: list[Trajectory] = []
+    for phase, full in zip(study.phases, study.parts, strict=True):
+        where = f", {phase.name}" if len(study.phases) > 1 else ""
+        if entry["failed"]:
+            entry["phases"][phase.name] = {"failed": True, "reason": "the phase before it failed"}
+            continue
+        measured, run = _run_phase(study, phase, full, size, runs[-1] if runs else None)
+        entry["phases"][phase.name] = measured
+        if run is None:
+            entry["failed"] = True
+            console.say(f"reduced, {size} modes{where}: failed: {measured['reason']}")
+            continue
+        runs.append(run)
+        console.say(
+            f"reduced, {size} modes{where}: {run.wall_seconds:.2f} s, {measured['ratio']:.1%} of the full model's "
+            f"time, displacement error {measured['errors']['displacement']:.3%}"
+        )
+    if not entry["failed"]:
+        entry["joined"] = _compared(study.full, _joined(runs))
+    study.reduced.append(entry)
+    return runs
+
+
+def _run_phase(
+    study: Study, phase: Phase, full: Trajectory, size: int, before: Trajectory | None
+) -> tuple[dict[str, Any], Trajectory | None]:
+    """Train and run a reduced model over a phase; return its entry in the report, and its run if it was finished."""
+    scene, begin = study.scene, {"start": phase.start} | _last(before)
+    try:
+        start = perf_counter()
+        model = study.train(scene.model, full, size)
+        training = perf_counter() - start
+        step = scene.model.stability.step
+        # compiles, and warms the caches
+        rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)
+        run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=study.step, **begin)
+    except (DivergenceError, InputError) as error:
+        return {"failed": True, "reason": " ".join(str(error).split())}, None
+    projected = replace(full, displacements=_projected(model, full.displacements))
+    measured = {
+        "failed": False,
+        "projection_error": errors(full, projected).displacement,
+        "training_seconds": training,
+        "real_time_factor": phase.duration / run.wall_seconds,
+    }
+    return measured | _compared(full, run), run
+
+
+def _compared(full: Trajectory, run: Trajectory) -> dict[str, Any]:
+    return {
+        "errors": errors(full, run).as_dict(),
+        "wall_seconds": run.wall_seconds,
+        "ratio": run.wall_seconds / full.wall_seconds,
+        "steps": int(run.steps[-1]),
+    }
+
+
+def _projected(model: ReducedModel, displacements: Floats) -> Floats:
+    """Return the fields (f, n, 3) nearest to some displacements that modes and lifting columns can make."""
+    coordinates = np.linalg.solve(model.mass, model.test @ displacements.reshape(len(displacements), -1).T)
+    return np.tensordot(coordinates.T, model.columns, 1)
