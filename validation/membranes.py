@@ -28,10 +28,14 @@ LAYOUTS = (("rings", 0.0), ("hexagonal", 0.0), ("rings", 0.1))
 
 
 def settled(model, loads, start):
-    """Static state near `start`, and how much the largest displacement still changes in its last tenth."""
-    before = relax(model, loads, start, 0.5, 60.0)
-    after = relax(model, loads, before, 0.05, 60.0)
-    return after, float(np.abs(after - before).max() / np.abs(after).max())
+    """Static state near `start`, and the share of the largest displacement by which it still changed in 0.05 s."""
+    after = relax(model, loads, start, 0.4, 60.0)
+    for _ in range(100):
+        before, after = after, relax(model, loads, after, 0.05, 60.0)
+        change = float(np.abs(after - before).max() / np.abs(after).max())
+        if change < 1e-4:
+            break
+    return after, change
 
 
 def poked(spacing, layout, jitter, tool_radius, prestretch=1.0, form="energy"):
@@ -119,6 +123,8 @@ def stability():
     clouds = [(spacing, layout, 0.0, 0) for spacing in (*SPACINGS, 0.00125) for layout in ("rings", "hexagonal")]
     clouds += [(0.005, "rings", 0.2, seed) for seed in range(5)]
     for (spacing, layout, jitter, seed), after in product(clouds, ("return", "hold", "release")):
+        if spacing < SPACINGS[-1] and after != "return":
+            continue  # the harshest alone at 20,000 nodes
         scene = membrane(spacing, after, layout=layout, jitter=jitter, seed=seed)
         run = pt.rollout(scene.model, scene.loads, duration=scene.duration, every=scene.every, progress=False)
         total = run.kinetic + run.strain

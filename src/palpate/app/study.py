@@ -43,11 +43,14 @@ class Phase:
     ----------
     name : str
     start, duration : float [s]
+    step : float, optional [s]
+        Time step of the reduced runs; by default the one that `palpate.rollout` chooses.
     """
 
     name: str
     start: float
     duration: float
+    step: float | None = None
 
 
 @dataclass
@@ -61,8 +64,6 @@ class Study:
         One after the other; together they are the scene's whole run.
     train : function
         Of a full model, its run over a phase and a number of modes, returns the reduced model.
-    step : float, optional [s]
-        Time step of the reduced runs; by default the one that `palpate.rollout` chooses.
     parts : list of Trajectory
         Runs of the full model, one for every phase.
     full : Trajectory
@@ -79,7 +80,6 @@ class Study:
     scene: Scene
     phases: Sequence[Phase]
     train: Callable[[NodalModel, Trajectory, int], ReducedModel]
-    step: float | None = None
     parts: list[Trajectory] = field(default_factory=list)
     reduced: list[dict[str, Any]] = field(default_factory=list)
     shown: list[Trajectory] = field(default_factory=list)
@@ -233,7 +233,7 @@ def _run_phase(
         step = scene.model.stability.step
         # compiles, and warms the caches
         rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)
-        run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=study.step, **begin)
+        run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=phase.step, **begin)
     except (DivergenceError, InputError) as error:
         return {"failed": True, "reason": " ".join(str(error).split())}, None
     projected = replace(full, displacements=_projected(model, full.displacements))
@@ -249,10 +249,17 @@ def _run_phase(
 def _compared(full: Trajectory, run: Trajectory) -> dict[str, Any]:
     return {
         "errors": errors(full, run).as_dict(),
+        "error_at_end": _error_at_end(full, run),
         "wall_seconds": run.wall_seconds,
         "ratio": run.wall_seconds / full.wall_seconds,
         "steps": int(run.steps[-1]),
     }
+
+
+def _error_at_end(full: Trajectory, run: Trajectory) -> float:
+    """Return the sum of |u_full - u| over the sum of |u_full| in the last frame."""
+    missed = np.linalg.norm(run.displacements[-1] - full.displacements[-1], axis=1).sum()
+    return float(missed / np.linalg.norm(full.displacements[-1], axis=1).sum())
 
 
 def _projected(model: ReducedModel, displacements: Floats) -> Floats:

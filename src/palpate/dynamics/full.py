@@ -105,8 +105,7 @@ class FullModel(NodalModel):
         law = type(material)
         self.neighbours = neighbours
         self._compile(solid(law.first, law.second, pressure == "direct"), body, work, lanes)
-        self.stability = choose_viscosity(self, viscosity)
-        self.viscosity = self.stability.used
+        self._examined(choose_viscosity(self, viscosity))
 
     @property
     def weights(self) -> Floats:

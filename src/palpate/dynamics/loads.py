@@ -134,6 +134,7 @@ class Drive:
     supports: dict[str, NDArray[np.int64]]
     points: Floats
     motions: tuple[tuple[PrescribedMotion, slice], ...] = field(default=())
+    partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)  # once computed
 
     def schedule(self, times: Floats) -> Schedule:
         """Evaluate every load at the given times [s].

@@ -106,15 +106,10 @@ class Membrane(NodalModel):
         )
         self._taut = self.highest_frequency(TAUT * self._flat(cloud.points), self.held)
         wanted = DAMPING[form] / self._taut if viscosity is None else viscosity
-        self.viscosity = number_in_range("viscosity", wanted, 0.0, unit="s")
-        self.stability = StabilityReport(
-            "the taut sheet",
-            None,
-            0.0 if self.conservative else np.nan,
-            self.viscosity,
-            self._taut,
-            stable_step(self._taut, self.viscosity),
-        )
+        used = number_in_range("viscosity", wanted, 0.0, unit="s")
+        needed = 0.0 if self.conservative else np.nan
+        step = stable_step(self._taut, used)
+        self._examined(StabilityReport("the taut sheet", None, needed, used, self._taut, step))
 
     def _body(self) -> tuple[SheetBody, int]:
         """Lay out the stencils; return them with the longest list of neighbours that a pass holds."""

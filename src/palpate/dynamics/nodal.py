@@ -35,6 +35,8 @@ class NodalModel(Model):
     held : (n,) bool array
         Nodes of the fixed groups.
     stability : StabilityReport
+    fastest : float [m/s]
+        About the speed of the fastest waves: a tool that jumps counts as no faster in the viscous forces.
     highest_frequency : FrequencyTracker
     """
 
@@ -44,6 +46,7 @@ class NodalModel(Model):
     half_cell: float
     held: NDArray[np.bool_]
     stability: StabilityReport
+    fastest: float
     highest_frequency: FrequencyTracker
 
     def _compile(self, formulation: Formulation, body: Any, work: Any, lanes: Lanes) -> None:
@@ -55,6 +58,12 @@ class NodalModel(Model):
         self._scratch = tuple(np.zeros((len(self.cloud), 3)) for _ in range(4))
         self.held = self.drive(()).places.kind != FREE
         self.highest_frequency = FrequencyTracker(self)
+        self.fastest = np.inf
+
+    def _examined(self, report: StabilityReport) -> None:
+        """Take what the examination at rest has found."""
+        self.stability, self.viscosity = report, report.used
+        self.fastest = 0.5 * self.cloud.spacing * report.highest_frequency
 
     @property
     def weights(self) -> Floats:
@@ -99,7 +108,7 @@ class NodalModel(Model):
         surface[:] = 0.0  # of another run's loads
         before = 0.0 if self.conservative else tool_power(self, state, drive)
         work, lost, tools = self._advance(
-            u, v, step, self.viscosity, self.body, self.work, drive.places, schedule, self.volumes,
+            u, v, step, self.viscosity, self.fastest, self.body, self.work, drive.places, schedule, self.volumes,
             self.material.density, self.slot, self.half_cell, force, previous,
             surface, at,
         )  # fmt: skip
@@ -128,7 +137,8 @@ class NodalModel(Model):
 
     def external_force(self, state: State, drive: Drive) -> Floats:
         schedule = drive.schedule(np.array([state.time]))
-        self.force(state.coordinates)  # the body that a pressure follows
+        if drive.places.pressure_node.size:
+            self.force(state.coordinates)  # the body that a pressure follows
         surface = self.tractions(drive, schedule)
         return surface * self.volumes[:, None] + self.masses[:, None] * schedule.gravity[0]
 

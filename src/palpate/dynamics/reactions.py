@@ -38,7 +38,10 @@ def reactions(model: Model, state: State, drive: Drive) -> dict[str, Floats]:
     supports = drive.holding(state.time)
     if not supports:
         return none
-    phi = partition(model.cloud.points, supports)
+    names = tuple(supports)
+    if names not in drive.partitions:
+        drive.partitions[names] = partition(model.cloud.points, supports)
+    phi = drive.partitions[names]
     inertia = model.masses[:, None] * model.acceleration(state, drive) - model.external_force(state, drive)
     forces = phi @ inertia
     if model.conservative:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import numpy as np
 from numba import njit
 
 from palpate.dynamics.compiled import law_njit
@@ -73,18 +74,28 @@ def _kick(places, holds, force, surface, gravity, half_cell, volumes, density, k
 
 
 @njit(cache=True)
-def _viscous_work(force, previous, volumes, velocity):  # type: ignore[no-untyped-def]
-    """Return sum of V v . (previous - force) [W], and keep the force as the next previous one.
+def _viscous_work(force, previous, volumes, u, at):  # type: ignore[no-untyped-def]
+    """Return sum of V (beta v) . (previous - force) [J], and keep the force as the next previous one.
 
-    Between two evaluations the internal force changes by -K v dt, so that beta times this sum is what viscosity
-    takes from the body in a step, beta v . K v dt [J].
+    Between two evaluations the internal force changes by -K v dt, so that this sum is what viscosity takes from the
+    body in a step, beta v . K v dt.
     """
     work = 0.0
     for i in range(force.shape[0]):
         for c in range(3):
-            work += volumes[i] * velocity[i, c] * (previous[i, c] - force[i, c])
+            work += volumes[i] * (at[i, c] - u[i, c]) * (previous[i, c] - force[i, c])
             previous[i, c] = force[i, c]
     return work
+
+
+@njit(cache=True)
+def _slow_jumps(driven, u, velocity, beta, fastest, at):  # type: ignore[no-untyped-def]
+    """Let no driven node be faster than `fastest` in the viscous forces: those of a jump would grow as 1 / step."""
+    for i in driven:
+        speed = np.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
+        if speed > fastest:
+            for c in range(3):
+                at[i, c] = u[i, c] + beta * velocity[i, c] * fastest / speed
 
 
 @njit(cache=True)
@@ -113,8 +124,8 @@ def full_step(formulation: Formulation) -> Any:
     Returns
     -------
     function
-        ``advance(u, velocity, step, beta, body, work, places, schedule, volumes, density, slot, half_cell, force,
-        previous, surface, at)`` advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has
+        ``advance(u, velocity, step, beta, fastest, body, work, places, schedule, volumes, density, slot, half_cell,
+        force, previous, surface, at)`` advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has
         times less one, and returns the work [J] of tractions and gravity, the energy [J] lost to viscosity, and the
         work [J] of the nodal forces that drive nodes.
     """
@@ -126,6 +137,7 @@ def full_step(formulation: Formulation) -> Any:
         velocity,
         step,
         beta,
+        fastest,
         body,
         work,
         places,
@@ -145,10 +157,11 @@ def full_step(formulation: Formulation) -> Any:
             for i in range(u.shape[0]):
                 for c in range(3):
                     at[i, c] = u[i, c] + beta * velocity[i, c]
+            _slow_jumps(places.driven, u, velocity, beta, fastest, at)
             force_of(at, body, work, force)
-            change = _viscous_work(force, previous, volumes, velocity)
+            change = _viscous_work(force, previous, volumes, u, at)
             if s > 0:
-                lost += beta * change
+                lost += change
             surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
             kick = 0.5 * step if s in (0, steps) else step
             gravity, target = schedule.gravity[s], schedule.motion[min(s + 1, steps)]

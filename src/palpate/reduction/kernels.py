@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import numpy as np
 from numba import njit, prange
 
 from palpate.dynamics.compiled import law_njit
@@ -75,6 +76,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
         holds,
         step,
         beta,
+        fastest,
         table,
         modes,
         test,
@@ -110,10 +112,13 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
                     velocity[j] = (lifting[s + 1, j - first] - lifting[s, j - first]) / step
             for m in range(count):
                 columns[m] = a[m] + beta * velocity[m]
+            for j in range(first, count):
+                if abs(velocity[j]) > fastest[j - first]:  # a jump, as in the full model
+                    columns[j] = a[j] + beta * np.sign(velocity[j]) * fastest[j - first]
             projected_force(columns, table, test, body, work, volumes, partial, force, result)
             for m in range(count):
                 if s > 0:
-                    lost += beta * velocity[m] * (previous[m] - result[m])
+                    lost += (columns[m] - a[m]) * (previous[m] - result[m])
                 previous[m] = result[m]
             surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
             power[:] = 0.0

@@ -22,7 +22,7 @@ __all__ = ["ReducedModel", "reduce"]
 
 Floats = NDArray[np.float64]
 
-MOVED = 0.1  # of the largest coordinate seen: how far the state goes before the tangent is taken anew
+MOVED = 0.1  # of the largest displacement seen: how far the state goes before the tangent is taken anew
 SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less in a relative basis
 UNTRAINED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
@@ -71,6 +71,7 @@ class ReducedModel(Model):
         self._force, self._surface = np.zeros((n, 3)), np.zeros((n, 3))
         self._partial = np.zeros((blocks, len(self.columns)))
         self._columns, self._result, self._previous, self._rates, self._power = np.zeros((5, len(self.columns)))
+        self._sizes = np.linalg.norm(self.columns, axis=2).max(axis=1)  # largest displacement of a unit coordinate
         self._tangent_at: Floats | None = None
         self._tangent, self._reach = np.zeros_like(self.mass), 0.0
         self.implicit = implicit
@@ -133,19 +134,22 @@ class ReducedModel(Model):
         return State(coordinates[0], coordinates[1], time)
 
     def stable_step(self, state: State, drive: Drive) -> float:
-        if self.implicit:
+        held = bool(self._holds(drive, np.array([state.time]))[0])
+        if self.implicit and held:
             return np.inf
+        if self.implicit:  # nodes that a tool has let go move faster than any tangent can follow
+            return stable_step(self.full.stability.highest_frequency, self.viscosity)
         self._follow(state)
-        moving = slice(len(self.basis) if self._holds(drive, np.array([state.time]))[0] else None)
+        moving = slice(len(self.basis) if held else None)
         tangent = np.linalg.solve(self.mass[moving, moving], self._tangent[moving, moving])
         return stable_step(float(np.sqrt(np.abs(np.linalg.eigvals(tangent)).max())), self.viscosity)
 
     def _follow(self, state: State) -> None:
         """Take the tangent anew when the state has moved far enough from where it was taken."""
-        columns = state.coordinates
-        self._reach = max(self._reach, float(np.abs(columns).max()))
-        if self._tangent_at is None or np.abs(columns - self._tangent_at).max() > MOVED * self._reach:
-            self._tangent, self._tangent_at = self.stiffness(columns), columns.copy()
+        moved = state.coordinates * self._sizes  # coordinates of modes and of columns are not of one size
+        self._reach = max(self._reach, float(np.abs(moved).max()))
+        if self._tangent_at is None or np.abs(moved - self._tangent_at).max() > MOVED * self._reach:
+            self._tangent, self._tangent_at = self.stiffness(state.coordinates), moved
 
     def _responses(self, state: State, step: float) -> tuple[Floats, Floats]:
         """The matrices (mass + (dt^2 / 2 + beta dt) K)^-1 on the forces: of the modes alone, and of all columns."""
@@ -158,9 +162,9 @@ class ReducedModel(Model):
     def stiffness(self, columns: Floats) -> Floats:
         """Return the tangent -d(force)/d(coordinates) [1/s^2], (M + l, M + l), by differences."""
         tangent, base = np.empty_like(self.mass), self.force(columns).copy()
-        for m, column in enumerate(self.columns):
+        for m in range(len(self.columns)):
             # a displacement of about a millionth of the spacing
-            delta = 1e-6 * self.cloud.spacing / np.abs(column).max()
+            delta = 1e-6 * self.cloud.spacing / self._sizes[m]
             moved = columns.copy()
             moved[m] += delta
             tangent[:, m] = (base - self.force(moved)) / delta
@@ -178,7 +182,8 @@ class ReducedModel(Model):
         self._surface[:] = 0.0  # of another run's loads
         before = 0.0 if self.conservative else tool_power(self, state, drive)
         work, lost, tools = self._advance(
-            a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, self._table,
+            a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity,
+            full.fastest / self._sizes[len(self.basis) :], self._table,
             self.columns, self.test, self.mass, full.body, full.work, drive.places, drive.schedule(times[1:-1]),
             self._gravity_test, self._gravity_work, *self._responses(state, step), self.volumes,
             self.material.density, full.half_cell, full.slot, self._force, self._partial,

@@ -117,8 +117,9 @@ def draw_time(done: dict[str, list[dict[str, Any]]], full: list[float], path: Pa
             left.plot(sizes, [entry["wall_seconds"] for entry in entries], "o-", color=colour, lw=2, label=title)
             right.plot(sizes, [100 * entry["ratio"] for entry in entries], "o-", color=colour, lw=2)
         left.plot([], [], "--", color=GREY, lw=1.4, label="dashed: full model")
-        left.set_ylim(0, 1.15 * max(full))
-        right.set_ylim(0, 125 * max(entry["ratio"] for entry in most))
+        slowest = max(entry["wall_seconds"] for entries in done.values() for entry in entries)
+        left.set_ylim(0, 1.15 * max(*full, slowest))
+        right.set_ylim(0, 115 * max(entry["ratio"] for entries in done.values() for entry in entries))
         drawn.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
 
 

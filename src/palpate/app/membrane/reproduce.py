@@ -29,9 +29,8 @@ __all__ = ["FIGURES", "FILES", "reproduce_membrane"]
 
 Floats = NDArray[np.float64]
 
-PHASES = (Phase("push", 0.0, PUSHED), Phase("after", PUSHED, DURATION - PUSHED))
 SNAPSHOTS = round(PUSHED / EVERY)  # of a phase, that move
-STEP = EVERY / 5  # of the reduced runs
+STEP = EVERY / 5  # of the reduced runs, as long as the tool holds the sheet
 FIGURES = (
     "figure7_error.png",
     "figure8_time.png",
@@ -95,7 +94,9 @@ def reproduce_membrane(
         6 + 9,  # in full.h5 displacements and velocities, in the export those, two stresses and the state
         console,
     )
-    study = Study(scene, PHASES, train, STEP)
+    held = None if after == "release" else STEP
+    phases = (Phase("push", 0.0, PUSHED, STEP), Phase("after", PUSHED, DURATION - PUSHED, held))
+    study = Study(scene, phases, train)
     run_full(study, out, FILES, console)
     model = cast(Membrane, scene.model)
     states = np.stack([model.tension(displacement) for displacement in study.full.displacements])
