@@ -38,7 +38,7 @@ def phase(model, loads, start, before=None, **options):
 def both(scene, models):
     """Run the two phases with one model each, the second from where the first ended."""
     push = phase(models[0], scene.loads, 0.0, step=EVERY / 5)
-    return push, phase(models[1], scene.loads, PHASE, push, step=EVERY / 5)
+    return push, phase(models[1], scene.loads, PHASE, push)
 
 
 def projection(model, run):
