@@ -1,6 +1,6 @@
 """The membrane against axisymmetric solutions, Bessel's frequencies, other layouts and itself turned.
 
-    python validation/membranes.py [statics|frequencies|layouts|stability ...]
+    python validation/membranes.py [statics|nodes|frequencies|layouts|stability ...]
 
 runs the named studies, or all (half an hour), prints their tables and writes them to docs/validation/membranes.json.
 """
@@ -86,6 +86,24 @@ def statics():
     return rows
 
 
+def nodes():
+    """Radius of the disc that needs the force of one pushed node, and the mean deflections of both."""
+    rows = []
+    for spacing, (layout, jitter) in product(SPACINGS, LAYOUTS[:2]):
+        force, mean, _, change = poked(spacing, layout, jitter, 1e-6)
+        low, high = 1e-3 * spacing, spacing
+        while high / low > 1.001:
+            middle = np.sqrt(low * high)
+            disc = poke(RADIUS, THICKNESS, neo_hookean(C1), 0.01, middle)
+            low, high = (middle, high) if disc.force < force else (low, middle)
+        rows.append({
+            "spacing": spacing, "layout": layout, "force": force, "radius_in_spacings": low / spacing,
+            "mean_error": mean / disc.mean_deflection - 1, "change": change,
+        })  # fmt: skip
+        show(rows[-1])
+    return rows
+
+
 def frequencies():
     """First transverse frequencies of a taut sheet against the zeros of Bessel's functions."""
     rows = []
@@ -164,7 +182,7 @@ def show(row):
     print("  ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()), flush=True)
 
 
-STUDIES = {"statics": statics, "frequencies": frequencies, "layouts": layouts, "stability": stability}
+STUDIES = {"statics": statics, "nodes": nodes, "frequencies": frequencies, "layouts": layouts, "stability": stability}
 
 
 def main() -> None:

@@ -10,12 +10,12 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-from numba import njit
+from numba import get_thread_id, njit, prange
 
-from palpate.dynamics.compiled import law_njit
+from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.lanes import LANES
 
-__all__ = ["Formulation", "combine", "differences", "internal_force", "weights_address"]
+__all__ = ["Formulation", "combine", "differences", "internal_force", "lift_passes", "weights_address"]
 
 
 class Formulation(NamedTuple):
@@ -80,6 +80,37 @@ def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
         for q in range(table.shape[2]):
             for lane in range(LANES):
                 out[q, lane] += table[b, m, q, lane] * columns[m]
+
+
+def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int) -> tuple[Any, Any]:
+    """Make the passes that differentiate displacements, from the sums of first and of second derivatives.
+
+    Returns
+    -------
+    lift, differentiate : functions
+        ``lift(b, u, lanes, first, second, fields, out)`` writes the derivatives at the nodes of one block into out
+        (numbers, LANES), the first `first_numbers` being first derivatives; for `differentiate` see `Formulation`.
+    """
+    digest = law_digest("lift", name, first_numbers)
+
+    @law_njit(digest, cached=False, fastmath={"contract"})
+    def lift(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
+        count, shared = differences(b, u, lanes, fields), lanes.shared[b]
+        rest = out[first_numbers:]
+        first_sums(weights_address(first, lanes, b), fields.ctypes.data, out.ctypes.data, count, shared)
+        second_sums(weights_address(second, lanes, b), fields.ctypes.data, rest.ctypes.data, count, shared)
+
+    @law_njit(digest, parallel=True)
+    def lift_columns(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
+        for b in prange(lanes.nodes.shape[0]):
+            for m in range(modes.shape[0]):
+                lift(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
+
+    @law_njit(digest)
+    def differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
+        lift_columns(modes, body.lanes, body.first, body.second, work.fields, table)
+
+    return lift, differentiate
 
 
 @cache

@@ -26,7 +26,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
-from palpate.dynamics.kernels import Formulation, combine, differences, weights_address
+from palpate.dynamics.kernels import Formulation, combine, lift_passes, weights_address
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x2, lane_sums_3x3
 
 __all__ = ["SheetBody", "SheetWork", "sheet", "sheet_work"]
@@ -76,24 +76,7 @@ def sheet_work(nodes: int, blocks: int, longest: int, threads: int) -> SheetWork
     )
 
 
-@njit(cache=True, fastmath={"contract"})
-def _lift(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
-    """First and second derivatives of the displacement at the nodes of one block, into out (15, LANES)."""
-    count, shared = differences(b, u, lanes, fields), lanes.shared[b]
-    lane_sums_3x2(weights_address(first, lanes, b), fields.ctypes.data, out.ctypes.data, count, shared)
-    lane_sums_3x3(weights_address(second, lanes, b), fields.ctypes.data, out[6:].ctypes.data, count, shared)
-
-
-@njit(cache=True, parallel=True)
-def _lift_columns(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
-    for b in prange(lanes.nodes.shape[0]):
-        for m in range(modes.shape[0]):
-            _lift(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
-
-
-@njit(cache=True)
-def _differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
-    _lift_columns(modes, body.lanes, body.first, body.second, work.fields, table)
+_lift, _differentiate = lift_passes("sheet", lane_sums_3x2, lane_sums_3x3, 6)
 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
@@ -155,6 +138,13 @@ def _copy_force(flux, force):  # type: ignore[no-untyped-def]
             force[i, c] = flux[i, c]
 
 
+@njit(cache=True, forceinline=True)
+def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
+    """Eigenvalues of C, and the squared stretch to which a sheet in simple tension narrows."""
+    mean, reach = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
+    return mean + reach, mean - reach, 1.0 / np.sqrt(max(mean + reach, 1.0))
+
+
 def _make_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> tuple[Any, Any]:
     """Make the functions of C that give energy, a and g in P = a F + g F adj(C), and their derivatives.
 
@@ -168,12 +158,9 @@ def _make_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, r
         """Energy, a and g; in the relaxed law the state is first moved to where the energy is the same."""
         t, D = C00 + C11, C00 * C11 - C01 * C01
         if relaxed:
-            reach = np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
-            c1, c2 = 0.5 * t + reach, 0.5 * t - reach
-            longer = max(c1, 1.0)
-            width = 1.0 / np.sqrt(longer)
+            c1, c2, width = _principal(C00, C11, C01)
             if c2 < width:
-                I1, I2 = longer + 2.0 * width, 2.0 / width + width * width
+                I1, I2 = 1.0 / (width * width) + 2.0 * width, 2.0 / width + width * width
                 W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
                 h = 2.0 * (W1 * (1.0 - width**3) + W2 * (width - width**4)) / max(c1 - c2, NEVER)
                 return energy(I1, I2, 1.0, coefficients), h * c1, -h
@@ -187,12 +174,9 @@ def _make_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, r
         """Derivatives of a and g by t = tr C, then by D = det C."""
         t, D = C00 + C11, C00 * C11 - C01 * C01
         if relaxed:
-            reach = np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
-            c1, c2 = 0.5 * t + reach, 0.5 * t - reach
-            longer = max(c1, 1.0)
-            width = 1.0 / np.sqrt(longer)
+            c1, c2, width = _principal(C00, C11, C01)
             if c2 < width:
-                I1, I2 = longer + 2.0 * width, 2.0 / width + width * width
+                I1, I2 = 1.0 / (width * width) + 2.0 * width, 2.0 / width + width * width
                 W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
                 W11, W12, W22, _, _, _ = second_of(I1, I2, 1.0, coefficients)
                 gap = max(c1 - c2, NEVER)

@@ -24,7 +24,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
-from palpate.dynamics.kernels import Formulation, combine, differences, weights_address
+from palpate.dynamics.kernels import Formulation, combine, lift_passes, weights_address
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x1, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 
 __all__ = ["Body", "Workspace", "solid", "workspace"]
@@ -67,24 +67,7 @@ def workspace(nodes: int, blocks: int, longest: int, threads: int) -> Workspace:
     )
 
 
-@njit(cache=True, fastmath={"contract"})
-def _lift(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
-    """First and second derivatives of the displacement at the nodes of one block, into out (27, LANES)."""
-    count, shared = differences(b, u, lanes, fields), lanes.shared[b]
-    lane_sums_3x3(weights_address(first, lanes, b), fields.ctypes.data, out.ctypes.data, count, shared)
-    lane_sums_3x6(weights_address(second, lanes, b), fields.ctypes.data, out[9:].ctypes.data, count, shared)
-
-
-@njit(cache=True, parallel=True)
-def _lift_columns(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
-    for b in prange(lanes.nodes.shape[0]):
-        for m in range(modes.shape[0]):
-            _lift(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
-
-
-@njit(cache=True)
-def _differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
-    _lift_columns(modes, body.lanes, body.first, body.second, work.fields, table)
+_lift, _differentiate = lift_passes("solid", lane_sums_3x3, lane_sums_3x6, 9)
 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
