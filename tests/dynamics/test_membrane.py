@@ -421,6 +421,12 @@ def test_a_driven_node_on_the_rim_is_refused():
         model.drive([pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))])
 
 
+def test_a_tool_that_holds_the_whole_sheet_is_refused():
+    model = sheet(CLOUDS["rings"].within("tool", (0.0, 0.0), 0.095))
+    with pytest.raises(pt.InputError, match="none is left to move"):
+        model.drive([pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))])
+
+
 def test_a_tool_cannot_let_go_before_it_began():
     with pytest.raises(pt.InputError, match="until"):
         pt.PrescribedMotion("tool", (0.0, 0.0, 0.01), until=-1.0)

@@ -232,7 +232,7 @@ def drive(
     Raises
     ------
     InputError
-        An unknown group, a load on a fixed group, or two motions for one node.
+        An unknown group, a load on a fixed group, two motions for one node, or no node that is free.
     """
     kind = np.full(len(cloud), FREE, dtype=np.uint8)
     supports = {}
@@ -269,6 +269,9 @@ def drive(
     for load in loads:
         if isinstance(load, Traction) and np.all(kind[cloud.group(load.group)] != FREE):
             raise InputError(f"Traction on group {load.group!r}: all of it is fixed or driven; load another group")
+    if np.all(kind != FREE):
+        names = ", ".join(map(repr, supports))
+        raise InputError(f"all {len(cloud)} nodes are fixed or driven by {names}: none is left to move")
     empty = np.zeros(0, dtype=np.int64)
     places = Places(
         kind,
