@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -310,7 +310,6 @@ def test_a_slack_sheet_keeps_its_energy_whatever_the_tool_does(cloud, after):
 def test_jittered_sheets_are_stable(seed):
     _, found = run(pt.disc(RADIUS, 0.01, jitter=0.25, seed=seed), "return", prestretch=1.0)
     assert np.abs(found.displacements).max() < 0.03
-    assert found.complete
 
 
 def test_a_returned_sheet_strays_in_the_strong_form():
@@ -387,6 +386,20 @@ def test_consistent_weights_differentiate_and_balance():
     assert np.abs(weights - fitted).max() > 1e-3 * np.abs(fitted).max()
 
 
+def test_a_sheet_that_is_slack_all_over_just_drifts():
+    model = sheet(fixed=())
+    shrunk = -0.1 * np.column_stack([model.cloud.points, np.zeros(len(model.cloud))])
+    speed = np.broadcast_to([0.0, 0.0, 0.5], shrunk.shape)
+    found = pt.rollout(model, duration=0.01, every=0.01, displacement=shrunk, velocity=speed, progress=False)
+    np.testing.assert_allclose(found.displacements[-1], shrunk + 0.01 * speed, atol=1e-12)
+
+
+def test_a_cloud_without_a_boundary_is_refused():
+    nothing = {"face_nodes": np.zeros(0, dtype=int), "face_normals": np.zeros((0, 2)), "face_areas": np.zeros(0)}
+    with pytest.raises(pt.CloudError, match="no closed boundary"):
+        sheet(replace(CLOUDS["rings"], **nothing))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -428,5 +441,6 @@ def test_a_tool_that_holds_the_whole_sheet_is_refused():
 
 
 def test_a_tool_cannot_let_go_before_it_began():
-    with pytest.raises(pt.InputError, match="until"):
-        pt.PrescribedMotion("tool", (0.0, 0.0, 0.01), until=-1.0)
+    for until in (-1.0, np.nan, "later", None):
+        with pytest.raises(pt.InputError, match="until"):
+            pt.PrescribedMotion("tool", (0.0, 0.0, 0.01), until=until)

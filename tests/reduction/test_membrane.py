@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -132,9 +134,35 @@ def test_tools_that_let_go_at_different_times_are_refused(sheet, push):
         rom.drive([LET_GO, pt.PrescribedMotion("other", (0.0, 0.0, 0.0), until=0.2)])
 
 
-def test_an_unknown_lifting_is_refused(sheet, push):
+def test_bad_training_is_refused(sheet, push):
     with pytest.raises(pt.InputError, match="allowed are 'fitted' and 'local'"):
         pt.reduce(sheet, push, modes=2, driven=["tool"], lifting="global")
+    with pytest.raises(pt.InputError, match="needs the driven groups"):
+        pt.reduce(sheet, push, modes=2, lifting="local")
+    still = replace(push, displacements=np.zeros_like(push.displacements))
+    with pytest.raises(pt.InputError, match="all snapshots are zero"):
+        pt.reduce(sheet, still, modes=2, relative=True)
+
+
+def test_a_model_runs_only_with_the_tools_it_was_trained_with(sheet, push):
+    cloud = sheet.cloud.within("other", (0.05, 0.0), 0.007)
+    model = pt.Membrane(cloud, sheet.material, 1e-5, "rim")
+    rom = pt.reduce(model, push, modes=4, driven="tool", lifting="local")
+    with pytest.raises(pt.InputError, match="not trained with group 'other'"):
+        rom.drive([PUSH, pt.PrescribedMotion("other", (0.0, 0.0, 0.0))])
+    with pytest.raises(pt.InputError, match="trained with a prescribed motion"):
+        rom.drive([])
+
+
+def test_a_tool_may_let_go_between_snapshots(sheet):
+    tool = pt.PrescribedMotion("tool", tip, until=0.03)
+    full = pt.rollout(sheet, [tool], duration=0.06, every=0.002, progress=False)
+    rom = pt.reduce(sheet, full, modes=20, driven="tool", lifting="local", relative=True)
+    for every in (0.02, 0.0125):
+        run = pt.rollout(rom, [tool], duration=0.06, every=every, progress=False)
+        energy = run.kinetic + run.strain
+        assert energy[-1] < 1.01 * run.external.max()
+        assert energy[-1] == pytest.approx((full.kinetic + full.strain)[-1], rel=0.3)
 
 
 def test_runs_that_follow_each_other_are_one(sheet, push):
@@ -151,3 +179,7 @@ def test_runs_that_follow_each_other_are_one(sheet, push):
     assert whole.wall_seconds == half.wall_seconds + rest.wall_seconds
     with pytest.raises(pt.InputError, match="cannot be followed"):
         rest.then(half)
+    with pytest.raises(pt.InputError, match="another body"):
+        half.then(replace(rest, points=1.1 * rest.points))
+    with pytest.raises(pt.InputError, match="other supports"):
+        half.then(replace(rest, reactions={}))

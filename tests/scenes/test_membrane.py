@@ -80,6 +80,7 @@ def test_the_scene_tells_what_it_was_made_with():
         ("spacing", np.nan),
         ("spacing", 0.06),
         ("tool_radius", -0.01),
+        ("tool_radius", 0.002),
         ("tool_radius", 0.09),
         ("prestretch", 0.5),
         ("jitter", 0.4),

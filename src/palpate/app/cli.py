@@ -108,7 +108,7 @@ def _add_membrane(examples: Any) -> None:
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     add = membrane.add_argument
-    add("--spacing", type=float, default=0.005, metavar="M", help="distance between nodes [m], from 0.0005 to 0.05")
+    add("--spacing", type=float, default=0.005, metavar="M", help="distance between nodes [m], from 0.001 to 0.05")
     add(
         "--after",
         choices=("return", "hold", "release"),

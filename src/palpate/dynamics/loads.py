@@ -34,7 +34,9 @@ class Traction:
     force : (3,) sequence, or function of time [s] that returns one, optional [N]
         Total force, spread evenly over the face's reference area, fixed in direction.
     pressure : float, or function of time [s], optional [Pa]
-        Pressure on the deformed face: it follows the face as it moves and turns.
+        Pressure on the deformed face: it follows the face as it moves and turns, and pushes against its normal. On a
+        membrane the normal is +z and the face is that of the group's nodes; a force is spread over the flat edge that
+        the group makes up, or else over its nodes' areas.
     """
 
     group: str
@@ -70,12 +72,12 @@ class PrescribedMotion:
         ``displacement(points, time)``, with the group's reference positions (g, 3) [m] and the time [s], returns the
         displacements, shape (g, 3) or (3,) [m].
     until : float [s]
-        When the tool lets go of the nodes; by default never.
+        Last time at which the tool holds the nodes; by default it never lets go.
 
     Raises
     ------
     InputError
-        `until` is negative or not a number.
+        `until` is no number of at least 0.
     """
 
     group: str
@@ -83,8 +85,14 @@ class PrescribedMotion:
     until: float = np.inf
 
     def __post_init__(self) -> None:
-        if not self.until >= 0:
-            raise InputError(f"PrescribedMotion of {self.group!r}: until = {self.until!r} must not be negative [s]")
+        try:
+            valid = float(self.until) >= 0
+        except (TypeError, ValueError):
+            valid = False
+        if not valid:
+            raise InputError(
+                f"PrescribedMotion of {self.group!r}: until = {self.until!r} must be a time of at least 0 s"
+            )
 
     def holds(self, times: Floats) -> NDArray[np.bool_]:
         """Return whether the tool holds its nodes at some times [s]."""
@@ -173,6 +181,11 @@ class Drive:
             motion,
             holds,
         )
+
+    def stops(self, start: float, end: float) -> list[float]:
+        """Return the times [s] after `start` at which tools let go, and then `end`."""
+        near = 1e-9 * abs(end)
+        return [*sorted({m.until for m, _ in self.motions if start + near < m.until < end - near}), end]
 
     def held(self, time: float) -> NDArray[np.bool_]:
         """Return which nodes are fixed or held by a tool at a time [s], shape (n,)."""

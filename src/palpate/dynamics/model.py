@@ -27,7 +27,7 @@ class State:
     Parameters
     ----------
     coordinates, velocities : arrays
-        Nodal (n, 3) [m], [m/s] for a full model, modal (M,) for a reduced one.
+        Nodal (n, 3) [m], [m/s] for a full model, of modes and lifting columns (M + l,) for a reduced one.
     time : float [s]
     external_work, dissipated : float [J]
         Work of loads and tools, and work lost to viscosity, since the run began.

@@ -82,8 +82,9 @@ def rollout(
         with progress_bar(model.name, duration, progress) as shown:
             recorder.add(start, 0, evaluate(model, state, drive))
             for frame in range(1, frames + 1):
-                state, taken, last = _advance_to(model, state, drive, start + frame * every, step, every / FEWEST)
-                steps += taken
+                for time in drive.stops(state.time, start + frame * every):
+                    state, taken, last = _advance_to(model, state, drive, time, step, every / FEWEST)
+                    steps += taken
                 outputs = evaluate(model, state, drive)
                 _check(model, state, drive, outputs, last)
                 recorder.add(state.time, steps, outputs)

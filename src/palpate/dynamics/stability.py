@@ -141,6 +141,9 @@ class FrequencyTracker:
             vector *= amplitude / np.abs(vector).max()
             image = (rest - model.force(displacements + vector)) / model.material.density
             image[held] = 0.0
+            if not image.any():  # nothing resists, as in a slack sheet
+                self.restart()
+                return 0.0
             ratio = float(np.linalg.norm(image) / np.linalg.norm(vector))
             vector = image
         self._vector, self._iterations = vector, 4

@@ -89,9 +89,12 @@ def _viscous_work(force, previous, volumes, u, at):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True)
-def _slow_jumps(driven, u, velocity, beta, fastest, at):  # type: ignore[no-untyped-def]
+def _slow_jumps(driven, holds, u, velocity, beta, fastest, at):  # type: ignore[no-untyped-def]
     """Let no driven node be faster than `fastest` in the viscous forces: those of a jump would grow as 1 / step."""
-    for i in driven:
+    for k in range(driven.shape[0]):
+        if not holds[k]:
+            continue
+        i = driven[k]
         speed = np.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
         if speed > fastest:
             for c in range(3):
@@ -157,7 +160,7 @@ def full_step(formulation: Formulation) -> Any:
             for i in range(u.shape[0]):
                 for c in range(3):
                     at[i, c] = u[i, c] + beta * velocity[i, c]
-            _slow_jumps(places.driven, u, velocity, beta, fastest, at)
+            _slow_jumps(places.driven, schedule.holds[s], u, velocity, beta, fastest, at)
             force_of(at, body, work, force)
             change = _viscous_work(force, previous, volumes, u, at)
             if s > 0:

@@ -75,12 +75,14 @@ class Trajectory:
         Raises
         ------
         InputError
-            The other run does not start at this one's end, or is of another body.
+            The other run does not start at this one's end, or has another body or other supports and tools.
         """
-        if self.points.shape != other.points.shape or not np.isclose(self.times[-1], other.times[0], rtol=1e-9):
+        one_body = self.points.shape == other.points.shape and np.allclose(self.points, other.points)
+        one_body = one_body and self.reactions.keys() == other.reactions.keys()
+        if not one_body or not np.isclose(self.times[-1], other.times[0], rtol=1e-9):
             raise InputError(
                 f"a run that ends at {self.times[-1]:g} s cannot be followed by one that starts at "
-                f"{other.times[0]:g} s, nor by one of another body"
+                f"{other.times[0]:g} s, nor by one of another body or with other supports and tools"
             )
         joined: dict[str, Any] = {}
         for name in (*SERIES, "displacements", "velocities"):

@@ -92,6 +92,10 @@ def _balanced(boundary: Floats, points: Floats, volumes: Floats) -> Floats:
     on = np.any(boundary != 0, axis=1)
     d = points.shape[1]
     linear = np.column_stack([np.ones(on.sum()), points[on] - points.mean(axis=0)])
+    if np.linalg.matrix_rank(linear) < d + 1:
+        raise CloudError(
+            "the cloud has no closed boundary: its face_nodes, face_normals and face_areas must describe one"
+        )
     length = np.linalg.norm(boundary[on], axis=1)[:, None]
     target = np.vstack([np.zeros(d), volumes.sum() * np.eye(d)])
     missing = target - linear.T @ boundary[on]

@@ -113,7 +113,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
             for m in range(count):
                 columns[m] = a[m] + beta * velocity[m]
             for j in range(first, count):
-                if abs(velocity[j]) > fastest[j - first]:  # a jump, as in the full model
+                if holds[s] and abs(velocity[j]) > fastest[j - first]:  # a jump, as in the full model
                     columns[j] = a[j] + beta * np.sign(velocity[j]) * fastest[j - first]
             projected_force(columns, table, test, body, work, volumes, partial, force, result)
             for m in range(count):

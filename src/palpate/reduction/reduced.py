@@ -91,8 +91,16 @@ class ReducedModel(Model):
                 "this reduced model was trained without a prescribed motion; train it with one on "
                 + ", ".join(repr(m.group) for m, _ in drive.motions)
             )
+        if len(self.lifting) and not len(drive.places.driven):
+            raise InputError("this reduced model was trained with a prescribed motion: give it one, or train without")
         if len({m.until for m, _ in drive.motions}) > 1:
             raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
+        modes = np.abs(self.basis.modes)
+        for motion, where in drive.motions:
+            if modes[:, drive.places.driven[where]].max() > UNTRAINED * modes.max():
+                raise InputError(
+                    f"this reduced model was not trained with group {motion.group!r} driven; train with it"
+                )
         return drive
 
     @staticmethod
@@ -134,7 +142,7 @@ class ReducedModel(Model):
         return State(coordinates[0], coordinates[1], time)
 
     def stable_step(self, state: State, drive: Drive) -> float:
-        held = bool(self._holds(drive, np.array([state.time]))[0])
+        held = bool(self._holds(drive, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])  # from now on
         if self.implicit and held:
             return np.inf
         if self.implicit:  # nodes that a tool has let go move faster than any tangent can follow
@@ -241,7 +249,7 @@ def reduce(
     *,
     modes: int | None = None,
     tolerance: float | None = None,
-    driven: Sequence[str] = (),
+    driven: str | Sequence[str] = (),
     lifting: str = "fitted",
     relative: bool = False,
 ) -> ReducedModel:
@@ -254,7 +262,7 @@ def reduce(
         The snapshots.
     modes, tolerance
         Size of the basis, as for `pod`.
-    driven : sequence of str
+    driven : str or sequence of str
         Groups whose motion was prescribed in the trajectories and will be again. Their motion is lifted: every
         independent motion they made gets a column; the modes vanish there.
     lifting : str
@@ -265,11 +273,17 @@ def reduce(
         Whether every snapshot counts by its shape alone, whatever its size (down to a thousandth of the largest), as
         in the error (34).
 
+    Returns
+    -------
+    ReducedModel
+
     Raises
     ------
     InputError
-        More modes than snapshots, a driven group that never moved, trajectories of another body.
+        No trajectory, or one of another body; more modes than snapshots; an unknown group or one that never moved; an
+        unknown lifting, or one without driven groups.
     """
+    driven = (driven,) if isinstance(driven, str) else tuple(driven)
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
     if not runs:
         raise InputError("reduce needs at least one trajectory to learn from")
@@ -279,11 +293,13 @@ def reduce(
     snapshots = np.concatenate([run.displacements for run in runs])
     if lifting not in ("fitted", "local"):
         raise InputError(f"lifting = {lifting!r}: allowed are 'fitted' and 'local'")
+    if lifting == "local" and not driven:
+        raise InputError("lifting = 'local' needs the driven groups: give driven=")
     sizes = np.sqrt(np.sum(snapshots**2, axis=2) @ full.weights)
     columns = None
     if driven:
         columns, snapshots = _lifting_columns(full, snapshots, driven, lifting == "local")
-    if relative:
+    if relative and sizes.max() > 0:
         snapshots = snapshots / np.maximum(sizes, SMALLEST * sizes.max())[:, None, None]
     return ReducedModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance), columns)
 

@@ -14,7 +14,7 @@ __all__ = ["AFTER", "DURATION", "EVERY", "PUSHED", "RADIUS", "membrane", "tool_t
 RADIUS, THICKNESS = 0.1, 1e-5  # [m]
 SPEED, PUSHED = 0.1, 0.1  # [m/s], [s]
 DURATION, EVERY = 0.2, 0.002  # [s]
-FINEST = 0.0005  # [m] 145,000 nodes
+FINEST = 0.001  # [m] 36,000 nodes
 AFTER = ("return", "hold", "release")
 
 
@@ -47,11 +47,11 @@ def membrane(
     Parameters
     ----------
     spacing : float [m]
-        Distance between nodes, from 0.5 mm.
+        Distance between nodes, from 1 mm.
     after : str
         What the tool does after 0.1 s: ``"return"`` to 0 at once, as (35) prints, ``"hold"`` or ``"release"``.
     tool_radius : float [m]
-        All nodes within it follow the tool; 0 is the paper's point: the node at the centre.
+        All nodes within it follow the tool, at least the spacing; 0 is the paper's point: the node at the centre.
     prestretch : float
         As for `palpate.Membrane`.
     layout, jitter, seed
@@ -70,6 +70,11 @@ def membrane(
         raise InputError(f"after = {after!r}: allowed are {', '.join(map(repr, AFTER))}")
     cloud = disc(RADIUS, spacing, layout, jitter, seed)
     cloud = cloud.within("tool", (0.0, 0.0), max(tool_radius, 1e-6 * spacing))
+    if tool_radius > 0 and len(cloud.group("tool")) == 1:
+        raise InputError(
+            f"tool_radius = {tool_radius:g} m holds only the node at the centre: use at least about the spacing, "
+            f"{cloud.spacing:g} m, or 0 for the paper's point"
+        )
     material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
     model = Membrane(cloud, material, THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed, form=form)
     until = PUSHED if after == "release" else float("inf")
