@@ -162,14 +162,14 @@ def stability():
 
 
 def layouts():
-    """The paper's run with a tool of 10 mm, held, on every layout: deflections and tool force compared."""
+    """The paper's run, with its node and with a tool of 10 mm, on every layout: deflections and tool force compared."""
     rows = []
-    for spacing, (layout, jitter) in product(SPACINGS, LAYOUTS):
-        scene = membrane(spacing, "hold", tool_radius=0.01, layout=layout, jitter=jitter, seed=1)
+    for tool_radius, spacing, (layout, jitter) in product((0.0, 0.01), SPACINGS, (*LAYOUTS, ("hexagonal", 0.1))):
+        scene = membrane(spacing, "hold", tool_radius=tool_radius, layout=layout, jitter=jitter, seed=1)
         run = pt.rollout(scene.model, scene.loads, duration=0.1, every=scene.every, progress=False)
         share = scene.model.volumes / scene.model.volumes.sum()
         rows.append({
-            "spacing": spacing, "layout": layout, "jitter": jitter,
+            "tool_radius": tool_radius, "spacing": spacing, "layout": layout, "jitter": jitter,
             "mean_deflection": float(run.displacements[-1, :, 2] @ share),
             "tool_force": float(run.reactions["tool"][-5:, 2].mean()), "strain": float(run.strain[-1]),
         })  # fmt: skip

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+
 import pytest
 
 from palpate.app.cli import main
@@ -40,3 +44,30 @@ def stop_after(monkeypatch):
         monkeypatch.setattr("palpate.dynamics.rollout.evaluate", late)
 
     return stop
+
+
+@pytest.fixture(scope="session")
+def run_study():
+    """A function that runs a study as a person would: its folder, report, standard output and standard error."""
+
+    def run(options, out):
+        command = [sys.executable, "-W", "error", "-m", "palpate", *options, "--json", "--out", str(out)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return out, json.loads((out / "report.json").read_text()), done.stdout, done.stderr
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def assert_drawn():
+    """A function that asserts that a file is a picture with something on it."""
+
+    def drawn(path):
+        from matplotlib.image import imread
+
+        picture = imread(path)
+        assert min(picture.shape[:2]) > 500
+        assert picture[..., :3].std() > 0.02
+
+    return drawn

@@ -143,7 +143,10 @@ class Membrane(NodalModel):
         return self._areas * self.thickness
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
-        """Return F = dx/dX of the unstressed sheet at every node, shape (n, 3, 2)."""
+        """Return F = dx/dX of the unstressed sheet at every node, (n, 3, 2), for displacements (n, 3) [m].
+
+        By the fit at the node. The forces and the energy of the energy form come from six points about it instead.
+        """
         return self.stencils.gradient(displacements) + self.prestretch * np.eye(3, 2)
 
     def strain_energy(self, displacements: Floats) -> float:
@@ -151,7 +154,7 @@ class Membrane(NodalModel):
         return float(np.sum(self.volumes * self.work.energy))
 
     def stress(self, displacements: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa] at every node, shape (n, 3, 2); zero where slack."""
+        """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 2), for displacements (n, 3) [m]."""
         F = self.deformation_gradient(displacements)
         stretches, directions = _principal(F)
         tensions = self._nominal(stretches)
@@ -159,23 +162,22 @@ class Membrane(NodalModel):
         return np.asarray(F @ np.einsum("nla,na,nma->nlm", directions, scaled, directions))
 
     def principal_stretches(self, displacements: Floats) -> Floats:
-        """Return the principal stretches of the sheet at every node, the larger first, shape (n, 2)."""
+        """Return the principal stretches at every node, the larger first, (n, 2), for displacements (n, 3) [m]."""
         return _principal(self.deformation_gradient(displacements))[0]
 
     def principal_stress(self, displacements: Floats) -> Floats:
-        """Return the principal Cauchy stresses [Pa] at every node, shape (n, 2), along the principal stretches."""
+        """Return the Cauchy stresses [Pa] along the principal stretches, (n, 2), for displacements (n, 3) [m]."""
         stretches = self.principal_stretches(displacements)
-        stress = self._nominal(stretches) * stretches
-        return stress
+        return np.asarray(self._nominal(stretches) * stretches)
 
     def tension(self, displacements: Floats) -> NDArray[np.int8]:
-        """Return what every node's surroundings are, shape (n,): 0 slack, 1 wrinkled, 2 taut."""
+        """Return 0 where the sheet is slack, 1 wrinkled, 2 taut, shape (n,), for displacements (n, 3) [m]."""
         stretches = self.principal_stretches(displacements)
         taut = stretches[:, 1] >= np.maximum(stretches[:, 0], 1.0) ** -0.5
         return np.where(taut, 2, np.where(stretches[:, 0] > 1.0, 1, 0)).astype(np.int8)
 
     def wrinkled_area(self, displacements: Floats) -> float:
-        """Return the area [m^2] of the mounted sheet that is wrinkled: taut in one direction only."""
+        """Return how much of the mounted sheet [m^2] carries tension in one direction only, for displacements (n, 3)."""
         return float(self.cloud.volumes[self.tension(displacements) == 1].sum())
 
     def _nominal(self, stretches: Floats) -> Floats:
