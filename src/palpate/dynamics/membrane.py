@@ -177,7 +177,7 @@ class Membrane(NodalModel):
         return np.where(taut, 2, np.where(stretches[:, 0] > 1.0, 1, 0)).astype(np.int8)
 
     def wrinkled_area(self, displacements: Floats) -> float:
-        """Return how much of the mounted sheet [m^2] carries tension in one direction only, for displacements (n, 3)."""
+        """Return how much of the mounted sheet [m^2] is taut in one direction only, for displacements (n, 3) [m]."""
         return float(self.cloud.volumes[self.tension(displacements) == 1].sum())
 
     def _nominal(self, stretches: Floats) -> Floats:
