@@ -22,6 +22,13 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
         (lambda: pt.PrescribedMotion("y-", (0, 0, 0)), "group 'y-'.*already fixed or driven"),
         (lambda: pt.Traction("x+"), "'x+'.*give either force .* or pressure"),
         (lambda: pt.Traction("x+", force=(1, 0, 0), pressure=1.0), "'x+'.*give either force .* or pressure"),
+        (lambda: pt.Traction("x+", moment=(1, 0, 0), pressure=1.0), "'x+'.*moment .* or both, or pressure"),
+        (lambda: pt.Traction("x+", moment=(1, 0)), "moment of Traction on 'x+' must be "),
+        (lambda: pt.Traction("x+", moment=2.0), "moment of Traction on 'x+' must be "),
+        (
+            lambda: pt.Traction("x+", force=(1, 0, 0), moment=lambda t: (np.inf, 0, 0)),
+            r"moment of Traction on 'x\+' is not finite at t = 0",
+        ),
         (lambda: pt.Traction("x+", force=(1, 0)), "force of Traction on 'x+' must be "),
         (lambda: pt.Traction("x+", force="strong"), "force of Traction on 'x+' must be "),
         (lambda: pt.Traction("x+", force=lambda t: (1, 0)), "force of Traction on 'x+' must be "),
@@ -86,3 +93,84 @@ def test_tractions_on_one_group_add_up(held):
     drive = held.drive(loads)
     total = held.external_force(held.state(drive), drive).sum(axis=0)
     np.testing.assert_allclose(total, (1 - 1000 * 0.015**2, 2, held.masses.sum()), rtol=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("group", ["x+", "y+", "z-", "patch"])
+def test_a_moment_sums_to_itself_and_to_no_force(bar, tissue, group, axis):
+    patch = bar.group("x+")[[0, 1, 6, 11]]  # lies skew to the axes, its centroid at no node
+    model = pt.FullModel(replace(bar, groups={**bar.groups, "patch": patch}), tissue, viscosity=0.0)
+    moment = 2.0 * np.eye(3)[axis]
+    drive = model.drive([pt.Traction(group, moment=moment)])
+    force = model.external_force(model.state(drive), drive)
+    np.testing.assert_allclose(force.sum(axis=0), 0, atol=1e-12 * np.abs(force).sum())
+    about = np.array([0.1, -0.2, 0.3])  # no force: the moment is the same about any point
+    np.testing.assert_allclose(
+        np.cross(bar.points - about, force).sum(axis=0), moment, atol=1e-11 * np.abs(force).sum()
+    )
+    np.testing.assert_array_equal(np.delete(force, model.cloud.group(group), axis=0), 0)
+
+
+def test_a_force_and_a_moment_of_one_traction_and_of_two_are_the_same(held):
+    force, moment = (1.0, 2.0, 3.0), (0.1, -0.2, 0.3)
+    both = pt.Traction("x+", force=lambda t: force, moment=lambda t: moment)
+    apart = [pt.Traction("x+", force=force), pt.Traction("z+", pressure=10.0), pt.Traction("x+", moment=moment)]
+    fields = []
+    for loads in ([pt.Traction("z+", pressure=10.0), both], apart):
+        drive = held.drive(loads)
+        fields.append(held.external_force(held.state(drive), drive))
+    np.testing.assert_allclose(fields[0], fields[1], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("group", [[-1], [-1, -2], [-1, -2, -3, -4]], ids=["node", "pair", "edge"])
+def test_a_moment_on_nodes_in_one_line_is_refused_by_name(bar, tissue, group):
+    cloud = replace(bar, groups={**bar.groups, "line": np.sort(bar.group("x+")[group])})
+    model = pt.FullModel(cloud, tissue, viscosity=0.0)
+    with pytest.raises(pt.InputError, match=r"moment of Traction on 'line'.*one line or at one point"):
+        model.drive([pt.Traction("line", force=(1, 0, 0), moment=(1, 0, 0))])
+    model.drive([pt.Traction("line", force=(1, 0, 0))])
+
+
+def test_a_moment_on_a_sheet_acts_on_its_face_and_not_on_its_edge():
+    cloud = pt.sheet([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)], spacing=0.02)
+    cloud = replace(cloud, groups={**cloud.groups, "face": np.arange(len(cloud))})
+    model = pt.Membrane(cloud, pt.NeoHookean(C1=20e3, density=1000.0, poisson=0.5), thickness=1e-3, prestretch=1.1)
+    drive = model.drive([pt.Traction("face", moment=(1.0, 2.0, 3.0))])
+    force = model.external_force(model.state(drive), drive)
+    arms = np.pad(cloud.points, ((0, 0), (0, 1)))
+    np.testing.assert_allclose(force.sum(axis=0), 0, atol=1e-12 * np.abs(force).sum())
+    np.testing.assert_allclose(np.cross(arms, force).sum(axis=0), (1.0, 2.0, 3.0), rtol=1e-12)
+    with pytest.raises(pt.InputError, match=r"moment of Traction on 'edge1'.*one line"):
+        model.drive([pt.Traction("edge1", moment=(0.0, 0.0, 1.0))])
+
+
+def twist_rate(cells, tissue, moment, width=0.015):
+    """Turn per length [1/m] of a square bar at rest, half-way between its held and its twisted end."""
+    cloud = pt.box((2 * width, width, width), spacing=width / cells)
+    model = pt.FullModel(cloud, tissue, fixed="x-", viscosity=0.0)
+    drive = model.drive([pt.Traction("x+", moment=(moment, 0, 0))])
+    unknown = np.flatnonzero(np.repeat(~model.held, 3))
+    stiffness = np.empty((len(unknown), len(unknown)))
+    for column, k in enumerate(unknown):
+        u = np.zeros((len(cloud), 3))
+        u.flat[k] = -1e-8
+        stiffness[:, column] = model.force(u).flat[unknown] / 1e-8
+    pulled = model.half_cell * model.external_force(model.state(drive), drive) / model.volumes[:, None]
+    u = np.zeros((len(cloud), 3))
+    u.flat[unknown] = np.linalg.solve(stiffness, pulled.flat[unknown])
+    turns = []
+    for x in (width - width / cells, width + width / cells):
+        section = np.isclose(cloud.points[:, 0], x)
+        y, z = cloud.points[section, 1:].T - width / 2
+        turns.append((y @ u[section, 2] - z @ u[section, 1]) / (y @ y + z @ z))
+    return (turns[1] - turns[0]) / (2 * width / cells)
+
+
+def test_a_square_bar_twists_as_saint_venant_has_it(tissue):
+    """G J per turn with J = 0.1406 width^4 [Timoshenko and Goodier, Theory of Elasticity, section 109]."""
+    moment = 1e-6
+    expected = moment / (tissue.shear_modulus * 0.1406 * 0.015**4)
+    coarse, fine = (twist_rate(cells, tissue, moment) for cells in (3, 4))
+    limit = (16 * fine - 9 * coarse) / (16 - 9)  # the error falls as the square of the spacing
+    assert abs(fine - expected) < abs(coarse - expected)
+    assert limit == pytest.approx(expected, rel=0.02)

@@ -25,7 +25,9 @@ FREE, FIXED, DRIVEN = 0, 1, 2
 
 @dataclass(frozen=True)
 class Traction:
-    """A force or a pressure on the face that a group of nodes makes up (equation 4).
+    """A force, a moment or a pressure on the face that a group of nodes makes up (equation 4).
+
+    Give a force, a moment or both, or a pressure.
 
     Parameters
     ----------
@@ -33,19 +35,30 @@ class Traction:
         Nodes of one face of the body.
     force : (3,) sequence, or function of time [s] that returns one, optional [N]
         Total force, spread evenly over the face's reference area, fixed in direction.
+    moment : (3,) sequence, or function of time [s] that returns one, optional [N m]
+        Total moment about the centroid of the face's reference area. Its traction, c x (X - centroid) with one c for
+        the face, is fixed in direction too and sums to no force.
     pressure : float, or function of time [s], optional [Pa]
         Pressure on the deformed face: it follows the face as it moves and turns, and pushes against its normal. On a
         membrane the normal is +z and the face is that of the group's nodes; a force is spread over the flat edge that
         the group makes up, or else over its nodes' areas.
+
+    Raises
+    ------
+    InputError
+        Neither a force, a moment nor a pressure, or a pressure beside another.
     """
 
     group: str
     force: Vector | None = None
+    moment: Vector | None = None
     pressure: float | Callable[[float], float] | None = None
 
     def __post_init__(self) -> None:
-        if (self.force is None) == (self.pressure is None):
-            raise InputError(f"Traction on {self.group!r}: give either force [N] or pressure [Pa]")
+        if (self.force is None and self.moment is None) == (self.pressure is None):
+            raise InputError(
+                f"Traction on {self.group!r}: give either force [N], moment [N m] or both, or pressure [Pa]"
+            )
 
 
 @dataclass(frozen=True)
@@ -107,6 +120,7 @@ class Schedule(NamedTuple):
 
     gravity: Floats  # (s, 3)
     force: Floats  # (s, groups, 3) total force [N]
+    moment: Floats  # (s, groups, 3) total moment [N m] of the same groups
     pressure: Floats  # (s, groups) [Pa]
     motion: Floats  # (s, driven nodes, 3) [m]
     holds: NDArray[np.bool_]  # (s, driven nodes) whether the tool still holds them
@@ -118,7 +132,8 @@ class Places(NamedTuple):
     kind: NDArray[np.uint8]  # (n,) FREE, FIXED or DRIVEN
     force_start: NDArray[np.int64]
     force_node: NDArray[np.int64]
-    force_share: Floats
+    force_share: Floats  # (k,) share of the total force
+    moment_share: Floats  # (k, 3, 3) force [N] of a unit moment [N m]
     pressure_start: NDArray[np.int64]
     pressure_node: NDArray[np.int64]
     pressure_area: Floats  # (k, 3) area vectors [m^2]
@@ -153,12 +168,13 @@ class Drive:
             A load's function returned the wrong shape or a value that is not finite.
         """
         gravity = np.zeros((len(times), 3))
-        forces, pressures = [], []
+        forces, moments, pressures = [], [], []
         for load in self.loads:
             if isinstance(load, Gravity):
                 gravity += _vectors(load.acceleration, times, "the acceleration of Gravity")
-            elif isinstance(load, Traction) and load.force is not None:
+            elif isinstance(load, Traction) and load.pressure is None:
                 forces.append(_vectors(load.force, times, f"the force of Traction on {load.group!r}"))
+                moments.append(_vectors(load.moment, times, f"the moment of Traction on {load.group!r}"))
             elif isinstance(load, Traction):
                 of, what = load.pressure, f"the pressure of Traction on {load.group!r}"
                 pressures.append(_shaped([of(t) if callable(of) else of for t in times], (), times, what))
@@ -177,6 +193,7 @@ class Drive:
         return Schedule(
             gravity,
             np.stack(forces, axis=1) if forces else np.zeros((len(times), 0, 3)),
+            np.stack(moments, axis=1) if moments else np.zeros((len(times), 0, 3)),
             np.stack(pressures, axis=1) if pressures else np.zeros((len(times), 0)),
             motion,
             holds,
@@ -210,7 +227,10 @@ class Drive:
         return (3 * now - 4 * f1 + f2) / (2 * interval), (2 * now - 5 * f1 + 4 * f2 - f3) / interval**2
 
 
-def _vectors(value: Vector, times: Floats, what: str) -> Floats:
+def _vectors(value: Vector | None, times: Floats, what: str) -> Floats:
+    """Values (t, 3) of a vector at some times; one that is not given is zero."""
+    if value is None:
+        return np.zeros((len(times), 3))
     return _shaped([value(float(t)) if callable(value) else value for t in times], (3,), times, what)
 
 
@@ -229,6 +249,24 @@ def _shaped(values: list[Any], shape: tuple[int, ...], times: Floats, what: str)
     return array
 
 
+def _moment_shares(load: Traction, points: Floats, shares: Floats) -> Floats:
+    """Forces [N] of nodes at `points` (g, d) [m] for a unit moment [N m] of a load, shape (g, 3, 3).
+
+    A_i (c x r_i) with r_i = X_i - centroid and the area A_i has the moment I c, I = sum A_i (|r_i|^2 1 - r_i r_i^T).
+    """
+    if load.moment is None:
+        return np.zeros((len(points), 3, 3))
+    arms = np.pad(points - shares @ points, ((0, 0), (0, 3 - points.shape[1])))
+    crossed = np.cross(np.eye(3), arms[:, None])  # (g, 3, 3), row c is e_c x r_i
+    inertia = np.einsum("g,gia,gja->ij", shares, crossed, crossed)
+    smallest, _, largest = np.linalg.eigvalsh(inertia)
+    if smallest <= 1e-9 * largest:
+        raise InputError(
+            f"the moment of Traction on {load.group!r} needs a face: the group's nodes lie on one line or at one point"
+        )
+    return np.asarray(np.einsum("g,gia,ij->gaj", shares, crossed, np.linalg.inv(inertia)))
+
+
 def drive(
     cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load], areas_of: Callable[[Traction], Floats] | None = None
 ) -> Drive:
@@ -245,7 +283,8 @@ def drive(
     Raises
     ------
     InputError
-        An unknown group, a load on a fixed group, two motions for one node, or no node that is free.
+        An unknown group, a load on a fixed group, a moment on nodes in one line, two motions for one node, or no node
+        that is free.
     """
     kind = np.full(len(cloud), FREE, dtype=np.uint8)
     supports = {}
@@ -254,7 +293,7 @@ def drive(
         kind[supports[name]] = FIXED
     driven: list[NDArray[np.int64]] = []
     motions, count = [], 0
-    forces: list[tuple[NDArray[np.int64], Floats]] = []
+    forces: list[tuple[NDArray[np.int64], Floats, Floats]] = []
     pressures: list[tuple[NDArray[np.int64], Floats]] = []
     for load in loads:
         if isinstance(load, PrescribedMotion):
@@ -273,8 +312,9 @@ def drive(
             nodes = cloud.group(load.group)
             areas = cloud.area_vectors(load.group) if areas_of is None else areas_of(load)
             shares = np.linalg.norm(areas, axis=1)
-            if load.force is not None:
-                forces.append((nodes, shares / shares.sum()))
+            if load.pressure is None:
+                shares /= shares.sum()
+                forces.append((nodes, shares, _moment_shares(load, cloud.points[nodes], shares)))
             else:
                 pressures.append((nodes, areas))
         elif not isinstance(load, Gravity):
@@ -288,9 +328,10 @@ def drive(
     empty = np.zeros(0, dtype=np.int64)
     places = Places(
         kind,
-        np.cumsum([0, *(len(n) for n, _ in forces)]),
-        np.concatenate([empty, *(n for n, _ in forces)]),
-        np.concatenate([np.zeros(0), *(s for _, s in forces)]),
+        np.cumsum([0, *(len(n) for n, _, _ in forces)]),
+        np.concatenate([empty, *(n for n, _, _ in forces)]),
+        np.concatenate([np.zeros(0), *(s for _, s, _ in forces)]),
+        np.concatenate([np.zeros((0, 3, 3)), *(m for _, _, m in forces)]),
         np.cumsum([0, *(len(n) for n, _ in pressures)]),
         np.concatenate([empty, *(n for n, _ in pressures)]),
         np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),

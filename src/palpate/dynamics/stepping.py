@@ -36,7 +36,10 @@ def surface_force(places, schedule, s, volumes, slot, cofactor, surface):  # typ
         for k in range(places.force_start[g], places.force_start[g + 1]):
             i = places.force_node[k]
             for c in range(3):
-                surface[i, c] += places.force_share[k] * schedule.force[s, g, c] / volumes[i]
+                share = places.force_share[k] * schedule.force[s, g, c]
+                for d in range(3):
+                    share += places.moment_share[k, c, d] * schedule.moment[s, g, d]
+                surface[i, c] += share / volumes[i]
     for g in range(places.pressure_start.shape[0] - 1):
         for k in range(places.pressure_start[g], places.pressure_start[g + 1]):
             i = places.pressure_node[k]
