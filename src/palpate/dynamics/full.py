@@ -9,19 +9,26 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.lanes import lane_table
+from palpate.dynamics.lanes import lane_table, transposed
 from palpate.dynamics.loads import Drive, Load, drive
 from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.solid import Body, solid, workspace
-from palpate.dynamics.stability import choose_viscosity
+from palpate.dynamics.solid_energy import EnergyBody, energy_work, solid_energy
+from palpate.dynamics.stability import StabilityReport, choose_viscosity, stable_step
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.stencils import moving_least_squares
+from palpate.meshfree.consistent import consistent_gradient
+from palpate.meshfree.quadrature import integration_weights
+from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.materials import Material
 
 __all__ = ["FullModel"]
 
 Floats = NDArray[np.float64]
+
+DAMPING = 0.1  # viscosity of the energy form times its highest frequency
+HOURGLASS = 1.0  # modulus of what a fit misses, in shear moduli over the spacing squared
+LATTICE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
 
 
 class FullModel(NodalModel):
@@ -37,9 +44,14 @@ class FullModel(NodalModel):
     viscosity : float, optional [s]
         Stiffness-proportional viscosity beta of C = beta K in (29). By default it is chosen from the spectrum of the
         linearised body: see `palpate.dynamics.stability`.
+    form : str
+        ``"strong"``: the equations of motion are collocated at the nodes, as the paper does. ``"energy"``: the nodal
+        forces are the slope of an energy summed over nodes (`palpate.dynamics.solid_energy`): nothing makes energy, no
+        viscosity is needed, and bending is truer; a sampled reduced model is a part of the same sum.
     pressure : str
-        ``"split"``: the pressure is smoothed and differentiated by itself, which neither locks nor loses stability up
-        to a Poisson's ratio of 0.499. ``"direct"``: everything is differentiated directly, for comparison.
+        Of the strong form. ``"split"``: the pressure is smoothed and differentiated by itself, which neither locks nor
+        loses stability up to a Poisson's ratio of 0.499. ``"direct"``: everything is differentiated directly, for
+        comparison.
     half_cell : float
         The c in the balance of a boundary node, rho a = Div P + c/h (f_s - P N). The half cell itself has c = 2; c = 3
         cancels the leading error of one-sided quadratic fits (for u = z^3 it is (6 - 2 c) h) and bends truer.
@@ -57,7 +69,6 @@ class FullModel(NodalModel):
     """
 
     name = "full"
-    conservative = False
 
     def __init__(
         self,
@@ -65,6 +76,7 @@ class FullModel(NodalModel):
         material: Material,
         fixed: str | Sequence[str] = (),
         *,
+        form: str = "strong",
         viscosity: float | None = None,
         pressure: str = "split",
         half_cell: float = 3.0,
@@ -80,12 +92,29 @@ class FullModel(NodalModel):
         self.cloud = cloud
         self.material = material
         self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
-        self.pressure = pressure
-        # the cloud's boundary vectors are those of the half cell, c = 2
-        self.half_cell = number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
+        if form not in ("strong", "energy"):
+            raise InputError(f"form = {form!r}: allowed are 'strong' and 'energy'")
+        self.form, self.pressure, self.conservative = form, pressure, form == "energy"
+        # the cloud's boundary vectors are those of the half cell, c = 2, which the energy form has by itself
+        self.half_cell = 1.0 if self.conservative else number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
         integer_in_range("smoothing", smoothing, 5)
+        self.neighbours, self._volumes = neighbours, cloud.volumes
         self.stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
         smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
+        if self.conservative:
+            self._prepare_energy(smoother)
+            self.viscosity = 0.0
+            highest = self.highest_frequency(np.zeros_like(cloud.points), self.held)
+            used = number_in_range("viscosity", DAMPING / highest if viscosity is None else viscosity, 0.0, unit="s")
+            step = stable_step(highest, used)
+            self._examined(StabilityReport("the energy's slope", None, 0.0, used, highest, step))
+        else:
+            self._prepare_strong(smoother)
+            self._examined(choose_viscosity(self, viscosity))
+
+    def _prepare_strong(self, smoother: Stencils) -> None:
+        """Lay out the passes of the strong form."""
+        cloud, material = self.cloud, self.material
         lanes, (first, second) = lane_table(
             self.stencils.neighbours, self.stencils.row, self.stencils.first, self.stencils.second
         )
@@ -103,30 +132,66 @@ class FullModel(NodalModel):
         longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
         work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
         law = type(material)
-        self.neighbours = neighbours
-        self._compile(solid(law.first, law.second, pressure == "direct"), body, work, lanes)
-        self._examined(choose_viscosity(self, viscosity))
+        self._compile(solid(law.first, law.second, self.pressure == "direct"), body, work, lanes)
+
+    def _prepare_energy(self, smoother: Stencils) -> None:
+        """Lay out the passes of the energy form."""
+        cloud, material = self.cloud, self.material
+        fit = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours, interpolating=False)
+        self._volumes = integration_weights(cloud, self.stencils)
+        row, first = self.stencils.row, self.stencils.first
+        if len(first) > LATTICE * len(cloud):  # few nodes share a stencil: the fit alone would not balance
+            edges = cloud.boundary_vectors() * cloud.volumes[:, None]
+            first = consistent_gradient(self.stencils, cloud.points, self._volumes, edges)
+            row = np.arange(len(cloud), dtype=np.int32)
+        misses = -fit.value[fit.row] if len(first) == len(cloud) else -_by_row(fit.value, fit.row, row, len(first))
+        self.stencils = replace(
+            self.stencils, row=row, first=first, own_first=-first.sum(axis=1), second=np.zeros((0, 0, 0)), value=misses
+        )
+        lanes, (first_weights, miss_weights) = lane_table(self.stencils.neighbours, row, first, misses)
+        both = np.concatenate([first, misses[:, :, None]], axis=2)[row]
+        near, weights = transposed(self.stencils.neighbours, both, self._volumes)
+        everyone = np.arange(len(cloud))
+        carriers, (back,) = lane_table(near, everyone, weights)
+        smooth_lanes, (value,) = lane_table(smoother.neighbours, smoother.row, smoother.value)
+        near, weights = transposed(smoother.neighbours, smoother.value[smoother.row][:, :, None], self._volumes)
+        back_lanes, (back_value,) = lane_table(near, everyone, weights)
+        body = EnergyBody(
+            lanes, first_weights, miss_weights, carriers, back, -both.sum(axis=1),
+            smooth_lanes, value, np.ascontiguousarray(smoother.own[smoother.row]), back_lanes, back_value,
+            material.coefficients, material.lame, HOURGLASS * material.shear_modulus / cloud.spacing**2,
+        )  # fmt: skip
+        families = (lanes, smooth_lanes, back_lanes)
+        longest = int(max(*(np.diff(family.start).max() for family in families), 4 * np.diff(carriers.start).max()))
+        work = energy_work(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
+        self._compile(solid_energy(type(material).first), body, work, lanes)
 
     @property
     def weights(self) -> Floats:
         """Weights [m^3] of the inner product, shape (n,), in which tractions do their true virtual work.
 
         The nodal volumes; at the boundary times 2/c, because the balance of a boundary node multiplies a traction by
-        c/h and not by the half cell's 2/h.
+        c/h and not by the half cell's 2/h. In the energy form the `volumes`.
         """
+        if self.conservative:
+            return self.volumes
         weights = self.cloud.volumes.copy()
         weights[np.unique(self.cloud.face_nodes)] /= self.half_cell
         return weights
 
     @property
     def volumes(self) -> Floats:
-        return self.cloud.volumes
+        """Nodal volumes [m^3], shape (n,): the cloud's; in the energy form those that integrate quadratic fields."""
+        return self._volumes
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
         return self.stencils.gradient(displacements) + np.eye(3)
 
     def stress(self, displacements: Floats) -> Floats:
         F = self.deformation_gradient(displacements)
+        if self.conservative:
+            self.force(displacements)
+            return np.array(self.work.flux[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1))
         stress = self.material.stress(F)
         if self.pressure == "split":
             self.force(displacements)
@@ -135,7 +200,17 @@ class FullModel(NodalModel):
         return stress
 
     def strain_energy(self, displacements: Floats) -> float:
+        if self.conservative:
+            return float(self.volumes @ self._energy_density(displacements))
         return float(np.sum(self.volumes * self.material.strain_energy(self.deformation_gradient(displacements))))
+
+    def _energy_density(self, displacements: Floats) -> Floats:
+        """Energy [J/m^3] of the energy form at every node, shape (n,)."""
+        self.force(displacements)
+        shear = self.material.shear_energy(self.deformation_gradient(displacements))
+        misses = self.work.flux[:, 9:]
+        pressure = self.material.lame / 2 * self.work.smooth**2
+        return np.asarray(shear + pressure + np.sum(misses**2, axis=1) / (2 * self.body.hourglass))
 
     def cauchy_stress(self, displacements: Floats) -> Floats:
         """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3)."""
@@ -144,3 +219,10 @@ class FullModel(NodalModel):
 
     def drive(self, loads: Sequence[Load]) -> Drive:
         return drive(self.cloud, self.fixed, loads)
+
+
+def _by_row(values: Floats, fit_row: NDArray[np.int32], row: NDArray[np.int32], rows: int) -> Floats:
+    """Values of one fit (s, k) laid out by the rows of another whose nodes share stencils alike, (rows, k)."""
+    result = np.empty((rows, values.shape[1]))
+    result[row] = values[fit_row]
+    return result

@@ -13,9 +13,19 @@ from typing import Any, NamedTuple
 from numba import get_thread_id, njit, prange
 
 from palpate.dynamics.compiled import law_digest, law_njit
-from palpate.dynamics.lanes import LANES
+from palpate.dynamics.lanes import LANES, lane_sums_1x1, lane_sums_3x1
 
-__all__ = ["Formulation", "combine", "differences", "internal_force", "lift_passes", "weights_address"]
+__all__ = [
+    "Formulation",
+    "add_blocks",
+    "combine",
+    "differences",
+    "gather_fluxes",
+    "internal_force",
+    "lift_passes",
+    "smooth_field",
+    "weights_address",
+]
 
 
 class Formulation(NamedTuple):
@@ -26,7 +36,7 @@ class Formulation(NamedTuple):
     digest : str
         Of everything that the passes are made from.
     numbers : int
-        Derivatives a node: 27 in a solid, 15 in a membrane.
+        Derivatives a node: 27 in a solid (12 in its energy form), 15 in a membrane.
     respond : function
         ``respond(u, body, work)``: responses of all nodes to displacements (n, 3).
     respond_to_columns : function
@@ -80,6 +90,56 @@ def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
         for q in range(table.shape[2]):
             for lane in range(LANES):
                 out[q, lane] += table[b, m, q, lane] * columns[m]
+
+
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def smooth_field(lanes, value, own, fields, derivatives, values, smooth):  # type: ignore[no-untyped-def]
+    """Fitted value of a nodal field (n,) at every node."""
+    for b in prange(lanes.nodes.shape[0]):
+        field = fields[get_thread_id()].reshape(-1, LANES)
+        total = derivatives[get_thread_id()]
+        begin, end = lanes.start[b], lanes.start[b + 1]
+        for k in range(begin, end):
+            for lane in range(LANES):
+                field[k - begin, lane] = values[lanes.neighbours[k, lane]]
+        lane_sums_1x1(
+            weights_address(value, lanes, b), field.ctypes.data, total.ctypes.data, end - begin, lanes.shared[b]
+        )
+        for lane in range(LANES):
+            i = lanes.nodes[b, lane]
+            smooth[i] = total[0, lane] + own[i] * values[i]
+
+
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def gather_fluxes(lanes, back, own, fields, sums, flux, force):  # type: ignore[no-untyped-def]
+    """Force [N/m^3] that is the slope of an energy: minus the transposed derivatives of the fluxes (n, 3 w)."""
+    for b in prange(lanes.nodes.shape[0]):
+        field, total = fields[get_thread_id()], sums[get_thread_id()]
+        begin, end = lanes.start[b], lanes.start[b + 1]
+        for k in range(begin, end):
+            for lane in range(LANES):
+                i = lanes.neighbours[k, lane]
+                for w in range(own.shape[1]):
+                    for c in range(3):
+                        field[own.shape[1] * (k - begin) + w, c, lane] = flux[i, 3 * w + c]
+        count = own.shape[1] * (end - begin)
+        lane_sums_3x1(weights_address(back, lanes, b), field.ctypes.data, total.ctypes.data, count, lanes.shared[b])
+        for lane in range(LANES):
+            i = lanes.nodes[b, lane]
+            for c in range(3):
+                value = total[c, lane]
+                for w in range(own.shape[1]):
+                    value += own[i, w] * flux[i, 3 * w + c]
+                force[i, c] = -value
+
+
+@njit(cache=True)
+def add_blocks(partial, result):  # type: ignore[no-untyped-def]
+    """Sum parts (b, m) over the blocks, in one order whatever the number of threads."""
+    result[:] = 0.0
+    for b in range(partial.shape[0]):
+        for m in range(partial.shape[1]):
+            result[m] += partial[b, m]
 
 
 def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int) -> tuple[Any, Any]:

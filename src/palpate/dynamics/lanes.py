@@ -28,6 +28,7 @@ __all__ = [
     "lane_sums_3x3",
     "lane_sums_3x6",
     "lane_table",
+    "transposed",
 ]
 
 
@@ -113,6 +114,27 @@ def lane_table(
         weights.append(Weights(np.ascontiguousarray(table[rows[r], row_position]), by_lane))
     neighbours = np.ascontiguousarray(near[nodes[block], position[:, None]])
     return Lanes(nodes.astype(np.int32), start.astype(np.int64), neighbours, shared, weight_start), tuple(weights)
+
+
+def transposed(
+    neighbours: NDArray[np.int32], weights: NDArray[np.float64], volumes: NDArray[np.float64]
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """For every node the nodes whose stencils hold it (n, t), padded with itself, and their weights on it (n, t, w).
+
+    The weights are those of a sum over nodes' volumes (areas, of a sheet), per volume of the node.
+    """
+    n = len(neighbours)
+    node, place = np.nonzero(neighbours != np.arange(n)[:, None])
+    other = neighbours[node, place]
+    order = np.lexsort((node, other))
+    node, place, other = node[order], place[order], other[order]
+    count = np.bincount(other, minlength=n)
+    column = np.arange(len(other)) - np.repeat(np.cumsum(count) - count, count)
+    near = np.tile(np.arange(n, dtype=np.int32)[:, None], (1, count.max()))
+    near[other, column] = node
+    back = np.zeros((n, count.max(), weights.shape[2]))
+    back[other, column] = weights[node, place] * (volumes[node] / volumes[other])[:, None]
+    return near, back
 
 
 def _blocks(row: NDArray[np.integer[Any]]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.lanes import Lanes, Weights, lane_table
+from palpate.dynamics.lanes import Lanes, Weights, lane_table, transposed
 from palpate.dynamics.loads import Drive, Load, Traction, drive
 from palpate.dynamics.model import State
 from palpate.dynamics.nodal import NodalModel
@@ -116,22 +116,22 @@ class Membrane(NodalModel):
         cloud, stencils = self.cloud, self.stencils
         row, first, second = stencils.row, stencils.first, stencils.second
         own = np.zeros((len(cloud), 5))
-        transposed, back = Lanes.none(), Weights.none()
+        carriers, back = Lanes.none(), Weights.none()
         if self.form == "energy":
             edges = cloud.boundary_vectors() * cloud.volumes[:, None] / self.prestretch
             first = consistent_gradient(stencils, cloud.points / self.prestretch, self._areas, edges)
             row, second = np.arange(len(cloud), dtype=np.int32), second[row]
             both = np.concatenate([first, second], axis=2)
             own = -both.sum(axis=1)
-            near, weights = _transposed(stencils.neighbours, both, self._areas)
-            transposed, (back,) = lane_table(near, row, weights)
+            near, weights = transposed(stencils.neighbours, both, self._areas)
+            carriers, (back,) = lane_table(near, row, weights)
         lanes, (first_weights, second_weights) = lane_table(stencils.neighbours, row, first, second)
         body = SheetBody(
-            lanes, first_weights, second_weights, transposed, back, own,
+            lanes, first_weights, second_weights, carriers, back, own,
             np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
             RADIUS * np.sqrt(self._areas), self.material.coefficients, self.prestretch,
         )  # fmt: skip
-        return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(transposed.start).max(initial=0)))
+        return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(carriers.start).max(initial=0)))
 
     @staticmethod
     def _flat(points: Floats) -> Floats:
@@ -216,22 +216,3 @@ def _principal(F: Floats) -> tuple[Floats, Floats]:
     """Principal stretches (n, 2), the larger first, and their directions in the sheet (n, 2, 2), last axis the pair."""
     squares, directions = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)
     return np.sqrt(np.maximum(squares[:, ::-1], 0.0)), directions[:, :, ::-1]
-
-
-def _transposed(neighbours: NDArray[np.int32], weights: Floats, areas: Floats) -> tuple[NDArray[np.int32], Floats]:
-    """For every node the nodes whose stencils hold it (n, t), padded with itself, and their weights on it (n, t, w).
-
-    The weights are those of a sum over nodes' areas, per area of the node.
-    """
-    n = len(neighbours)
-    node, place = np.nonzero(neighbours != np.arange(n)[:, None])
-    other = neighbours[node, place]
-    order = np.lexsort((node, other))
-    node, place, other = node[order], place[order], other[order]
-    count = np.bincount(other, minlength=n)
-    column = np.arange(len(other)) - np.repeat(np.cumsum(count) - count, count)
-    near = np.tile(np.arange(n, dtype=np.int32)[:, None], (1, count.max()))
-    near[other, column] = node
-    back = np.zeros((n, count.max(), weights.shape[2]))
-    back[other, column] = weights[node, place] * (areas[node] / areas[other])[:, None]
-    return near, back

@@ -26,8 +26,8 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
-from palpate.dynamics.kernels import Formulation, combine, lift_passes, weights_address
-from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x2, lane_sums_3x3
+from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes
+from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
 
 __all__ = ["SheetBody", "SheetWork", "sheet", "sheet_work"]
 
@@ -80,29 +80,6 @@ _lift, _differentiate = lift_passes("sheet", lane_sums_3x2, lane_sums_3x3, 6)
 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
-def _gather(lanes, back, own, fields, sums, flux, force):  # type: ignore[no-untyped-def]
-    """Force of the energy form: minus the transposed derivatives of the fluxes."""
-    for b in prange(lanes.nodes.shape[0]):
-        field, total = fields[get_thread_id()], sums[get_thread_id()]
-        begin, end = lanes.start[b], lanes.start[b + 1]
-        for k in range(begin, end):
-            for lane in range(LANES):
-                i = lanes.neighbours[k, lane]
-                for w in range(5):
-                    for c in range(3):
-                        field[5 * (k - begin) + w, c, lane] = flux[i, 3 * w + c]
-        count = 5 * (end - begin)
-        lane_sums_3x1(weights_address(back, lanes, b), field.ctypes.data, total.ctypes.data, count, lanes.shared[b])
-        for lane in range(LANES):
-            i = lanes.nodes[b, lane]
-            for c in range(3):
-                value = total[c, lane]
-                for w in range(5):
-                    value += own[i, w] * flux[i, 3 * w + c]
-                force[i, c] = -value
-
-
-@njit(cache=True, parallel=True, fastmath={"contract"})
 def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
     """Minus the work [J] of the fluxes of every block on the derivatives of every column, (b, m)."""
     for b in prange(table.shape[0]):
@@ -123,12 +100,8 @@ def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-unty
 
 @njit(cache=True)
 def _project(table, body, work, volumes, partial, result):  # type: ignore[no-untyped-def]
-    """Sum the virtual work over the blocks, in one order whatever the number of threads."""
     _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
-    result[:] = 0.0
-    for b in range(partial.shape[0]):
-        for m in range(partial.shape[1]):
-            result[m] += partial[b, m]
+    add_blocks(partial, result)
 
 
 @njit(cache=True)
@@ -348,7 +321,7 @@ def sheet(energy_of: Any, first_of: Any, second_of: Any, relaxed: bool, strong: 
         if strong:
             _copy_force(work.flux, force)
         else:
-            _gather(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
+            gather_fluxes(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
 
     project = None if strong else _project
     return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, project)

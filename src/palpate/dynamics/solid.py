@@ -24,8 +24,8 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
-from palpate.dynamics.kernels import Formulation, combine, lift_passes, weights_address
-from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x1, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
+from palpate.dynamics.kernels import Formulation, combine, lift_passes, smooth_field, weights_address
+from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 
 __all__ = ["Body", "Workspace", "solid", "workspace"]
 
@@ -71,24 +71,6 @@ _lift, _differentiate = lift_passes("solid", lane_sums_3x3, lane_sums_3x6, 9)
 
 
 @njit(cache=True, parallel=True, fastmath={"contract"})
-def _smooth(lanes, value, own, fields, derivatives, pressure, smooth):  # type: ignore[no-untyped-def]
-    """Fitted value of the pressure at every node."""
-    for b in prange(lanes.nodes.shape[0]):
-        field = fields[get_thread_id()].reshape(-1, LANES)
-        total = derivatives[get_thread_id()]
-        begin, end = lanes.start[b], lanes.start[b + 1]
-        for k in range(begin, end):
-            for lane in range(LANES):
-                field[k - begin, lane] = pressure[lanes.neighbours[k, lane]]
-        lane_sums_1x1(
-            weights_address(value, lanes, b), field.ctypes.data, total.ctypes.data, end - begin, lanes.shared[b]
-        )
-        for lane in range(LANES):
-            i = lanes.nodes[b, lane]
-            smooth[i] = total[0, lane] + own[i] * pressure[i]
-
-
-@njit(cache=True, parallel=True, fastmath={"contract"})
 def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, smooth, force):  # type: ignore[no-untyped-def]
     """Force = shear + cof(F) (grad p - p b) with the smoothed pressure."""
     for b in prange(lanes.nodes.shape[0]):
@@ -124,7 +106,7 @@ def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
     if direct:
         _write_direct(body.lanes, work.shear, force)
     else:
-        _smooth(body.smoothing, body.value, body.own, work.fields, work.derivatives, work.pressure, work.smooth)
+        smooth_field(body.smoothing, body.value, body.own, work.fields, work.derivatives, work.pressure, work.smooth)
         _add_pressure(body.lanes, body.first, body.boundary, work.fields, work.derivatives, work.cofactor,
                       work.shear, work.smooth, force)  # fmt: skip
 

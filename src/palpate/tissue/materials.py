@@ -130,6 +130,11 @@ class Material(ABC):
         J = np.where(J > 0, J, np.nan)  # a body turned inside out has no energy
         return np.asarray(self.energy(I1, I2, J, self.coefficients) + self.lame / 2 * (J - 1) ** 2)
 
+    def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the part W_s [J/m^3] of the energy without the bulk term, for F of shape (..., 3, 3)."""
+        I1, I2, J = _invariants(F)
+        return np.asarray(self.energy(I1, I2, np.where(J > 0, J, np.nan), self.coefficients))
+
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the first Piola-Kirchhoff stress dW/dF [Pa], (..., 3, 3): the transpose of (21)."""
         self._refuse_incompressible()
