@@ -1,0 +1,309 @@
+"""The compiled loop: wait, read the pose, advance the model, write the forces, count and keep."""
+
+from __future__ import annotations
+
+import inspect
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.realtime.blackbox import Ring, keep
+from palpate.realtime.clock import computing_time, now, sleep_until
+from palpate.realtime.contract import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
+from palpate.realtime.exchange import Slot, fetch, flags, get_flag, publish
+from palpate.realtime.pose import IDENTITY, follow, tool_coordinates, wrench
+from palpate.realtime.row import WIDTH, offset
+from palpate.realtime.statistics import Tally, count_step
+
+__all__ = [
+    "CLAMP",
+    "PAUSED",
+    "RAN_AWAY",
+    "RUNNING",
+    "STOP",
+    "STOPPED",
+    "WARN",
+    "Channels",
+    "Settings",
+    "Work",
+    "loop_of",
+]
+
+Floats = NDArray[np.float64]
+
+RUNNING, STOPPED, PAUSED, RAN_AWAY = range(4)  # what the loop is told to do, and why it ended
+WARN, CLAMP, STOP = range(3)  # what to do where the model was not trained
+LONGEST_SLEEP = 10_000_000  # [ns]: how long a command may wait
+
+TIME, TAKEN, FAILED, ITERATIONS = (offset(name) for name in ("time", "steps", "failed", "iterations"))
+COMPUTING, LATENESS, TRUSTED, WORST_TRUST = (offset(n) for n in ("computing", "lateness", "trust", "worst_trust"))
+HELD, LIMITED, ENERGIES, POSE = (offset(name) for name in ("held", "limited", "kinetic", "position"))
+FORCE, MOMENT, STIFFNESS = (offset(name) for name in ("force", "moment", "stiffness"))
+
+
+class Settings(NamedTuple):
+    """What does not change: times in [ns], `most_way` [m] and `most_angle` [rad] of the tool in a period."""
+
+    period: int
+    spin: int
+    most_way: float
+    most_angle: float
+    force_limit: float
+    stiffness_every: int
+    on_distrust: int
+
+
+class Channels(NamedTuple):
+    """What the loop and other threads write to each other.
+
+    Parameters
+    ----------
+    command : flags
+        The first is RUNNING as long as the loop shall go on.
+    pose, row : Slot
+        The newest pose (7,), and the newest row.
+    tally : Tally
+    ring : Ring
+    """
+
+    command: NDArray[np.int64]
+    pose: Slot
+    row: Slot
+    tally: Tally
+    ring: Ring
+
+    @classmethod
+    def of(cls, coordinates: int, history: int) -> Channels:
+        """Make channels for so many coordinates and rows of history."""
+        row = Slot.of(WIDTH + 2 * coordinates)
+        return cls(flags(), Slot.of(len(IDENTITY)), row, Tally.new(), Ring.of(history, coordinates))
+
+
+class Work(NamedTuple):
+    """The state of body and tool, and room to work in; the loop's own.
+
+    Parameters
+    ----------
+    q, v : (m,)
+        Coordinates and velocities.
+    tool : (l, 12)
+        See `Realtime`.
+    pose, wanted, trusted, fetched : (7,)
+        Where the tool is, where it is to go, where the model was last trusted, and what was read of a new pose.
+    target, outward, there : (l,)
+        Tool coordinates: of `pose`, from the last trusted ones to the first not trusted, and of another pose.
+    report, tangent : (8 + l,), (l, l)
+    row : (WIDTH + 2 m,)
+    """
+
+    q: Floats
+    v: Floats
+    tool: Floats
+    pose: Floats
+    wanted: Floats
+    trusted: Floats
+    fetched: Floats
+    target: Floats
+    outward: Floats
+    there: Floats
+    report: Floats
+    tangent: Floats
+    row: Floats
+
+    @classmethod
+    def of(cls, rest: Floats, tool: Floats) -> Work:
+        """Make the state at rest."""
+        m, tools = len(rest), len(tool)
+        poses = {name: np.zeros(len(IDENTITY)) for name in ("pose", "wanted", "trusted", "fetched")}
+        coordinates = {name: np.zeros(tools) for name in ("target", "outward", "there")}
+        report, tangent, row = np.zeros(FORCES + tools), np.zeros((tools, tools)), np.zeros(WIDTH + 2 * m)
+        work = cls(np.zeros(m), np.zeros(m), tool, **poses, **coordinates, report=report, tangent=tangent, row=row)
+        work.reset(rest)
+        return work
+
+    def reset(self, rest: Floats) -> None:
+        """Put body and tool at rest."""
+        for array in (self.v, self.target, self.outward, self.report, self.tangent, self.row):
+            array[:] = 0.0
+        for pose in (self.pose, self.wanted, self.trusted):
+            pose[:] = IDENTITY
+        self.q[:] = rest
+        self.row[POSE : POSE + 7] = IDENTITY
+        self.row[WIDTH : WIDTH + len(rest)] = rest
+
+
+@njit(cache=True)
+def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
+    """Sleep until shortly before the deadline [ns], then watch the clock; return whether to go on."""
+    while get_flag(command, 0) == RUNNING:
+        time = now()
+        if time >= deadline - spin:
+            while now() < deadline:
+                pass
+            return True
+        sleep_until(min(deadline - spin, time + LONGEST_SLEEP))
+    return False
+
+
+@njit(cache=True)
+def _put(values, out, first):  # type: ignore[no-untyped-def]
+    """Copy numbers; an assignment of slices takes seconds to compile."""
+    for i in range(values.shape[0]):
+        out[first + i] = values[i]
+
+
+@njit(cache=True)
+def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
+    """Move the tool towards the newest pose, or back to where the model was last trusted while the pose is beyond."""
+    if fetch(slot, work.fetched):  # else it is just being written, and the next period will read it
+        _put(work.fetched, work.wanted, 0)
+    aim, row = work.wanted, work.row
+    if row[HELD]:
+        beyond = 0.0
+        tool_coordinates(work.tool, work.trusted, work.there)
+        for k in range(work.there.shape[0]):
+            beyond -= work.outward[k] * work.there[k]
+        tool_coordinates(work.tool, work.wanted, work.there)
+        for k in range(work.there.shape[0]):
+            beyond += work.outward[k] * work.there[k]
+        if beyond > 0.0:
+            aim = work.trusted
+        elif row[TRUSTED] <= 1.0:
+            row[HELD] = 0.0
+    follow(work.pose, aim, settings.most_way, settings.most_angle)
+    tool_coordinates(work.tool, work.pose, work.target)
+
+
+@njit(cache=True)
+def _hold_tool(work):  # type: ignore[no-untyped-def]
+    """Remember where the model is trusted, or in which direction it ceased to be."""
+    if work.row[HELD]:
+        return
+    if work.row[TRUSTED] <= 1.0:
+        _put(work.pose, work.trusted, 0)
+        return
+    work.row[HELD] = 1.0
+    tool_coordinates(work.tool, work.trusted, work.there)
+    for k in range(work.there.shape[0]):
+        work.outward[k] = work.target[k] - work.there[k]
+
+
+@njit(cache=True)
+def _is_finite(array):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for i in range(array.size):
+        total += 0.0 * array.flat[i]  # 0, or not a number
+    return total == 0.0
+
+
+@njit(cache=True)
+def _write_row(work, settings):  # type: ignore[no-untyped-def]
+    """Write what the model reported into the row; return whether it is fine."""
+    report, row = work.report, work.row
+    fine = report[STATUS] == 0.0 and _is_finite(report) and _is_finite(work.q) and _is_finite(work.v)
+    row[FAILED] = 0.0 if fine else 1.0
+    if fine:
+        row[TAKEN] += 1.0
+    row[TIME] = row[TAKEN] * settings.period * 1e-9
+    row[ITERATIONS], row[TRUSTED] = report[STEPS], report[TRUST]
+    row[WORST_TRUST] = max(row[WORST_TRUST], report[TRUST])
+    row[ENERGIES], row[ENERGIES + 1] = report[KINETIC], report[STRAIN]
+    _put(work.pose, row, POSE)
+    force, moment = row[FORCE : FORCE + 3], row[MOMENT : MOMENT + 3]
+    wrench(work.tool, work.pose, report[FORCES:], force, moment)
+    size = np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    row[LIMITED] = 1.0 if size > settings.force_limit else 0.0
+    if size > settings.force_limit:
+        for i in range(3):
+            force[i] *= settings.force_limit / size
+            moment[i] *= settings.force_limit / size
+    _put(work.q, row, WIDTH)
+    _put(work.v, row, WIDTH + work.q.shape[0])
+    return fine
+
+
+@njit(cache=True)
+def _write_stiffness(work):  # type: ignore[no-untyped-def]
+    """Write the derivative (3, 3) of the force on the body by the tool's displacement, if it is finite."""
+    tool, tools = work.tool, work.tool.shape[0]
+    if not _is_finite(work.tangent):
+        return
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for a in range(tools):
+                for b in range(tools):
+                    total += tool[a, i] * work.tangent[a, b] * tool[b, j]
+            work.row[STIFFNESS + 3 * i + j] = total
+
+
+@njit(cache=True)
+def _no_stiffness(data, q, out):  # type: ignore[no-untyped-def]
+    out[:] = 0.0
+
+
+def _name(function: Any) -> str | None:
+    """What tells a compiled function from all others, in other processes too; None if nothing does."""
+    digest = getattr(function._cache, "_digest", None)  # of `law_njit`
+    python = function.py_func
+    if digest is None and python.__closure__:
+        return None
+    try:
+        source = digest or Path(inspect.getsourcefile(python) or "").read_text(encoding="utf-8")
+    except (TypeError, OSError):
+        return None
+    return f"{python.__module__} {python.__qualname__} {source}"
+
+
+@cache
+def _sources() -> tuple[str, ...]:
+    return tuple(path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py")))
+
+
+@cache
+def loop_of(advance: Any, stiffness: Any) -> Any:
+    """Compile the loop of a model's functions, which it holds inside.
+
+    Returns
+    -------
+    function
+        ``loop(data, work, channels, settings)`` goes on until told otherwise by the command, or the state runs away,
+        or the model is no longer trusted and is to stop there. It returns the command, RAN_AWAY or PAUSED.
+    """
+    stiffness = _no_stiffness if stiffness is None else stiffness
+    names = [_name(function) for function in (advance, stiffness)]
+    cached = None not in names
+    digest = law_digest(*(names if cached else (repr(advance), repr(stiffness))), *_sources())
+
+    @law_njit(digest, cached=cached, nogil=True)
+    def loop(data, work, channels, settings):  # type: ignore[no-untyped-def]
+        period, row = settings.period, work.row
+        deadline = now() + period
+        while _wait(deadline, settings.spin, channels.command):
+            began, computed, trusted = now(), computing_time(), row[TRUSTED] <= 1.0
+            _move_tool(work, channels.pose, settings)
+            advance(data, work.q, work.v, work.target, 1e-9 * period, work.report)
+            fine = _write_row(work, settings)
+            if fine and settings.stiffness_every > 0 and (row[TAKEN] - 1) % settings.stiffness_every == 0:
+                stiffness(data, work.q, work.tangent)
+                _write_stiffness(work)
+            if settings.on_distrust == CLAMP:
+                _hold_tool(work)
+            row[COMPUTING], row[LATENESS] = 1e-9 * (computing_time() - computed), 1e-9 * (began - deadline)
+            ended = now()
+            if fine:
+                publish(channels.row, row)
+            keep(channels.ring, row)
+            deadline = count_step(channels.tally, row[COMPUTING], row[LATENESS], ended, deadline, period)
+            if not fine:
+                return RAN_AWAY
+            if settings.on_distrust == STOP and trusted and row[TRUSTED] > 1.0:
+                return PAUSED
+        return get_flag(channels.command, 0)
+
+    return loop

@@ -1,0 +1,94 @@
+"""The numbers of a period: what a reader of the engine sees and what the black box keeps.
+
+They stand in one array of float64: those of `HEAD`, then m coordinates, then m velocities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["HEAD", "UNITS", "WIDTH", "Reading", "offset"]
+
+Floats = NDArray[np.float64]
+
+HEAD = np.dtype(
+    [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
+    + [(name, "f8") for name in ("trust", "worst_trust", "held", "limited", "kinetic", "strain")]
+    + [("position", "f8", 3), ("quaternion", "f8", 4), ("force", "f8", 3), ("moment", "f8", 3)]
+    + [("stiffness", "f8", (3, 3))]
+)
+WIDTH = HEAD.itemsize // 8
+UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
+UNITS |= {"force": "N", "moment": "N m", "stiffness": "N/m"}
+
+
+def offset(name: str) -> int:
+    """Return where the numbers of a field begin."""
+    return int(dict(HEAD.fields or {})[name][1]) // 8
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What an engine tells, all of one period.
+
+    Parameters
+    ----------
+    time : float [s]
+        Of the body: periods since the last reset.
+    steps : int
+        Periods since the last reset.
+    force, moment : (3,) arrays [N], [N m]
+        Of the body on the tool, about the tool's reference point: what a hand that holds the tool feels. Scaled down
+        together where the force is larger than the engine's limit; then `limited` is true.
+    stiffness : (3, 3) array [N/m]
+        Derivative of the tool's force on the body by the tool's displacement, that of some periods ago; zero where the
+        model tells none.
+    trust : float
+        Above 1 the model was not trained on such states.
+    held : bool
+        Whether the tool is held back from states that the model was not trained on.
+    position, quaternion : (3,) array [m] and (4,) array
+        Pose of the tool in the model; it follows the given pose at no more than the engine's speed.
+    kinetic, strain : float [J]
+    computing, lateness : float [s]
+        Computing time of the period's step, and how late it began.
+    coordinates, velocities : (m,) arrays
+    state : str
+        ``"stopped"``, ``"running"``, ``"paused"`` or ``"ran away"``; the numbers are the last good ones.
+    """
+
+    time: float
+    steps: int
+    force: Floats
+    moment: Floats
+    stiffness: Floats
+    trust: float
+    held: bool
+    limited: bool
+    position: Floats
+    quaternion: Floats
+    kinetic: float
+    strain: float
+    computing: float
+    lateness: float
+    coordinates: Floats
+    velocities: Floats
+    state: str
+
+    @classmethod
+    def of(cls, row: Floats, state: str) -> Reading:
+        """Read a row (WIDTH + 2 m,)."""
+        head = row[:WIDTH].view(HEAD)[0]
+        numbers: dict[str, Any] = {
+            name: float(head[name]) for name in ("time", "trust", "kinetic", "strain", "computing", "lateness")
+        }
+        arrays = {name: head[name].copy() for name in ("force", "moment", "stiffness", "position", "quaternion")}
+        coordinates, velocities = row[WIDTH:].reshape(2, -1).copy()
+        return cls(
+            **numbers, **arrays, steps=int(head["steps"]), held=bool(head["held"]), limited=bool(head["limited"]),
+            coordinates=coordinates, velocities=velocities, state=state,
+        )  # fmt: skip

@@ -1,0 +1,48 @@
+"""The compiled clocks are the system's."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numba import njit
+
+from palpate.realtime.clock import computing_time, now, sharpen_sleep, sleep_until
+
+
+@njit
+def sleep_long_after(start, pause, count):
+    """Wake-up times [ns] after `count` sleeps, counted from when each should have ended."""
+    late = np.empty(count, dtype=np.int64)
+    for k in range(count):
+        start = max(start + pause, now())
+        sleep_until(start)
+        late[k] = now() - start
+    return late
+
+
+def test_now_is_the_monotonic_clock():
+    before, inside, after = time.monotonic_ns(), now(), time.monotonic_ns()
+    assert before <= inside <= after
+
+
+def test_computing_time_is_the_threads_own_and_stands_still_in_sleep():
+    before, inside, after = time.thread_time_ns(), computing_time(), time.thread_time_ns()
+    assert before <= inside <= after
+    wall, computed = now(), computing_time()
+    time.sleep(0.05)
+    assert now() - wall >= 50e6
+    assert computing_time() - computed < 20e6
+
+
+def test_sleep_ends_after_its_time_and_not_before():
+    sharpen_sleep()
+    late = sleep_long_after(now(), 1_000_000, 50)
+    assert late.min() >= 0
+    assert np.median(late) < 1e6  # it does not sleep for twice the time
+
+
+def test_sleep_until_the_past_returns():
+    start = now()
+    sleep_until(start - 10**9)
+    assert now() - start < 10**9

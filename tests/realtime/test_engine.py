@@ -1,0 +1,366 @@
+"""What an engine does with a body whose motion is known in closed form."""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+import weakref
+
+import h5py
+import numpy as np
+import pytest
+from mass_spring import CONTACT, FAILS, FAULT, NOT_FINITE, RAISES, labour_of, mass_spring, stiffness
+from numba import njit
+
+import palpate as pt
+from palpate.realtime import Engine
+
+SECONDS = 20.0  # to wait for what takes a fraction of one on an idle machine
+
+
+def until(condition):
+    """Wait until something is so."""
+    end = time.monotonic() + SECONDS
+    while not condition():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.002)
+
+
+def run_steps(engine, steps):
+    """Let an engine take so many steps, or some more, and stop it."""
+    aim = engine.read().steps + steps
+    engine.start()
+    until(lambda: engine.read().steps >= aim or engine.state != "running")
+    engine.stop()
+
+
+@pytest.fixture
+def history(tmp_path):
+    """A function that returns what an engine's black box holds, by name."""
+
+    def read(engine):
+        engine.dump(tmp_path / "flight.h5")
+        with h5py.File(tmp_path / "flight.h5") as file:
+            return {name: data[:] for name, data in file.items()}
+
+    return read
+
+
+def test_it_comes_to_the_equilibrium_of_the_springs(engine_of):
+    engine = engine_of(damping=12.0, ground=100.0, contact=300.0, turn=2.0)
+    angle = 0.2
+    engine.set_pose((0.01, 0.0, -0.02), (math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)))
+    run_steps(engine, 300)
+    reading, place = engine.read(), np.array([0.01, 0.0, -0.02])
+    np.testing.assert_allclose(reading.coordinates[:3], 0.75 * place, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(reading.force, -75.0 * place, rtol=1e-6, atol=1e-12)  # pushes the hand back
+    np.testing.assert_allclose(reading.moment, [0, 0, -2.0 * math.sin(angle) * math.cos(angle)], atol=1e-12)
+    np.testing.assert_allclose(reading.stiffness, 300.0 * np.eye(3))
+    np.testing.assert_allclose(reading.position, place)
+    assert reading.time == pytest.approx(1e-3 * reading.steps)
+    assert (reading.limited, reading.held, reading.state) == (False, False, "stopped")
+
+
+def test_the_tools_work_becomes_energy(engine_of, history):
+    engine = engine_of()
+    engine.set_pose((0.02, -0.01, 0.005))
+    run_steps(engine, 300)
+    seen = history(engine)
+    force = -np.vstack([np.zeros(3), seen["force"]])  # on the body
+    way = np.diff(np.vstack([np.zeros(3), seen["position"]]), axis=0)
+    work = np.cumsum(np.sum(0.5 * (force[1:] + force[:-1]) * way, axis=1))
+    energy = seen["kinetic"] + seen["strain"]
+    np.testing.assert_allclose(work, energy, atol=3e-3 * energy.max())
+    assert seen["kinetic"].max() > 0.1 * energy.max()  # it swings
+    assert np.ptp(energy[-100:]) < 1e-3 * energy.max()  # and goes on swinging with the tool at rest
+
+
+def test_every_period_advances_the_body_by_a_period(engine_of, history):
+    engine = engine_of(rate=500.0)
+    run_steps(engine, 50)
+    seen = history(engine)
+    np.testing.assert_allclose(seen["time"], 2e-3 * np.arange(1, len(seen["time"]) + 1), rtol=1e-12)
+    assert np.all(seen["iterations"] == 8)
+    assert np.all(seen["lateness"] >= 0)
+    assert np.all(seen["computing"] > 0)
+
+
+def test_it_keeps_the_time_of_the_wall(engine_of):
+    engine = engine_of()
+    before = time.monotonic()
+    with engine:
+        time.sleep(0.3)
+    passed = (engine.statistics().count + engine.statistics().dropped) * engine.period
+    assert 0.15 < passed <= time.monotonic() - before
+
+
+def test_the_statistics_count_the_steps(engine_of):
+    engine = engine_of()
+    run_steps(engine, 100)
+    statistics = engine.statistics()
+    assert statistics.count == engine.read().steps
+    assert statistics.computing.counts.sum() == statistics.lateness.counts.sum() == statistics.count
+    assert 0 < statistics.computing.percentile(50) <= statistics.computing.maximum
+    assert statistics.held
+    run_steps(engine, 10)
+    assert engine.statistics().count == engine.read().steps - statistics.count  # since the last start
+
+
+def test_a_model_that_is_too_slow_does_not_hold_its_rate(engine_of):
+    engine = engine_of(rate=2000.0, labour=labour_of(2.5e-3))
+    run_steps(engine, 40)
+    statistics = engine.statistics()
+    assert statistics.overrun > 0.9 * statistics.count
+    assert statistics.missed >= statistics.overrun
+    assert statistics.dropped > statistics.count  # several each
+    assert not statistics.held
+    assert "cannot be held" in statistics.verdict
+
+
+def test_commands_may_be_given_twice(engine_of):
+    engine = engine_of()
+    engine.stop()
+    engine.pause()
+    engine.resume()
+    assert engine.state == "stopped"
+    for command, state in [
+        ("start", "running"), ("resume", "running"), ("pause", "paused"), ("resume", "running"), ("pause", "paused"),
+        ("start", "running"), ("reset", "running"), ("pause", "paused"), ("reset", "paused"), ("stop", "stopped"),
+        ("reset", "stopped"), ("start", "running"), ("stop", "stopped"),
+    ]:  # fmt: skip
+        for _ in range(2):
+            getattr(engine, command)()
+            assert engine.state == engine.read().state == state, command
+
+
+def test_nothing_moves_in_a_pause_and_resuming_goes_on_from_there(engine_of):
+    engine = engine_of()
+    engine.set_pose((0.02, 0.0, 0.0))
+    engine.start()
+    until(lambda: engine.read().steps > 20)
+    engine.pause()
+    before, count = engine.read(), engine.statistics().count
+    time.sleep(0.02)
+    assert engine.read().steps == before.steps
+    engine.resume()
+    until(lambda: engine.read().steps > before.steps)
+    engine.stop()
+    assert engine.statistics().count == engine.read().steps > count
+
+
+def test_reset_puts_all_at_rest(engine_of):
+    engine = engine_of()
+    engine.set_pose((0.02, 0.0, 0.0), (0.9, 0.1, 0.0, 0.0))
+    run_steps(engine, 20)
+    engine.reset()
+    for steps in (0, 5):  # and there it stays
+        run_steps(engine, steps) if steps else None
+        reading = engine.read()
+        assert steps <= reading.steps
+        assert not np.any(reading.coordinates)
+        assert not np.any(reading.velocities)
+        assert not np.any(reading.force)
+        np.testing.assert_array_equal(reading.quaternion, [1, 0, 0, 0])
+
+
+def test_the_tool_is_no_faster_than_allowed(engine_of, history):
+    engine = engine_of(options={"most_speed": 0.5, "most_turn": 3.0})
+    engine.set_pose((0.03, 0.04, 0.0), (0.0, 1.0, 0.0, 0.0))
+    run_steps(engine, 120)
+    seen = history(engine)
+    ways = np.linalg.norm(np.diff(seen["position"], axis=0), axis=1)
+    cosines = np.abs(np.sum(seen["quaternion"][1:] * seen["quaternion"][:-1], axis=1))
+    assert ways.max() == pytest.approx(0.5e-3, rel=1e-9)
+    assert 2 * np.arccos(cosines.min()) == pytest.approx(3e-3, rel=1e-6)
+    np.testing.assert_array_equal(seen["position"][-1], [0.03, 0.04, 0.0])
+
+
+def test_the_force_is_limited_and_keeps_its_direction(engine_of):
+    engine = engine_of(damping=12.0, options={"force_limit": 0.5})
+    engine.set_pose((0.03, 0.04, 0.0), (math.cos(0.1), 0.0, 0.0, math.sin(0.1)))
+    run_steps(engine, 300)
+    reading = engine.read()
+    assert reading.limited
+    np.testing.assert_allclose(reading.force, [-0.3, -0.4, 0.0], rtol=1e-9)
+    full = 75.0 * 0.05
+    assert reading.moment[2] == pytest.approx(-2.0 * math.sin(0.2) * math.cos(0.2) * 0.5 / full, rel=1e-5)
+
+
+def test_a_bad_pose_is_refused_and_the_last_one_kept(engine_of):
+    engine = engine_of()
+    engine.set_pose((0.002, 0.0, 0.0))
+    for pose in [((np.nan, 0, 0),), ((0.0, 0, 0), (0, 0, 0, 0)), ((1.5, 0, 0),)]:
+        with pytest.raises(pt.InputError, match="last pose is kept"):
+            engine.set_pose(*pose)
+    run_steps(engine, 5)
+    np.testing.assert_array_equal(engine.read().position, [0.002, 0, 0])
+
+
+def test_lost_trust_is_told_once(engine_of):
+    engine = engine_of(trusted=0.01)
+    engine.set_pose((0.005, 0.0, 0.0))
+    run_steps(engine, 20)
+    assert engine.read().trust == pytest.approx(0.5)
+    engine.set_pose((0.02, 0.0, 0.0))
+    engine.start()
+    with pytest.warns(RuntimeWarning, match="not trained") as told:
+        until(lambda: engine.read().trust == pytest.approx(2.0))
+    assert len(told) == 1
+    assert not engine.read().held
+    assert engine.state == "running"
+
+
+def test_clamping_holds_the_tool_where_the_model_was_trusted(engine_of, history):
+    engine = engine_of(trusted=0.01, options={"on_distrust": "clamp", "most_speed": 0.5})
+    engine.set_pose((0.03, 0.0, 0.0))
+    run_steps(engine, 60)
+    reading, seen = engine.read(), history(engine)
+    assert reading.held
+    assert 0.0095 <= reading.position[0] <= 0.01
+    assert reading.trust <= 1.0
+    assert seen["trust"].max() <= 1.05 + 1e-9  # one period of 0.5 mm beyond, and back
+    assert np.sum(seen["trust"] > 1.0) == 1  # and no trembling about it
+
+    engine.set_pose((0.03, 0.02, 0.0))  # sideways, but still beyond
+    run_steps(engine, 20)
+    np.testing.assert_array_equal(engine.read().position, reading.position)
+
+    engine.set_pose((0.004, 0.002, 0.0))  # back: it is free again
+    run_steps(engine, 30)
+    assert not engine.read().held
+    np.testing.assert_array_equal(engine.read().position, [0.004, 0.002, 0.0])
+
+
+def test_stopping_pauses_when_trust_is_lost_and_may_be_resumed(engine_of):
+    engine = engine_of(trusted=0.01, options={"on_distrust": "stop", "most_speed": 0.5})
+    engine.set_pose((0.03, 0.0, 0.0))
+    engine.start()
+    until(lambda: engine.state == "paused")
+    paused = engine.read()
+    assert 1.0 < paused.trust <= 1.05 + 1e-9
+    engine.resume()  # and go on, as told
+    until(lambda: engine.read().position[0] == 0.03)
+    engine.set_pose((0.002, 0.0, 0.0))
+    until(lambda: engine.read().position[0] == 0.002)
+    assert engine.state == "running"
+    engine.set_pose((0.03, 0.0, 0.0))
+    until(lambda: engine.state == "paused")
+    assert 1.0 < engine.read().trust <= 1.05 + 1e-9
+
+
+@pytest.mark.parametrize("fault", [FAILS, NOT_FINITE, RAISES])
+def test_a_state_that_runs_away_is_kept_and_written(fault, tmp_path, recwarn):
+    body, box = mass_spring(), tmp_path / "flight.h5"
+    engine = Engine(body, black_box=box)
+    engine.set_pose((0.02, 0.0, 0.0))
+    engine.start()
+    until(lambda: engine.read().steps > 20)
+    body.data[FAULT] = fault
+    until(lambda: engine.state == "ran away")
+    last = engine.read()
+    assert last.state == "ran away"
+    assert np.isfinite(last.coordinates).all()
+    assert last.force[0] == pytest.approx(-300.0 * (last.coordinates[3] - last.coordinates[0]))
+    with h5py.File(box) as file:
+        good = file["failed"][:] == 0
+        assert file["steps"][:][good][-1] == last.steps
+        assert good.sum() >= len(good) - 1
+        assert np.array_equal(file["coordinates"][:][good][-1], last.coordinates)
+        assert good.all() == (fault == RAISES)  # else the last row is the failed step
+    for command in (engine.start, engine.resume):
+        with pytest.raises(pt.InputError, match=r"reset\(\)"):
+            command()
+    engine.stop()
+    engine.pause()
+    assert engine.state == "ran away"
+    assert ("on purpose" in "".join(str(w.message) for w in recwarn)) == (fault == RAISES)
+
+    body.data[FAULT] = 0.0
+    engine.reset()
+    assert engine.state == "stopped"
+    run_steps(engine, 5)
+    assert engine.state == "stopped"
+    assert not np.any(engine.read().coordinates)
+
+
+def test_a_black_box_that_cannot_be_written_is_told(tmp_path):
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    body = mass_spring()
+    engine = Engine(body, black_box=folder / "flight.h5")
+    folder.rmdir()
+    body.data[FAULT] = FAILS
+    engine.start()
+    until(lambda: engine.state == "ran away")
+    with pytest.warns(RuntimeWarning, match="cannot write"):
+        engine.read()
+
+
+def test_stiffness_is_taken_every_so_many_periods(engine_of):
+    never = engine_of(options={"stiffness_every": 0})
+    run_steps(never, 5)
+    assert not np.any(never.read().stiffness)
+    body = mass_spring(contact=300.0)
+    rarely = Engine(body, stiffness_every=1000)
+    run_steps(rarely, 5)
+    body.data[CONTACT] = 400.0
+    run_steps(rarely, 5)
+    np.testing.assert_allclose(rarely.read().stiffness, 300.0 * np.eye(3))
+    without = Engine(body._replace(stiffness=None))
+    run_steps(without, 2)
+    assert not np.any(without.read().stiffness)
+
+
+def test_python_goes_on_while_it_steps(engine_of):
+    """The loop computes all the time, and does not return: with Python's lock it would stop everything."""
+    engine = engine_of(rate=20_000.0, labour=labour_of(1e-3))
+    with engine:
+        until(lambda: engine.read().steps > 2)
+        count, start = 0, engine.read().steps
+        while engine.read().steps < start + 50:
+            count += 1
+    assert count > 20
+    assert not engine.statistics().held
+
+
+def test_an_engine_that_nobody_holds_ends_its_thread():
+    engine = Engine(mass_spring())
+    engine.start()
+    thread = engine._runner._thread
+    gone = weakref.ref(engine)
+    del engine
+    gc.collect()
+    assert gone() is None
+    thread.join(SECONDS)
+    assert not thread.is_alive()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("rate", 0.0), ("rate", -1.0), ("rate", 20_001.0), ("rate", math.nan), ("force_limit", 0.0), ("history", 0.0),
+        ("history", 1e4), ("most_speed", 0.0), ("most_turn", -1.0), ("spin", 0.1), ("stiffness_every", -1),
+        ("on_distrust", "ignore"), ("black_box", "/nowhere/at/all.h5"),
+    ],
+)  # fmt: skip
+def test_arguments_out_of_range_are_refused(name, value):
+    with pytest.raises(pt.InputError, match=name):
+        Engine(mass_spring(), **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"rest": np.full(7, np.nan)}, "rest"), ({"tool": np.zeros((4, 11))}, "tool"), ({"advance": len}, "numba"),
+        ({"stiffness": len}, "numba"), ({"stiffness": njit(parallel=True)(stiffness.py_func)}, "parallel"),
+    ],
+)  # fmt: skip
+def test_a_model_that_breaks_the_contract_is_refused(changed, said):
+    with pytest.raises(pt.InputError, match=said):
+        Engine(mass_spring()._replace(**changed))
+
+
+def test_what_is_no_model_is_told_what_is_missing():
+    with pytest.raises(pt.InputError, match="advance, stiffness, data, rest, tool"):
+        Engine(object())
