@@ -64,7 +64,7 @@ def main() -> None:
             if apart and name != "local lifting, relative snapshots":
                 continue
             data = full if apart else [full[0].then(full[1])] * 2
-            models = [pt.reduce(scene.model, run, modes=modes, driven=["tool"], **training) for run in data]
+            models = [pt.project(scene.model, run, modes=modes, driven=["tool"], **training) for run in data]
             row = {"then": after, "training": name, "basis": "a phase" if apart else "one", "modes": modes}
             try:
                 found = both(scene, models)

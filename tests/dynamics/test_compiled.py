@@ -15,7 +15,7 @@ tissue = pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45)
 model = pt.FullModel(pt.box((0.03, 0.015, 0.015), spacing=0.005), tissue, fixed="x-", viscosity=6e-5)
 pull = pt.Traction("x+", force=(1.0, 0.0, 0.0))
 run = pt.rollout(model, [pull], duration=1e-3, every=2e-4, progress=False)
-rom = pt.reduce(model, run, modes=2)
+rom = pt.project(model, run, modes=2)
 pt.rollout(rom, [pull], duration=1e-3, every=2e-4, progress=False)
 for f in (model._internal_force, model._advance, rom._projected_force, rom._advance):
     print(sum(f.stats.cache_hits.values()), sum(f.stats.cache_misses.values()))

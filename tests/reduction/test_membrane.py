@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.projected import ProjectedModel
 
 
 @pytest.fixture(scope="module")
@@ -48,19 +48,19 @@ def shapes(sheet, count, seed=0):
 
 def test_the_projected_force_is_the_projection_of_the_nodal_force(sheet):
     basis, column = shapes(sheet, 5)
-    rom = ReducedModel(sheet, basis, column)
+    rom = ProjectedModel(sheet, basis, column)
     coordinates = np.concatenate([1e-7 * np.random.default_rng(1).standard_normal(5), [0.004]])
     u = np.tensordot(coordinates, rom.columns, 1)
     expected = np.einsum("n,mnc,nc->m", sheet.volumes, rom.columns, sheet.force(u)) / 1200.0
     np.testing.assert_allclose(rom.force(coordinates), expected, atol=1e-11 * np.abs(expected).max())
     strong = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", form="strong")
-    rom = ReducedModel(strong, basis, column)
+    rom = ProjectedModel(strong, basis, column)
     expected = np.einsum("n,mnc,nc->m", sheet.volumes, rom.columns, strong.force(u)) / 1200.0
     np.testing.assert_allclose(rom.force(coordinates), expected, atol=1e-11 * np.abs(expected).max())
 
 
 def test_the_reduced_tangent_of_a_pushed_sheet_is_symmetric(sheet, push):
-    rom = pt.reduce(sheet, push, modes=8, driven=["tool"], lifting="local")
+    rom = pt.project(sheet, push, modes=8, driven=["tool"], lifting="local")
     state = rom.state(rom.drive([PUSH]), push.displacements[-1], push.velocities[-1], 0.1)
     tangent = rom.stiffness(state.coordinates)
     np.testing.assert_allclose(tangent, tangent.T, atol=1e-3 * np.abs(tangent).max())
@@ -69,7 +69,7 @@ def test_the_reduced_tangent_of_a_pushed_sheet_is_symmetric(sheet, push):
 
 @pytest.mark.parametrize(("modes", "displacement", "force"), [(8, 0.15, 0.1), (20, 0.01, 0.02), (39, 1e-3, 1e-2)])
 def test_more_modes_come_nearer_to_the_full_push(sheet, push, modes, displacement, force):
-    rom = pt.reduce(sheet, push, modes=modes, driven=["tool"], lifting="local", relative=True)
+    rom = pt.project(sheet, push, modes=modes, driven=["tool"], lifting="local", relative=True)
     found = pt.errors(push, pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False))
     assert found.displacement < displacement
     assert found.reaction < force
@@ -78,14 +78,14 @@ def test_more_modes_come_nearer_to_the_full_push(sheet, push, modes, displacemen
 def test_local_lifting_and_relative_snapshots_each_help(sheet, push):
     errors = []
     for lifting, relative in (("fitted", False), ("local", False), ("local", True)):
-        rom = pt.reduce(sheet, push, modes=8, driven=["tool"], lifting=lifting, relative=relative)
+        rom = pt.project(sheet, push, modes=8, driven=["tool"], lifting=lifting, relative=relative)
         run = pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False)
         errors.append(pt.errors(push, run).displacement)
     assert errors[2] < 0.5 * errors[1] < 0.25 * errors[0]
 
 
 def test_a_local_column_moves_the_tool_alone(sheet, push):
-    rom = pt.reduce(sheet, push, modes=4, driven=["tool"], lifting="local")
+    rom = pt.project(sheet, push, modes=4, driven=["tool"], lifting="local")
     tool = sheet.cloud.group("tool")
     others = np.setdiff1d(np.arange(len(sheet.cloud)), tool)
     assert np.all(rom.lifting[:, others] == 0)
@@ -95,14 +95,14 @@ def test_a_local_column_moves_the_tool_alone(sheet, push):
 
 
 def test_the_tool_of_a_reduced_sheet_does_the_work_of_the_full_one(sheet, push):
-    rom = pt.reduce(sheet, push, modes=20, driven=["tool"], lifting="local", relative=True)
+    rom = pt.project(sheet, push, modes=20, driven=["tool"], lifting="local", relative=True)
     run = pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False)
     assert run.external[-1] == pytest.approx(push.external[-1], rel=0.02)
     assert np.abs(run.balance).max() < 0.02 * push.external.max()
 
 
 def test_a_reduced_tool_lets_go(sheet, freed):
-    rom = pt.reduce(sheet, freed, modes=40, driven=["tool"], lifting="local")
+    rom = pt.project(sheet, freed, modes=40, driven=["tool"], lifting="local")
     run = pt.rollout(rom, [LET_GO], duration=0.15, every=0.0025, progress=False)
     let_go = run.times > 0.1 + 1e-9
     assert np.all(run.reactions["tool"][let_go] == 0)
@@ -117,7 +117,7 @@ def test_a_reduced_tool_lets_go(sheet, freed):
 def test_a_reduced_run_can_start_where_the_tool_has_let_go(sheet, freed):
     start = 44  # 0.11 s
     u, v = freed.displacements[start], freed.velocities[start]
-    rom = pt.reduce(sheet, freed, modes=40, driven=["tool"], lifting="local")
+    rom = pt.project(sheet, freed, modes=40, driven=["tool"], lifting="local")
     drive = rom.drive([LET_GO])
     state = rom.state(drive, u, v, 0.11)
     assert np.abs(rom.displacement(state, drive) - u).max() < 0.02 * np.abs(u).max()
@@ -129,25 +129,25 @@ def test_a_reduced_run_can_start_where_the_tool_has_let_go(sheet, freed):
 def test_tools_that_let_go_at_different_times_are_refused(sheet, push):
     cloud = sheet.cloud.within("other", (0.05, 0.0), 0.007)
     model = pt.Membrane(cloud, sheet.material, 1e-5, "rim")
-    rom = ReducedModel(model, *shapes(sheet, 2))
+    rom = ProjectedModel(model, *shapes(sheet, 2))
     with pytest.raises(pt.InputError, match="let go"):
         rom.drive([LET_GO, pt.PrescribedMotion("other", (0.0, 0.0, 0.0), until=0.2)])
 
 
 def test_bad_training_is_refused(sheet, push):
     with pytest.raises(pt.InputError, match="allowed are 'fitted' and 'local'"):
-        pt.reduce(sheet, push, modes=2, driven=["tool"], lifting="global")
+        pt.project(sheet, push, modes=2, driven=["tool"], lifting="global")
     with pytest.raises(pt.InputError, match="needs the driven groups"):
-        pt.reduce(sheet, push, modes=2, lifting="local")
+        pt.project(sheet, push, modes=2, lifting="local")
     still = replace(push, displacements=np.zeros_like(push.displacements))
     with pytest.raises(pt.InputError, match="all snapshots are zero"):
-        pt.reduce(sheet, still, modes=2, relative=True)
+        pt.project(sheet, still, modes=2, relative=True)
 
 
 def test_a_model_runs_only_with_the_tools_it_was_trained_with(sheet, push):
     cloud = sheet.cloud.within("other", (0.05, 0.0), 0.007)
     model = pt.Membrane(cloud, sheet.material, 1e-5, "rim")
-    rom = pt.reduce(model, push, modes=4, driven="tool", lifting="local")
+    rom = pt.project(model, push, modes=4, driven="tool", lifting="local")
     with pytest.raises(pt.InputError, match="not trained with group 'other'"):
         rom.drive([PUSH, pt.PrescribedMotion("other", (0.0, 0.0, 0.0))])
     with pytest.raises(pt.InputError, match="trained with a prescribed motion"):
@@ -157,7 +157,7 @@ def test_a_model_runs_only_with_the_tools_it_was_trained_with(sheet, push):
 def test_a_tool_may_let_go_between_snapshots(sheet):
     tool = pt.PrescribedMotion("tool", tip, until=0.03)
     full = pt.rollout(sheet, [tool], duration=0.06, every=0.002, progress=False)
-    rom = pt.reduce(sheet, full, modes=20, driven="tool", lifting="local", relative=True)
+    rom = pt.project(sheet, full, modes=20, driven="tool", lifting="local", relative=True)
     for every in (0.02, 0.0125):
         run = pt.rollout(rom, [tool], duration=0.06, every=every, progress=False)
         energy = run.kinetic + run.strain

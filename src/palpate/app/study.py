@@ -20,7 +20,7 @@ from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError
 from palpate.reduction.errors import errors
-from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.projected import ProjectedModel
 from palpate.scenes.scene import Scene
 
 __all__ = ["SHOWN_MODES", "Phase", "ReproduceError", "Study", "prepare", "run_full", "run_reduced"]
@@ -79,7 +79,7 @@ class Study:
 
     scene: Scene
     phases: Sequence[Phase]
-    train: Callable[[NodalModel, Trajectory, int], ReducedModel]
+    train: Callable[[NodalModel, Trajectory, int], ProjectedModel]
     parts: list[Trajectory] = field(default_factory=list)
     reduced: list[dict[str, Any]] = field(default_factory=list)
     shown: list[Trajectory] = field(default_factory=list)
@@ -262,7 +262,7 @@ def _error_at_end(full: Trajectory, run: Trajectory) -> float:
     return float(missed / np.linalg.norm(full.displacements[-1], axis=1).sum())
 
 
-def _projected(model: ReducedModel, displacements: Floats) -> Floats:
+def _projected(model: ProjectedModel, displacements: Floats) -> Floats:
     """Return the fields (f, n, 3) nearest to some displacements that modes and lifting columns can make."""
     coordinates = np.linalg.solve(model.mass, model.test @ displacements.reshape(len(displacements), -1).T)
     return np.tensordot(coordinates.T, model.columns, 1)

@@ -37,7 +37,9 @@ KERNELS = (
     "dynamics/solid_energy.py",
     "dynamics/sheet.py",
     "dynamics/stepping.py",
-    "reduction/kernels.py",
+    "reduction/projection.py",
+    "reduction/samples.py",
+    "reduction/stepping.py",
 )
 
 

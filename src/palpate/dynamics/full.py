@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.kernels import smooth_field
 from palpate.dynamics.lanes import lane_table, transposed
 from palpate.dynamics.loads import Drive, Load, drive
 from palpate.dynamics.nodal import NodalModel
@@ -18,7 +19,7 @@ from palpate.dynamics.stability import StabilityReport, choose_viscosity, stable
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
-from palpate.meshfree.quadrature import integration_weights
+from palpate.meshfree.quadrature import conservative_smoothing, integration_weights
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.materials import Material
 
@@ -153,12 +154,13 @@ class FullModel(NodalModel):
         near, weights = transposed(self.stencils.neighbours, both, self._volumes)
         everyone = np.arange(len(cloud))
         carriers, (back,) = lane_table(near, everyone, weights)
-        smooth_lanes, (value,) = lane_table(smoother.neighbours, smoother.row, smoother.value)
-        near, weights = transposed(smoother.neighbours, smoother.value[smoother.row][:, :, None], self._volumes)
+        smoothing, own = conservative_smoothing(smoother, cloud.points, self._volumes)
+        smooth_lanes, (value,) = lane_table(smoother.neighbours, everyone, smoothing)
+        near, weights = transposed(smoother.neighbours, smoothing[:, :, None], self._volumes)
         back_lanes, (back_value,) = lane_table(near, everyone, weights)
         body = EnergyBody(
             lanes, first_weights, miss_weights, carriers, back, -both.sum(axis=1),
-            smooth_lanes, value, np.ascontiguousarray(smoother.own[smoother.row]), back_lanes, back_value,
+            smooth_lanes, value, own, back_lanes, back_value,
             material.coefficients, material.lame, HOURGLASS * material.shear_modulus / cloud.spacing**2,
         )  # fmt: skip
         families = (lanes, smooth_lanes, back_lanes)
@@ -211,6 +213,23 @@ class FullModel(NodalModel):
         misses = self.work.flux[:, 9:]
         pressure = self.material.lame / 2 * self.work.smooth**2
         return np.asarray(shear + pressure + np.sum(misses**2, axis=1) / (2 * self.body.hourglass))
+
+    def smoothed(self, values: Floats) -> Floats:
+        """Return nodal values (n,) as the energy form smooths J - 1 to theta."""
+        body, work, result = self.body, self.work, np.empty(len(self.cloud))
+        own = np.ascontiguousarray(values, dtype=float)
+        smooth_field(body.smoothing, body.value, body.smoothing_own, work.fields, work.derivatives, own, result)
+        return result
+
+    def smoothed_back(self, weights: Floats) -> Floats:
+        """Return w' with w'. x = w . smoothed(x) for all x, for each row w of `weights` (k, n)."""
+        body, work, result = self.body, self.work, np.empty_like(weights)
+        for row, into in zip(weights / self.volumes, result, strict=True):
+            smooth_field(
+                body.transposed_smoothing, body.transposed_value, body.smoothing_own, work.fields, work.derivatives,
+                np.ascontiguousarray(row), into,
+            )  # fmt: skip
+        return result * self.volumes
 
     def cauchy_stress(self, displacements: Floats) -> Floats:
         """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3)."""

@@ -21,6 +21,8 @@ __all__ = [
     "LANES",
     "Lanes",
     "Weights",
+    "column_sums",
+    "column_work",
     "lane_sums_1x1",
     "lane_sums_1x3",
     "lane_sums_3x1",
@@ -222,6 +224,78 @@ def _emit_loop(builder: Any, args: list[Any], fields: int, weights: int, broadca
             builder.store(sums[f][w].next_value, builder.gep(out_ptr, [ir.Constant(i64, f * weights + w)]), align=8)
 
 
+def _column_pass(single: bool, back: bool, name: str) -> Any:
+    """Make an intrinsic that runs over the nine derivatives (m, 9, LANES) of columns at one block of nodes.
+
+    Arguments are the addresses of the derivatives, of the columns' coordinates (m,) and of the result (9, LANES), which
+    becomes the sum over the columns; or, `back`, of nine vectors (9, LANES) and of the result (m, LANES), to which
+    their products with every column's derivatives are added. Last comes the number of columns.
+    """
+
+    def sums(typingctx, table_at, given_at, out_at, count):  # type: ignore[no-untyped-def]
+        signature = types.void(types.intp, types.intp, types.intp, types.intp)
+
+        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+            _emit_column_loop(builder, args, single, back)
+            return context.get_dummy_value()
+
+        return signature, codegen
+
+    sums.__name__ = sums.__qualname__ = name
+    return intrinsic(sums)
+
+
+def _emit_column_loop(builder: Any, args: list[Any], single: bool, back: bool) -> None:
+    """Emit the loop over columns; the nine vectors stay in registers from start to end."""
+    table_at, given_at, out_at, count = args
+    i64, i32, scalar = ir.IntType(64), ir.IntType(32), ir.DoubleType()
+    vector = ir.VectorType(scalar, LANES)
+    stored = ir.VectorType(ir.FloatType(), LANES) if single else vector
+    table_ptr = builder.inttoptr(table_at, stored.as_pointer())
+    given_ptr = builder.inttoptr(given_at, (vector if back else scalar).as_pointer())
+    out_ptr = builder.inttoptr(out_at, vector.as_pointer())
+    undefined, lane_zero = ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(i32, LANES), [0] * LANES)
+    nine = [ir.Constant(i64, q) for q in range(9)]
+    held = [builder.load(builder.gep(given_ptr, [q]), align=8) for q in nine] if back else []
+    entry, loop = builder.block, builder.append_basic_block("column")
+    end = builder.append_basic_block("columns.end")
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    m = builder.phi(i64)
+    m.add_incoming(ir.Constant(i64, 0), entry)
+    totals = [] if back else [builder.phi(vector) for _ in nine]
+    row = builder.mul(m, ir.Constant(i64, 9))
+    values = [builder.load(builder.gep(table_ptr, [builder.add(row, q)]), align=4) for q in nine]
+    if single:
+        values = [builder.fpext(value, vector) for value in values]
+    if back:
+        at = builder.gep(out_ptr, [m])
+        total, other = builder.load(at, align=8), ir.Constant(vector, [0.0] * LANES)
+        for q in range(9):  # two chains, to wait less for each other
+            product = builder.fmul(values[q], held[q], flags=("contract",))
+            total, other = other, builder.fadd(product, total, flags=("contract",))
+        builder.store(builder.fadd(total, other), at, align=8)
+    else:
+        first = builder.insert_element(undefined, builder.load(builder.gep(given_ptr, [m])), ir.Constant(i32, 0))
+        coordinate = builder.shuffle_vector(first, undefined, lane_zero)
+        sums = []
+        for q in range(9):
+            product = builder.fmul(values[q], coordinate, flags=("contract",))
+            sums.append(builder.fadd(product, totals[q], flags=("contract",)))
+        for phi, value in zip(totals, sums, strict=True):
+            phi.add_incoming(ir.Constant(vector, [0.0] * LANES), entry)
+            phi.add_incoming(value, loop)
+    following = builder.add(m, ir.Constant(i64, 1))
+    m.add_incoming(following, loop)
+    builder.cbranch(builder.icmp_signed("<", following, count), loop, end)
+    builder.position_at_end(end)
+    if not back:
+        for q in range(9):
+            builder.store(sums[q], builder.gep(out_ptr, [nine[q]]), align=8)
+
+
+column_sums = {False: _column_pass(False, False, "column_sums"), True: _column_pass(True, False, "column_sums_single")}
+column_work = {False: _column_pass(False, True, "column_work"), True: _column_pass(True, True, "column_work_single")}
 lane_sums_3x3 = _lane_sums(3, 3, "lane_sums_3x3")
 lane_sums_3x6 = _lane_sums(3, 6, "lane_sums_3x6")
 lane_sums_1x1 = _lane_sums(1, 1, "lane_sums_1x1")

@@ -116,6 +116,10 @@ class Model(ABC):
         """Return the velocities [m/s] of some nodes."""
 
     @abstractmethod
+    def outputs(self, state: State, drive: Drive) -> Outputs:
+        """Return what there is to tell about a state."""
+
+    @abstractmethod
     def acceleration(self, state: State, drive: Drive) -> Floats:
         """Return the nodal accelerations [m/s^2], shape (n, 3): zero where fixed, the motion's where driven."""
 

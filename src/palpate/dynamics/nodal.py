@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import Lanes
 from palpate.dynamics.loads import FIXED, FREE, Drive, Schedule
-from palpate.dynamics.model import Model, Nodes, State
-from palpate.dynamics.reactions import tool_power
+from palpate.dynamics.model import Model, Nodes, Outputs, State
+from palpate.dynamics.reactions import evaluate, tool_power
 from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step
 from palpate.dynamics.stepping import full_step, surface_force
 from palpate.faults import InputError, number_in_range
@@ -122,6 +122,9 @@ class NodalModel(Model):
         surface = np.zeros((len(self.cloud), 3))
         surface_force(drive.places, schedule, 0, self.volumes, self.slot, self.work.cofactor, surface)
         return surface
+
+    def outputs(self, state: State, drive: Drive) -> Outputs:
+        return evaluate(self, state, drive)
 
     def acceleration(self, state: State, drive: Drive) -> Floats:
         schedule = drive.schedule(np.array([state.time]))

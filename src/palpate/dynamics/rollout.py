@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from palpate.dynamics.loads import Drive, Load
 from palpate.dynamics.model import Model, Outputs, State
 from palpate.dynamics.progress import progress_bar
-from palpate.dynamics.reactions import evaluate
 from palpate.dynamics.trajectory import Recorder, Trajectory
 from palpate.faults import DivergenceError, number_in_range
 
@@ -80,12 +79,12 @@ def rollout(
     began, complete, steps = perf_counter(), False, 0
     try:
         with progress_bar(model.name, duration, progress) as shown:
-            recorder.add(start, 0, evaluate(model, state, drive))
+            recorder.add(start, 0, model.outputs(state, drive))
             for frame in range(1, frames + 1):
                 for time in drive.stops(state.time, start + frame * every):
                     state, taken, last = _advance_to(model, state, drive, time, step, every / FEWEST)
                     steps += taken
-                outputs = evaluate(model, state, drive)
+                outputs = model.outputs(state, drive)
                 _check(model, state, drive, outputs, last)
                 recorder.add(state.time, steps, outputs)
                 shown(state.time - start, perf_counter() - began)

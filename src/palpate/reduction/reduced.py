@@ -1,322 +1,406 @@
-"""The reduced model: the equations of motion projected on the modes (section 5, equations 28 to 32)."""
+"""The reduced model: an energy sampled at few nodes, in the coordinates of modes and tools.
+
+Everything it needs it holds itself: it is made by `palpate.reduce` from a full model and its runs, and then knows that
+model no more. A step costs what its samples and coordinates cost, whatever the body's number of nodes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads import DRIVEN, Drive, Load
-from palpate.dynamics.model import Model, Nodes, State
-from palpate.dynamics.nodal import NodalModel
-from palpate.dynamics.reactions import tool_power
+from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
+from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.stability import stable_step
-from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
-from palpate.reduction.kernels import reduced_step
-from palpate.reduction.pod import Basis, pod
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.stencils import moving_least_squares
+from palpate.reduction.cubature import Cubature
+from palpate.reduction.samples import sampled_energy, samples, scratch
+from palpate.reduction.stepping import newton, sampled_step
+from palpate.tissue.materials import Material
 
-__all__ = ["ReducedModel", "reduce"]
+__all__ = ["ReducedModel", "ReducedParts"]
 
 Floats = NDArray[np.float64]
 
-MOVED = 0.1  # of the largest displacement seen: how far the state goes before the tangent is taken anew
-SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less in a relative basis
-UNTRAINED = 1e-3  # share of a prescribed motion that the lifting columns may miss
+MOVED = 0.1  # of the largest displacement seen: how far the state goes before the explicit step is found anew
+CONVERGED = 1e-7  # of the spacing: largest displacement that a Newton iteration may still change
+DIFFERENCE = 1e-5  # of the spacing: displacements for tangents by differences
+MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
-class ReducedModel(Model):
-    """A full model whose displacements are modes times few coordinates, U = Q A (30), and lifted tool motions.
-
-    The equations are those of the full model at every node, multiplied by Q^T in the inner product of the basis (32).
+@dataclass(frozen=True)
+class ReducedParts:
+    """What a reduced model is made of, and what its file holds.
 
     Parameters
     ----------
-    full : NodalModel
-    basis : Basis
-        Modes that vanish at fixed and driven nodes.
-    lifting : (l, n, 3) array, optional
-        Columns for prescribed motions: displacement fields whose coordinates are known from the motion of the tool.
-    implicit : bool
-        Whether modes too fast for the step are slowed down instead of limiting it: accelerations are multiplied by
-        (1 + g K)^-1, g = dt^2/2 + beta dt, K the present reduced tangent. A mode of frequency w then has
-        w'^2 = w^2 / (1 + g w^2), and (dt^2 + 2 beta dt) w'^2 < 2, half of what the central-difference step allows;
-        slow modes keep their frequency up to g w^2 / 2. Otherwise the step is the explicit one of the reduced spectrum.
+    cloud : Cloud
+    material : Material
+    fixed : tuple of str
+    driven : tuple of str
+        Groups that tools hold.
+    volumes : (n,) array [m^3]
+        Nodal volumes of the mass.
+    viscosity : float [s]
+    fastest : float [m/s]
+        About the speed of the fastest waves: a tool that jumps counts as no faster in the viscous forces.
+    columns : (m + l + 3 g, n, 3) array
+        Displacement fields: modes, lifting columns of the tools, and the test fields of the g supports.
+    modes : int
+        How many of them are modes.
+    lifted : int
+        How many of them are lifting columns.
+    cubature : Cubature
+    gradients : (s, m + l + 3 g, 9) array
+        Derivatives of the columns at the sampled nodes, row by row.
+    constant : (m + l + 3 g, m + l + 3 g) array
+        Constant stiffness of what the stencils miss.
+    trained : (t, m + l) array
+        Coordinates of the training states.
+    reach : float [m]
+        Distance from the training states at which the trust number is 1.
+    report : mapping
+        What was measured in training.
+    """
+
+    cloud: Cloud
+    material: Material
+    fixed: tuple[str, ...]
+    driven: tuple[str, ...]
+    volumes: Floats
+    viscosity: float
+    fastest: float
+    columns: Floats
+    modes: int
+    lifted: int
+    cubature: Cubature
+    gradients: Floats
+    constant: Floats
+    trained: Floats
+    reach: float
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+class ReducedModel(Model):
+    """A body in few coordinates whose force comes from few nodes.
+
+    Parameters
+    ----------
+    parts : ReducedParts
+    step : float, optional [s]
+        Of the implicit midpoint rule. By default steps are explicit, as long as the reduced body allows.
+    single : bool
+        Whether the derivatives at the samples are kept in single precision.
+
+    Attributes
+    ----------
+    count : int
+        Number of coordinates: modes and lifting columns.
+    report : dict
+        What was measured in training.
     """
 
     name = "reduced"
+    conservative = True
 
-    def __init__(self, full: NodalModel, basis: Basis, lifting: Floats | None = None, *, implicit: bool = True) -> None:
-        if basis.modes.shape[1:] != (len(full.cloud), 3):
-            raise InputError(f"the basis has {basis.modes.shape[1]} nodes, the body {len(full.cloud)}")
-        self.full, self.basis = full, basis
-        self.cloud, self.material, self.fixed = full.cloud, full.material, full.fixed
-        self.conservative = full.conservative
-        self.viscosity, self.stencils = full.viscosity, full.stencils
-        n, count = len(full.cloud), len(basis)
-        self.lifting = np.zeros((0, n, 3)) if lifting is None else np.asarray(lifting, dtype=float)
-        self.columns = np.ascontiguousarray(np.concatenate([basis.modes, self.lifting]))
-        # test functions: mass @ acceleration = test . force / density; the modes' own part of the mass is 1
-        self.test = np.ascontiguousarray((self.columns * basis.weights[:, None]).reshape(len(self.columns), -1))
-        self.mass = self.test @ self.columns.reshape(len(self.columns), -1).T
-        self.mass[:count, :count] = np.eye(count)
-        self._gravity_test = self.test.reshape(len(self.columns), n, 3).sum(axis=1)
-        self._gravity_work = np.einsum("n,mnc->mc", full.masses, self.columns)
-        blocks, lanes = full.body.lanes.nodes.shape
-        self._table = np.zeros((blocks, len(self.columns), full.formulation.numbers, lanes))
-        full.formulation.differentiate(self.columns, full.body, full.work, self._table)
-        self._projected_force, self._advance = reduced_step(full.formulation)
-        self._force, self._surface = np.zeros((n, 3)), np.zeros((n, 3))
-        self._partial = np.zeros((blocks, len(self.columns)))
-        self._columns, self._result, self._previous, self._rates, self._power = np.zeros((5, len(self.columns)))
-        self._sizes = np.linalg.norm(self.columns, axis=2).max(axis=1)  # largest displacement of a unit coordinate
-        self._tangent_at: Floats | None = None
-        self._tangent, self._reach = np.zeros_like(self.mass), 0.0
-        self.implicit = implicit
+    def __init__(self, parts: ReducedParts, *, step: float | None = None, single: bool = True) -> None:
+        self.parts, self.midpoint, self.single = parts, step, single
+        self.cloud, self.material, self.fixed = parts.cloud, parts.material, parts.fixed
+        self.viscosity, self.report = parts.viscosity, parts.report
+        self.count = parts.modes + parts.lifted
+        count, coefficients = self.count, parts.material.coefficients
+        flat = parts.columns.reshape(len(parts.columns), -1)
+        self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
+        self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
+        self._held = np.linalg.inv(self.mass[: parts.modes, : parts.modes])
+        self._free = np.linalg.inv(self.mass)
+        type_, law = np.float32 if single else np.float64, type(parts.material)
+        weights, pressure, constant = parts.cubature.weights, parts.cubature.pressure, parts.constant
+        self._all = samples(parts.gradients, weights, pressure, constant, coefficients, type_)
+        own = np.ascontiguousarray(parts.gradients[:, :count])
+        self._samples = samples(own, weights, pressure, constant[:count, :count], coefficients, type_)
+        self._all_scratch, self._scratch, self._newton = scratch(self._all), scratch(self._samples), newton(count)
+        self._force, self._energy = sampled_energy(law.energy, law.first, single)
+        self._explicit, self._implicit, self._tangent = sampled_step(law.energy, law.first, single)
+        self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
+        self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
+        self._result, self._everything = np.zeros(count), np.zeros(len(flat))
+        self._frequency, self._reach = 0.0, 0.0
+        self._frequency_at: Floats | None = None
+
+    @property
+    def volumes(self) -> Floats:
+        return self.parts.volumes
 
     def force(self, coordinates: Floats) -> Floats:
-        """Return the columns' Q^T f / rho for coordinates of modes and lifting columns, both of shape (M + l,)."""
-        self._projected_force(
-            np.ascontiguousarray(coordinates), self._table, self.test, self.full.body, self.full.work, self.volumes,
-            self._partial, self._force, self._result,
-        )  # fmt: skip
-        return self._result / self.material.density
+        """Return the internal forces on the coordinates, -dE/da, shape (m + l,)."""
+        self._force(np.ascontiguousarray(coordinates, dtype=float), self._samples, self._scratch, self._result)
+        return self._result.copy()
+
+    def energy(self, coordinates: Floats) -> float:
+        """Return the strain energy [J]; not a number where a sample is turned inside out."""
+        return float(self._energy(np.ascontiguousarray(coordinates, dtype=float), self._samples, self._scratch))
+
+    def stiffness(self, coordinates: Floats) -> Floats:
+        """Return the tangent -d(force)/d(coordinates), shape (m + l, m + l)."""
+        matrix = np.zeros((self.count, self.count))
+        a = np.ascontiguousarray(coordinates, dtype=float)
+        vectors = np.zeros((3, self.count))
+        self._tangent(a, self._differences, self._samples, self._scratch, vectors, self.count, matrix)
+        return matrix
+
+    # loads
 
     def drive(self, loads: Sequence[Load]) -> Drive:
-        drive = self.full.drive(loads)
-        if len(drive.places.driven) and not len(self.lifting):
+        ready = drive(self.cloud, self.fixed, loads)
+        if len(ready.places.pressure_node):
+            raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
+        held = {motion.group for motion, _ in ready.motions}
+        if held != set(self.parts.driven):
+            wanted = ", ".join(map(repr, self.parts.driven)) or "no group"
             raise InputError(
-                "this reduced model was trained without a prescribed motion; train it with one on "
-                + ", ".join(repr(m.group) for m, _ in drive.motions)
+                f"this reduced model was trained with {wanted} driven, not with {sorted(held) or 'none'}: "
+                "give it those motions, or train it with these"
             )
-        if len(self.lifting) and not len(drive.places.driven):
-            raise InputError("this reduced model was trained with a prescribed motion: give it one, or train without")
-        if len({m.until for m, _ in drive.motions}) > 1:
+        if len({motion.until for motion, _ in ready.motions}) > 1:
             raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
-        modes = np.abs(self.basis.modes)
-        for motion, where in drive.motions:
-            if modes[:, drive.places.driven[where]].max() > UNTRAINED * modes.max():
-                raise InputError(
-                    f"this reduced model was not trained with group {motion.group!r} driven; train with it"
-                )
-        return drive
+        return ready
+
+    def _load_columns(self, ready: Drive) -> tuple[Floats, Floats]:
+        """Work of a unit force and of a unit moment of every force group on the columns, (groups, 3, all) each."""
+        places, groups = ready.places, len(ready.places.force_start) - 1
+        forces, moments = np.zeros((2, groups, 3, len(self.parts.columns)))
+        for g in range(groups):
+            own = slice(places.force_start[g], places.force_start[g + 1])
+            at = self.parts.columns[:, places.force_node[own]]
+            forces[g] = np.einsum("k,mkc->cm", places.force_share[own], at)
+            moments[g] = np.einsum("kcd,mkc->dm", places.moment_share[own], at)
+        return forces, moments
+
+    def _loads(self, ready: Drive, times: Floats) -> Floats:
+        """Generalised forces (t, all) of tractions and gravity at some times."""
+        schedule, (forces, moments) = ready.schedule(times), self._load_columns(ready)
+        gravity = np.einsum("n,mnc->cm", self.masses, self.parts.columns)
+        result = np.tensordot(schedule.force, forces, 2) + np.tensordot(schedule.moment, moments, 2)
+        return np.asarray(result + schedule.gravity @ gravity)
+
+    def _lifted(self, ready: Drive, times: Floats) -> Floats:
+        """Coordinates (t, l) of the lifting columns at some times."""
+        if not self.parts.lifted:
+            return np.zeros((len(times), 0))
+        order = np.argsort(ready.places.driven)
+        motion = ready.schedule(times).motion[:, order].reshape(len(times), -1)
+        nodes = np.flatnonzero(ready.places.kind == DRIVEN)
+        span = self.parts.columns[self.parts.modes : self.count, nodes].reshape(self.parts.lifted, -1)
+        coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
+        missed = np.abs(coordinates @ span - motion).max()
+        if missed > MISSED * max(float(np.abs(motion).max()), 1e-3 * self.cloud.spacing):
+            raise InputError(
+                f"the prescribed motion is not one this reduced model knows: {missed:.3g} m of it is missed at "
+                f"t = {times[0]:.4g} s; it can only be moved and turned as a rigid tool"
+            )
+        return np.asarray(coordinates)
 
     @staticmethod
-    def _holds(drive: Drive, times: Floats) -> NDArray[np.bool_]:
+    def _holds(ready: Drive, times: Floats) -> NDArray[np.bool_]:
         """Whether the tools hold the body at some times, shape (t,)."""
-        return drive.motions[0][0].holds(times) if drive.motions else np.ones(len(times), dtype=np.bool_)
+        return ready.motions[0][0].holds(times) if ready.motions else np.ones(len(times), dtype=np.bool_)
 
-    def _lifted(self, drive: Drive, times: Floats) -> Floats:
-        """Coordinates (t, l) of the lifting columns at some times."""
-        if not len(self.lifting):
-            return np.zeros((len(times), 0))
-        nodes = np.flatnonzero(drive.places.kind == DRIVEN)
-        order = np.argsort(drive.places.driven)
-        motion = drive.schedule(times).motion[:, order].reshape(len(times), -1)
-        span = self.lifting[:, nodes].reshape(len(self.lifting), -1)
-        coordinates, *_ = np.linalg.lstsq(span.T, motion.T, rcond=None)
-        missed = np.abs(coordinates.T @ span - motion).max()
-        if missed > UNTRAINED * max(np.abs(motion).max(), 1e-3 * self.cloud.spacing):
-            raise InputError(
-                f"the prescribed motion is not one this reduced model was trained on: {missed:.3g} m of it is missed "
-                f"at t = {times[0]:.4g} s; train with such a motion"
-            )
-        return np.asarray(coordinates.T)
+    # stepping
 
     def state(
         self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
     ) -> State:
-        self._tangent_at, self._reach = None, 0.0
-        nodal = self.full.state(drive, displacement, velocity, time)
-        fields = np.stack([nodal.coordinates, nodal.velocities])
+        self._frequency_at, self._reach, self._newton.kept[0] = None, 0.0, 0.0
+        flat = self.parts.columns[: self.count].reshape(self.count, -1)
+        known = []
+        for name, given in (("displacement", displacement), ("velocity", velocity)):
+            array = np.zeros((len(self.cloud), 3)) if given is None else np.array(given, dtype=float)
+            if array.shape != (len(self.cloud), 3) or not np.isfinite(array).all():
+                raise InputError(f"initial {name} must be finite, of shape {(len(self.cloud), 3)}, not {array.shape}")
+            known.append(flat @ (array * self.masses[:, None]).reshape(-1))
+        coordinates, velocities = np.array(known)
+        modes = slice(self.parts.modes)
         if self._holds(drive, np.array([time]))[0]:
             lifted = self._lifted(drive, np.array([time]))[0]
             rates = drive.rates(lambda times: self._lifted(drive, times), time)[0]
-            known = np.stack([lifted, rates])
-            coordinates = np.hstack([self.basis.project(fields - np.tensordot(known, self.lifting, 1)), known])
+            for moment, own in ((coordinates, lifted), (velocities, rates)):
+                moment[modes] = self._held @ (moment[modes] - self.mass[modes, self.parts.modes :] @ own)
+                moment[self.parts.modes :] = own
         else:
-            weighted = (fields * self.basis.weights[:, None]).reshape(2, -1)
-            coordinates = np.linalg.solve(self.mass, (weighted @ self.columns.reshape(len(self.mass), -1).T).T).T
-        return State(coordinates[0], coordinates[1], time)
+            coordinates, velocities = self._free @ coordinates, self._free @ velocities
+        return State(coordinates, velocities, time)
 
     def stable_step(self, state: State, drive: Drive) -> float:
-        held = bool(self._holds(drive, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])  # from now on
-        if self.implicit and held:
-            return np.inf
-        if self.implicit:  # nodes that a tool has let go move faster than any tangent can follow
-            return stable_step(self.full.stability.highest_frequency, self.viscosity)
-        self._follow(state)
-        moving = slice(len(self.basis) if held else None)
-        tangent = np.linalg.solve(self.mass[moving, moving], self._tangent[moving, moving])
-        return stable_step(float(np.sqrt(np.abs(np.linalg.eigvals(tangent)).max())), self.viscosity)
+        if self.midpoint is not None:
+            return self.midpoint
+        moved = state.coordinates * self.sizes
+        self._reach = max(self._reach, float(np.abs(moved).max(initial=0.0)))
+        if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > MOVED * self._reach:
+            held = bool(self._holds(drive, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
+            self._frequency, self._frequency_at = self._highest(state.coordinates, held), moved
+        return stable_step(self._frequency, self.viscosity)
 
-    def _follow(self, state: State) -> None:
-        """Take the tangent anew when the state has moved far enough from where it was taken."""
-        moved = state.coordinates * self._sizes  # coordinates of modes and of columns are not of one size
-        self._reach = max(self._reach, float(np.abs(moved).max()))
-        if self._tangent_at is None or np.abs(moved - self._tangent_at).max() > MOVED * self._reach:
-            self._tangent, self._tangent_at = self.stiffness(state.coordinates), moved
+    def _highest(self, coordinates: Floats, held: bool = True) -> float:
+        moving = slice(self.parts.modes if held else None)
+        tangent = self.stiffness(coordinates)[moving, moving]
+        return float(np.sqrt(np.abs(np.linalg.eigvals((self._held if held else self._free) @ tangent)).max()))
 
-    def _responses(self, state: State, step: float) -> tuple[Floats, Floats]:
-        """The matrices (mass + (dt^2 / 2 + beta dt) K)^-1 on the forces: of the modes alone, and of all columns."""
-        matrix, held = self.mass, slice(len(self.basis))
-        if self.implicit:
-            self._follow(state)
-            matrix = self.mass + step * (0.5 * step + self.viscosity) * self._tangent
-        return np.linalg.inv(matrix[held, held]), np.linalg.inv(matrix)
+    def frequencies(self, coordinates: Floats | None = None) -> Floats:
+        """Return the circular frequencies [rad/s] of the modes, the tools held, in ascending order; by default at rest.
 
-    def stiffness(self, columns: Floats) -> Floats:
-        """Return the tangent -d(force)/d(coordinates) [1/s^2], (M + l, M + l), by differences."""
-        tangent, base = np.empty_like(self.mass), self.force(columns).copy()
-        for m in range(len(self.columns)):
-            # a displacement of about a millionth of the spacing
-            delta = 1e-6 * self.cloud.spacing / self._sizes[m]
-            moved = columns.copy()
-            moved[m] += delta
-            tangent[:, m] = (base - self.force(moved)) / delta
-        return tangent
-
-    def spectrum(self, columns: Floats) -> NDArray[np.complex128]:
-        """Return the eigenvalues w^2 [1/s^2] of the modes' tangent, the tools held."""
-        count = len(self.basis)
-        return np.linalg.eigvals(self.stiffness(columns)[:count, :count]).astype(complex)
+        Not a number where the body is unstable.
+        """
+        modes = slice(self.parts.modes)
+        tangent = self.stiffness(np.zeros(self.count) if coordinates is None else coordinates)[modes, modes]
+        squares = np.sort(np.linalg.eigvals(self._held @ (0.5 * (tangent + tangent.T))).real)
+        return np.sqrt(np.where(squares >= 0, squares, np.nan))
 
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
-        full = self.full
-        times: Floats = state.time + step * np.arange(-1.0, steps + 2)
-        a, v = state.coordinates.copy(), state.velocities.copy()
-        self._surface[:] = 0.0  # of another run's loads
-        before = 0.0 if self.conservative else tool_power(self, state, drive)
-        work, lost, tools = self._advance(
-            a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity,
-            full.fastest / self._sizes[len(self.basis) :], self._table,
-            self.columns, self.test, self.mass, full.body, full.work, drive.places, drive.schedule(times[1:-1]),
-            self._gravity_test, self._gravity_work, *self._responses(state, step), self.volumes,
-            self.material.density, full.half_cell, full.slot, self._force, self._partial,
-            self._surface, self._columns, self._result, self._previous, self._rates, self._power,
-        )  # fmt: skip
-        new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated + lost)
-        if not self.conservative:  # trapezium rule for the power of the tools
-            tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
-        return replace(new, external_work=new.external_work + tools)
+        a, v, count = state.coordinates.copy(), state.velocities.copy(), self.count
+        if self.midpoint is None:
+            times: Floats = state.time + step * np.arange(-1.0, steps + 2)
+            loads = np.ascontiguousarray(self._loads(drive, times[1:-1])[:, :count])
+            fastest = self.parts.fastest / self.sizes[self.parts.modes :]
+            work, lost, tools = self._explicit(
+                a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, fastest, loads,
+                self.mass, self._held, self._free, self._samples, self._scratch, self._newton,
+            )  # fmt: skip
+            end = float(times[-2])
+        else:
+            times = state.time + step * np.arange(-1.0, steps + 2)
+            middles = times[1:-2] + 0.5 * step
+            loads = np.ascontiguousarray(self._loads(drive, middles)[:, :count])
+            tolerance = CONVERGED / DIFFERENCE
+            work, lost, tools, taken = self._implicit(
+                a, v, self._lifted(drive, times), self._holds(drive, times[2:-1]), step, self.viscosity, loads,
+                self.mass, self._differences, tolerance, self._samples, self._scratch, self._newton,
+            )  # fmt: skip
+            end = float(times[-2])
+            if taken < steps:
+                a[:] = np.nan
+        return State(a, v, end, state.external_work + work + tools, state.dissipated + lost)
+
+    # what a state means
 
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
-        """Return the displacements [m] of some nodes, lifted only there."""
-        return np.tensordot(state.coordinates, self.columns[:, nodes], 1)
+        """Return the displacements [m] of some nodes, rebuilt only there."""
+        return np.tensordot(state.coordinates, self.parts.columns[: self.count, nodes], 1)
 
     def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
-        return np.tensordot(state.velocities, self.columns[:, nodes], 1)
+        return np.tensordot(state.velocities, self.parts.columns[: self.count, nodes], 1)
+
+    def _rates(self, state: State, drive: Drive) -> tuple[Floats, Floats]:
+        """Accelerations of the coordinates, and what internal forces and loads do on all columns."""
+        moved = np.zeros(len(self.parts.columns))
+        moved[: self.count] = state.coordinates + self.viscosity * state.velocities
+        self._force(moved, self._all, self._all_scratch, self._everything)
+        forces = self._everything + self._loads(drive, np.array([state.time]))[0]
+        modes = slice(self.parts.modes)
+        if self._holds(drive, np.array([state.time]))[0]:
+            bend = drive.rates(lambda times: self._lifted(drive, times), state.time)[1]
+            own = self._held @ (forces[modes] - self.mass[modes, self.parts.modes :] @ bend)
+            return np.concatenate([own, bend]), forces
+        return self._free @ forces[: self.count], forces
+
+    def reactions(self, state: State, drive: Drive) -> dict[str, Floats]:
+        """Return the force [N] of every support and tool on the body: what its columns need beyond the other forces."""
+        rates, forces = self._rates(state, drive)
+        needed = self._all_mass[:, : self.count] @ rates - forces
+        result = {}
+        for g, name in enumerate(self.fixed):
+            result[name] = needed[self.count + 3 * g : self.count + 3 * g + 3]
+        holds, tools = self._holds(drive, np.array([state.time]))[0], needed[self.parts.modes : self.count]
+        for name in self.parts.driven:
+            result[name] = self.tool_map(name)[:, :3].T @ tools if holds else np.zeros(3)
+        return result
+
+    def tool_map(self, group: str) -> Floats:
+        """Return what a rigid tool's pose does to the lifting columns' coordinates, shape (l, 12).
+
+        Coordinates are the map times the translation (3) and the entries of R - I (9, row by row), R the rotation about
+        the mean place of the group's nodes.
+        """
+        nodes = self.cloud.group(group)
+        span = self.parts.columns[self.parts.modes : self.count, nodes].reshape(self.parts.lifted, -1)
+        arms = self.cloud.points[nodes] - self.cloud.points[nodes].mean(axis=0)
+        fields = np.zeros((12, len(nodes), 3))
+        for c in range(3):
+            fields[c, :, c] = 1.0
+            for d in range(3):
+                fields[3 + 3 * c + d, :, c] = arms[:, d]
+        return np.asarray(np.linalg.lstsq(span.T, fields.reshape(12, -1).T, rcond=None)[0])
+
+    def outputs(self, state: State, drive: Drive) -> Outputs:
+        return Outputs(
+            self.displacement(state, drive),
+            self.velocity(state, drive),
+            self.reactions(state, drive),
+            float(0.5 * state.velocities @ self.mass @ state.velocities),
+            self.energy(state.coordinates),
+            state.external_work,
+            state.dissipated,
+        )
+
+    def trust(self, state: State) -> float:
+        """Return how far a state is from the training states: above 1 it is farther than almost all held-out ones.
+
+        The distance is the root mean square over the body of the displacement to the nearest training state, over the
+        distance that 95 % of the states of the held-out runs kept (of the training runs to each other without those).
+        """
+        apart = state.coordinates - self.parts.trained
+        square = np.einsum("tm,mk,tk->t", apart, self.mass, apart).min() / self.masses.sum()
+        return float(np.sqrt(square) / self.parts.reach)
 
     def acceleration(self, state: State, drive: Drive) -> Floats:
-        schedule, count = drive.schedule(np.array([state.time])), len(self.basis)
-        rates = self.force(state.coordinates + self.viscosity * state.velocities).copy()
-        tractions = self.full.tractions(drive, schedule).reshape(-1)
-        rates += self.full.half_cell * (self.test @ tractions) / self.material.density
-        rates += self._gravity_test @ schedule.gravity[0]
-        if self._holds(drive, np.array([state.time]))[0]:
-            curvature = drive.rates(lambda times: self._lifted(drive, times), state.time)[1]
-            rates = np.concatenate([rates[:count] - self.mass[:count, count:] @ curvature, curvature])
-        else:
-            rates = np.linalg.solve(self.mass, rates)
-        return np.tensordot(rates, self.columns, 1)
+        return np.tensordot(self._rates(state, drive)[0], self.parts.columns[: self.count], 1)
 
     def external_force(self, state: State, drive: Drive) -> Floats:
-        return self.full.external_force(State(self.displacement(state, drive), state.velocities, state.time), drive)
+        schedule, places = drive.schedule(np.array([state.time])), drive.places
+        result = self.masses[:, None] * schedule.gravity[0]
+        for g in range(len(places.force_start) - 1):
+            own = slice(places.force_start[g], places.force_start[g + 1])
+            share = (
+                places.force_share[own, None] * schedule.force[0, g] + places.moment_share[own] @ schedule.moment[0, g]
+            )
+            np.add.at(result, places.force_node[own], share)
+        return result
 
     def nodal_force(self, displacements: Floats) -> Floats:
-        return self.full.nodal_force(displacements)
-
-    def deformation_gradient(self, displacements: Floats) -> Floats:
-        return self.full.deformation_gradient(displacements)
-
-    def stress(self, displacements: Floats) -> Floats:
-        return self.full.stress(displacements)
-
-    def strain_energy(self, displacements: Floats) -> float:
-        return self.full.strain_energy(displacements)
+        raise InputError("a reduced model has no forces at nodes; ask the full model")
 
     @property
-    def volumes(self) -> Floats:
-        return self.full.volumes
+    def stencils(self) -> Any:  # type: ignore[override]
+        """Stencils of the cloud, made when first asked for."""
+        if not hasattr(self, "_stencils"):
+            self._stencils = moving_least_squares(self.cloud.points, order=2, neighbours=42)
+        return self._stencils
 
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        return np.asarray(self.stencils.gradient(displacements) + np.eye(3))
 
-def reduce(
-    full: NodalModel,
-    trajectories: Trajectory | Sequence[Trajectory],
-    *,
-    modes: int | None = None,
-    tolerance: float | None = None,
-    driven: str | Sequence[str] = (),
-    lifting: str = "fitted",
-    relative: bool = False,
-) -> ReducedModel:
-    """Train a reduced model on runs of a full one.
+    def stress(self, displacements: Floats) -> Floats:
+        return self.material.stress(self.deformation_gradient(displacements))
 
-    Parameters
-    ----------
-    full : NodalModel
-    trajectories : Trajectory or several
-        The snapshots.
-    modes, tolerance
-        Size of the basis, as for `pod`.
-    driven : str or sequence of str
-        Groups whose motion was prescribed in the trajectories and will be again. Their motion is lifted: every
-        independent motion they made gets a column; the modes vanish there.
-    lifting : str
-        ``"fitted"``: the columns are fitted to the snapshots, so that the whole body follows a tool at once.
-        ``"local"``: they move the driven nodes alone, and all else is left to the modes: for a tool that starts a
-        wave, or jumps.
-    relative : bool
-        Whether every snapshot counts by its shape alone, whatever its size (down to a thousandth of the largest), as
-        in the error (34).
+    def strain_energy(self, displacements: Floats) -> float:
+        """Return the strain energy [J] of nodal displacements that the columns can make."""
+        flat = self.parts.columns[: self.count].reshape(self.count, -1)
+        return self.energy(self._free @ (flat @ (displacements * self.masses[:, None]).reshape(-1)))
 
-    Returns
-    -------
-    ReducedModel
+    def with_step(self, step: float | None) -> ReducedModel:
+        """Return this model stepped by the implicit midpoint rule of a step [s], or explicitly (None)."""
+        return ReducedModel(self.parts, step=step, single=self.single)
 
-    Raises
-    ------
-    InputError
-        No trajectory, or one of another body; more modes than snapshots; an unknown group or one that never moved; an
-        unknown lifting, or one without driven groups.
-    """
-    driven = (driven,) if isinstance(driven, str) else tuple(driven)
-    runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
-    if not runs:
-        raise InputError("reduce needs at least one trajectory to learn from")
-    for run in runs:
-        if run.points.shape != full.cloud.points.shape or not np.allclose(run.points, full.cloud.points):
-            raise InputError("a trajectory belongs to another cloud than the model")
-    snapshots = np.concatenate([run.displacements for run in runs])
-    if lifting not in ("fitted", "local"):
-        raise InputError(f"lifting = {lifting!r}: allowed are 'fitted' and 'local'")
-    if lifting == "local" and not driven:
-        raise InputError("lifting = 'local' needs the driven groups: give driven=")
-    sizes = np.sqrt(np.sum(snapshots**2, axis=2) @ full.weights)
-    columns = None
-    if driven:
-        columns, snapshots = _lifting_columns(full, snapshots, driven, lifting == "local")
-    if relative and sizes.max() > 0:
-        snapshots = snapshots / np.maximum(sizes, SMALLEST * sizes.max())[:, None, None]
-    return ReducedModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance), columns)
+    def save(self, path: str | Path) -> None:
+        """Write everything to one file, whole or not at all (`palpate.load` reads it)."""
+        from palpate.reduction.storage import save
 
-
-def _lifting_columns(full: NodalModel, snapshots: Floats, driven: Sequence[str], local: bool) -> tuple[Floats, Floats]:
-    """Columns (l, n, 3) that carry the driven nodes' motions, and what they leave of the snapshots."""
-    nodes = np.unique(np.concatenate([full.cloud.group(name) for name in driven]))
-    motion = snapshots[:, nodes].reshape(len(snapshots), -1)
-    u, values, _ = np.linalg.svd(motion, full_matrices=False)
-    if values[0] == 0:
-        raise InputError(f"the driven groups {', '.join(map(repr, driven))} never move in the trajectories")
-    coordinates = u[:, values > 1e-6 * values[0]]  # orthonormal histories: regression is a product
-    lifting = np.tensordot(coordinates.T, snapshots, 1)
-    if local:
-        alone = np.zeros_like(lifting)
-        alone[:, nodes] = lifting[:, nodes]
-        lifting = alone
-    rest = snapshots - np.tensordot(coordinates, lifting, 1)
-    rest[:, nodes] = 0.0  # rounding
-    return lifting, rest
+        save(self.parts, Path(path))

@@ -18,7 +18,7 @@ from palpate.app.study import Phase, Study, prepare, run_full, run_reduced
 from palpate.dynamics.full import FullModel
 from palpate.faults import integer_in_range
 from palpate.reduction.pod import pod
-from palpate.reduction.reduced import reduce
+from palpate.reduction.projected import project
 from palpate.scenes.beam import DURATION, EVERY, beam
 
 __all__ = ["FIGURES", "FILES", "reproduce_beam", "von_mises"]
@@ -75,7 +75,7 @@ def reproduce_beam(
     console = Console()
     # in full.h5 displacements and velocities, in the export those and the stress
     scene = prepare(lambda: beam(spacing=spacing, load=load, poisson=poisson), out, 6 + 7, console)
-    study = Study(scene, PHASES, lambda model, run, size: reduce(model, run, modes=size))
+    study = Study(scene, PHASES, lambda model, run, size: project(model, run, modes=size))
     run_full(study, out, FILES, console)
     start = perf_counter()
     singular_values = pod(study.full, scene.model.cloud.volumes, modes=1).singular_values

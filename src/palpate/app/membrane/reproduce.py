@@ -22,7 +22,7 @@ from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import integer_in_range
-from palpate.reduction.reduced import ReducedModel, reduce
+from palpate.reduction.projected import ProjectedModel, project
 from palpate.scenes.membrane import DURATION, EVERY, PUSHED, membrane
 
 __all__ = ["FIGURES", "FILES", "reproduce_membrane"]
@@ -114,9 +114,9 @@ def _singular_values(study: Study) -> tuple[dict[str, Floats], float]:
     return values, perf_counter() - start
 
 
-def train(model: NodalModel, run: Trajectory, modes: int) -> ReducedModel:
+def train(model: NodalModel, run: Trajectory, modes: int) -> ProjectedModel:
     """Train a reduced model on a run over one phase: the waves start at the tool, and small at first."""
-    return reduce(model, run, modes=modes, driven=("tool",), lifting="local", relative=True)
+    return project(model, run, modes=modes, driven=("tool",), lifting="local", relative=True)
 
 
 def _write_results(

@@ -34,7 +34,7 @@ def everything(body):
     count = 3 * int(np.sum(~body.held))
     fields = np.random.default_rng(0).normal(size=(count, len(body.cloud), 3))
     fields[:, body.held] = 0
-    return explicit(pt.ReducedModel(body, pt.pod(fields, body.weights, modes=count)))
+    return explicit(pt.ProjectedModel(body, pt.pod(fields, body.weights, modes=count)))
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_full_rank_spectrum_is_the_full_spectrum(body, everything):
 
 
 def test_the_reduced_force_is_the_projected_full_force(model, run):
-    rom = pt.reduce(model, run, modes=5)
+    rom = pt.project(model, run, modes=5)
     for frame in (10, 40):
         a = rom.basis.project(run.displacements[frame])
         force = model.force(rom.basis.lift(a)) / model.material.density
@@ -79,7 +79,7 @@ def test_the_reduced_force_is_the_projected_full_force(model, run):
 def test_a_reduced_run_reproduces_the_run_it_was_trained_on(model, run, pull):
     found = {}
     for modes in (2, 6, 10):
-        rom = pt.reduce(model, run, modes=modes)
+        rom = pt.project(model, run, modes=modes)
         reduced = pt.rollout(rom, [pull], duration=0.03, every=0.0005)
         found[modes] = pt.errors(run, reduced)
     assert found[10].displacement < 0.05
@@ -92,7 +92,7 @@ def test_a_reduced_run_reproduces_the_run_it_was_trained_on(model, run, pull):
 def test_fewer_modes_allow_longer_steps(model, run):
     steps = []
     for modes in (2, 8, 20):
-        rom = explicit(pt.reduce(model, run, modes=modes))
+        rom = explicit(pt.project(model, run, modes=modes))
         drive = rom.drive(())
         steps.append(rom.stable_step(rom.state(drive), drive))
     full = model.stable_step(model.state(model.drive(())), model.drive(()))
@@ -100,7 +100,7 @@ def test_fewer_modes_allow_longer_steps(model, run):
 
 
 def test_the_reduced_step_is_stable_and_a_third_more_is_not(model, run):
-    rom = explicit(pt.reduce(model, run, modes=8))
+    rom = explicit(pt.project(model, run, modes=8))
     drive = rom.drive(())
     start = replace(rom.state(drive), coordinates=1e-12 * np.random.default_rng(0).normal(size=8))
     step = rom.stable_step(start, drive)
@@ -110,7 +110,7 @@ def test_the_reduced_step_is_stable_and_a_third_more_is_not(model, run):
 
 
 def test_displacements_lift_only_where_asked(model, run):
-    rom = pt.reduce(model, run, modes=4)
+    rom = pt.project(model, run, modes=4)
     drive = rom.drive(())
     state = rom.state(drive, run.displacements[20], run.velocities[20])
     nodes = np.array([5, 77, 100])
@@ -119,7 +119,7 @@ def test_displacements_lift_only_where_asked(model, run):
 
 
 def test_initial_states_are_projected(model, run):
-    rom = pt.reduce(model, run, modes=4)
+    rom = pt.project(model, run, modes=4)
     drive = rom.drive(())
     state = rom.state(drive, run.displacements[20], run.velocities[20])
     np.testing.assert_allclose(state.coordinates, rom.basis.project(run.displacements[20]), rtol=1e-12)
@@ -127,19 +127,19 @@ def test_initial_states_are_projected(model, run):
 
 
 def test_supports_stay_fixed(model, run, pull):
-    reduced = pt.rollout(pt.reduce(model, run, modes=4), [pull], duration=0.005, every=0.005)
+    reduced = pt.rollout(pt.project(model, run, modes=4), [pull], duration=0.005, every=0.005)
     np.testing.assert_allclose(reduced.displacements[:, model.held], 0, atol=1e-16)
 
 
 def test_energy_of_a_reduced_run_balances_as_in_the_full_run(model, run, pull):
-    reduced = pt.rollout(pt.reduce(model, run, modes=10), [pull], duration=0.03, every=0.0005)
+    reduced = pt.rollout(pt.project(model, run, modes=10), [pull], duration=0.03, every=0.0005)
     scale = run.external.max()
     np.testing.assert_allclose(reduced.external, run.external, atol=0.02 * scale)
     np.testing.assert_allclose(reduced.balance, run.balance, atol=0.05 * scale)
 
 
 def test_a_reduced_run_repeats_bit_by_bit(model, run, pull):
-    rom = pt.reduce(model, run, modes=4)
+    rom = pt.project(model, run, modes=4)
     runs = [pt.rollout(rom, [pull], duration=0.01, every=0.005) for _ in range(2)]
     np.testing.assert_array_equal(runs[0].displacements, runs[1].displacements)
     np.testing.assert_array_equal(runs[0].dissipated, runs[1].dissipated)
@@ -157,7 +157,7 @@ def driven(bar, tissue, calm, motion):
 
 @pytest.fixture(scope="module")
 def lifted(bar, tissue, calm, driven, motion):
-    rom = pt.reduce(pt.FullModel(bar, tissue, fixed="x-", viscosity=calm), driven, modes=8, driven=["x+"])
+    rom = pt.project(pt.FullModel(bar, tissue, fixed="x-", viscosity=calm), driven, modes=8, driven=["x+"])
     return rom, pt.rollout(rom, [motion], duration=0.03, every=0.0005)
 
 
@@ -189,21 +189,21 @@ def test_a_motion_that_was_not_trained_is_refused(lifted, model, run):
     with pytest.raises(pt.InputError, match="not one this reduced model was trained on"):
         pt.rollout(lifted[0], [sideways], duration=0.01, every=0.005)
     with pytest.raises(pt.InputError, match="trained without a prescribed motion"):
-        pt.rollout(pt.reduce(model, run, modes=3), [sideways], duration=0.01, every=0.005)
+        pt.rollout(pt.project(model, run, modes=3), [sideways], duration=0.01, every=0.005)
 
 
 def test_training_that_cannot_be_is_refused(model, run, body):
     with pytest.raises(pt.InputError, match="modes = 62: the 61 snapshots"):
-        pt.reduce(model, run, modes=62)
+        pt.project(model, run, modes=62)
     with pytest.raises(pt.InputError, match="at least one trajectory"):
-        pt.reduce(model, [], modes=2)
+        pt.project(model, [], modes=2)
     with pytest.raises(pt.InputError, match="another cloud"):
-        pt.reduce(body, run, modes=2)
+        pt.project(body, run, modes=2)
     with pytest.raises(pt.InputError, match="never move"):
-        pt.reduce(model, run, modes=2, driven=["x-"])
+        pt.project(model, run, modes=2, driven=["x-"])
     with pytest.raises(pt.InputError, match="unknown group"):
-        pt.reduce(model, run, modes=2, driven=["tool"])
+        pt.project(model, run, modes=2, driven=["tool"])
     with pytest.raises(pt.InputError, match="either modes or tolerance"):
-        pt.reduce(model, run)
+        pt.project(model, run)
     with pytest.raises(pt.InputError, match=r"the basis has .*112.* the body .*64"):
-        pt.ReducedModel(body, pt.pod(run, model.weights, modes=2))
+        pt.ProjectedModel(body, pt.pod(run, model.weights, modes=2))

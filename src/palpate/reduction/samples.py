@@ -1,0 +1,221 @@
+"""The compiled force of a reduced model: an energy sampled at few nodes.
+
+With the coordinates a of modes and lifting columns, F_s = I + B_s a at the sampled nodes s,
+
+    E(a) = sum of w_s W_s(F_s) + 1/2 |c|^2 + 1/2 a . H a,      c = Z (J - 1),      force = -dE/da.
+
+Weights w_s are positive; c are few moments of the dilatations at the samples, one for every pressure mode, so that the
+pressure is Z^T c; H is the constant stiffness of what stencils miss. Each term is an energy bounded from below,
+whatever w, Z and B are: this is why the model cannot blow up. The cost knows the samples and coordinates, not the body.
+
+The energy is that of `palpate.dynamics.solid_energy` with some of its nodes; with all nodes, their volumes, and the
+smoothed dilatations for moments it is the Galerkin model itself.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.lanes import LANES, column_sums, column_work
+from palpate.dynamics.solid_energy import make_stress
+
+__all__ = ["Samples", "Scratch", "sampled_energy", "samples", "scratch"]
+
+Floats = NDArray[np.float64]
+
+
+class Samples(NamedTuple):
+    """What the force is computed from.
+
+    Parameters
+    ----------
+    table : (b, m, 9, LANES) float32 or float64 array [1/m times the columns' unit]
+        Derivatives of every column at the samples, row by row of du/dX, in blocks of LANES samples.
+    weights : (b, LANES) array [m^3]
+        Zero where a block is not filled.
+    pressure : (b, k, LANES) array
+        Z, with the root of the bulk modulus in it.
+    constant : (m, m) array
+        H.
+    coefficients : tuple
+        Of the law.
+    """
+
+    table: NDArray[np.float32] | Floats
+    weights: Floats
+    pressure: Floats
+    constant: Floats
+    coefficients: tuple[float, ...]
+
+
+class Scratch(NamedTuple):
+    """Where the passes write, so that a step allocates nothing."""
+
+    stress: Floats  # (b, 9, LANES)
+    cofactor: Floats  # (b, 9, LANES)
+    dilatation: Floats  # (b, LANES)
+    moments: Floats  # (k,)
+    partial: Floats  # (m, LANES)
+
+
+def samples(
+    gradients: Floats,
+    weights: Floats,
+    pressure: Floats,
+    constant: Floats,
+    law: tuple[float, ...],
+    dtype: Any = np.float32,
+) -> Samples:
+    """Lay samples out in blocks.
+
+    Parameters
+    ----------
+    gradients : (s, m, 9) array
+        Derivatives of the columns at the samples.
+    weights : (s,) array [m^3]
+    pressure : (k, s) array
+    constant : (m, m) array
+    law : tuple
+        Coefficients.
+    dtype : type
+        Of the table.
+    """
+    count = len(gradients)
+    padded = -count % LANES
+    blocks = (count + padded) // LANES
+
+    def lanes(values: Floats) -> Floats:
+        filled = np.concatenate([values, np.zeros((padded, *values.shape[1:]))])
+        return np.ascontiguousarray(np.moveaxis(filled.reshape(blocks, LANES, *values.shape[1:]), 1, -1))
+
+    table = np.ascontiguousarray(lanes(gradients), dtype=dtype)
+    return Samples(table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), law)
+
+
+def scratch(of: Samples) -> Scratch:
+    """Allocate for some samples."""
+    blocks, columns, _, _ = of.table.shape
+    two = np.zeros((2, blocks, 9, LANES))
+    return Scratch(
+        two[0], two[1], np.zeros((blocks, LANES)), np.zeros(of.pressure.shape[1]), np.zeros((columns, LANES))
+    )
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
+    for k in range(pressure.shape[1]):
+        total = 0.0
+        for b in range(pressure.shape[0]):
+            for lane in range(LANES):
+                total += pressure[b, k, lane] * dilatation[b, lane]
+        moments[k] = total
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _add_pressure(weights, pressure, moments, stress, cofactor, dilatation):  # type: ignore[no-untyped-def]
+    """Multiply the stresses by their weights and add the pressure times its volume."""
+    dilatation[:] = 0.0
+    for b in range(weights.shape[0]):
+        for k in range(pressure.shape[1]):
+            for lane in range(LANES):
+                dilatation[b, lane] += pressure[b, k, lane] * moments[k]
+        for q in range(9):
+            for lane in range(LANES):
+                stress[b, q, lane] = weights[b, lane] * stress[b, q, lane] + dilatation[b, lane] * cofactor[b, q, lane]
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
+    for m in range(partial.shape[0]):
+        total = 0.0
+        for lane in range(LANES):
+            total += partial[m, lane]
+        for k in range(columns.shape[0]):
+            total += constant[m, k] * columns[k]
+        force[m] = -total
+
+
+@cache
+def sampled_energy(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any]:
+    """Compile force and energy of sampled bodies for a law.
+
+    Parameters
+    ----------
+    energy_of, first_of : functions
+        As `palpate.tissue.materials.Material` has them.
+    single : bool
+        Whether the table is of single precision; sums are of double precision anyhow.
+
+    Returns
+    -------
+    force, energy : functions
+        ``force(columns, samples, scratch, result)`` writes -dE/da (m,); ``energy(columns, samples, scratch)`` returns
+        E [J], not a number where a sample is turned inside out.
+    """
+    digest = law_digest("sampled energy", energy_of, first_of, single)
+    sums, work = column_sums[single], column_work[single]
+    stress_of = make_stress(digest, first_of)
+    energy_density = register_jitable(named_for(digest, energy_of))
+
+    @law_njit(digest, fastmath={"contract"})
+    def force(columns, samples, scratch, result):  # type: ignore[no-untyped-def]
+        for b in range(samples.table.shape[0]):
+            P, c = scratch.stress[b], scratch.cofactor[b]
+            sums(samples.table[b].ctypes.data, columns.ctypes.data, P.ctypes.data, columns.shape[0])
+            for v in range(LANES):
+                stress, cofactor, volume = stress_of(
+                    P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
+                    samples.coefficients,
+                )  # fmt: skip
+                P[0, v], P[1, v], P[2, v] = stress[0], stress[1], stress[2]
+                P[3, v], P[4, v], P[5, v] = stress[3], stress[4], stress[5]
+                P[6, v], P[7, v], P[8, v] = stress[6], stress[7], stress[8]
+                c[0, v], c[1, v], c[2, v] = cofactor[0], cofactor[1], cofactor[2]
+                c[3, v], c[4, v], c[5, v] = cofactor[3], cofactor[4], cofactor[5]
+                c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
+                scratch.dilatation[b, v] = volume
+        _moments(samples.pressure, scratch.dilatation, scratch.moments)
+        _add_pressure(samples.weights, samples.pressure, scratch.moments, scratch.stress, scratch.cofactor,
+                      scratch.dilatation)  # fmt: skip
+        scratch.partial[:] = 0.0
+        for b in range(samples.table.shape[0]):
+            work(samples.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
+                 columns.shape[0])  # fmt: skip
+        _collect(scratch.partial, samples.constant, columns, result)
+
+    @law_njit(digest)
+    def energy(columns, samples, scratch):  # type: ignore[no-untyped-def]
+        total = 0.0
+        for b in range(samples.table.shape[0]):
+            d = scratch.stress[b]
+            sums(samples.table[b].ctypes.data, columns.ctypes.data, d.ctypes.data, columns.shape[0])
+            for v in range(LANES):
+                F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
+                F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
+                F20, F21, F22 = d[6, v], d[7, v], 1.0 + d[8, v]
+                J = F00 * (F11 * F22 - F12 * F21) + F01 * (F12 * F20 - F10 * F22) + F02 * (F10 * F21 - F11 * F20)
+                scratch.dilatation[b, v] = J - 1.0
+                C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
+                C22, C01 = F02 * F02 + F12 * F12 + F22 * F22, F00 * F01 + F10 * F11 + F20 * F21
+                C02, C12 = F00 * F02 + F10 * F12 + F20 * F22, F01 * F02 + F11 * F12 + F21 * F22
+                I1 = C00 + C11 + C22
+                I2 = C00 * C11 + C00 * C22 + C11 * C22 - C01 * C01 - C02 * C02 - C12 * C12
+                if samples.weights[b, v] > 0.0:
+                    density = energy_density(I1, I2, J, samples.coefficients) if J > 0.0 else np.nan
+                    total += samples.weights[b, v] * density
+        _moments(samples.pressure, scratch.dilatation, scratch.moments)
+        for k in range(scratch.moments.shape[0]):
+            total += 0.5 * scratch.moments[k] * scratch.moments[k]
+        for m in range(columns.shape[0]):
+            for k in range(columns.shape[0]):
+                total += 0.5 * columns[m] * samples.constant[m, k] * columns[k]
+        return total
+
+    return force, energy

@@ -1,0 +1,274 @@
+"""The compiled steps of a sampled reduced model: explicit, and implicit midpoint.
+
+With the coordinates a of modes and lifting columns, the mass matrix m, the sampled force f and the loads g,
+
+    m a'' = f(a + beta a') + g(t),
+
+where the coordinates of lifting columns are known while their tool holds the body. The explicit step is that of
+`palpate.dynamics.stepping`. The midpoint step solves for the mean velocity w,
+
+    m 2 (w - v_n) / dt = f(a_n + (dt / 2 + beta) w) + g(t_n + dt / 2),    a_{n+1} = a_n + dt w,    v_{n+1} = 2 w - v_n,
+
+by Newton's method with a tangent that is kept as long as it converges. It is stable at any step, and symplectic: over
+long times the energy of a free body neither grows nor falls, beta aside.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.reduction.samples import sampled_energy
+
+__all__ = ["Newton", "newton", "sampled_step"]
+
+Floats = NDArray[np.float64]
+
+MOST, REFRESH = 30, (4, 10, 18, 24)  # Newton iterations a step, and after how many the tangent is taken anew
+
+
+class Newton(NamedTuple):
+    """What the implicit step keeps from step to step, so that it allocates nothing."""
+
+    factor: Floats  # (m, m) lower Cholesky factor of the system
+    kept: Floats  # (2,) the step [s] that the factor is for, and the number of coordinates; 0 for none
+    counts: NDArray[np.int64]  # (3,) iterations, tangents, steps that did not converge
+    vectors: Floats  # (9, m); the first three are the tangent's
+
+
+def newton(coordinates: int) -> Newton:
+    """Allocate for a number of coordinates."""
+    return Newton(
+        np.zeros((coordinates, coordinates)), np.zeros(2), np.zeros(3, dtype=np.int64), np.zeros((9, coordinates))
+    )
+
+
+@njit(cache=True, fastmath={"contract"})
+def _cholesky(matrix, count):  # type: ignore[no-untyped-def]
+    """Factorise in place the symmetric part of the first rows and columns; return whether it is positive definite."""
+    for j in range(count):
+        for i in range(j, count):
+            matrix[i, j] = 0.5 * (matrix[i, j] + matrix[j, i])
+    for j in range(count):
+        total = matrix[j, j]
+        for k in range(j):
+            total -= matrix[j, k] * matrix[j, k]
+        if not total > 0.0:
+            return False
+        root = np.sqrt(total)
+        matrix[j, j] = root
+        for i in range(j + 1, count):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = value / root
+    return True
+
+
+@njit(cache=True, fastmath={"contract"})
+def _solve(factor, count, vector):  # type: ignore[no-untyped-def]
+    """Solve in place with a Cholesky factor."""
+    for i in range(count):
+        value = vector[i]
+        for k in range(i):
+            value -= factor[i, k] * vector[k]
+        vector[i] = value / factor[i, i]
+    for i in range(count - 1, -1, -1):
+        value = vector[i]
+        for k in range(i + 1, count):
+            value -= factor[k, i] * vector[k]
+        vector[i] = value / factor[i, i]
+
+
+@cache
+def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any, Any]:
+    """Compile the steps of sampled models of a law.
+
+    Parameters
+    ----------
+    energy_of, first_of, single
+        As for `palpate.reduction.samples.sampled_energy`.
+
+    Returns
+    -------
+    explicit, midpoint, tangent : functions
+    """
+    digest = law_digest("sampled step", energy_of, first_of, single)
+    force, _ = sampled_energy(energy_of, first_of, single)
+
+    @law_njit(digest, fastmath={"contract"})
+    def tangent(a, sizes, samples, scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]
+        """Write -df/da of the first `count` coordinates, by differences of displacements of `sizes` [unit of a]."""
+        moved, ahead, behind = vectors[0], vectors[1], vectors[2]
+        for m in range(count):
+            moved[:] = a
+            moved[m] = a[m] + sizes[m]
+            force(moved, samples, scratch, ahead)
+            moved[m] = a[m] - sizes[m]
+            force(moved, samples, scratch, behind)
+            for k in range(count):
+                matrix[k, m] = (behind[k] - ahead[k]) / (2.0 * sizes[m])
+
+    @law_njit(digest, fastmath={"contract"})
+    def refactor(a, step, beta, mass, sizes, samples, scratch, keep, moving):  # type: ignore[no-untyped-def]
+        """Take the tangent anew and factorise 2 m / dt + (dt / 2 + beta) K; where that is indefinite, its mass part."""
+        tangent(a, sizes, samples, scratch, keep.vectors, moving, keep.factor)
+        for i in range(moving):
+            for k in range(moving):
+                keep.factor[i, k] = 2.0 * mass[i, k] / step + (0.5 * step + beta) * keep.factor[i, k]
+        keep.counts[1] += 1
+        if not _cholesky(keep.factor, moving):
+            for i in range(moving):
+                for k in range(moving):
+                    keep.factor[i, k] = 2.0 * mass[i, k] / step
+            _cholesky(keep.factor, moving)
+        keep.kept[0], keep.kept[1] = step, moving
+
+    @law_njit(digest, fastmath={"contract"})
+    def solve(a, v, step, beta, load, mass, sizes, tolerance, samples, scratch, keep, moving):  # type: ignore[no-untyped-def]
+        """Find the mean velocities w of one midpoint step; those from `moving` on are given, and their rates."""
+        w, at, result, rate, change = (
+            keep.vectors[3],
+            keep.vectors[4],
+            keep.vectors[5],
+            keep.vectors[6],
+            keep.vectors[7],
+        )
+        count = a.shape[0]
+        if keep.kept[0] != step or keep.kept[1] != moving:
+            refactor(a, step, beta, mass, sizes, samples, scratch, keep, moving)
+        for iteration in range(MOST):
+            for j in range(count):
+                at[j] = a[j] + (0.5 * step + beta) * w[j]
+            force(at, samples, scratch, result)
+            for m in range(moving):
+                rate[m] = 2.0 * (w[m] - v[m]) / step
+            for m in range(moving):
+                value = result[m] + load[m]
+                for k in range(count):
+                    value -= mass[m, k] * rate[k]
+                change[m] = value
+            _solve(keep.factor, moving, change)
+            largest = 0.0
+            for m in range(moving):
+                w[m] += change[m]
+                largest = max(largest, abs(change[m]) * step / sizes[m])
+            keep.counts[0] += 1
+            if largest < tolerance:
+                return True
+            if not largest < 1e12:
+                return False
+            for r in range(len(REFRESH)):
+                if iteration == REFRESH[r]:
+                    refactor(at, step, beta, mass, sizes, samples, scratch, keep, moving)
+        return False
+
+    @law_njit(digest, fastmath={"contract"})
+    def midpoint(  # type: ignore[no-untyped-def]
+        a, v, lifting, holds, step, beta, loads, mass, sizes, tolerance, samples, scratch, keep
+    ):
+        """Advance by as many steps as there are loads; return the works [J] of loads, viscosity, tools, and the steps.
+
+        Fewer steps than loads were taken where one did not converge.
+        """
+        count, first = a.shape[0], a.shape[0] - lifting.shape[1]
+        total, lost, tools = 0.0, 0.0, 0.0
+        w, at, result, rate, elastic = (
+            keep.vectors[3],
+            keep.vectors[4],
+            keep.vectors[5],
+            keep.vectors[6],
+            keep.vectors[8],
+        )
+        for s in range(loads.shape[0]):
+            # lifting has one time before the first and one after the last
+            moving = first if holds[s] else count
+            for j in range(count):
+                w[j] = v[j]
+            for j in range(moving, count):
+                c = lifting[:, j - first]
+                w[j] = (c[s + 2] - c[s + 1]) / step
+                rate[j] = (c[s + 3] - c[s + 2] - c[s + 1] + c[s]) / (2.0 * step * step)
+            if not solve(a, v, step, beta, loads[s], mass, sizes, tolerance, samples, scratch, keep, moving):
+                keep.counts[2] += 1
+                keep.kept[0] = 0.0
+                return total, lost, tools, s
+            for m in range(moving):
+                rate[m] = 2.0 * (w[m] - v[m]) / step
+            for j in range(count):
+                at[j] = a[j] + 0.5 * step * w[j]
+            force(at, samples, scratch, elastic)
+            for j in range(count):
+                total += step * loads[s, j] * w[j]
+                lost += step * w[j] * (elastic[j] - result[j])
+            for j in range(moving, count):
+                value = -result[j] - loads[s, j]
+                for k in range(count):
+                    value += mass[j, k] * rate[k]
+                tools += step * value * w[j]
+            for j in range(count):
+                a[j] += step * w[j]
+                v[j] = 2.0 * w[j] - v[j]
+            for j in range(moving, count):
+                c = lifting[:, j - first]
+                a[j], v[j] = c[s + 2], (c[s + 3] - c[s + 1]) / (2.0 * step)
+        return total, lost, tools, loads.shape[0]
+
+    @law_njit(digest, fastmath={"contract"})
+    def explicit(  # type: ignore[no-untyped-def]
+        a, v, lifting, holds, step, beta, fastest, loads, mass, held_response, free_response, samples, scratch, keep
+    ):
+        """Advance by one step less than there are loads; return the works of loads, viscosity and tools [J]."""
+        count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
+        total, lost, tools = 0.0, 0.0, 0.0
+        at, result, previous, rate = keep.vectors[0], keep.vectors[1], keep.vectors[2], keep.vectors[3]
+        for s in range(steps + 1):
+            if holds[s]:
+                for j in range(first, count):
+                    a[j] = lifting[s + 1, j - first]
+                    v[j] = (lifting[s + 1, j - first] - lifting[s, j - first]) / step
+            for m in range(count):
+                at[m] = a[m] + beta * v[m]
+            for j in range(first, count):
+                if holds[s] and abs(v[j]) > fastest[j - first]:  # a jump, as in the full model
+                    at[j] = a[j] + beta * np.sign(v[j]) * fastest[j - first]
+            force(at, samples, scratch, result)
+            for m in range(count):
+                if s > 0:
+                    lost += (at[m] - a[m]) * (previous[m] - result[m])
+                previous[m] = result[m]
+            kick = 0.5 * step if s in (0, steps) else step
+            held = holds[min(s + 1, steps)]
+            moving = first if held else count  # coordinates that obey the equations of motion
+            for m in range(count):
+                rate[m] = result[m] + loads[s, m]
+                if held:
+                    for j in range(first, count):
+                        bend = lifting[s + 2, j - first] - 2 * lifting[s + 1, j - first] + lifting[s, j - first]
+                        rate[m] -= mass[m, j] * bend / step**2
+            response = held_response if held else free_response
+            for m in range(moving):
+                value = 0.0
+                for k in range(moving):
+                    value += response[m, k] * rate[k]
+                before = v[m]
+                v[m] = before + kick * value
+                total += kick * loads[s, m] * 0.5 * (before + v[m])
+                for j in range(moving, count):
+                    rate[j] -= mass[j, m] * value
+            for j in range(moving, count):
+                speed = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
+                total += kick * loads[s, j] * speed
+                if s < steps:  # the last time is the next call's first
+                    tools -= step * rate[j] * speed
+            if s < steps:
+                for m in range(moving):
+                    a[m] += step * v[m]
+        return total, lost, tools
+
+    return explicit, midpoint, tangent
