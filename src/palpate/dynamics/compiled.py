@@ -40,6 +40,7 @@ KERNELS = (
     "reduction/projection.py",
     "reduction/samples.py",
     "reduction/stepping.py",
+    "reduction/period.py",
 )
 
 

@@ -21,6 +21,7 @@ from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.period import PeriodData, RealtimeModel, period_functions
 from palpate.reduction.samples import sampled_energy, samples, scratch
 from palpate.reduction.stepping import newton, sampled_step
 from palpate.tissue.materials import Material
@@ -119,7 +120,7 @@ class ReducedModel(Model):
         flat = parts.columns.reshape(len(parts.columns), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
-        self._held = np.linalg.inv(self.mass[: parts.modes, : parts.modes])
+        self._held = np.linalg.inv(self.mass[: parts.modes, : parts.modes]).astype(float)
         self._free = np.linalg.inv(self.mass)
         type_, law = np.float32 if single else np.float64, type(parts.material)
         weights, pressure, constant = parts.cubature.weights, parts.cubature.pressure, parts.constant
@@ -398,6 +399,39 @@ class ReducedModel(Model):
     def with_step(self, step: float | None) -> ReducedModel:
         """Return this model stepped by the implicit midpoint rule of a step [s], or explicitly (None)."""
         return ReducedModel(self.parts, step=step, single=self.single)
+
+    def realtime(self, longest: float = 0.02) -> RealtimeModel:
+        """Return this model as `palpate.Engine` takes it, with one tool that holds the driven group.
+
+        Parameters
+        ----------
+        longest : float [s]
+            Longest period that will be asked for.
+
+        Raises
+        ------
+        InputError
+            The model was not trained with exactly one driven group.
+        """
+        parts, count, law = self.parts, self.count, type(self.material)
+        if len(parts.driven) != 1:
+            raise InputError(
+                f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP'"
+            )
+        own = scratch(self._samples)
+        root = np.linalg.cholesky(self.mass / self.masses.sum()).T
+        frequency, steps = self._highest(np.zeros(count)), int(np.ceil(longest / (self.midpoint or longest)))
+        vectors = np.zeros((8, count))
+        vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
+        data = PeriodData(
+            parts.modes, self.viscosity, self.midpoint or 0.0, CONVERGED / DIFFERENCE, self.mass, np.asarray(self._held),
+            self._differences, self._samples, own, newton(count), np.ascontiguousarray(parts.trained @ root.T), root,
+            parts.reach, vectors, self.stiffness(np.zeros(count)), np.zeros((count, count)),
+            np.array([frequency, frequency, 0.0]), np.zeros((steps + 3, parts.lifted)),
+            np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
+        )  # fmt: skip
+        advance, stiffness = period_functions(law.energy, law.first, self.single)
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), self.tool_map(parts.driven[0]))
 
     def save(self, path: str | Path) -> None:
         """Write everything to one file, whole or not at all (`palpate.load` reads it)."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.reduction.samples import sampled_energy
 
-__all__ = ["Newton", "newton", "sampled_step"]
+__all__ = ["Newton", "cholesky_factor", "cholesky_solve", "newton", "sampled_step"]
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def newton(coordinates: int) -> Newton:
 
 
 @njit(cache=True, fastmath={"contract"})
-def _cholesky(matrix, count):  # type: ignore[no-untyped-def]
+def cholesky_factor(matrix, count):  # type: ignore[no-untyped-def]
     """Factorise in place the symmetric part of the first rows and columns; return whether it is positive definite."""
     for j in range(count):
         for i in range(j, count):
@@ -71,7 +71,7 @@ def _cholesky(matrix, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath={"contract"})
-def _solve(factor, count, vector):  # type: ignore[no-untyped-def]
+def cholesky_solve(factor, count, vector):  # type: ignore[no-untyped-def]
     """Solve in place with a Cholesky factor."""
     for i in range(count):
         value = vector[i]
@@ -122,11 +122,11 @@ def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any,
             for k in range(moving):
                 keep.factor[i, k] = 2.0 * mass[i, k] / step + (0.5 * step + beta) * keep.factor[i, k]
         keep.counts[1] += 1
-        if not _cholesky(keep.factor, moving):
+        if not cholesky_factor(keep.factor, moving):
             for i in range(moving):
                 for k in range(moving):
                     keep.factor[i, k] = 2.0 * mass[i, k] / step
-            _cholesky(keep.factor, moving)
+            cholesky_factor(keep.factor, moving)
         keep.kept[0], keep.kept[1] = step, moving
 
     @law_njit(digest, fastmath={"contract"})
@@ -153,7 +153,7 @@ def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any,
                 for k in range(count):
                     value -= mass[m, k] * rate[k]
                 change[m] = value
-            _solve(keep.factor, moving, change)
+            cholesky_solve(keep.factor, moving, change)
             largest = 0.0
             for m in range(moving):
                 w[m] += change[m]
