@@ -35,6 +35,8 @@ _HOME = {
     "ReducedModel": "reduction.reduced",
     "reduce": "reduction.training",
     "load": "reduction.storage",
+    "modal_derivatives": "reduction.linear",
+    "vibration_modes": "reduction.linear",
     "Engine": "realtime.engine",
     "DummyDevice": "realtime.device",
     "Errors": "reduction.errors",

@@ -100,6 +100,7 @@ class FullModel(NodalModel):
         self.half_cell = 1.0 if self.conservative else number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
         integer_in_range("smoothing", smoothing, 5)
         self.neighbours, self._volumes = neighbours, cloud.volumes
+        self.smoothing: tuple[NDArray[np.int32], Floats] | None = None  # neighbours and weights, of the energy form
         self.stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
         smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
         if self.conservative:
@@ -155,6 +156,7 @@ class FullModel(NodalModel):
         everyone = np.arange(len(cloud))
         carriers, (back,) = lane_table(near, everyone, weights)
         smoothing, own = conservative_smoothing(smoother, cloud.points, self._volumes)
+        self.smoothing = smoother.neighbours, smoothing
         smooth_lanes, (value,) = lane_table(smoother.neighbours, everyone, smoothing)
         near, weights = transposed(smoother.neighbours, smoothing[:, :, None], self._volumes)
         back_lanes, (back_value,) = lane_table(near, everyone, weights)

@@ -120,7 +120,7 @@ class ReducedModel(Model):
         flat = parts.columns.reshape(len(parts.columns), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
-        self._held = np.linalg.inv(self.mass[: parts.modes, : parts.modes]).astype(float)
+        self._held = np.asarray(np.linalg.inv(self.mass[: parts.modes, : parts.modes]), dtype=float)
         self._free = np.linalg.inv(self.mass)
         type_, law = np.float32 if single else np.float64, type(parts.material)
         weights, pressure, constant = parts.cubature.weights, parts.cubature.pressure, parts.constant
@@ -424,7 +424,7 @@ class ReducedModel(Model):
         vectors = np.zeros((8, count))
         vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
         data = PeriodData(
-            parts.modes, self.viscosity, self.midpoint or 0.0, CONVERGED / DIFFERENCE, self.mass, np.asarray(self._held),
+            parts.modes, self.viscosity, self.midpoint or 0.0, CONVERGED / DIFFERENCE, self.mass, self._held,
             self._differences, self._samples, own, newton(count), np.ascontiguousarray(parts.trained @ root.T), root,
             parts.reach, vectors, self.stiffness(np.zeros(count)), np.zeros((count, count)),
             np.array([frequency, frequency, 0.0]), np.zeros((steps + 3, parts.lifted)),

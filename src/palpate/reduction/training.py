@@ -19,6 +19,7 @@ from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.cubature import Cubature, non_negative, sketch, slopes_fit
 from palpate.reduction.errors import errors
+from palpate.reduction.linear import tool_responses
 from palpate.reduction.reduced import ReducedModel, ReducedParts
 
 __all__ = ["Trial", "reduce"]
@@ -27,6 +28,7 @@ Floats = NDArray[np.float64]
 Trial = tuple[Sequence[Load], Trajectory]
 
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # tried when a tolerance is given
+SOLVED = 6000  # nodes up to which equations of the whole body are solved
 STATES = 240  # training states that the cubature is fitted at
 ROWS = 12_000  # of the least-squares problem for the weights; more are sketched
 PRESSURES = 4  # modes to one pressure mode: more would stiffen what the modes cannot keep at constant volume
@@ -63,6 +65,7 @@ def reduce(
     tolerance: float | None = None,
     driven: str | Sequence[str] = (),
     held_out: Sequence[Trial] = (),
+    enrichment: Floats | None = None,
     cubature: float = 1e-3,
     pressures: int | None = None,
     seed: int = 0,
@@ -86,6 +89,9 @@ def reduce(
         rotations, so that its pose may be any, and its force is known.
     held_out : sequence of (loads, trajectory)
         Runs that are not trained on: the reduced model repeats them and reports its errors.
+    enrichment : (e, n, 3) array, optional
+        Displacement fields that join the modes, or with ``modes=0`` stand for them: `palpate.vibration_modes`,
+        `palpate.modal_derivatives`. Fields must vanish at supports and tools.
     cubature : float
         What the sampled forces may miss of the whole ones in training, relative.
     pressures : int, optional
@@ -114,13 +120,13 @@ def reduce(
     share = number_in_range("cubature", cubature, 0.0, 1.0)
     body = full if full.conservative else _energy_form(full)
     if modes is not None:
-        count = integer_in_range("modes", modes, 1)
-        return _trained(full, body, runs, count, tools, held_out, share, pressures, seed)
+        count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
+        return _trained(full, body, runs, count, tools, held_out, enrichment, share, pressures, seed)
     if not held_out:
         raise InputError("a tolerance is on the errors of held-out runs: give held_out=, or give modes")
     wanted, reached = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True), []
     for size in SIZES:
-        model = _trained(full, body, runs, size, tools, held_out, share, pressures, seed)
+        model = _trained(full, body, runs, size, tools, held_out, enrichment, share, pressures, seed)
         found = model.report["held_out"]["mean"]
         worst = max(found[name] for name in ("displacement", "velocity", "reaction"))
         reached.append(f"{size}: {worst:.2%}")
@@ -158,9 +164,26 @@ def strain_modes(body: FullModel, snapshots: Floats, modes: int) -> Floats:
     if modes > rank:
         raise InputError(f"modes = {modes}: the {len(chosen)} snapshots hold only {rank} independent shapes")
     shapes = (vectors[:, ::-1][:, :modes].T * scale) @ chosen.reshape(len(chosen), -1)
+    return _orthonormal(body, shapes.reshape(modes, -1, 3))
+
+
+def _orthonormal(body: FullModel, fields: Floats) -> Floats:
+    """Fields (m, n, 3) with the same span, orthonormal in the volumes."""
     weights = np.repeat(np.sqrt(body.volumes), 3)
-    orthonormal, _ = np.linalg.qr((shapes * weights).T)
-    return np.asarray((orthonormal / weights[:, None]).T.reshape(modes, -1, 3))
+    orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
+    return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
+
+
+def _joined(body: FullModel, modes: Floats | None, enrichment: Floats | None) -> Floats:
+    """Modes and enrichment, orthonormal together."""
+    if enrichment is None:
+        return np.zeros((0, len(body.cloud), 3)) if modes is None else modes
+    if enrichment.ndim != 3 or enrichment.shape[1:] != (len(body.cloud), 3) or not np.isfinite(enrichment).all():
+        raise InputError(f"enrichment has shape {enrichment.shape}; this body needs (e, {len(body.cloud)}, 3), finite")
+    if np.abs(enrichment[:, body.held]).max(initial=0.0) > 0:
+        raise InputError("enrichment moves nodes of the supports")
+    sizes = np.linalg.norm(enrichment, axis=2).max(axis=1)[:, None, None]
+    return _orthonormal(body, enrichment / sizes if modes is None else np.concatenate([modes, enrichment / sizes]))
 
 
 def _check(full: FullModel, runs: Sequence[Trajectory]) -> None:
@@ -186,6 +209,7 @@ def _trained(
     modes: int,
     tools: tuple[str, ...],
     held_out: Sequence[Trial],
+    enrichment: Floats | None,
     share: float,
     pressures: int | None,
     seed: int,
@@ -195,15 +219,17 @@ def _trained(
     snapshots = np.concatenate([run.displacements for run in runs])
     lifting, supports = _lifting(body, tools), _support_fields(body, tools)
     rest = _without_tools(body, snapshots, lifting, tools)
-    fields = _fields(body, np.concatenate([strain_modes(body, rest, modes), lifting, supports]))
+    shapes = _joined(body, strain_modes(body, rest, modes) if modes else None, enrichment)
+    modes = len(shapes)
+    fields = _fields(body, np.concatenate([shapes, lifting, supports]))
     count = modes + len(lifting)
     flat = fields.columns[:count].reshape(count, -1)
     weights = np.repeat(body.masses, 3)
     mass = (flat * weights) @ flat.T
     states = np.linalg.solve(mass, (flat * weights) @ snapshots.reshape(len(snapshots), -1).T).T
     chosen = states[np.linspace(0, len(states) - 1, min(STATES, len(states))).astype(int)]
-    shapes = _pressure_modes(body, snapshots, pressures or max(1, modes // PRESSURES))
-    rule = _cubature(body, fields, count, chosen, mass, share, shapes, seed)
+    moments = _pressure_modes(body, snapshots, pressures or max(1, modes // PRESSURES))
+    rule = _cubature(body, fields, count, chosen, mass, share, moments, seed)
     parts = ReducedParts(
         body.cloud, body.material, body.fixed, tools, body.volumes, full.viscosity, full.fastest, fields.columns, modes,
         len(lifting), rule, np.asarray(fields.gradients[rule.nodes], dtype=float), fields.constant, chosen,
@@ -290,13 +316,15 @@ def _reach(chosen: Floats, mass: Floats, lengths: Sequence[int], total: int) -> 
 
 
 def _lifting(body: FullModel, tools: Sequence[str]) -> Floats:
-    """Columns (l, n, 3) that move and turn each tool's nodes rigidly, and fade towards supports and other tools."""
+    """Columns (l, n, 3) that move and turn each tool's nodes rigidly, the body following as it would at rest.
+
+    In a large body they fade evenly towards supports and other tools instead: the modes learn the rest.
+    """
     if not tools:
         return np.zeros((0, len(body.cloud), 3))
     points = body.cloud.points
     held = {name: body.cloud.group(name) for name in (*tools, *body.fixed)}
-    shapes = partition(points, held)
-    columns = []
+    shapes, columns = partition(points, held), []
     for g, name in enumerate(tools):
         nodes, own = held[name], []
         arms = points - points[nodes].mean(axis=0)
@@ -305,7 +333,7 @@ def _lifting(body: FullModel, tools: Sequence[str]) -> Floats:
             if np.abs(field[nodes]).max() > 1e-9 * body.cloud.spacing:
                 own.append(field / np.abs(field[nodes]).max())
         columns += [field[:, None] * np.eye(3)[c] for field in own for c in range(3)]
-    return np.array(columns)
+    return tool_responses(body, np.array(columns), tools) if len(points) <= SOLVED else np.array(columns)
 
 
 def _support_fields(body: FullModel, tools: Sequence[str]) -> Floats:

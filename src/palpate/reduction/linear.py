@@ -1,0 +1,152 @@
+"""The body at rest, linearised: its stiffness, vibration modes, responses to tools, and modal derivatives.
+
+They are bases that need no training run: vibration modes span small motions; modal derivatives (Idelsohn and Cardona,
+Comput. Methods Appl. Mech. Eng. 49, 1985) how the modes change when the body moves along them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from palpate.dynamics.full import FullModel
+from palpate.faults import InputError, integer_in_range
+
+__all__ = ["modal_derivatives", "rest_stiffness", "tool_responses", "vibration_modes"]
+
+Floats = NDArray[np.float64]
+
+AMPLITUDE = 0.02  # of the spacing: displacements for second differences
+
+
+def rest_stiffness(body: FullModel) -> Any:
+    """Return the stiffness [N/m] at rest of a body in its energy form, sparse, (3 n, 3 n), rows 3 i + c of node i.
+
+    Raises
+    ------
+    InputError
+        The model is not of the energy form, whose stiffness is symmetric.
+    """
+    if not body.conservative:
+        raise InputError("the strong form has no symmetric stiffness: make the model with form='energy'")
+    material, n = body.material, len(body.cloud)
+    volume = sparse.diags(body.volumes)
+    near, row = body.stencils.neighbours, body.stencils.row
+    slopes = [_operator(near, body.stencils.first[row][:, :, d]) for d in range(3)]
+    misses = _operator(near, body.stencils.value[row])
+    assert body.smoothing is not None
+    smooth = _operator(*body.smoothing) + sparse.identity(n)
+    thetas = [smooth @ slope for slope in slopes]
+    shear = material.shear_modulus
+    second = material.shear_bulk_modulus - 2 / 3 * shear
+    common = shear * sum(slope.T @ volume @ slope for slope in slopes)
+    common = common + body.body.hourglass * misses.T @ volume @ misses
+    blocks = [[None] * 3 for _ in range(3)]
+    for c in range(3):
+        for e in range(3):
+            block = shear * slopes[e].T @ volume @ slopes[c] + second * slopes[c].T @ volume @ slopes[e]
+            block = block + material.lame * thetas[c].T @ volume @ thetas[e]
+            blocks[c][e] = block + common if c == e else block
+    by_node = np.arange(3 * n).reshape(3, n).T.reshape(-1)
+    matrix = sparse.bmat(blocks).tocsr()[by_node][:, by_node]
+    return ((matrix + matrix.T) / 2).tocsc()
+
+
+def _operator(near: NDArray[np.int32], weights: Floats) -> Any:
+    """Sparse matrix (n, n) of a sum over neighbours' differences from the node."""
+    n = len(near)
+    node, place = np.nonzero(near != np.arange(n)[:, None])
+    matrix = sparse.csr_matrix((weights[node, place], (node, near[node, place])), (n, n))
+    return (matrix - sparse.diags(np.asarray(matrix.sum(axis=1)).ravel())).tocsr()
+
+
+def _free(body: FullModel, groups: Sequence[str]) -> NDArray[np.int64]:
+    """Degrees of freedom that neither supports nor some groups hold."""
+    held = body.held.copy()
+    for name in groups:
+        held[body.cloud.group(name)] = True
+    if not held.any():
+        raise InputError("a body without supports has no static response: give it fixed= or a tool")
+    return np.flatnonzero(np.repeat(~held, 3))
+
+
+def vibration_modes(body: FullModel, count: int, held: Sequence[str] = ()) -> tuple[Floats, Floats]:
+    """Find the slowest vibrations of the body at rest.
+
+    Parameters
+    ----------
+    body : FullModel
+        In its energy form.
+    count : int
+    held : sequence of str
+        Groups that tools hold, beside the supports.
+
+    Returns
+    -------
+    modes : (count, n, 3) array
+        Their largest displacement is 1 m.
+    frequencies : (count,) array [rad/s]
+        In ascending order.
+
+    Raises
+    ------
+    InputError
+        A strong form, a body that nothing holds, or a count out of range.
+    """
+    free = _free(body, held)
+    integer_in_range("count", count, 1, len(free) - 2)
+    stiffness = rest_stiffness(body)[free][:, free].tocsc()
+    solver = splu(stiffness)
+    inverse = LinearOperator(stiffness.shape, matvec=solver.solve)
+    masses = sparse.diags(np.repeat(body.masses, 3)[free])
+    start = np.random.default_rng(0).standard_normal(len(free))
+    values, vectors = eigsh(stiffness, k=count, M=masses, sigma=0.0, OPinv=inverse, v0=start)
+    order = np.argsort(values)
+    modes = np.zeros((count, 3 * len(body.cloud)))
+    modes[:, free] = vectors[:, order].T
+    fields = modes.reshape(count, -1, 3)
+    fields /= np.linalg.norm(fields, axis=2).max(axis=1)[:, None, None]
+    return fields, np.sqrt(values[order])
+
+
+def tool_responses(body: FullModel, fields: Floats, held: Sequence[str]) -> Floats:
+    """Return static responses at rest (l, n, 3) to fields that are given at the nodes of some held groups.
+
+    Parameters
+    ----------
+    body : FullModel
+        In its energy form.
+    fields : (l, n, 3) array
+        Read at the held groups' nodes only.
+    held : sequence of str
+    """
+    free = _free(body, held)
+    stiffness = rest_stiffness(body)
+    given = np.zeros((len(fields), 3 * len(body.cloud)))
+    nodes = np.unique(np.concatenate([body.cloud.group(name) for name in held]))
+    given.reshape(len(fields), -1, 3)[:, nodes] = fields[:, nodes]
+    given[:, free] = -splu(stiffness[free][:, free].tocsc()).solve(stiffness[free] @ given.T).T
+    return given.reshape(len(fields), -1, 3)
+
+
+def modal_derivatives(body: FullModel, modes: Floats, held: Sequence[str] = ()) -> Floats:
+    """Return how the body follows pairs of modes to second order, (k (k + 1) / 2, n, 3), for modes (k, n, 3).
+
+    Each is the static response at rest to the second derivative of the internal force along two modes; its largest
+    displacement is 1 m.
+    """
+    free, pairs = _free(body, held), []
+    solver = splu(rest_stiffness(body)[free][:, free].tocsc())
+    shapes = AMPLITUDE * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
+    for i, one in enumerate(shapes):
+        for two in shapes[i:]:
+            bend = body.force(one + two) - body.force(one - two) - body.force(two - one) + body.force(-one - two)
+            field = np.zeros(3 * len(body.cloud))
+            field[free] = solver.solve((bend * body.volumes[:, None]).reshape(-1)[free])
+            pairs.append(field.reshape(-1, 3) / np.linalg.norm(field.reshape(-1, 3), axis=1).max())
+    return np.array(pairs)
