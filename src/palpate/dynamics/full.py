@@ -155,7 +155,7 @@ class FullModel(NodalModel):
         near, weights = transposed(self.stencils.neighbours, both, self._volumes)
         everyone = np.arange(len(cloud))
         carriers, (back,) = lane_table(near, everyone, weights)
-        smoothing, own = conservative_smoothing(smoother, cloud.points, self._volumes)
+        smoothing, own = conservative_smoothing(smoother, self._volumes)
         self.smoothing = smoother.neighbours, smoothing
         smooth_lanes, (value,) = lane_table(smoother.neighbours, everyone, smoothing)
         near, weights = transposed(smoother.neighbours, smoothing[:, :, None], self._volumes)

@@ -56,19 +56,21 @@ def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
     return np.asarray(weights * (volumes.sum() / weights.sum()))
 
 
-def conservative_smoothing(stencils: Stencils, points: Floats, volumes: Floats) -> tuple[Floats, Floats]:
-    """Return the weights of a linear fit, changed as little as possible so that it keeps integrals.
+def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats, Floats]:
+    """Return the weights of a fit, changed as little as possible so that it keeps integrals.
 
-    With S f the fitted values of a nodal field and V the nodal weights, V . S f = V . f for every field f, and linear
-    fields are fitted exactly as before. The transposed fit S^T V p / V of a uniform p is p then. Without the change it
-    is 0.4 p to 6 p near faces, edges and corners: a uniform pressure moves the nodes, and a body stretched three times
+    With S f the fitted values of a nodal field and V the nodal weights, V . S f = V . f for every field f, and
+    constants are fitted exactly. The transposed fit S^T V p / V of a uniform p is p then. Without the change it is
+    0.4 p to 6 p near faces, edges and corners: a uniform pressure moves the nodes, and a body stretched three times
     over is unstable.
+
+    Far from the faces of a lattice nothing changes, and linear fields stay exact. Near a face they do not: a fit that
+    keeps x^2's integral and is exact for x everywhere would smooth nothing inside.
 
     Parameters
     ----------
     stencils : Stencils
-        A fit of order 1 that need not interpolate.
-    points : (n, 3) array [m]
+        A fit that need not interpolate.
     volumes : (n,) array [m^3]
 
     Returns
@@ -81,25 +83,20 @@ def conservative_smoothing(stencils: Stencils, points: Floats, volumes: Floats) 
     CloudError
         No such weights were found.
     """
-    n = len(points)
+    n = len(volumes)
     node, place = np.nonzero(stencils.neighbours != np.arange(n)[:, None])
     other, pair = stencils.neighbours[node, place], np.arange(len(node))
-    value = stencils.value[stencils.row]
-    size = volumes / np.median(volumes)
-    offset = (points[other] - points[node]) / np.median(volumes) ** (1 / 3)
-    freedom = np.exp(-np.sum(offset**2, axis=1) / 8)  # near neighbours' weights change more than far ones'
-    column = (np.concatenate([size[node], -size[node]]), (np.concatenate([other, node]), np.tile(pair, 2)))
-    gain = sparse.csr_matrix(column, (n, len(pair)))  # of every node's share of an integral; own weights complete to 1
-    moments = [sparse.csr_matrix((offset[:, a], (node, pair)), (n, len(pair))) for a in range(3)]
-    conditions = (sparse.vstack([gain, *moments]) @ sparse.diags(freedom)).tocsr()
-    missing = np.concatenate([-(gain @ value[node, place]), np.zeros(3 * n)])
-    change = lsmr(conditions, missing, atol=1e-14, btol=1e-14, conlim=0.0, maxiter=20 * n)[0]
-    left = np.abs(conditions @ change - missing)[:n]
+    value, size = stencils.value[stencils.row], volumes / np.median(volumes)
+    # a weight on another node adds to that node's share of the integral, and takes from its own node's
+    entries = np.concatenate([size[node], -size[node]])
+    gain = sparse.csr_matrix((entries, (np.concatenate([other, node]), np.tile(pair, 2))), (n, len(pair)))
+    missing = -(gain @ value[node, place])
+    change = lsmr(gain, missing, atol=1e-14, btol=1e-14, conlim=0.0, maxiter=20 * n)[0]
+    left = np.abs(gain @ change - missing)
     if not left.max() < TOLERANCE:
-        worst = int(np.argmax(left))
         raise CloudError(
-            f"no smoothing of the pressure keeps its integral near node {worst} at {points[worst]} m ({left.max():.1g} "
-            f"of a nodal volume is left): spread the points there"
+            f"no smoothing of the pressure keeps its integral near node {np.argmax(left)} ({left.max():.1g} of a nodal "
+            f"volume is left): spread the points there"
         )
-    value[node, place] += freedom * change
+    value[node, place] += change
     return value, 1.0 - value.sum(axis=1)
