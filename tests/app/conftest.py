@@ -41,7 +41,7 @@ def stop_after(monkeypatch):
                 raise error
             return evaluate(model, state, drive)
 
-        monkeypatch.setattr("palpate.dynamics.rollout.evaluate", late)
+        monkeypatch.setattr("palpate.dynamics.nodal.evaluate", late)
 
     return stop
 

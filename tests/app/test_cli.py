@@ -39,7 +39,8 @@ def test_every_figure_is_a_picture_with_something_on_it(study, assert_drawn, nam
 def test_standard_output_is_the_report_and_nothing_else(study):
     _, report, stdout, stderr = study
     assert json.loads(stdout) == report
-    assert "reduced, 4 modes" in stderr
+    assert "projected, 4 modes at 496 nodes" in stderr
+    assert "hyper-reduced, 4 modes at" in stderr
 
 
 def test_the_report_says_what_was_run_and_on_what(study):
@@ -64,17 +65,46 @@ def test_the_pulled_end_moves_as_a_slender_bar_does(study):
     assert full["real_time_factor"] == pytest.approx(1.0 / full["wall_seconds"])
 
 
-def test_every_reduced_model_is_reported_once_in_order(study):
+def by_series(report):
+    """The entries of the reduced runs of each series, in the order of the report."""
+    names = ("projected", "hyper-reduced")
+    assert {entry["series"] for entry in report["reduced"]} == set(names)
+    return [[entry for entry in report["reduced"] if entry["series"] == name] for name in names]
+
+
+def test_every_reduced_model_of_both_series_is_reported_once_in_order(study):
     report = study[1]
-    assert [entry["modes"] for entry in report["reduced"]] == [2, 4]
-    for entry in report["reduced"]:
-        assert not entry["failed"]
-        assert set(entry["errors"]) == {"displacement", "velocity", "energy", "reaction"}
-        # no run in the space of the modes is nearer than the projection, up to the norm's choice
-        assert 0 < entry["projection_error"] <= 1.1 * entry["errors"]["displacement"]
-        assert entry["ratio"] == pytest.approx(entry["wall_seconds"] / report["full"]["wall_seconds"])
-        assert entry["steps"] >= 100
-    assert report["reduced"][1]["projection_error"] < report["reduced"][0]["projection_error"]
+    for entries in by_series(report):
+        assert [entry["modes"] for entry in entries] == [2, 4]
+        assert entries[1]["projection_error"] < entries[0]["projection_error"]
+        for entry in entries:
+            assert not entry["failed"]
+            assert set(entry["errors"]) == {"displacement", "velocity", "energy", "reaction"}
+            # no run in the space of the modes is nearer than the projection, up to the norm's choice
+            assert 0 < entry["projection_error"] <= 1.1 * entry["errors"]["displacement"]
+            assert entry["ratio"] == pytest.approx(entry["wall_seconds"] / report["full"]["wall_seconds"])
+            assert entry["steps"] >= 100
+            assert entry["seconds_per_step"] == pytest.approx(entry["wall_seconds"] / entry["steps"])
+
+
+def test_projected_models_know_all_nodes_and_hyper_reduced_ones_few(study):
+    report = study[1]
+    projected, sampled = by_series(report)
+    assert all(entry["nodes"] == report["nodes"] for entry in projected)
+    assert all(0 < entry["nodes"] < report["nodes"] / 5 for entry in sampled)
+
+
+def test_the_energy_form_stands_beside_the_strong_form_and_says_what_hyper_reduced_models_follow(study):
+    report = study[1]
+    energy = report["energy_form"]
+    # two discretisations of one body, which shrink to one with the spacing
+    assert energy["peak_tip_displacement"] == pytest.approx(report["full"]["peak_tip_displacement"], rel=0.05)
+    assert abs(energy["energy_balance"]) < 1e-3
+    assert 0 < energy["errors"]["displacement"] < 0.5
+    _, sampled = by_series(report)
+    against = sampled[1]["errors_against"]["energy form"]
+    assert against["displacement"] < 0.5 * sampled[1]["errors"]["displacement"]
+    assert against["displacement"] < 0.1
 
 
 def test_singular_values_descend_and_claims_of_the_paper_are_listed(study):

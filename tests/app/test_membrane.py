@@ -43,7 +43,7 @@ def test_every_figure_is_a_picture_with_something_on_it(study, assert_drawn, nam
 def test_standard_output_is_the_report_and_nothing_else(study):
     _, report, stdout, stderr = study
     assert json.loads(stdout) == report
-    assert "reduced, 8 modes, after" in stderr
+    assert "projected, 8 modes at 217 nodes, after" in stderr
 
 
 def test_the_report_says_what_was_run(study, model):
@@ -77,6 +77,7 @@ def test_every_reduced_model_is_reported_once_in_order(study):
     assert [entry["modes"] for entry in report["reduced"]] == [2, 8]
     for entry in report["reduced"]:
         assert not entry["failed"]
+        assert entry["series"] == "projected"
         assert list(entry["phases"]) == ["push", "after"]
         for name, phase in entry["phases"].items():
             assert set(phase["errors"]) == {"displacement", "velocity", "energy", "reaction"}
@@ -199,7 +200,7 @@ def test_a_tool_lets_go_one_size_fails_and_a_picture_is_missing_but_the_study_go
     assert "apt-get install" in report["missing"]["figure9_deflection.png"]
     assert {path.name for path in tmp_path.iterdir()} == set(FILES) - {"figure9_deflection.png"}
     said = capsys.readouterr().out
-    assert "Reduced models, after" in said
+    assert "Projected models, after" in said
     assert "What the paper says" in said
 
 

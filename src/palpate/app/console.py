@@ -13,7 +13,10 @@ import rich.console
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-__all__ = ["Console", "print_json", "print_tables", "quantities_table", "reduced_table"]
+__all__ = ["Console", "count_nodes", "percent", "print_json", "print_tables", "quantities_table", "reduced_table"]
+
+
+COLUMNS = ("modes", "nodes", "displ.", "velocity", "energy", "force", "proj.", "s", "ratio", "steps", "us/step")
 
 
 class Console:
@@ -71,19 +74,27 @@ def quantities_table(title: str, columns: Sequence[str], rows: Mapping[str, Sequ
 def reduced_table(title: str, entries: Sequence[dict[str, Any]]) -> Table:
     """Return a table of reduced runs, from their entries in the report."""
     table = _table(title)
-    for heading in ("modes", "displ.", "velocity", "energy", "force", "proj.", "time", "ratio", "steps"):
+    for heading in COLUMNS:
         table.add_column(heading, justify="right", no_wrap=True)
     for entry in entries:
         if entry["failed"]:
-            table.add_row(str(entry["modes"]), *(["failed"] + 7 * ["-"]))
+            table.add_row(str(entry["modes"]), "failed", *(["-"] * (len(COLUMNS) - 2)))
             continue
-        wrong = [_percent(value) for value in (*entry["errors"].values(), entry["projection_error"])]
-        time = f"{entry['wall_seconds']:.2f} s", f"{entry['ratio']:.1%}", str(entry["steps"])
-        table.add_row(str(entry["modes"]), *wrong, *time)
+        wrong = [percent(value) for value in (*entry["errors"].values(), entry["projection_error"])]
+        time = f"{entry['wall_seconds']:.2f}", f"{entry['ratio']:.2%}", str(entry["steps"])
+        step = 1e6 * entry["seconds_per_step"]
+        cost = f"{step:.1f}" if step < 100 else f"{step:.0f}"
+        table.add_row(str(entry["modes"]), str(entry["nodes"]), *wrong, *time, cost)
     return table
 
 
-def _percent(value: float) -> str:
+def count_nodes(nodes: int) -> str:
+    """Return how many nodes, in words."""
+    return f"{nodes} node{'' if nodes == 1 else 's'}"
+
+
+def percent(value: float) -> str:
+    """Return a share in per cent."""
     return f"{value:.2%}" if value < 10 else "> 1000%"
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from palpate import __version__
 from palpate.app.console import print_json, print_tables
 from palpate.app.files import write_json
-from palpate.app.study import Study
+from palpate.app.study import PROJECTED, Study
 
 __all__ = ["Claim", "deliver", "finished", "finite", "listed", "preamble", "time_per_mode"]
 
@@ -54,9 +54,10 @@ def _machine() -> dict[str, Any]:
     }
 
 
-def finished(study: Study, phase: str) -> list[dict[str, Any]]:
-    """Return the entries of the reduced runs that finished a phase, each with its number of modes."""
-    entries = [{"modes": entry["modes"]} | entry["phases"][phase] for entry in study.reduced]
+def finished(study: Study, phase: str, series: str = PROJECTED) -> list[dict[str, Any]]:
+    """Return the entries of the reduced runs of a series that finished a phase, each with its number of modes."""
+    own = [entry for entry in study.reduced if entry["series"] == series]
+    entries = [{"modes": entry["modes"]} | entry["phases"][phase] for entry in own]
     return [entry for entry in entries if not entry["failed"]]
 
 

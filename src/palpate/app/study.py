@@ -1,9 +1,9 @@
-"""A study: a full model, and reduced ones trained on its run, under the same loads."""
+"""A study: a full model, and one or more series of reduced ones trained on its run, under the same loads."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
@@ -13,19 +13,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.console import Console
+from palpate.app.console import Console, count_nodes
 from palpate.app.files import check_folder, check_space
+from palpate.dynamics.model import Model
 from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError
 from palpate.reduction.errors import errors
-from palpate.reduction.projected import ProjectedModel
+from palpate.reduction.reduced import ReducedModel
 from palpate.scenes.scene import Scene
 
-__all__ = ["SHOWN_MODES", "Phase", "ReproduceError", "Study", "prepare", "run_full", "run_reduced"]
+__all__ = [
+    "HYPER_REDUCED",
+    "PROJECTED",
+    "SHOWN_MODES",
+    "Phase",
+    "ReproduceError",
+    "Shown",
+    "Study",
+    "Train",
+    "compared",
+    "prepare",
+    "run_full",
+    "run_reduced",
+]
 
 Floats = NDArray[np.float64]
+Train = Callable[[NodalModel, Trajectory, int], Model]
+
+PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.project`, `palpate.reduce`
 
 FOR_FIGURES = 5_000_000  # bytes
 SHOWN_MODES = 8  # the reduced model that figures compare with the full one: the paper's choice
@@ -53,6 +70,21 @@ class Phase:
     step: float | None = None
 
 
+@dataclass(frozen=True)
+class Shown:
+    """The reduced runs of a series that figures compare with the full ones.
+
+    Parameters
+    ----------
+    modes : int
+    runs : list of Trajectory
+        One for every phase.
+    """
+
+    modes: int
+    runs: list[Trajectory]
+
+
 @dataclass
 class Study:
     """What is run, and what came out.
@@ -62,28 +94,29 @@ class Study:
     scene : Scene
     phases : sequence of Phase
         One after the other; together they are the scene's whole run.
-    train : function
-        Of a full model, its run over a phase and a number of modes, returns the reduced model.
+    series : mapping of str to functions
+        Kinds of reduced models by name: of a full model, its run over a phase and a number of modes, each returns the
+        reduced model.
+    peers : dict of str to Trajectory
+        Other runs of the whole scene that the reduced ones are compared with, too.
     parts : list of Trajectory
         Runs of the full model, one for every phase.
     full : Trajectory
         The same joined.
     reduced : list of dict
-        One for every number of modes: ``"modes"``, ``"failed"``, for every phase its entry in ``"phases"``, and those
-        of the whole run in ``"joined"``.
-    shown : list of Trajectory
-        The reduced runs that the figures compare with the full ones, one for every phase; empty if none was finished.
-    shown_modes : int
-        Their number of modes.
+        One for every series and number of modes: ``"series"``, ``"modes"``, ``"failed"``, for every phase its entry in
+        ``"phases"``, and those of the whole run in ``"joined"``.
+    shown : dict of str to Shown
+        By series; without those of which no run was finished.
     """
 
     scene: Scene
     phases: Sequence[Phase]
-    train: Callable[[NodalModel, Trajectory, int], ProjectedModel]
+    series: Mapping[str, Train]
+    peers: dict[str, Trajectory] = field(default_factory=dict)
     parts: list[Trajectory] = field(default_factory=list)
     reduced: list[dict[str, Any]] = field(default_factory=list)
-    shown: list[Trajectory] = field(default_factory=list)
-    shown_modes: int = 0
+    shown: dict[str, Shown] = field(default_factory=dict)
     full: Trajectory = field(init=False)
 
 
@@ -183,52 +216,57 @@ def _keep(study: Study, partials: list[Path], path: Path) -> None:
 
 
 def run_reduced(study: Study, sizes: Sequence[int], console: Console) -> None:
-    """Train and run a reduced model of every size, each phase from its own end of the phase before."""
+    """Train and run reduced models of every series and size, each phase from its own end of the phase before."""
     try:
-        for size in sizes:
-            runs = _run_size(study, size, console)
-            if len(runs) < len(study.phases):
-                continue
-            if not study.shown or abs(size - SHOWN_MODES) < abs(study.shown_modes - SHOWN_MODES):
-                study.shown, study.shown_modes = runs, size
+        for name in study.series:
+            for size in sizes:
+                runs = _run_size(study, name, size, console)
+                if len(runs) < len(study.phases):
+                    continue
+                shown = study.shown.get(name)
+                if shown is None or abs(size - SHOWN_MODES) < abs(shown.modes - SHOWN_MODES):
+                    study.shown[name] = Shown(size, runs)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("in the reduced runs; the full model's frames are kept in full.h5") from None
 
 
-def _run_size(study: Study, size: int, console: Console) -> list[Trajectory]:
-    """Run a reduced model of one size through all phases; return the runs that were finished."""
-    entry: dict[str, Any] = {"modes": size, "failed": False, "phases": {}}
+def _run_size(study: Study, name: str, size: int, console: Console) -> list[Trajectory]:
+    """Run a reduced model of one series and size through all phases; return the runs that were finished."""
+    entry: dict[str, Any] = {"series": name, "modes": size, "failed": False, "phases": {}}
     runs: list[Trajectory] = []
     for phase, full in zip(study.phases, study.parts, strict=True):
         where = f", {phase.name}" if len(study.phases) > 1 else ""
         if entry["failed"]:
             entry["phases"][phase.name] = {"failed": True, "reason": "the phase before it failed"}
             continue
-        measured, run = _run_phase(study, phase, full, size, runs[-1] if runs else None)
+        measured, run = _run_phase(study, phase, full, study.series[name], size, runs[-1] if runs else None)
         entry["phases"][phase.name] = measured
         if run is None:
             entry["failed"] = True
-            console.say(f"reduced, {size} modes{where}: failed: {measured['reason']}")
+            console.say(f"{name}, {size} modes{where}: failed: {measured['reason']}")
             continue
         runs.append(run)
         console.say(
-            f"reduced, {size} modes{where}: {run.wall_seconds:.2f} s, {measured['ratio']:.1%} of the full model's "
-            f"time, displacement error {measured['errors']['displacement']:.3%}"
+            f"{name}, {size} modes at {count_nodes(measured['nodes'])}{where}: {run.wall_seconds:.2f} s, "
+            f"{measured['ratio']:.2%} of the full model's time, "
+            f"displacement error {measured['errors']['displacement']:.3%}"
         )
     if not entry["failed"]:
-        entry["joined"] = _compared(study.full, _joined(runs))
+        whole = _joined(runs)
+        entry["joined"] = compared(study.full, whole)
+        entry["joined"]["errors_against"] = {peer: errors(run, whole).as_dict() for peer, run in study.peers.items()}
     study.reduced.append(entry)
     return runs
 
 
 def _run_phase(
-    study: Study, phase: Phase, full: Trajectory, size: int, before: Trajectory | None
+    study: Study, phase: Phase, full: Trajectory, train: Train, size: int, before: Trajectory | None
 ) -> tuple[dict[str, Any], Trajectory | None]:
     """Train and run a reduced model over a phase; return its entry in the report, and its run if it was finished."""
     scene, begin = study.scene, {"start": phase.start} | _last(before)
     try:
         start = perf_counter()
-        model = study.train(scene.model, full, size)
+        model = train(scene.model, full, size)
         training = perf_counter() - start
         step = scene.model.stability.step
         # compiles, and warms the caches
@@ -236,23 +274,25 @@ def _run_phase(
         run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=phase.step, **begin)
     except (DivergenceError, InputError) as error:
         return {"failed": True, "reason": " ".join(str(error).split())}, None
-    projected = replace(full, displacements=_projected(model, full.displacements))
     measured = {
         "failed": False,
-        "projection_error": errors(full, projected).displacement,
+        "nodes": len(model.parts.cubature.nodes) if isinstance(model, ReducedModel) else len(model.cloud),
+        "projection_error": errors(full, _projected(model, scene, full)).displacement,
         "training_seconds": training,
         "real_time_factor": phase.duration / run.wall_seconds,
     }
-    return measured | _compared(full, run), run
+    return measured | compared(full, run), run
 
 
-def _compared(full: Trajectory, run: Trajectory) -> dict[str, Any]:
+def compared(full: Trajectory, run: Trajectory) -> dict[str, Any]:
+    """Return what a run differs from a reference, and its cost."""
     return {
         "errors": errors(full, run).as_dict(),
         "error_at_end": _error_at_end(full, run),
         "wall_seconds": run.wall_seconds,
         "ratio": run.wall_seconds / full.wall_seconds,
         "steps": int(run.steps[-1]),
+        "seconds_per_step": run.wall_seconds / float(run.steps[-1]),
     }
 
 
@@ -262,7 +302,9 @@ def _error_at_end(full: Trajectory, run: Trajectory) -> float:
     return float(missed / np.linalg.norm(full.displacements[-1], axis=1).sum())
 
 
-def _projected(model: ProjectedModel, displacements: Floats) -> Floats:
-    """Return the fields (f, n, 3) nearest to some displacements that modes and lifting columns can make."""
-    coordinates = np.linalg.solve(model.mass, model.test @ displacements.reshape(len(displacements), -1).T)
-    return np.tensordot(coordinates.T, model.columns, 1)
+def _projected(model: Model, scene: Scene, run: Trajectory) -> Trajectory:
+    """Return a run with the displacements that a model's coordinates make of it at best."""
+    drive = model.drive(scene.loads)
+    frames = zip(run.times, run.displacements, strict=True)
+    states = (model.state(drive, displacement, time=float(time)) for time, displacement in frames)
+    return replace(run, displacements=np.stack([model.displacement(state, drive) for state in states]))

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.console import quantities_table, reduced_table
+from palpate.app.console import percent, quantities_table, reduced_table
 from palpate.app.report import Claim, finished, finite, listed, preamble, time_per_mode
-from palpate.app.study import Study
+from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
 from palpate.dynamics.trajectory import Trajectory
+from palpate.reduction.errors import errors
 
-__all__ = ["build_report", "tables", "tip_displacement"]
+__all__ = ["ENERGY_FORM", "build_report", "tables", "tip_displacement"]
 
 Floats = NDArray[np.float64]
 
+ENERGY_FORM = "energy form"  # the run of the same body that stands beside the study's strong form
 SLIGHT = 0.1  # share of the whole decrease of the error that may still come after 8 modes
 NEARLY_LINEAR = 0.9  # coefficient of determination
 NEAR = 1.5  # at most this many times the printed ratio of times still is its "almost" or "around"
@@ -34,11 +37,12 @@ def build_report(study: Study, singular_values: Floats, pod_seconds: float) -> d
         Time of their decomposition.
     """
     report = preamble(study) | {
-        "full": _full_run(study),
+        "full": _full_run(study, study.full),
+        "energy_form": _energy_form(study),
         "pod_seconds": pod_seconds,
         "singular_values": singular_values.tolist(),
         "snapshots": len(study.full.times),
-        "reduced": [{"modes": entry["modes"]} | entry["phases"]["full"] for entry in study.reduced],
+        "reduced": [_one_phase(entry) for entry in study.reduced],
         "paper": listed(_claims({entry["modes"]: entry for entry in finished(study, "full")})),
     }
     return {name: finite(value) for name, value in report.items()}
@@ -50,8 +54,19 @@ def tip_displacement(study: Study, run: Trajectory) -> Floats:
     return np.asarray(run.displacements[:, nodes, 0].mean(axis=1))
 
 
-def _full_run(study: Study) -> dict[str, Any]:
-    full, scene = study.full, study.scene
+def _one_phase(entry: dict[str, Any]) -> dict[str, Any]:
+    named = {"series": entry["series"], "modes": entry["modes"]} | entry["phases"]["full"]
+    return named if entry["failed"] else named | entry["joined"]
+
+
+def _energy_form(study: Study) -> dict[str, Any] | None:
+    """Return the same of the energy form's run, and how far it is from the strong form's; nothing if it failed."""
+    run = study.peers.get(ENERGY_FORM)
+    return None if run is None else _full_run(study, run) | {"errors": errors(study.full, run).as_dict()}
+
+
+def _full_run(study: Study, full: Trajectory) -> dict[str, Any]:
+    scene = study.scene
     tip = tip_displacement(study, full)
     peak, middle = int(np.argmax(np.abs(tip))), int(np.argmin(np.abs(full.times - scene.duration / 2)))
     force = scene.loads[0].force  # type: ignore[union-attr]
@@ -69,21 +84,44 @@ def _full_run(study: Study) -> dict[str, Any]:
 
 
 def tables(report: dict[str, Any]) -> list[Any]:
-    """Return the tables of the full run and of the reduced ones, for people."""
-    full = report["full"]
+    """Return the tables of the full runs and of the reduced ones, for people."""
+    runs = {"strong form": report["full"]} | ({ENERGY_FORM: report["energy_form"]} if report["energy_form"] else {})
+    full = runs.values()
     rows = {
-        "computing time": f"{full['wall_seconds']:.2f} s",
-        "simulated time over computing time": f"{full['real_time_factor']:.3g}",
-        "time steps": f"{full['steps']}",
-        "largest displacement of the pulled end": f"{1e3 * full['peak_tip_displacement']:.2f} mm",
-        "support force at the largest load": f"{full['reaction_at_peak']:.4g} N for {full['load_at_peak']:.4g} N",
-        "energy balance, largest miss over largest work": f"{full['energy_balance']:.2%}",
+        "computing time": [f"{run['wall_seconds']:.2f} s" for run in full],
+        "simulated time over computing time": [f"{run['real_time_factor']:.3g}" for run in full],
+        "time steps": [f"{run['steps']}" for run in full],
+        "largest displacement of the pulled end": [f"{1e3 * run['peak_tip_displacement']:.2f} mm" for run in full],
+        "support force at the largest load": [
+            f"{run['reaction_at_peak']:.4g} N for {run['load_at_peak']:.4g} N" for run in full
+        ],
+        "energy balance, largest miss over largest work": [f"{run['energy_balance']:.2%}" for run in full],
+        "displacement error (34) against the strong form": [
+            percent(run["errors"]["displacement"]) if "errors" in run else "-" for run in full
+        ],
     }
     title = f"{report['title']}, {report['nodes']} nodes: full model"
-    return [
-        quantities_table(title, ["value"], {name: [value] for name, value in rows.items()}),
-        reduced_table("Reduced models: errors, and time over the full model's", report["reduced"]),
-    ]
+    drawn = [quantities_table(title, list(runs), rows)]
+    titles = {
+        PROJECTED: "Projected models (the paper's)",
+        HYPER_REDUCED: "Hyper-reduced models",
+    }
+    for series, name in titles.items():
+        entries = [entry for entry in report["reduced"] if entry["series"] == series]
+        drawn.append(reduced_table(f"{name}: errors against the strong form, time over its", entries))
+    if report["energy_form"]:
+        drawn.append(_against_energy_form(report["reduced"]))
+    return drawn
+
+
+def _against_energy_form(reduced: Sequence[dict[str, Any]]) -> Any:
+    done = [entry for entry in reduced if entry["series"] == HYPER_REDUCED and not entry["failed"]]
+    rows = {
+        f"{entry['modes']} modes": [percent(value) for value in entry["errors_against"][ENERGY_FORM].values()]
+        for entry in done
+    }
+    title = "Hyper-reduced models: errors against the energy form"
+    return quantities_table(title, ["displ.", "velocity", "energy", "force"], rows)
 
 
 def _claims(done: dict[int, dict[str, Any]]) -> list[Claim]:

@@ -27,7 +27,7 @@ from palpate.app.figures import (
     plot_errors,
 )
 from palpate.app.report import finished
-from palpate.app.study import Study
+from palpate.app.study import PROJECTED, Study
 from palpate.dynamics.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.membrane import RADIUS
@@ -147,8 +147,9 @@ def draw_tool_force(study: Study, titles: Sequence[str], path: Path) -> None:
         for place, (title, part) in enumerate(zip(titles, study.parts, strict=True)):
             upper[place].plot(1e3 * part.times, 1e3 * part.reactions["tool"][:, 2], color=BLUE, lw=2.4, label="full")
             _plot_deflections(lower[place], cloud, part, "-", label=True)
-            if study.shown:
-                shown, label = study.shown[place], f"reduced, {study.shown_modes} modes"
+            if PROJECTED in study.shown:
+                ready = study.shown[PROJECTED]
+                shown, label = ready.runs[place], f"reduced, {ready.modes} modes"
                 force = 1e3 * shown.reactions["tool"][:, 2]
                 upper[place].plot(1e3 * shown.times, force, "--", color=ORANGE, lw=1.6, label=label)
                 _plot_deflections(lower[place], cloud, shown, ":", label=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.app.figures import BLUE, ORANGE, figure, heading, scale_bar
 from palpate.app.pictures import COLOURS, PIXELS, check_drawing, off_screen, surface
-from palpate.app.study import Study
+from palpate.app.study import PROJECTED, Study
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.membrane import RADIUS
 
@@ -46,8 +46,9 @@ def draw_deflection(study: Study, path: Path) -> None:
     check_drawing()
     cloud, run = study.scene.model.cloud, study.parts[0]
     drawn_ones = {FULL: run.displacements[-1]}
-    if study.shown:
-        drawn_ones = {f"Reduced model, {study.shown_modes} modes": study.shown[0].displacements[-1]} | drawn_ones
+    shown = study.shown.get(PROJECTED)
+    if shown is not None:
+        drawn_ones = {f"Reduced model, {shown.modes} modes": shown.runs[0].displacements[-1]} | drawn_ones
     limit = max(float(np.abs(u[:, 2]).max()) for u in drawn_ones.values())
     with figure(path, (10.5, 6.6)) as drawn:
         heading(drawn, f"Membrane at {1e3 * run.times[-1]:.0f} ms (paper: Figure 9)")

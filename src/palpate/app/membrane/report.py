@@ -110,7 +110,7 @@ def tables(report: dict[str, Any]) -> list[Any]:
     drawn = [quantities_table(title, list(report["full"]), rows)]
     for name in report["full"]:
         entries = [{"modes": entry["modes"]} | entry["phases"][name] for entry in report["reduced"]]
-        drawn.append(reduced_table(f"Reduced models, {name}: errors, and time over the full model's", entries))
+        drawn.append(reduced_table(f"Projected models, {name}: errors, time over the full model's", entries))
     return drawn
 
 

@@ -17,7 +17,7 @@ from palpate.app.console import Console
 from palpate.app.export import write_vtkhdf
 from palpate.app.membrane.report import build_report, tables
 from palpate.app.report import deliver
-from palpate.app.study import Phase, Study, prepare, run_full, run_reduced
+from palpate.app.study import PROJECTED, Phase, Study, prepare, run_full, run_reduced
 from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.trajectory import Trajectory
@@ -95,7 +95,7 @@ def reproduce_membrane(
         6 + 9,  # in full.h5 displacements and velocities, in the export those, two stresses and the state
         console,
     )
-    study = Study(scene, PHASES, train)
+    study = Study(scene, PHASES, {PROJECTED: train})
     run_full(study, out, FILES, console)
     model = cast(Membrane, scene.model)
     states = np.stack([model.tension(displacement) for displacement in study.full.displacements])
