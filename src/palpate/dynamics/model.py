@@ -76,6 +76,8 @@ class Model(ABC):
         Stiffness-proportional viscosity beta, C = beta K.
     name : str
         ``"full"``, ``"reduced"`` ...
+    fewest : int
+        Steps between two snapshots of a run at least: a model of few modes is stable long before it is accurate.
     conservative : bool
         Whether the nodal forces are the derivative of an energy of the nodes' displacements: their virtual work is then
         that of the stresses.
@@ -88,6 +90,7 @@ class Model(ABC):
     viscosity: float
     name: str
     conservative: bool
+    fewest: int = 20
 
     @abstractmethod
     def state(

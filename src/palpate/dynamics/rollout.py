@@ -20,7 +20,6 @@ __all__ = ["rollout"]
 Floats = NDArray[np.float64]
 
 CHUNK = 50  # steps between two estimates of the stable step
-FEWEST = 20  # steps between two snapshots: a model of few modes is stable long before it is accurate
 RUNAWAY = 100.0  # displacement in body sizes
 
 
@@ -82,7 +81,7 @@ def rollout(
             recorder.add(start, 0, model.outputs(state, drive))
             for frame in range(1, frames + 1):
                 for time in drive.stops(state.time, start + frame * every):
-                    state, taken, last = _advance_to(model, state, drive, time, step, every / FEWEST)
+                    state, taken, last = _advance_to(model, state, drive, time, step, every / model.fewest)
                     steps += taken
                 outputs = model.outputs(state, drive)
                 _check(model, state, drive, outputs, last)

@@ -138,7 +138,7 @@ def make_stress(digest: str, law_first: Any) -> Any:
     function
         ``stress(d0, ..., d8, coefficients)`` returns two tuples of nine numbers, row by row, and J - 1.
     """
-    first_of = register_jitable(named_for(digest, law_first))
+    first_of = law_first if law_first.__closure__ else register_jitable(named_for(digest, law_first))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]

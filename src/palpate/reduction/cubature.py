@@ -67,11 +67,14 @@ def non_negative(columns: Floats, target: Floats, tolerance: float, most: int | 
         Share of the target's norm that is left.
     """
     n = columns.shape[1]
+    whole = float(np.linalg.norm(target))
+    if len(columns) > 1.5 * n:  # fewer rows of the same normal equations
+        both = np.asarray(np.linalg.qr(np.column_stack([columns, target]), mode="r"))
+        columns, target = both[:, :-1], both[:, -1]
     size = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(size > 0, size, 1.0)
-    limit = min(n, len(target)) if most is None else min(most, n)
+    limit = n if most is None else min(most, n)
     x, active = np.zeros(n), np.zeros(n, dtype=bool)
-    whole = float(np.linalg.norm(target))
     left, best = target.copy(), np.inf
     while np.linalg.norm(left) > tolerance * whole and active.sum() < limit:
         gain = unit.T @ left

@@ -115,6 +115,7 @@ class ReducedModel(Model):
         self.parts, self.midpoint, self.single = parts, step, single
         self.cloud, self.material, self.fixed = parts.cloud, parts.material, parts.fixed
         self.viscosity, self.report = parts.viscosity, parts.report
+        self.fewest = 20 if step is None else 1  # the midpoint's step is the user's choice
         self.count = parts.modes + parts.lifted
         count, coefficients = self.count, parts.material.coefficients
         flat = parts.columns.reshape(len(parts.columns), -1)
@@ -146,7 +147,7 @@ class ReducedModel(Model):
         return self._result.copy()
 
     def energy(self, coordinates: Floats) -> float:
-        """Return the strain energy [J]; not a number where a sample is turned inside out."""
+        """Return the strain energy [J]."""
         return float(self._energy(np.ascontiguousarray(coordinates, dtype=float), self._samples, self._scratch))
 
     def stiffness(self, coordinates: Floats) -> Floats:

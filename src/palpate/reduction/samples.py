@@ -6,7 +6,8 @@ With the coordinates a of modes and lifting columns, F_s = I + B_s a at the samp
 
 Weights w_s are positive; c are few moments of the dilatations at the samples, one for every pressure mode, so that the
 pressure is Z^T c; H is the constant stiffness of what stencils miss. Each term is an energy bounded from below,
-whatever w, Z and B are: this is why the model cannot blow up. The cost knows the samples and coordinates, not the body.
+whatever w, Z and B are: this is why the model cannot blow up. Where a sample is crushed to less than a tenth of its
+volume, or inside out, W_s goes on as a parabola in J. The cost knows the samples and coordinates, not the body.
 
 The energy is that of `palpate.dynamics.solid_energy` with some of its nodes; with all nodes, their volumes, and the
 smoothed dilatations for moments it is the Galerkin model itself.
@@ -29,6 +30,8 @@ from palpate.dynamics.solid_energy import make_stress
 __all__ = ["Samples", "Scratch", "sampled_energy", "samples", "scratch"]
 
 Floats = NDArray[np.float64]
+
+CRUSHED = 0.1  # of a sample's volume
 
 
 class Samples(NamedTuple):
@@ -157,12 +160,28 @@ def sampled_energy(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, An
     -------
     force, energy : functions
         ``force(columns, samples, scratch, result)`` writes -dE/da (m,); ``energy(columns, samples, scratch)`` returns
-        E [J], not a number where a sample is turned inside out.
+        E [J].
     """
     digest = law_digest("sampled energy", energy_of, first_of, single)
     sums, work = column_sums[single], column_work[single]
-    stress_of = make_stress(digest, first_of)
-    energy_density = register_jitable(named_for(digest, energy_of))
+    energy_density, slopes = (register_jitable(named_for(digest, f)) for f in (energy_of, first_of))
+
+    @register_jitable
+    def beyond(I1, I2, coefficients):  # type: ignore[no-untyped-def]
+        """Slope of the energy by J where a sample counts as crushed, and how fast it changes there."""
+        slope = slopes(I1, I2, CRUSHED, coefficients)[2]
+        return slope, (slopes(I1, I2, 1.01 * CRUSHED, coefficients)[2] - slope) / (0.01 * CRUSHED)
+
+    @register_jitable
+    def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
+        """The law's first derivatives, gone on with below CRUSHED."""
+        W1, W2, WJ = slopes(I1, I2, max(J, CRUSHED), coefficients)
+        if J < CRUSHED:
+            slope, rise = beyond(I1, I2, coefficients)
+            WJ = slope + rise * (J - CRUSHED)
+        return W1, W2, WJ
+
+    stress_of = make_stress(digest, extended)
 
     @law_njit(digest, fastmath={"contract"})
     def force(columns, samples, scratch, result):  # type: ignore[no-untyped-def]
@@ -207,9 +226,12 @@ def sampled_energy(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, An
                 C02, C12 = F00 * F02 + F10 * F12 + F20 * F22, F01 * F02 + F11 * F12 + F21 * F22
                 I1 = C00 + C11 + C22
                 I2 = C00 * C11 + C00 * C22 + C11 * C22 - C01 * C01 - C02 * C02 - C12 * C12
-                if samples.weights[b, v] > 0.0:
-                    density = energy_density(I1, I2, J, samples.coefficients) if J > 0.0 else np.nan
-                    total += samples.weights[b, v] * density
+                whole = max(J, CRUSHED)
+                density = energy_density(I1, I2, whole, samples.coefficients)
+                if J < CRUSHED:
+                    slope, rise = beyond(I1, I2, samples.coefficients)
+                    density += (slope + 0.5 * rise * (J - CRUSHED)) * (J - CRUSHED)
+                total += samples.weights[b, v] * density
         _moments(samples.pressure, scratch.dilatation, scratch.moments)
         for k in range(scratch.moments.shape[0]):
             total += 0.5 * scratch.moments[k] * scratch.moments[k]

@@ -126,7 +126,11 @@ def reduce(
         raise InputError("a tolerance is on the errors of held-out runs: give held_out=, or give modes")
     wanted, reached = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True), []
     for size in SIZES:
-        model = _trained(full, body, runs, size, tools, held_out, enrichment, share, pressures, seed)
+        try:
+            model = _trained(full, body, runs, size, tools, held_out, enrichment, share, pressures, seed)
+        except InputError as error:  # more modes than the snapshots hold
+            reached.append(str(error))
+            break
         found = model.report["held_out"]["mean"]
         worst = max(found[name] for name in ("displacement", "velocity", "reaction"))
         reached.append(f"{size}: {worst:.2%}")
