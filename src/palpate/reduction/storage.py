@@ -1,19 +1,303 @@
-"""One file for a reduced model: HDF5, with nothing in it that could run."""
+"""One file for a reduced model: HDF5, with a checksum, and with nothing in it that could run.
+
+Arrays are datasets with the names they have in `ReducedParts` (``cloud/points``, ``cubature/weights`` ...); what is
+short is an attribute. Columns are kept in single precision: they say where the body is and how heavy its motions are,
+while forces come from the gradients, which are kept as they are.
+
+The first 512 bytes, which HDF5 leaves to its users, say what the file is and give the SHA-256 of all that follows. It
+is verified before HDF5 sees a byte, because a damaged table can keep HDF5 busy for ever.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import re
+from contextlib import suppress
+from dataclasses import fields
+from hashlib import sha256
+from io import BytesIO
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from palpate.faults import FileFormatError, InputError, integer_in_range, number_in_range
+from palpate.meshfree.cloud import Cloud
+from palpate.reduction.cubature import Cubature
 from palpate.reduction.reduced import ReducedModel, ReducedParts
+from palpate.tissue import materials
 
 __all__ = ["load", "save"]
 
+Header = dict[str, Any]
+Arrays = dict[str, np.ndarray[Any, Any]]
 
-def save(parts: ReducedParts, path: Path) -> None:
-    """Write the parts of a model to a file, whole or not at all."""
-    raise NotImplementedError(path)
+FORMAT, VERSION, SEAL = "palpate reduced model", 1, 512
+PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+
+# One line a dataset: its type, and its shape in sizes that all datasets share.
+LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "cloud/points": ("<f8", ("nodes", 3)),
+    "cloud/volumes": ("<f8", ("nodes",)),
+    "cloud/face_nodes": ("<i8", ("faces",)),
+    "cloud/face_normals": ("<f8", ("faces", 3)),
+    "cloud/face_areas": ("<f8", ("faces",)),
+    "cloud/group_sizes": ("<i8", ("groups",)),
+    "cloud/group_nodes": ("<i8", ("members",)),
+    "cloud/triangles": ("<i8", ("triangles", 3)),
+    "volumes": ("<f8", ("nodes",)),
+    "columns": ("<f4", ("columns", "nodes", 3)),
+    "cubature/nodes": ("<i8", ("samples",)),
+    "cubature/weights": ("<f8", ("samples",)),
+    "cubature/pressure": ("<f8", ("moments", "samples")),
+    "gradients": ("<f8", ("samples", "columns", 9)),
+    "constant": ("<f8", ("columns", "columns")),
+    "trained": ("<f8", ("states", "coordinates")),
+}
+NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/nodes")  # hold numbers of nodes
+ATTRIBUTES = {
+    "material": str, "parameters": str, "groups": list, "spacing": float, "fixed": list, "driven": list,
+    "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
+}  # fmt: skip
+LAWS = {
+    name: law for name, law in vars(materials).items()
+    if isinstance(law, type) and issubclass(law, materials.Material) and law is not materials.Material
+}  # fmt: skip
+
+
+def save(parts: ReducedParts, path: str | Path) -> None:
+    """Write the parts of a model to an HDF5 file, whole or not at all.
+
+    The file is composed and checked in memory, written beside its place, and put there at once.
+
+    Raises
+    ------
+    InputError
+        Parts that `load` would refuse, such as a material of one's own or numbers that are not finite.
+    OSError
+        The place cannot be written or the disk is full; a file that was there is unchanged.
+    """
+    path = Path(path)
+    content, partial = _file(parts), path.with_name(path.name + ".partial")
+    try:
+        with open(partial, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        raise OSError(f"cannot write {path}: {error}; choose another folder or free some space") from error
+    finally:
+        with suppress(OSError):
+            partial.unlink()
 
 
 def load(path: str | Path) -> ReducedModel:
-    """Read a reduced model."""
-    raise NotImplementedError(path)
+    """Read a reduced model; its steps are explicit (`ReducedModel.with_step` returns one with others).
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    FileFormatError
+        The file is truncated, changed, of another kind or version, or holds what no reduced model can hold: the message
+        names the file and what is wrong in it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no reduced model at {path}")
+    try:
+        return ReducedModel(_parts(*_content(path.read_bytes())))
+    except (InputError, np.linalg.LinAlgError) as error:
+        raise FileFormatError(f"{path}: {error}") from error
+
+
+# writing
+
+
+def _file(parts: ReducedParts) -> bytes:
+    """Return the file of a model; refuse what could not be loaded from it."""
+    import h5py
+
+    memory = BytesIO()
+    with h5py.File(memory, "w", userblock_size=SEAL) as file:
+        file.attrs.update(format=FORMAT, version=VERSION, units="SI", **_header(parts))
+        for name, array in _arrays(parts).items():
+            file.create_dataset(name, data=array, **(PACKED if array.size else {}))
+        if _parts(*_read(file)).material != parts.material:
+            raise InputError(f"the law of {parts.material} is not the one of this name in palpate.tissue.materials")
+    content = memory.getvalue()[SEAL:]
+    return _seal(content) + content
+
+
+def _seal(content: bytes) -> bytes:
+    """Return the first bytes of a file whose other bytes are some content."""
+    text = f"{FORMAT}\nversion {VERSION}\nsha256 {sha256(content).hexdigest()}\n"
+    return text.encode().ljust(SEAL, b"\0")
+
+
+def _header(parts: ReducedParts) -> Header:
+    material = parts.material
+    parameters = {f.name: float(getattr(material, f.name)) for f in fields(material)}
+    return {
+        "material": type(material).__name__,
+        "parameters": json.dumps(parameters),
+        "groups": list(parts.cloud.groups),
+        "spacing": float(parts.cloud.spacing),
+        "fixed": list(parts.fixed),
+        "driven": list(parts.driven),
+        "viscosity": float(parts.viscosity),
+        "fastest": float(parts.fastest),
+        "modes": int(parts.modes),
+        "lifted": int(parts.lifted),
+        "residual": float(parts.cubature.residual),
+        "reach": float(parts.reach),
+        "report": json.dumps(parts.report, default=lambda value: value.tolist()),
+    }
+
+
+def _arrays(parts: ReducedParts) -> Arrays:
+    groups = list(parts.cloud.groups.values())
+    listed: dict[str, Any] = {
+        "cloud/group_sizes": [len(nodes) for nodes in groups],
+        "cloud/group_nodes": [node for nodes in groups for node in nodes],
+    }
+    return {
+        name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
+        for name, (dtype, _) in LAYOUT.items()
+    }
+
+
+# reading
+
+
+def _content(data: bytes) -> tuple[Header, Arrays]:
+    """Return what the bytes of a file hold, its checksum and shapes verified."""
+    import h5py
+
+    seal, content = data[:SEAL], data[SEAL:]
+    found = re.match(rf"{FORMAT}\nversion (\d+)\n".encode(), seal)
+    if not found:
+        raise InputError(f"this is not a {FORMAT}")
+    if int(found[1]) != VERSION:
+        raise InputError(f"this is of version {int(found[1])}, and version {VERSION} is the one that is read")
+    if seal != _seal(content):
+        raise InputError("the checksum does not match: the file is truncated or was changed; copy it or train it again")
+    try:
+        with h5py.File(BytesIO(data), "r") as file:
+            return _read(file)
+    except (OSError, KeyError, RuntimeError) as error:
+        raise InputError(f"the file cannot be read as HDF5 ({error})") from error
+
+
+def _read(file: Any) -> tuple[Header, Arrays]:
+    """Return attributes as plain values, and arrays as they are stored, of the types and shapes of the layout."""
+    import h5py
+
+    header = {name: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for name, v in file.attrs.items()}
+    for name, kind in ATTRIBUTES.items():
+        if not isinstance(header.get(name), kind):
+            raise InputError(f"attribute {name} is {header.get(name)!r}, expected one of type {kind.__name__}")
+    coordinates = integer_in_range("modes", header["modes"], 1) + integer_in_range("lifted", header["lifted"], 0)
+    sizes: dict[str | int, int] = {
+        "groups": len(header["groups"]),
+        "coordinates": coordinates,
+        "columns": coordinates + 3 * len(header["fixed"]),
+    }
+    arrays = {}
+    for name, (dtype, shape) in LAYOUT.items():
+        data = file.get(name)
+        if not isinstance(data, h5py.Dataset):
+            raise InputError(f"dataset {name} is missing")
+        if data.external or data.is_virtual:
+            raise InputError(f"dataset {name} lies in another file")
+        expected = tuple(sizes.get(size, size) for size in shape)
+        fits = len(expected) == data.ndim and all(
+            found == size or isinstance(size, str) for found, size in zip(data.shape, expected, strict=True)
+        )
+        if not fits or data.dtype != dtype:
+            wanted = f"({', '.join(map(str, expected))}) of {dtype}"
+            raise InputError(f"dataset {name} has shape {data.shape} of {data.dtype.str}, expected {wanted}")
+        sizes.update(zip(shape, data.shape, strict=True))
+        arrays[name] = data[()]
+    return header, arrays
+
+
+def _parts(header: Header, arrays: Arrays) -> ReducedParts:
+    """Make the parts of a model, refusing values that no model has."""
+    _check_values(arrays)
+    own: dict[str, Any] = {n: a.astype(int if a.dtype.kind == "i" else float) for n, a in arrays.items()}
+    ends = np.cumsum(own["cloud/group_sizes"])
+    groups = np.split(own["cloud/group_nodes"], ends[:-1]) if len(ends) else []
+    cloud = Cloud(
+        own["cloud/points"], own["cloud/volumes"], own["cloud/face_nodes"], own["cloud/face_normals"],
+        own["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), own["cloud/triangles"],
+        number_in_range("spacing", header["spacing"], 0.0, open_low=True, unit="m"),
+    )  # fmt: skip
+    for name in (*header["fixed"], *header["driven"]):
+        cloud.group(name)
+    residual = number_in_range("residual", header["residual"], 0.0)
+    return ReducedParts(
+        cloud=cloud,
+        material=_material(header["material"], _mapping("parameters", header["parameters"])),
+        fixed=tuple(header["fixed"]),
+        driven=tuple(header["driven"]),
+        volumes=own["volumes"],
+        viscosity=number_in_range("viscosity", header["viscosity"], 0.0, unit="s"),
+        fastest=number_in_range("fastest", header["fastest"], 0.0, unit="m/s"),
+        columns=own["columns"],
+        modes=header["modes"],
+        lifted=header["lifted"],
+        cubature=Cubature(own["cubature/nodes"], own["cubature/weights"], own["cubature/pressure"], residual),
+        gradients=own["gradients"],
+        constant=own["constant"],
+        trained=own["trained"],
+        reach=number_in_range("reach", header["reach"], 0.0, open_low=True, unit="m"),
+        report=_mapping("report", header["report"]),
+    )
+
+
+def _check_values(arrays: Arrays) -> None:
+    count = len(arrays["cloud/points"])
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise InputError(f"dataset {name} holds numbers that are not finite")
+        if name in NODES and not np.all((array >= 0) & (array < count)):
+            raise InputError(f"dataset {name} names nodes outside 0..{count - 1}")
+    if np.any(arrays["cubature/weights"] < 0):
+        raise InputError("dataset cubature/weights holds negative weights")
+    if not np.all(arrays["volumes"] > 0):
+        raise InputError("dataset volumes holds volumes that are not positive")
+    sizes, members = arrays["cloud/group_sizes"], len(arrays["cloud/group_nodes"])
+    if np.any(sizes < 1) or sizes.sum() != members:
+        raise InputError(f"dataset cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")
+
+
+def _mapping(name: str, text: str) -> dict[str, Any]:
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"attribute {name} is not JSON ({error})") from error
+    if not isinstance(values, dict):
+        raise InputError(f"attribute {name} is not a mapping")
+    return values
+
+
+def _material(name: str, parameters: dict[str, Any]) -> materials.Material:
+    """Make a material by its name among the laws of `palpate.tissue.materials`.
+
+    It knows both `poisson` and `bulk`, and takes one: the one that gives the other to the last bit.
+    """
+    if name not in LAWS:
+        raise InputError(f"unknown material {name!r}: the laws are {', '.join(sorted(LAWS))}")
+    wanted = {field.name for field in fields(LAWS[name])}
+    if parameters.keys() != wanted:
+        raise InputError(f"{name} has the parameters {sorted(wanted)}, not {sorted(parameters)}")
+    values = {key: number_in_range(key, value) for key, value in parameters.items()}
+    for derived in ("poisson", "bulk"):
+        material = LAWS[name](**{key: value for key, value in values.items() if key != derived})
+        if all(getattr(material, key) == value for key, value in values.items()):
+            return material
+    raise InputError(f"poisson = {values['poisson']:g} does not belong to bulk = {values['bulk']:g} Pa")

@@ -1,0 +1,476 @@
+"""A reduced model comes back from its file as it went in, or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import fields, replace
+
+import h5py
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.reduction import storage
+from palpate.reduction.cubature import Cubature
+from palpate.reduction.reduced import ReducedModel, ReducedParts
+
+
+def flat(parts):
+    """The fields of parts and of what they are made of, by name."""
+    result = {}
+    for owner in (parts, parts.cloud, parts.cubature):
+        result |= {f"{type(owner).__name__}.{f.name}": getattr(owner, f.name) for f in fields(owner)}
+    return {name: value for name, value in result.items() if value is not parts.cloud and value is not parts.cubature}
+
+
+def assert_equal(found, expected):
+    for name, value in flat(expected).items():
+        np.testing.assert_equal(flat(found)[name], value, err_msg=name)
+
+
+def rounded(parts):
+    """The parts with the columns that their file holds."""
+    return replace(parts, columns=parts.columns.astype(np.float32).astype(float))
+
+
+def made_up(cloud, material, *, modes, samples=5, fixed=(), driven=(), lifted=0):
+    """Parts with random numbers in them: none of a body, but of the right shapes."""
+    draw = np.random.default_rng(7).normal
+    count = modes + lifted + 3 * len(fixed)
+    columns = draw(size=(count, len(cloud), 3))
+    for k in range(modes, count):  # of lifting columns and test fields only one component is not zero
+        columns[k, :, np.arange(3) != k % 3] = 0.0
+    nodes = np.sort(np.random.default_rng(8).choice(len(cloud), samples, replace=False))
+    rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
+    return ReducedParts(
+        cloud, material, fixed, driven, cloud.volumes, 1e-4, 20.0, columns, modes, lifted, rule,
+        draw(size=(samples, count, 9)), np.eye(count), draw(size=(240, modes + lifted)), 1e-3,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def push():
+    """A motion of the bar's tip, and gravity."""
+    way = np.array([1e-3, 5e-4, 2e-4])
+    motion = pt.PrescribedMotion("tip", displacement=lambda points, t: np.sin(300 * t) ** 2 * way)
+    return [motion, pt.Gravity((0.0, 2.0, -9.81))]
+
+
+@pytest.fixture(scope="module")
+def trained(bar, tissue, push):
+    """A bar that a tool moves, trained and tried on one run."""
+    full = pt.FullModel(bar, tissue, fixed="x-", form="energy")
+    run = pt.rollout(full, push, duration=0.01, every=0.0005)
+    return pt.reduce(full, run, modes=4, driven="tip", held_out=[(push, run)])
+
+
+@pytest.fixture(scope="module")
+def saved(trained, tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "bar.rom"
+    trained.save(path)
+    return path
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "some.rom"
+
+
+@pytest.fixture
+def altered(saved, path):
+    """Change a copy of the file, and by default renew its checksum, so that the change itself has to be noticed."""
+
+    def alter(change, seal=True):
+        path.write_bytes(saved.read_bytes())
+        with h5py.File(path, "a") as file:
+            change(file)
+        if seal:
+            content = path.read_bytes()[storage.SEAL :]
+            path.write_bytes(storage._seal(content) + content)
+        return path
+
+    return alter
+
+
+# there and back
+
+
+def test_what_is_saved_is_loaded(trained, saved):
+    assert trained.parts.lifted > 0
+    assert trained.report["held_out"]["mean"]["displacement"] > 0
+    assert_equal(pt.load(saved).parts, rounded(trained.parts))
+    assert os.listdir(saved.parent) == ["bar.rom"]
+
+
+def test_a_file_of_a_loaded_model_is_the_same_file(saved, path):
+    pt.load(saved).save(path)
+    assert path.read_bytes() == saved.read_bytes()
+
+
+def test_a_loaded_model_runs_as_the_saved_one_to_the_last_bit(trained, saved, push):
+    models = ReducedModel(rounded(trained.parts)), pt.load(saved)
+    for step in (None, 2e-4):
+        expected, found = (pt.rollout(m.with_step(step), push, duration=0.005, every=0.001) for m in models)
+        assert np.abs(expected.displacements).max() > 1e-4
+        for name in ("displacements", "velocities", "kinetic", "strain", "external", "dissipated"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        for name, force in expected.reactions.items():
+            np.testing.assert_array_equal(found.reactions[name], force)
+
+
+def test_single_precision_of_the_columns_changes_no_force_and_no_displacement_one_could_see(trained, saved, push):
+    loaded = pt.load(saved)
+    state, drive = trained.state(trained.drive(push), time=0.004), trained.drive(push)
+    for coordinates in trained.parts.trained[::7]:
+        np.testing.assert_array_equal(loaded.force(coordinates), trained.force(coordinates))
+        assert loaded.energy(coordinates) == trained.energy(coordinates)
+        there = replace(state, coordinates=coordinates)
+        expected = trained.displacement(there, drive)
+        np.testing.assert_allclose(loaded.displacement(there, drive), expected, atol=1e-6 * np.abs(expected).max())
+    expected, found = (pt.rollout(m, push, duration=0.005, every=0.001) for m in (trained, loaded))
+    for name in ("displacements", "velocities"):
+        size = np.abs(getattr(expected, name)).max()
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-5 * size)
+
+
+def test_a_free_body_without_tools_and_groups_is_loaded(small_cloud, tissue, path):
+    parts = made_up(replace(small_cloud, groups={}), tissue, modes=3)
+    ReducedModel(parts).save(path)
+    assert_equal(pt.load(path).parts, rounded(parts))
+
+
+@pytest.mark.parametrize("name", ["a/b", "..", "größe µ", "with space"])
+def test_groups_may_have_any_name(small_cloud, tissue, path, name):
+    cloud = replace(small_cloud, groups={name: np.array([3, 5]), "z": np.array([7])})
+    parts = made_up(cloud, tissue, modes=2, fixed=(name,))
+    ReducedModel(parts).save(path)
+    assert_equal(pt.load(path).parts, rounded(parts))
+
+
+@pytest.mark.parametrize("given", ["poisson", "bulk"])
+def test_a_material_keeps_every_bit_whichever_modulus_it_was_made_from(small_cloud, path, given):
+    values = np.linspace(0, 0.499, 20) if given == "poisson" else np.linspace(1e3, 2e5, 20)
+    for law in [pt.MooneyRivlin(C1=7e2 / 3, C2=0.3e3, density=1000.1, **{given: value}) for value in values]:
+        ReducedModel(made_up(small_cloud, law, modes=2)).save(path)
+        assert pt.load(path).material == law
+
+
+def test_the_law_of_a_material_is_kept(small_cloud, path):
+    for law in (pt.NeoHookean(C1=123.4, density=999, bulk=12345.7), pt.MooneyRivlin(C1=1, C2=0, density=1, poisson=0)):
+        ReducedModel(made_up(small_cloud, law, modes=2)).save(path)
+        assert pt.load(path).material == law
+
+
+def test_a_report_keeps_numbers_of_numpy_infinity_and_any_length(small_cloud, tissue, path):
+    report = {"whole": np.int64(3), "number": np.float32(0.5), "array": np.arange(3), "lost": float("inf")}
+    parts = replace(made_up(small_cloud, tissue, modes=2), report=report | {"runs": [{"x": 1 / 3}] * 20_000})
+    ReducedModel(parts).save(path)
+    found = pt.load(path).report
+    assert found.pop("runs") == [{"x": 1 / 3}] * 20_000
+    assert found == {"whole": 3, "number": 0.5, "array": [0, 1, 2], "lost": float("inf")}
+
+
+def test_twenty_thousand_nodes_with_64_modes_take_less_than_20_megabytes(tissue, path):
+    cloud = pt.box((0.039, 0.024, 0.019), spacing=0.001)
+    assert len(cloud) == 20_000
+    parts = made_up(cloud, tissue, modes=64, samples=400, fixed=("x-",), driven=("x+",), lifted=9)
+    storage.save(parts, path)
+    assert path.stat().st_size < 20e6
+    assert_equal(pt.load(path).parts, rounded(parts))
+
+
+def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
+    with h5py.File(saved) as file:
+        assert file.attrs["format"] == "palpate reduced model"
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (1, "SI", "MooneyRivlin")
+        assert '"C1": 20000.0' in file.attrs["parameters"]
+        assert file["columns"].dtype == np.float32
+        np.testing.assert_array_equal(file["cubature/weights"], trained.parts.cubature.weights)
+
+
+# what is refused
+
+
+def test_a_missing_file_is_named(path):
+    with pytest.raises(FileNotFoundError, match=r"some\.rom"):
+        pt.load(path)
+
+
+@pytest.mark.parametrize("share", [0.03, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused(saved, path, share):
+    data = saved.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: the checksum does not match: the file is truncated"):
+        pt.load(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"palpate", b"\x80\x04]q\x00." * 200, b"\x89HDF\r\n\x1a\n"])
+def test_a_file_of_another_format_is_refused(path, content):
+    path.write_bytes(content)
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is not a palpate reduced model"):
+        pt.load(path)
+
+
+def test_a_trajectory_is_refused(path):
+    none, vectors = np.zeros(0), np.zeros((0, 4, 3))
+    pt.Trajectory("full", none, vectors, vectors, {}, none, none, none, none, none, np.zeros((4, 3))).save(path)
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is not a palpate reduced model"):
+        pt.load(path)
+
+
+def test_another_version_is_refused_whatever_follows(saved, path):
+    path.write_bytes(saved.read_bytes().replace(b"version 1", b"version 2", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 2, and version 1 is the one that is"):
+        pt.load(path)
+
+
+def test_sealed_content_that_is_not_hdf5_is_refused(path):
+    path.write_bytes(storage._seal(b"nothing") + b"nothing")
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: the file cannot be read as HDF5"):
+        pt.load(path)
+
+
+def test_a_flipped_bit_is_refused_wherever_it_is(saved, path):
+    data, generator = saved.read_bytes(), np.random.default_rng(5)
+    for place in [0, 30, 50, 511, 512, *generator.integers(len(data), size=60)]:
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(generator.integers(8))
+        path.write_bytes(changed)
+        with pytest.raises(pt.FileFormatError, match=r"some\.rom"):
+            pt.load(path)
+
+
+def put(name, values):
+    """Replace a dataset by others' values, given the old ones."""
+
+    def change(file):
+        old = file[name][()]
+        del file[name]
+        file[name] = values(old)
+
+    return change
+
+
+def entry(name, where, value):
+    def change(file):
+        file[name][where] = value
+
+    return change
+
+
+def attribute(name, value):
+    def change(file):
+        file.attrs[name] = value
+
+    return change
+
+
+def linked(file):
+    """Leave a link to a file with the same values."""
+    with h5py.File(file.filename + ".other", "w") as other:
+        other["trained"] = file["trained"][()]
+    del file["trained"]
+    file["trained"] = h5py.ExternalLink(file.filename + ".other", "trained")
+
+
+def outside(file):
+    """Leave a dataset that keeps the same values in another file."""
+    values = file["trained"][()]
+    values.tofile(file.filename + ".raw")
+    del file["trained"]
+    file.create_dataset("trained", values.shape, values.dtype, external=[(file.filename + ".raw", 0, values.nbytes)])
+
+
+CASES = {
+    "an attribute missing": (lambda file: file.attrs.pop("reach"), "reach is None, expected one of type float"),
+    "an attribute of another type": (attribute("modes", "four"), "attribute modes is 'four', expected one of type int"),
+    "no modes": (attribute("modes", 0), "modes = 0 is out of range"),
+    "a column too few": (put("columns", lambda a: a[1:]), r"columns has shape \(15, 112, 3\) .* \(16, 112, 3\) of <f4"),
+    "columns of fewer nodes": (put("columns", lambda a: a[:, 1:]), r"shape \(16, 111, 3\) .* expected \(16, 112, 3\)"),
+    "columns in double precision": (put("columns", lambda a: a.astype(float)), "of <f8, expected .* of <f4"),
+    "points in the plane": (put("cloud/points", lambda a: a[:, :2]), r"points has .*\(112, 2\).*expected \(nodes, 3\)"),
+    "a number for an array": (put("cubature/weights", lambda a: 1.0), r"weights has shape \(\).*expected \(\d+\)"),
+    "gradients of fewer samples": (put("gradients", lambda a: a[1:]), "dataset gradients has shape"),
+    "words for numbers": (put("trained", lambda a: np.full(a.shape, b"x")), r"trained has shape .* of \|S1"),
+    "fewer groups": (attribute("groups", ["x-", "tip"]), r"group_sizes has shape \(7,\) .* expected \(2\)"),
+    "a link to another file": (linked, "dataset trained is missing"),
+    "values in another file": (outside, "dataset trained lies in another file"),
+    "an unknown material": (attribute("material", "Jelly"), "unknown material 'Jelly': the laws are MooneyRivlin, Neo"),
+    "no material": (attribute("material", "Material"), "unknown material 'Material'"),
+    "a module's name": (attribute("material", "np"), "unknown material 'np'"),
+    "another law": (attribute("material", "NeoHookean"), "NeoHookean has the parameters"),
+    "a parameter out of range": (
+        lambda file: file.attrs.modify("parameters", file.attrs["parameters"].replace("20000.0", "-1.0")),
+        "C1 = -1.0 is out of range",
+    ),
+    "a bulk modulus of another Poisson's ratio": (
+        lambda file: file.attrs.modify("parameters", file.attrs["parameters"].replace("0.45", "0.44")),
+        "poisson = 0.44 does not belong to bulk",
+    ),
+    "a parameter that is no number": (
+        lambda file: file.attrs.modify("parameters", file.attrs["parameters"].replace("20000.0", '"a"')),
+        "C1 must be a number",
+    ),
+    "parameters that are code": (attribute("parameters", "__import__('os')"), "parameters is not JSON"),
+    "a report that is a list": (attribute("report", "[]"), "report is not a mapping"),
+    "weights that are negative": (entry("cubature/weights", 0, -1e-9), "weights holds negative weights"),
+    "samples out of range": (entry("cubature/nodes", -1, 112), r"cubature/nodes names nodes outside 0\.\.111"),
+    "faces out of range": (entry("cloud/face_nodes", 0, -1), "face_nodes names nodes outside"),
+    "group nodes out of range": (entry("cloud/group_nodes", 0, 112), "group_nodes names nodes outside"),
+    "triangles out of range": (entry("cloud/triangles", (0, 1), 10**9), "triangles names nodes outside"),
+    "groups that overlap": (entry("cloud/group_sizes", 0, 1), "group_sizes does not share out"),
+    "an empty group": (put("cloud/group_sizes", lambda a: [0, a[0] + a[1], *a[2:]]), "group_sizes does not share out"),
+    "a support that is no group": (attribute("fixed", ["w-"]), "unknown group 'w-'"),
+    "a tool that is no group": (attribute("driven", ["w+"]), "unknown group 'w\\+'"),
+    "volumes that are not positive": (entry("volumes", 3, 0.0), "volumes holds volumes that are not positive"),
+    "a node without volume": (entry("cloud/volumes", 3, 0.0), "volumes must be positive"),
+    "columns that are all zero": (entry("columns", slice(None), 0.0), "Singular matrix"),
+    **{
+        f"{name} out of range": (attribute(name, value), f"{name} = .* is out of range")
+        for name, value in {"reach": 0.0, "spacing": 0.0, "viscosity": -1.0, "fastest": -0.1, "residual": -1.0}.items()
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_no_model_has_is_refused_even_with_a_right_checksum(altered, case):
+    change, message = CASES[case]
+    with pytest.raises(pt.FileFormatError, match=rf"some\.rom: .*{message}"):
+        pt.load(altered(change))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", [name for name, (dtype, _) in storage.LAYOUT.items() if "f" in dtype])
+def test_numbers_that_are_not_finite_are_refused(altered, name, value):
+    with pytest.raises(pt.FileFormatError, match=rf"some\.rom: dataset {name} holds numbers that are not finite"):
+        pt.load(altered(entry(name, 0, value)))
+
+
+@pytest.mark.parametrize("name", storage.LAYOUT)
+def test_a_missing_dataset_is_named(altered, name):
+    with pytest.raises(pt.FileFormatError, match=rf"some\.rom: dataset {name} is missing"):
+        pt.load(altered(lambda file: file.pop(name)))
+
+
+@pytest.mark.parametrize("name", storage.LAYOUT)
+def test_a_changed_entry_of_any_dataset_does_not_match_the_checksum(altered, name):
+    def change(file):
+        values = file[name][()]
+        values.flat[0] += 1
+        file[name][...] = values
+
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: the checksum does not match"):
+        pt.load(altered(change, seal=False))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("viscosity", 1e-9), ("driven", ["x+"]), ("report", "{}"), ("units", "mm")]
+)
+def test_a_changed_attribute_does_not_match_the_checksum(altered, name, value):
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: the checksum does not match"):
+        pt.load(altered(attribute(name, value), seal=False))
+
+
+def test_a_file_sealed_again_is_read(altered, trained):
+    assert_equal(pt.load(altered(attribute("reach", 0.5))).parts, replace(rounded(trained.parts), reach=0.5))
+
+
+# whole or not at all
+
+
+@pytest.mark.parametrize("name", ["columns", "gradients", "trained"])
+def test_what_could_not_be_loaded_is_not_saved(trained, saved, path, name):
+    values = getattr(trained.parts, name).copy()
+    values.flat[0] = np.nan
+    path.write_bytes(saved.read_bytes())
+    with pytest.raises(pt.InputError, match=f"{name} holds numbers that are not finite"):
+        storage.save(replace(trained.parts, **{name: values}), path)
+    assert path.read_bytes() == saved.read_bytes()
+    assert os.listdir(path.parent) == ["some.rom"]
+
+
+def test_a_material_of_ones_own_is_not_saved(small_cloud, path):
+    class Jelly(pt.NeoHookean):
+        pass
+
+    class Impostor(pt.NeoHookean):
+        pass
+
+    Impostor.__name__ = "NeoHookean"
+    for law, message in ((Jelly, "unknown material 'Jelly'"), (Impostor, "not the one of this name")):
+        with pytest.raises(pt.InputError, match=message):
+            storage.save(made_up(small_cloud, law(C1=1e3, density=1000, poisson=0.4), modes=2), path)
+    assert os.listdir(path.parent) == []
+
+
+class Full:
+    """A file on a disk with room for half of what is written."""
+
+    def __init__(self, name, mode, error):
+        self.file, self.error = open(name, mode), error  # noqa: SIM115, closed on exit
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.file.close()
+
+    def write(self, data):
+        self.file.write(data[: len(data) // 2])
+        self.file.flush()
+        raise self.error
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), r"cannot write .*some\.rom.*No space left"),
+        (KeyboardInterrupt("stopped"), "stopped"),
+    ],
+)
+@pytest.mark.parametrize("old", [True, False])
+@pytest.mark.parametrize("stage", ["write", "sync", "replace"])
+def test_a_save_that_fails_leaves_the_old_file_and_nothing_else(
+    trained, saved, path, monkeypatch, stage, old, error, message
+):
+    if old:
+        path.write_bytes(saved.read_bytes())
+
+    def fail(*_):
+        assert path.with_name("some.rom.partial").exists()  # it fails half way, not at once
+        raise error
+
+    if stage == "write":
+        monkeypatch.setattr(storage, "open", lambda name, mode: Full(name, mode, error), raising=False)
+    else:
+        monkeypatch.setattr(os, {"sync": "fsync", "replace": "replace"}[stage], fail)
+    other = replace(trained.parts, reach=1.0)
+    with pytest.raises(type(error), match=message):
+        storage.save(other, path)
+    monkeypatch.undo()
+    assert os.listdir(path.parent) == (["some.rom"] if old else [])
+    if old:
+        assert pt.load(path).parts.reach == trained.parts.reach
+
+
+def test_what_a_killed_save_left_is_in_nobodys_way(trained, saved, path):
+    path.with_name("some.rom.partial").write_bytes(saved.read_bytes()[:1000])
+    trained.save(path)
+    assert os.listdir(path.parent) == ["some.rom"]
+    assert_equal(pt.load(path).parts, rounded(trained.parts))
+
+
+def test_saving_again_replaces_the_file(trained, path):
+    storage.save(replace(trained.parts, reach=1.0), path)
+    trained.save(path)
+    assert pt.load(path).parts.reach == trained.parts.reach
+
+
+def test_an_unwritable_place_is_named(trained, tmp_path):
+    with pytest.raises(OSError, match=r"cannot write .*bar\.rom.*choose another folder"):
+        trained.save(tmp_path / "missing" / "bar.rom")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match=r"cannot write .*folder"):
+        trained.save(tmp_path / "folder")
+    assert os.listdir(tmp_path) == ["folder"]
