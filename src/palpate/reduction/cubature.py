@@ -72,12 +72,13 @@ def non_negative(columns: Floats, target: Floats, tolerance: float, most: int | 
         both = np.asarray(np.linalg.qr(np.column_stack([columns, target]), mode="r"))
         columns, target = both[:, :-1], both[:, -1]
     size = np.linalg.norm(columns, axis=0)
-    unit = columns / np.where(size > 0, size, 1.0)
+    size = np.where(size > 0, size, 1.0)
     limit = n if most is None else min(most, n)
     x, active = np.zeros(n), np.zeros(n, dtype=bool)
-    left, best = target.copy(), np.inf
+    products = _Products(columns, size, target)
+    left, best = target, np.inf
     while np.linalg.norm(left) > tolerance * whole and active.sum() < limit:
-        gain = unit.T @ left
+        gain = (left @ columns) / size
         gain[active] = -np.inf
         wished = min(max(1, int(BATCH * active.sum())), limit - int(active.sum()))
         new = np.argpartition(gain, -wished)[-wished:]
@@ -85,22 +86,54 @@ def non_negative(columns: Floats, target: Floats, tolerance: float, most: int | 
         if new.size == 0:
             break
         active[new] = True
-        _feasible(unit, target, x, active)
-        left = target - unit[:, active] @ x[active]
+        products.add(new)
+        _feasible(products, x, active)
+        left = target - columns[:, active] @ (x[active] / size[active])
         now = float(np.linalg.norm(left))
         if now >= best * (1 - 1e-9):  # rounding: no progress any more
             break
         best = now
     x[~active] = 0.0
-    return x / np.where(size > 0, size, 1.0), float(np.linalg.norm(left)) / whole
+    return x / size, float(np.linalg.norm(left)) / whole
 
 
-def _feasible(unit: Floats, target: Floats, x: Floats, active: NDArray[np.bool_]) -> None:
+class _Products:
+    """Products of the columns that were ever active with each other and with the target, each computed once."""
+
+    def __init__(self, columns: Floats, size: Floats, target: Floats) -> None:
+        self._columns, self._size = columns, size
+        self._place = np.full(columns.shape[1], -1)
+        self._taken = np.zeros((len(columns), 0), order="F")
+        self._gram, self._target = np.zeros((0, 0)), target
+
+    def add(self, new: Ints) -> None:
+        """Take columns in, those that are not yet."""
+        new = new[self._place[new] < 0]
+        old = self._taken.shape[1]
+        self._place[new] = old + np.arange(len(new))
+        more = self._columns[:, new] / self._size[new]
+        across, own = self._taken.T @ more, more.T @ more
+        self._gram = np.block([[self._gram, across], [across.T, own]])
+        self._taken = np.hstack([self._taken, more])
+
+    def solve(self, where: Ints) -> Floats:
+        """Return the least-squares solution over some columns."""
+        place = self._place[where]
+        gram, part = self._gram[np.ix_(place, place)], self._taken[:, place]
+        try:
+            factor = scipy.linalg.cho_factor(gram, check_finite=False)
+        except scipy.linalg.LinAlgError:  # columns that depend on each other
+            return np.asarray(scipy.linalg.lstsq(part, self._target, lapack_driver="gelsy", check_finite=False)[0])
+        solution = scipy.linalg.cho_solve(factor, part.T @ self._target, check_finite=False)
+        left = self._target - part @ solution  # once more: the normal equations lose half the digits
+        return np.asarray(solution + scipy.linalg.cho_solve(factor, part.T @ left, check_finite=False))
+
+
+def _feasible(products: _Products, x: Floats, active: NDArray[np.bool_]) -> None:
     """Move x to the least-squares solution over the active columns, dropping those that would become negative."""
     while True:
         where = np.flatnonzero(active)
-        part = unit[:, where]
-        solution = scipy.linalg.lstsq(part, target, lapack_driver="gelsy", check_finite=False)[0]
+        solution = products.solve(where)
         if np.all(solution > 0):
             x[where] = solution
             return

@@ -30,9 +30,11 @@ Trial = tuple[Sequence[Load], Trajectory]
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # tried when a tolerance is given
 SOLVED = 6000  # nodes up to which equations of the whole body are solved
 STATES = 240  # training states that the cubature is fitted at
-ROWS = 12_000  # of the least-squares problem for the weights; more are sketched
+ROWS, ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
+SLOPES = 60  # training states at which the moments' slopes are fitted
+BLOCK = 4096  # nodes at a time
 PRESSURES = 4  # modes to one pressure mode: more would stiffen what the modes cannot keep at constant volume
-LIGHT = 1e-6  # of the highest compliance: what keeps a body without supports regular
+LIGHT = 1e-12  # of the highest squared frequency: what keeps a body without supports regular
 HELD_SHARE = 0.95
 MOST_SNAPSHOTS = 800  # that modes are found from
 SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
@@ -225,7 +227,9 @@ def _trained(
     rest = _without_tools(body, snapshots, lifting, tools)
     shapes = _joined(body, strain_modes(body, rest, modes) if modes else None, enrichment)
     modes = len(shapes)
-    fields = _fields(body, np.concatenate([shapes, lifting, supports]))
+    # as single precision keeps them in the file, so that the model that is loaded is the model that was trained
+    columns = np.concatenate([shapes, lifting, supports]).astype(np.float32).astype(float)
+    fields = _fields(body, columns)
     count = modes + len(lifting)
     flat = fields.columns[:count].reshape(count, -1)
     weights = np.repeat(body.masses, 3)
@@ -385,43 +389,38 @@ def _cubature(
     body: FullModel, fields: _Fields, count: int, states: Floats, mass: Floats, share: float, moments: Floats, seed: int
 ) -> Cubature:
     """Choose nodes, weights, and the coefficients of the moments."""
-    every = np.arange(len(body.cloud))
-    root = _compliance(body, fields, count, moments, mass)
+    own = fields.gradients[:, :count]
+    root = _compliance(body, own, fields.constant[:count, :count], moments, mass)
+    if share == 0.0:  # every node, with its volume
+        return Cubature(np.arange(len(body.cloud)), body.volumes, moments, 0.0)
     generator = np.random.default_rng(seed)
-    rows = max(1, min(len(fields.columns), ROWS // len(states)))
-    columns, target = [], []
+    total = min(ROWS, ENTRIES // len(body.cloud))
+    rows, columns, target = max(1, min(count, total // len(states))), [], []
     for state in states:
-        parts = _shear_work(body, fields, count, state, every)
-        weighted = sketch(rows, count, generator) @ root @ parts[:count]
+        weighted = sketch(rows, count, generator) @ root @ _shear_work(body, own, state)
         size = np.linalg.norm(weighted.sum(axis=1))
         if size > 0:
             columns.append(weighted / np.sqrt(size))
             target.append(columns[-1].sum(axis=1))
-    matrix, wanted = np.concatenate(columns), np.concatenate(target)
-    if share == 0.0:  # every node, with its volume
-        nodes, multiples, residual = every, np.ones(len(every)), 0.0
-    else:
-        multiples, residual = non_negative(matrix, wanted, share)
-        nodes = np.flatnonzero(multiples > 0)
-        multiples = multiples[nodes]
-    pressure = moments if share == 0.0 else _pressure(body, fields, count, states, moments, nodes, root)
-    return Cubature(nodes, multiples * body.volumes[nodes], pressure, residual)
+    multiples, residual = non_negative(np.concatenate(columns), np.concatenate(target), share)
+    nodes = np.flatnonzero(multiples > 0)
+    pressure = _pressure(own, states, moments, nodes, root)
+    return Cubature(nodes, multiples[nodes] * body.volumes[nodes], pressure, residual)
 
 
-def _deformation(fields: _Fields, count: int, state: Floats, nodes: NDArray[np.int64]) -> tuple[Floats, Floats, Floats]:
-    """F, cof(F) and J at nodes."""
-    own = fields.gradients[nodes, :count]
-    F = np.eye(3) + np.einsum("nmk,m->nk", own, state, optimize=True).reshape(-1, 3, 3)
+def _deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
+    """F, cof(F) and J at nodes with the derivatives (n, m, 9) of the columns."""
+    F = np.eye(3) + np.einsum("nmk,m->nk", gradients, state.astype(gradients.dtype)).astype(float).reshape(-1, 3, 3)
     cofactor = np.stack([np.cross(F[:, 1], F[:, 2]), np.cross(F[:, 2], F[:, 0]), np.cross(F[:, 0], F[:, 1])], axis=1)
     return F, cofactor, np.sum(F[:, 0] * cofactor[:, 0], axis=1)
 
 
-def _shear_work(body: FullModel, fields: _Fields, count: int, state: Floats, nodes: NDArray[np.int64]) -> Floats:
-    """Work of every node's shear stress, times its volume, on all columns, shape (columns, nodes)."""
-    F, cofactor, J = _deformation(fields, count, state, nodes)
+def _shear_work(body: FullModel, gradients: Floats, state: Floats) -> Floats:
+    """Work of every node's shear stress, times its volume, on the columns, shape (m, n)."""
+    F, cofactor, J = _deformation(gradients, state)
     stress = body.material.stress(F) - (body.material.lame * (J - 1))[:, None, None] * cofactor
-    weighted = (stress * body.volumes[nodes, None, None]).reshape(-1, 9)
-    return np.asarray(np.einsum("nk,nmk->mn", weighted, fields.gradients[nodes], optimize=True), dtype=float)
+    weighted = (stress * body.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
+    return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
 
 
 def _pressure_modes(body: FullModel, snapshots: Floats, pressures: int) -> Floats:
@@ -438,39 +437,32 @@ def _pressure_modes(body: FullModel, snapshots: Floats, pressures: int) -> Float
     return np.asarray(np.sqrt(body.material.lame) * body.smoothed_back(shapes[:kept] * roots))
 
 
-def _compliance(body: FullModel, fields: _Fields, count: int, moments: Floats, mass: Floats) -> Floats:
+def _compliance(body: FullModel, gradients: Floats, constant: Floats, moments: Floats, mass: Floats) -> Floats:
     """Return R with R^T R the compliance of the body at rest in the coordinates."""
-    stiffness = fields.constant[:count, :count].copy()
-    slopes = moments @ fields.gradients[:, :count, [0, 4, 8]].sum(axis=2)
+    shear, count = body.material.shear_modulus, len(mass)
+    second = body.material.shear_bulk_modulus - 2 / 3 * shear
+    stiffness = constant.copy()
+    for start in range(0, len(gradients), BLOCK):
+        own = gradients[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
+        roots = np.sqrt(body.volumes[start : start + BLOCK])
+        strain = (own + np.swapaxes(own, 2, 3)).reshape(-1, count, 9) * roots[:, None, None]
+        rows = strain.transpose(0, 2, 1).reshape(-1, count)
+        traces = np.trace(own, axis1=2, axis2=3)
+        slopes = traces * roots[:, None]
+        stiffness += 0.5 * shear * rows.T @ rows + second * slopes.T @ slopes
+    divergence = gradients[:, :, 0] + gradients[:, :, 4] + gradients[:, :, 8]
+    slopes = moments @ divergence
     stiffness += slopes.T @ slopes
-    every, step = np.arange(len(body.cloud)), 1e-5
-    for m in range(count):
-        size = step / max(float(np.abs(fields.gradients[:, m]).max()), 1e-300)
-        state = np.zeros(count)
-        state[m] = size
-        ahead = _shear_work(body, fields, count, state, every)[:count].sum(axis=1)
-        behind = _shear_work(body, fields, count, -state, every)[:count].sum(axis=1)
-        stiffness[:, m] += (ahead - behind) / (2 * size)
-    stiffness = 0.5 * (stiffness + stiffness.T)
-    values, vectors = scipy.linalg.eigh(stiffness, mass)
-    floor = max(float(np.abs(values[values > 0]).min(initial=np.inf)), LIGHT * float(np.abs(values).max()) * LIGHT)
-    return np.asarray((vectors / np.sqrt(np.maximum(values, floor))).T)
+    values, vectors = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), mass)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, LIGHT * np.abs(values).max()))).T)
 
 
-def _pressure(
-    body: FullModel,
-    fields: _Fields,
-    count: int,
-    states: Floats,
-    moments: Floats,
-    nodes: NDArray[np.int64],
-    root: Floats,
-) -> Floats:
+def _pressure(gradients: Floats, states: Floats, moments: Floats, nodes: NDArray[np.int64], root: Floats) -> Floats:
     """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
-    every, sampled, whole, stiff = np.arange(len(body.cloud)), [], [], np.linalg.inv(root).T
-    for state in (np.zeros(count), *states[:: max(1, len(states) // 60)]):
-        _, cofactor, J = _deformation(fields, count, state, every)
-        slope = np.einsum("nk,nmk->nm", cofactor.reshape(-1, 9), fields.gradients[:, :count], optimize=True) @ root.T
+    sampled, whole, stiff = [], [], np.linalg.inv(root).T
+    for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPES)]):
+        _, cofactor, J = _deformation(gradients, state)
+        slope = np.matmul(gradients, cofactor.reshape(-1, 9, 1).astype(gradients.dtype))[:, :, 0] @ root.T
         value = (J - 1)[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
         both = np.hstack([slope, value if state.any() else 0 * value])
         sampled.append(both[nodes])
