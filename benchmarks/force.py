@@ -19,33 +19,10 @@ from time import perf_counter
 import numpy as np
 
 
-def median_seconds(call, repeats: int = 15) -> float:  # type: ignore[no-untyped-def]
-    """Median wall time of a call [s] after one warm-up."""
-    call()
-    times = []
-    for _ in range(repeats):
-        start = perf_counter()
-        call()
-        times.append(perf_counter() - start)
-    return float(np.median(times))
-
-
 def case(nodes: int, jitter: float) -> dict[str, float]:
     """Measure one cloud."""
-    from numba import njit, prange
-
     import palpate as pt
-
-    @njit(parallel=True, fastmath=True)
-    def read(table):  # type: ignore[no-untyped-def]
-        parts = np.zeros(64)
-        size = table.shape[0] // 64
-        for p in prange(64):
-            total = 0.0
-            for k in range(p * size, (p + 1) * size):
-                total += table[k]
-            parts[p] = total
-        return parts.sum()
+    from palpate.app.bench.timing import median_seconds, read_seconds
 
     side = round(nodes ** (1 / 3))
     cloud = pt.box(((side - 1) * 0.005,) * 3, 0.005, jitter)
@@ -61,10 +38,10 @@ def case(nodes: int, jitter: float) -> dict[str, float]:
     prepare = perf_counter() - start
     u = 1e-4 * np.random.default_rng(0).standard_normal(cloud.points.shape)
     result = np.zeros_like(u)
-    force = median_seconds(lambda: model._internal_force(u, model.body, model.work, result))
+    (force,) = median_seconds(lambda: model._internal_force(u, model.body, model.work, result))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     weights = np.ones(neighbours * 9)
-    reading = median_seconds(lambda: read(weights))
+    reading = read_seconds(weights, parallel=True)
     return {
         "nodes": len(cloud), "jitter": jitter, "neighbours": neighbours / len(cloud), "stencils_s": build,
         "model_s": prepare, "force_ns_per_node": force / len(cloud) * 1e9,

@@ -42,28 +42,34 @@ def main(argv: Sequence[str] | None = None) -> int:
         interrupted.
     """
     options = vars(_parser().parse_args(argv))
-    del options["command"]
+    command = options.pop("command")
     from palpate.app.study import ReproduceError
-    from palpate.faults import InputError
+    from palpate.faults import DivergenceError, InputError
 
     try:
-        return _reproduce(options.pop("example"), options)
+        return {"reproduce": _reproduce, "bench": _bench}[command](options)
     except InputError as error:
         return _complain(str(error), BAD_INPUT)
-    except (ReproduceError, OSError) as error:
+    except (ReproduceError, DivergenceError, OSError) as error:
         return _complain(str(error), FAILED)
     except KeyboardInterrupt as interrupt:
         return _complain(" ".join(["interrupted", *map(str, interrupt.args)]), INTERRUPTED)
 
 
-def _reproduce(example: str, options: dict[str, Any]) -> int:
-    if example == "beam":
+def _reproduce(options: dict[str, Any]) -> int:
+    if options.pop("example") == "beam":
         from palpate.app.beam.reproduce import reproduce_beam
 
         return reproduce_beam(**options)
     from palpate.app.membrane.reproduce import reproduce_membrane
 
     return reproduce_membrane(**options)
+
+
+def _bench(options: dict[str, Any]) -> int:
+    from palpate.app.bench.command import bench
+
+    return bench(**options)
 
 
 def _complain(message: str, code: int) -> int:
@@ -82,6 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     examples = reproduce.add_subparsers(dest="example", required=True, metavar="EXAMPLE")
     _add_beam(examples)
     _add_membrane(examples)
+    _add_bench(commands)
     return parser
 
 
@@ -124,7 +131,24 @@ def _add_membrane(examples: Any) -> None:
 
 
 def _add_common(parser: argparse.ArgumentParser, out: Path) -> None:
+    parser.add_argument("--modes", type=int, nargs="+", default=MODES, metavar="M", help="sizes of reduced models")
+    _add_results(parser, out)
+
+
+def _add_results(parser: argparse.ArgumentParser, out: Path) -> None:
     add = parser.add_argument
-    add("--modes", type=int, nargs="+", default=MODES, metavar="M", help="sizes of reduced models")
     add("--out", type=Path, default=out, metavar="FOLDER", help="where the results go")
     add("--json", action="store_true", dest="as_json", help="print the report as JSON instead of a table")
+
+
+def _add_bench(commands: Any) -> None:
+    bench = commands.add_parser(
+        "bench",
+        help="measure the speed of full and reduced models",
+        description="Measure full and reduced models in turn, and leave the medians in a folder: as JSON, and as a "
+        "table in Markdown. All ratios are from one run; nothing else should keep the processors busy.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    bench.add_argument("--fine", action="store_true", help="measure the beam at 2.5 mm, too (many minutes a round)")
+    bench.add_argument("--repeats", type=int, default=3, metavar="K", help="rounds of the long runs")
+    _add_results(bench, Path("out/bench"))

@@ -13,7 +13,16 @@ import rich.console
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-__all__ = ["Console", "count_nodes", "percent", "print_json", "print_tables", "quantities_table", "reduced_table"]
+__all__ = [
+    "Console",
+    "count_nodes",
+    "percent",
+    "print_json",
+    "print_plain",
+    "print_tables",
+    "quantities_table",
+    "reduced_table",
+]
 
 
 COLUMNS = ("modes", "nodes", "displ.", "velocity", "energy", "force", "proj.", "s", "ratio", "steps", "us/step")
@@ -48,10 +57,15 @@ def print_json(report: dict[str, Any]) -> None:
 
 def print_tables(tables: Sequence[Table], claims: Sequence[dict[str, Any]], out: Path, files: Sequence[str]) -> None:
     """Print a study's tables, the paper's claims and where the files lie on standard output, for people."""
+    print_plain([*tables, _claims_table(claims)], out, files)
+
+
+def print_plain(tables: Sequence[Any], out: Path, files: Sequence[str]) -> None:
+    """Print tables or lines, and where the files lie, on standard output."""
     console = rich.console.Console(highlight=False, markup=False)
     if not console.is_terminal:
         console.width = 100
-    for table in (*tables, _claims_table(claims)):
+    for table in tables:
         console.print(table)
     console.print(f"In {out}: {', '.join(files)}", soft_wrap=True)
 

@@ -18,7 +18,7 @@ from palpate.app.console import print_json, print_tables
 from palpate.app.files import write_json
 from palpate.app.study import PROJECTED, Study
 
-__all__ = ["Claim", "deliver", "finished", "finite", "listed", "preamble", "time_per_mode"]
+__all__ = ["Claim", "deliver", "finished", "finite", "listed", "machine", "preamble", "time_per_mode"]
 
 PACKAGES = ("numpy", "scipy", "numba", "h5py", "matplotlib", "pyvista", "vtk")
 
@@ -32,12 +32,13 @@ def preamble(study: Study) -> dict[str, Any]:
         "title": scene.title,
         "parameters": dict(scene.parameters) | {"duration": scene.duration, "every": scene.every},
         "nodes": len(scene.model.cloud),
-        "machine": _machine(),
+        "machine": machine(),
         "stability": asdict(scene.model.stability),
     }
 
 
-def _machine() -> dict[str, Any]:
+def machine() -> dict[str, Any]:
+    """Return what a run was made with: versions, system, processors and threads."""
     import numba
 
     versions = {"palpate": __version__, "python": platform.python_version()}

@@ -1,0 +1,164 @@
+"""What `palpate bench` measures: the paper's beam, a large reduced model, and the same trained on two bodies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.bench.timing import force_seconds, median_seconds, step_seconds
+from palpate.app.console import Console
+from palpate.dynamics.full import FullModel
+from palpate.dynamics.loads import Load, Traction
+from palpate.dynamics.model import Model
+from palpate.dynamics.rollout import rollout
+from palpate.dynamics.trajectory import Trajectory
+from palpate.meshfree.cloud import box
+from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.training import reduce
+from palpate.scenes.beam import beam
+from palpate.tissue.materials import MooneyRivlin
+
+__all__ = ["beam_case", "large_case"]
+
+Floats = NDArray[np.float64]
+
+FEW = 8  # modes for the beam
+MANY, SAMPLED = 64, 256  # modes and nodes of the large model
+BODIES = (10, 27)  # nodes along the edges of a block: 1,000 and 19,683 nodes
+EDGE = 0.05  # [m]
+FRAMES, LASTING, STEP = 24, 0.006, 0.9  # of a training run of the block: snapshots, time [s], share of the stable step
+LOOSE = 0.1  # what the cubature may miss: the model is for timing alone, and its nodes are spread to SAMPLED
+CHUNK = 50  # steps that `rollout` takes at once
+
+# forces [N] and moments [N m] on the block's face, each with its own number of swings
+PULLS = (((8.0, 0.0, 0.0), 0.0), ((0.0, 3.0, 1.0), 0.0), ((-2.0, 1.0, -3.0), 0.0), ((1.0, 0.0, 0.0), 0.1))
+
+
+def beam_case(spacing: float, repeats: int, console: Console) -> dict[str, Any]:
+    """Measure the paper's pull of the beam [m]: both forms of the full model, and the hyper-reduced one."""
+    scene = beam(spacing=spacing)
+    strong = cast(FullModel, scene.model)
+    energy = FullModel(strong.cloud, strong.material, strong.fixed, form="energy")
+    seconds: dict[str, list[float]] = {"strong": [], "energy": [], "reduced": []}
+    steps: dict[str, int] = {}
+
+    def pull(name: str, model: Model) -> Trajectory:
+        if name not in steps:  # compiles
+            rollout(model, scene.loads, duration=1e-3, every=1e-3, progress=False)
+        run = rollout(model, scene.loads, duration=scene.duration, every=scene.every)
+        seconds[name].append(run.wall_seconds)
+        steps[name] = int(run.steps[-1])
+        at = f"beam, {1e3 * spacing:g} mm, round {len(seconds[name])} of {repeats}"
+        console.say(f"{at}: {name}, {run.wall_seconds:.3g} s for {scene.duration:g} s, {steps[name]} steps")
+        return run
+
+    fast: ReducedModel | None = None
+    for _ in range(repeats):
+        run = pull("strong", strong)
+        pull("energy", energy)
+        fast = fast or reduce(strong, run, modes=FEW)
+        pull("reduced", fast)
+    assert fast is not None
+    drive = fast.drive(scene.loads)
+    measured = {name: _pull(own, steps[name], scene.duration) for name, own in seconds.items()}
+    whole = measured.pop("reduced")
+    return {
+        "spacing": spacing,
+        "nodes": len(strong.cloud),
+        "full": measured,
+        "hyper_reduced": whole
+        | {
+            "modes": FEW,
+            "nodes": len(fast.parts.cubature.nodes),
+            "seconds_per_step": whole["wall_seconds"] / whole["steps"],
+            "compiled_seconds_per_step": step_seconds((fast, drive, fast.state(drive)))[0],
+            "ratio": {form: whole["wall_seconds"] / full["wall_seconds"] for form, full in measured.items()},
+        },
+    }
+
+
+def _pull(seconds: list[float], steps: int, duration: float) -> dict[str, Any]:
+    median = float(np.median(seconds))
+    return {
+        "wall_seconds": median,
+        "steps": steps,
+        "steps_per_second": steps / median,
+        "real_time_factor": duration / median,
+    }
+
+
+def large_case(repeats: int, console: Console) -> dict[str, Any]:
+    """Measure a model of many modes: its force over reading its table, and its step after training on two bodies."""
+    found = []
+    for nodes in BODIES:
+        console.say(f"block of {nodes**3} nodes: {len(PULLS)} runs, training {MANY} modes ...")
+        model = _with_samples(_trained_on_block(nodes), SAMPLED)
+        drive = model.drive([_load(0)])
+        found.append((model, drive, model.state(drive)))
+    small, rounds = found[0][0], max(repeats, 15)
+    force, reading = force_seconds(small, rounds)
+    table = small._samples.table.nbytes
+    steps = step_seconds(*found, repeats=rounds)
+    chunks = median_seconds(*(_chunk(*each) for each in found), repeats=rounds)
+    return {
+        "modes": MANY,
+        "nodes": SAMPLED,
+        "force_seconds": force,
+        "table_bytes": table,
+        "read_seconds": reading,
+        "read_bytes_per_second": table / reading,
+        "force_over_reading": force / reading,
+        "bodies": [
+            {"nodes": n**3, "compiled_seconds_per_step": step, "seconds_per_step": chunk / CHUNK}
+            for n, step, chunk in zip(BODIES, steps, chunks, strict=True)
+        ],
+        "compiled_step_ratio": steps[1] / steps[0],
+        "step_ratio": chunks[1] / chunks[0],
+    }
+
+
+def _chunk(model: ReducedModel, drive: Any, state: Any) -> Callable[[], Any]:
+    """Return a call that takes steps as `rollout` does."""
+    step = model.stable_step(state, drive)
+    return lambda: model.advance(state, drive, step, CHUNK)
+
+
+def _load(k: int) -> Load:
+    force, twist = PULLS[k]
+
+    def share(time: float) -> float:
+        return math.sin((1 + k) * math.pi * time / LASTING / 2) ** 2
+
+    def pull(time: float) -> list[float]:
+        return [share(time) * part for part in force]
+
+    return Traction("x+", force=pull, moment=lambda time: (share(time) * twist, 0.0, 0.0))
+
+
+def _trained_on_block(nodes: int) -> ReducedModel:
+    """Train on a few short runs of a block."""
+    law = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
+    body = FullModel(box((EDGE,) * 3, EDGE / (nodes - 1)), law, "x-", form="energy")
+    every = LASTING / FRAMES
+    step = every / np.ceil(every / (STEP * body.stability.step))
+    runs = [rollout(body, [_load(k)], duration=LASTING, every=every, step=step) for k in range(len(PULLS))]
+    return reduce(body, runs, modes=MANY, cubature=LOOSE)
+
+
+def _with_samples(model: ReducedModel, count: int) -> ReducedModel:
+    """Return a model with exactly so many sampled nodes: the heaviest ones, or all, some in several equal parts.
+
+    A node in parts leaves the energy as it is.
+    """
+    rule = model.parts.cubature
+    index = np.resize(np.argsort(-rule.weights), count)
+    parts = 1 / np.bincount(index, minlength=len(rule.nodes))[index]
+    cubature = replace(
+        rule, nodes=rule.nodes[index], weights=rule.weights[index] * parts, pressure=rule.pressure[:, index] * parts
+    )
+    return ReducedModel(replace(model.parts, cubature=cubature, gradients=model.parts.gradients[index]))

@@ -1,0 +1,120 @@
+"""``palpate bench``: one table of speeds, all ratios from one run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from palpate.app.bench.cases import beam_case, large_case
+from palpate.app.console import Console, print_json, print_plain, quantities_table
+from palpate.app.files import check_folder, whole_file, write_json
+from palpate.app.report import finite, machine
+from palpate.faults import integer_in_range
+
+__all__ = ["FILES", "bench"]
+
+FILES = ("report.json", "table.md")
+SPACING, FINE = 0.005, 0.0025  # [m]
+
+
+def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = False) -> int:
+    """Measure speeds and leave them in a folder as JSON and as a table in Markdown.
+
+    Parameters
+    ----------
+    fine : bool
+        Whether to measure the beam at 2.5 mm, too.
+    repeats : int
+        Rounds of the long runs, from 1; all figures are medians.
+    out : path
+        Folder; made if it does not exist.
+    as_json : bool
+        Print the report as JSON instead of a table.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, or a folder that cannot be written.
+    DivergenceError
+        A run diverged.
+    OSError
+        A file could not be written.
+    """
+    repeats = integer_in_range("repeats", repeats, 1)
+    check_folder(out)
+    console = Console()
+    spacings = (SPACING, FINE) if fine else (SPACING,)
+    report = {
+        "title": "Speed",
+        "machine": machine(),
+        "repeats": repeats,
+        "beam": [beam_case(spacing, repeats, console) for spacing in spacings],
+        "large": large_case(repeats, console),
+    }
+    report = finite(report)
+    rows = _rows(report)
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "report.json", report)
+    with whole_file(out / "table.md") as partial:
+        partial.write_text(_markdown(rows), encoding="utf-8")
+    if as_json:
+        print_json(report)
+    else:
+        threads = report["machine"]["threads"]
+        title = f"Speed: medians of {repeats} rounds; full models on {threads} threads, reduced ones on one"
+        print_plain([quantities_table(title, ["here"], {name: [value] for name, value in rows.items()})], out, FILES)
+    return 0
+
+
+def _rows(report: dict[str, Any]) -> dict[str, str]:
+    rows: dict[str, str] = {}
+    for case in report["beam"]:
+        rows |= _beam_rows(case)
+    return rows | _large_rows(report["large"])
+
+
+def _beam_rows(case: dict[str, Any]) -> dict[str, str]:
+    name, fast = f"beam, {1e3 * case['spacing']:g} mm, {case['nodes']:,} nodes", case["hyper_reduced"]
+    rows = {
+        f"{name}: full model, {form} form": (
+            f"{full['steps_per_second']:,.0f} steps/s, {full['real_time_factor']:.3g} of real time"
+        )
+        for form, full in case["full"].items()
+    }
+    ratios = "; ".join(f"{100 * ratio:.2g} % ({form} form)" for form, ratio in fast["ratio"].items())
+    return rows | {
+        f"{name}: a step of {fast['modes']} modes at {fast['nodes']} sampled nodes": (
+            f"{1e6 * fast['compiled_seconds_per_step']:.3g} us; {1e6 * fast['seconds_per_step']:.3g} us in `rollout`"
+        ),
+        f"{name}: the same, speed": f"{fast['real_time_factor']:.3g} times real time",
+        f"{name}: time for the paper's pull of 1 s over the full model's": ratios,
+    }
+
+
+def _large_rows(large: dict[str, Any]) -> dict[str, str]:
+    name = f"{large['modes']} modes at {large['nodes']} sampled nodes"
+    size, speed = large["table_bytes"] / 1e3, large["read_bytes_per_second"] / 1e9
+    small, big = (body["nodes"] for body in large["bodies"])
+    compiled, rolled = (
+        [1e6 * body[key] for body in large["bodies"]] for key in ("compiled_seconds_per_step", "seconds_per_step")
+    )
+    return {
+        f"{name}: a force evaluation": f"{1e6 * large['force_seconds']:.3g} us",
+        f"{name}: the same over reading its operator table ({size:.0f} kB at {speed:.3g} GB/s)": (
+            f"{large['force_over_reading']:.2g}"
+        ),
+        f"{name}: a step, trained on {big:,} nodes over {small:,}": (
+            f"{large['compiled_step_ratio']:.3g} ({compiled[1]:.3g} / {compiled[0]:.3g} us)"
+        ),
+        f"{name}: the same in `rollout`": f"{large['step_ratio']:.3g} ({rolled[1]:.3g} / {rolled[0]:.3g} us)",
+    }
+
+
+def _markdown(rows: dict[str, str]) -> str:
+    lines = ["| quantity | here |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,118 @@
+"""How speed is measured: medians of several rounds, compiled loops from inside compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from palpate.dynamics.loads import Drive
+from palpate.dynamics.model import State
+from palpate.reduction.reduced import ReducedModel
+
+__all__ = ["force_seconds", "median_seconds", "read_seconds", "step_seconds"]
+
+Call = Callable[[], Any]
+
+LONG = 0.02  # [s] at least what a compiled loop takes, so that calling it counts for nothing
+PARTS = 64  # that are read side by side
+
+
+def median_seconds(*calls: Call, repeats: int = 15) -> list[float]:
+    """Return the median wall time of each call [s] over some rounds in which they take turns, after one to warm up."""
+    times = np.empty((repeats + 1, len(calls)))
+    for k in range(repeats + 1):
+        for i, call in enumerate(calls):
+            start = perf_counter()
+            call()
+            times[k, i] = perf_counter() - start
+    return [float(seconds) for seconds in np.median(times[1:], axis=0)]
+
+
+@cache
+def _repeated_force() -> Any:
+    from numba import njit
+
+    @njit
+    def repeat(force, columns, samples, scratch, result, count):  # type: ignore[no-untyped-def]
+        for _ in range(count):
+            force(columns, samples, scratch, result)
+
+    return repeat
+
+
+@cache
+def _reader(parallel: bool) -> Any:
+    from numba import njit, prange
+
+    @njit(parallel=parallel, fastmath=True)
+    def read(table, count):  # type: ignore[no-untyped-def]
+        parts, size = np.zeros(PARTS, dtype=table.dtype), table.shape[0] // PARTS
+        for _ in range(count):
+            for p in prange(PARTS):
+                total = parts[p]
+                for k in range(p * size, (p + 1) * size):
+                    total += table[k]
+                parts[p] = total
+        return parts.sum()
+
+    return read
+
+
+def _enough(once: float) -> int:
+    return max(1, int(np.ceil(LONG / once)))
+
+
+def _per_count(call: Callable[[int], Any]) -> tuple[Call, int]:
+    """Return a call that takes long enough, and how many times it does what `call` does a given number of times."""
+    call(1)  # compiles
+    start = perf_counter()
+    call(1)
+    count = _enough(perf_counter() - start)
+    return lambda: call(count), count
+
+
+def read_seconds(table: np.ndarray[Any, Any], *, parallel: bool = False, repeats: int = 15) -> float:
+    """Return the median time [s] of summing a table once in compiled code, by one thread or all; again and again."""
+    flat, read = table.reshape(-1), _reader(parallel)
+    call, count = _per_count(lambda times: read(flat, times))
+    return median_seconds(call, repeats=repeats)[0] / count
+
+
+def force_seconds(model: ReducedModel, repeats: int = 15) -> tuple[float, float]:
+    """Return the median times [s] of a force evaluation and of reading its operator table once, one thread, in turn."""
+    columns = 1e-2 * model.cloud.spacing / model.sizes
+    repeat, read, flat = _repeated_force(), _reader(False), model._samples.table.reshape(-1)
+    result = np.zeros(model.count)
+    force, evaluations = _per_count(
+        lambda times: repeat(model._force, columns, model._samples, model._scratch, result, times)
+    )
+    table, readings = _per_count(lambda times: read(flat, times))
+    own, reading = median_seconds(force, table, repeats=repeats)
+    return own / evaluations, reading / readings
+
+
+def step_seconds(*runs: tuple[ReducedModel, Drive, State], steps: int = 2000, repeats: int = 15) -> list[float]:
+    """Return the median times [s] of an explicit step of some models, all steps in one compiled call, in turn."""
+    return [seconds / steps for seconds in median_seconds(*(_compiled(*run, steps) for run in runs), repeats=repeats)]
+
+
+def _compiled(model: ReducedModel, drive: Drive, state: State, steps: int) -> Call:
+    """Return a call of the compiled steps, with what `ReducedModel.advance` gives them."""
+    step, given = model.stable_step(state, drive), []
+    explicit = model._explicit
+
+    def noted(*arguments: Any) -> Any:
+        given.append(arguments)
+        return explicit(*arguments)
+
+    model._explicit = noted
+    try:
+        model.advance(state, drive, step, steps)
+    finally:
+        model._explicit = explicit
+    _, _, *others = given[0]
+    return lambda: explicit(state.coordinates.copy(), state.velocities.copy(), *others)
