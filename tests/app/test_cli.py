@@ -198,7 +198,9 @@ def test_a_machine_that_cannot_draw_is_told_what_to_install(monkeypatch):
         check_drawing()
 
 
-@pytest.mark.parametrize("option", [["--help"], ["--version"], ["reproduce", "membrane", "--help"], ["bench", "--help"]])
+@pytest.mark.parametrize(
+    "option", [["--help"], ["--version"], ["reproduce", "membrane", "--help"], ["bench", "--help"]]
+)
 def test_help_and_version_load_nothing_heavy(option):
     code = (
         "import sys\nfrom palpate.app.cli import main\n"
