@@ -133,6 +133,7 @@ class ReducedModel(Model):
         self._explicit, self._implicit, self._tangent = sampled_step(law.energy, law.first, single)
         self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
         self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
+        self._loaded: tuple[Drive, Floats] | None = None
         self._result, self._everything = np.zeros(count), np.zeros(len(flat))
         self._frequency, self._reach = 0.0, 0.0
         self._frequency_at: Floats | None = None
@@ -175,23 +176,26 @@ class ReducedModel(Model):
             raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
         return ready
 
-    def _load_columns(self, ready: Drive) -> tuple[Floats, Floats]:
-        """Work of a unit force and of a unit moment of every force group on the columns, (groups, 3, all) each."""
-        places, groups = ready.places, len(ready.places.force_start) - 1
-        forces, moments = np.zeros((2, groups, 3, len(self.parts.columns)))
-        for g in range(groups):
+    def _load_columns(self, ready: Drive) -> Floats:
+        """Work on the columns of unit forces and moments of the force groups, and of unit gravity, (6 g + 3, all)."""
+        if self._loaded is not None and self._loaded[0] is ready:
+            return self._loaded[1]
+        places, columns = ready.places, self.parts.columns
+        forces, moments = [], []
+        for g in range(len(places.force_start) - 1):
             own = slice(places.force_start[g], places.force_start[g + 1])
-            at = self.parts.columns[:, places.force_node[own]]
-            forces[g] = np.einsum("k,mkc->cm", places.force_share[own], at)
-            moments[g] = np.einsum("kcd,mkc->dm", places.moment_share[own], at)
-        return forces, moments
+            at = columns[:, places.force_node[own]]
+            forces.append(np.einsum("k,mkc->cm", places.force_share[own], at))
+            moments.append(np.einsum("kcd,mkc->dm", places.moment_share[own], at))
+        result = np.concatenate([*forces, *moments, np.einsum("n,mnc->cm", self.masses, columns)])
+        self._loaded = ready, result
+        return result
 
     def _loads(self, ready: Drive, times: Floats) -> Floats:
         """Generalised forces (t, all) of tractions and gravity at some times."""
-        schedule, (forces, moments) = ready.schedule(times), self._load_columns(ready)
-        gravity = np.einsum("n,mnc->cm", self.masses, self.parts.columns)
-        result = np.tensordot(schedule.force, forces, 2) + np.tensordot(schedule.moment, moments, 2)
-        return np.asarray(result + schedule.gravity @ gravity)
+        schedule, count = ready.schedule(times), len(times)
+        values = (schedule.force.reshape(count, -1), schedule.moment.reshape(count, -1), schedule.gravity)
+        return np.asarray(np.hstack(values) @ self._load_columns(ready))
 
     def _lifted(self, ready: Drive, times: Floats) -> Floats:
         """Coordinates (t, l) of the lifting columns at some times."""
