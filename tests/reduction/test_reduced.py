@@ -157,7 +157,7 @@ def test_no_motion_makes_it_blow_up(body, runs, modes):
         assert np.abs(run.balance).max() < 0.05 * largest
 
 
-def test_midpoint_and_small_explicit_steps_agree(rom):
+def test_implicit_and_small_explicit_steps_agree(rom):
     fine = rollout(rom, pull(), step=2e-6)
     coarse = rollout(rom.with_step(5e-5), pull())
     scale = np.abs(fine.displacements).max()
@@ -167,14 +167,13 @@ def test_midpoint_and_small_explicit_steps_agree(rom):
     assert missed[0] / missed[1] == pytest.approx(4.0, rel=0.35)  # second order
 
 
-def test_the_midpoint_rule_keeps_the_energy_of_a_free_body(body, runs):
+def test_implicit_steps_keep_the_energy_of_a_free_body(body, runs):
     parts = replace(pt.reduce(body, runs, modes=8).parts, viscosity=0.0)
     model = pt.ReducedModel(parts, step=2e-4)
     run = pt.rollout(model, (), duration=0.4, every=0.002, displacement=runs[3].displacements[10], progress=False)
     energy = run.kinetic + run.strain
-    assert run.complete
-    assert np.abs(energy / energy[0] - 1).max() < 0.05
-    assert abs(energy[-50:].mean() / energy[:50].mean() - 1) < 0.01
+    assert run.kinetic.max() > 0.2 * energy[0]
+    assert np.abs(energy / energy[0] - 1).max() < 1e-3
 
 
 def test_a_tools_force_is_the_full_models(grasped):

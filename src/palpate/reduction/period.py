@@ -32,7 +32,7 @@ class PeriodData(NamedTuple):
     ----------
     modes : int
     beta, step : float [s]
-        Viscosity; step of the midpoint rule, 0 for explicit steps.
+        Viscosity; step of the implicit rule, 0 for explicit steps.
     tolerance : float
         Of Newton's iterations.
     mass, held : (m, m), (M, M) arrays
@@ -50,7 +50,7 @@ class PeriodData(NamedTuple):
     follow : (3,) array
         Frequency [rad/s] at rest and now; next column of the tangent.
     path, holds, nothing : (s + 3, l), (s,), (s, m) arrays
-        Of the midpoint steps of a period: the tool's path, that it holds, and no loads.
+        Of the implicit steps of a period: the tool's path, that it holds, and no loads.
     """
 
     modes: int
@@ -112,7 +112,7 @@ def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, 
     """
     digest = law_digest("period", energy_of, first_of, single)
     force, energy = sampled_energy(energy_of, first_of, single)
-    _, midpoint, _ = sampled_step(energy_of, first_of, single)
+    _, average, _ = sampled_step(energy_of, first_of, single)
 
     @law_njit(digest, fastmath={"contract"})
     def follow(data, q):  # type: ignore[no-untyped-def]
@@ -188,7 +188,7 @@ def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, 
 
     @law_njit(digest, fastmath={"contract"})
     def implicit(data, q, v, period, report, lifting, holds, loads):  # type: ignore[no-untyped-def]
-        """Midpoint steps over a period; return their number, or -1 where one did not converge."""
+        """Implicit steps over a period; return their number, or -1 where one did not converge."""
         steps, count = loads.shape[0], q.shape[0]
         step = period / steps
         for j in range(data.modes, count):
@@ -197,7 +197,7 @@ def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, 
         result = data.newton.vectors[5]
         rate = data.newton.vectors[6]
         for s in range(steps):
-            _, _, _, taken = midpoint(
+            _, _, _, taken = average(
                 q, v, lifting[s : s + 4], holds[s : s + 1], step, data.beta, loads[s : s + 1], data.mass,
                 data.differences, data.tolerance, data.samples, data.scratch, data.newton,
             )  # fmt: skip

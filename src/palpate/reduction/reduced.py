@@ -96,7 +96,7 @@ class ReducedModel(Model):
     ----------
     parts : ReducedParts
     step : float, optional [s]
-        Of the implicit midpoint rule. By default steps are explicit, as long as the reduced body allows.
+        Of the energy-conserving implicit rule. By default steps are explicit, as long as the reduced body allows.
     single : bool
         Whether the derivatives at the samples are kept in single precision.
 
@@ -112,10 +112,10 @@ class ReducedModel(Model):
     conservative = True
 
     def __init__(self, parts: ReducedParts, *, step: float | None = None, single: bool = True) -> None:
-        self.parts, self.midpoint, self.single = parts, step, single
+        self.parts, self.step, self.single = parts, step, single
         self.cloud, self.material, self.fixed = parts.cloud, parts.material, parts.fixed
         self.viscosity, self.report = parts.viscosity, parts.report
-        self.fewest = 20 if step is None else 1  # the midpoint's step is the user's choice
+        self.fewest = 20 if step is None else 1  # the implicit step is the user's choice
         self.count = parts.modes + parts.lifted
         count, coefficients = self.count, parts.material.coefficients
         flat = parts.columns.reshape(len(parts.columns), -1)
@@ -245,8 +245,8 @@ class ReducedModel(Model):
         return State(coordinates, velocities, time)
 
     def stable_step(self, state: State, drive: Drive) -> float:
-        if self.midpoint is not None:
-            return self.midpoint
+        if self.step is not None:
+            return self.step
         moved = state.coordinates * self.sizes
         self._reach = max(self._reach, float(np.abs(moved).max(initial=0.0)))
         if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > MOVED * self._reach:
@@ -271,7 +271,7 @@ class ReducedModel(Model):
 
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
         a, v, count = state.coordinates.copy(), state.velocities.copy(), self.count
-        if self.midpoint is None:
+        if self.step is None:
             times: Floats = state.time + step * np.arange(-1.0, steps + 2)
             loads = np.ascontiguousarray(self._loads(drive, times[1:-1])[:, :count])
             fastest = self.parts.fastest / self.sizes[self.parts.modes :]
@@ -402,7 +402,7 @@ class ReducedModel(Model):
         return self.energy(self._free @ (flat @ (displacements * self.masses[:, None]).reshape(-1)))
 
     def with_step(self, step: float | None) -> ReducedModel:
-        """Return this model stepped by the implicit midpoint rule of a step [s], or explicitly (None)."""
+        """Return this model stepped by the energy-conserving implicit rule of a step [s], or explicitly (None)."""
         return ReducedModel(self.parts, step=step, single=self.single)
 
     def realtime(self, longest: float = 0.02) -> RealtimeModel:
@@ -425,11 +425,11 @@ class ReducedModel(Model):
             )
         own = scratch(self._samples)
         root = np.linalg.cholesky(self.mass / self.masses.sum()).T
-        frequency, steps = self._highest(np.zeros(count)), int(np.ceil(longest / (self.midpoint or longest)))
+        frequency, steps = self._highest(np.zeros(count)), int(np.ceil(longest / (self.step or longest)))
         vectors = np.zeros((8, count))
         vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
         data = PeriodData(
-            parts.modes, self.viscosity, self.midpoint or 0.0, CONVERGED / DIFFERENCE, self.mass, self._held,
+            parts.modes, self.viscosity, self.step or 0.0, CONVERGED / DIFFERENCE, self.mass, self._held,
             self._differences, self._samples, own, newton(count), np.ascontiguousarray(parts.trained @ root.T), root,
             parts.reach, vectors, self.stiffness(np.zeros(count)), np.zeros((count, count)),
             np.array([frequency, frequency, 0.0]), np.zeros((steps + 3, parts.lifted)),

@@ -1,16 +1,19 @@
-"""The compiled steps of a sampled reduced model: explicit, and implicit midpoint.
+"""The compiled steps of a sampled reduced model: explicit, and an implicit one that conserves energy.
 
 With the coordinates a of modes and lifting columns, the mass matrix m, the sampled force f and the loads g,
 
     m a'' = f(a + beta a') + g(t),
 
 where the coordinates of lifting columns are known while their tool holds the body. The explicit step is that of
-`palpate.dynamics.stepping`. The midpoint step solves for the mean velocity w,
+`palpate.dynamics.stepping`. The implicit step solves for the mean velocity w,
 
-    m 2 (w - v_n) / dt = f(a_n + (dt / 2 + beta) w) + g(t_n + dt / 2),    a_{n+1} = a_n + dt w,    v_{n+1} = 2 w - v_n,
+    m 2 (w - v_n) / dt = mean of f(a_n + s dt w + beta w) + g(t_n + dt / 2),
+    a_{n+1} = a_n + dt w,    v_{n+1} = 2 w - v_n,
 
-by Newton's method with a tangent that is kept as long as it converges. It is stable at any step, and symplectic: over
-long times the energy of a free body neither grows nor falls, beta aside.
+by Newton's method with a tangent that is kept as long as it converges. The mean is over the step, 0 < s < 1, by Gauss's
+rule with two points: the average vector field method (Quispel and McLaren, J. Phys. A 41, 2008). Its work is the change
+of the energy, so that the energy of a free body stays, however large the step, as far as two points integrate it. (The
+midpoint rule, one point, let the energy of a bent beam stray by half in 20 s with steps of 1 ms.)
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ __all__ = ["Newton", "cholesky_factor", "cholesky_solve", "newton", "sampled_ste
 
 Floats = NDArray[np.float64]
 
+POINTS = (0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0)  # of Gauss's rule in a step
 MOST, REFRESH = 30, (4, 10, 18, 24)  # Newton iterations a step, and after how many the tangent is taken anew
 
 
@@ -96,7 +100,7 @@ def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any,
 
     Returns
     -------
-    explicit, midpoint, tangent : functions
+    explicit, implicit, tangent : functions
     """
     digest = law_digest("sampled step", energy_of, first_of, single)
     force, _ = sampled_energy(energy_of, first_of, single)
@@ -130,8 +134,20 @@ def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any,
         keep.kept[0], keep.kept[1] = step, moving
 
     @law_njit(digest, fastmath={"contract"})
+    def mean_force(a, w, step, beta, at, samples, scratch, other, result):  # type: ignore[no-untyped-def]
+        """Write the mean of the force over a step with the mean velocities w."""
+        for j in range(a.shape[0]):
+            at[j] = a[j] + (POINTS[0] * step + beta) * w[j]
+        force(at, samples, scratch, other)
+        for j in range(a.shape[0]):
+            at[j] = a[j] + (POINTS[1] * step + beta) * w[j]
+        force(at, samples, scratch, result)
+        for j in range(a.shape[0]):
+            result[j] = 0.5 * (result[j] + other[j])
+
+    @law_njit(digest, fastmath={"contract"})
     def solve(a, v, step, beta, load, mass, sizes, tolerance, samples, scratch, keep, moving):  # type: ignore[no-untyped-def]
-        """Find the mean velocities w of one midpoint step; those from `moving` on are given, and their rates."""
+        """Find the mean velocities w of one implicit step; those from `moving` on are given, and their rates."""
         w, at, result, rate, change = (
             keep.vectors[3],
             keep.vectors[4],
@@ -143,9 +159,7 @@ def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any,
         if keep.kept[0] != step or keep.kept[1] != moving:
             refactor(a, step, beta, mass, sizes, samples, scratch, keep, moving)
         for iteration in range(MOST):
-            for j in range(count):
-                at[j] = a[j] + (0.5 * step + beta) * w[j]
-            force(at, samples, scratch, result)
+            mean_force(a, w, step, beta, at, samples, scratch, change, result)
             for m in range(moving):
                 rate[m] = 2.0 * (w[m] - v[m]) / step
             for m in range(moving):
@@ -169,7 +183,7 @@ def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any,
         return False
 
     @law_njit(digest, fastmath={"contract"})
-    def midpoint(  # type: ignore[no-untyped-def]
+    def implicit(  # type: ignore[no-untyped-def]
         a, v, lifting, holds, step, beta, loads, mass, sizes, tolerance, samples, scratch, keep
     ):
         """Advance by as many steps as there are loads; return the works [J] of loads, viscosity, tools, and the steps.
@@ -200,9 +214,7 @@ def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any,
                 return total, lost, tools, s
             for m in range(moving):
                 rate[m] = 2.0 * (w[m] - v[m]) / step
-            for j in range(count):
-                at[j] = a[j] + 0.5 * step * w[j]
-            force(at, samples, scratch, elastic)
+            mean_force(a, w, step, 0.0, at, samples, scratch, keep.vectors[7], elastic)
             for j in range(count):
                 total += step * loads[s, j] * w[j]
                 lost += step * w[j] * (elastic[j] - result[j])
@@ -271,4 +283,4 @@ def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any,
                     a[m] += step * v[m]
         return total, lost, tools
 
-    return explicit, midpoint, tangent
+    return explicit, implicit, tangent
