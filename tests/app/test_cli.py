@@ -199,7 +199,7 @@ def test_a_machine_that_cannot_draw_is_told_what_to_install(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "option", [["--help"], ["--version"], ["reproduce", "membrane", "--help"], ["bench", "--help"]]
+    "option", [["--help"], ["--version"], ["reproduce", "membrane", "--help"], ["run", "beam", "--help"]]
 )
 def test_help_and_version_load_nothing_heavy(option):
     code = (

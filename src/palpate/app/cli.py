@@ -44,11 +44,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = vars(_parser().parse_args(argv))
     command = options.pop("command")
     from palpate.app.study import ReproduceError
-    from palpate.faults import DivergenceError, InputError
+    from palpate.faults import DivergenceError, FileFormatError, InputError
 
     try:
-        return {"reproduce": _reproduce, "bench": _bench}[command](options)
-    except InputError as error:
+        return {"reproduce": _reproduce, "run": _run, "bench": _bench}[command](options)
+    except (InputError, FileFormatError, FileNotFoundError) as error:
         return _complain(str(error), BAD_INPUT)
     except (ReproduceError, DivergenceError, OSError) as error:
         return _complain(str(error), FAILED)
@@ -64,6 +64,13 @@ def _reproduce(options: dict[str, Any]) -> int:
     from palpate.app.membrane.reproduce import reproduce_membrane
 
     return reproduce_membrane(**options)
+
+
+def _run(options: dict[str, Any]) -> int:
+    from palpate.app.run.command import run_beam
+
+    del options["scene"]
+    return run_beam(**options)
 
 
 def _bench(options: dict[str, Any]) -> int:
@@ -88,6 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     examples = reproduce.add_subparsers(dest="example", required=True, metavar="EXAMPLE")
     _add_beam(examples)
     _add_membrane(examples)
+    _add_run(commands)
     _add_bench(commands)
     return parser
 
@@ -139,6 +147,28 @@ def _add_results(parser: argparse.ArgumentParser, out: Path) -> None:
     add = parser.add_argument
     add("--out", type=Path, default=out, metavar="FOLDER", help="where the results go")
     add("--json", action="store_true", dest="as_json", help="print the report as JSON instead of a table")
+
+
+def _add_run(commands: Any) -> None:
+    run = commands.add_parser("run", help="run a scene, once or in real time")
+    scenes = run.add_subparsers(dest="scene", required=True, metavar="SCENE")
+    beam = scenes.add_parser(
+        "beam",
+        help="the paper's beam, pulled; or in real time, grasped by a tool",
+        description="Run the paper's pull of the beam with the full model, and with --modes with a hyper-reduced one, "
+        "too, and leave the trajectories and a report in a folder. With --realtime: train a reduced model whose free "
+        "end a tool holds, move the tool, step the model at a fixed rate, and report how the rate was kept.",
+    )
+    add = beam.add_argument
+    add("--spacing", type=float, metavar="M", help="distance between nodes [m] (0.005; in real time 0.00667)")
+    add("--load", type=float, metavar="N", help="largest force [N], not in real time (100)")
+    add("--poisson", type=float, metavar="NU", help="Poisson's ratio, at most 0.499 (0.49; in real time 0.45)")
+    add("--modes", type=int, metavar="M", help="size of the reduced model (none; in real time 24)")
+    add("--model", type=Path, metavar="FILE", help="in real time: reduced model to load, not to train")
+    add("--realtime", action="store_true", help="step at a fixed rate against a tool")
+    add("--seconds", type=float, metavar="S", help="in real time: length of the run [s], at most 600 (10)")
+    add("--rate", type=float, metavar="HZ", help="in real time: steps a second, from 50 to 20000 (1000)")
+    _add_results(beam, Path("out/run"))
 
 
 def _add_bench(commands: Any) -> None:

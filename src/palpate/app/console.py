@@ -11,6 +11,7 @@ from typing import Any
 
 import rich.console
 from rich.box import SIMPLE_HEAD
+from rich.console import JustifyMethod
 from rich.table import Table
 
 __all__ = [
@@ -74,12 +75,18 @@ def _table(title: str) -> Table:
     return Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
 
 
-def quantities_table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]]) -> Table:
+def quantities_table(
+    title: str,
+    columns: Sequence[str],
+    rows: Mapping[str, Sequence[str]],
+    first: str = "quantity",
+    justify: JustifyMethod = "right",
+) -> Table:
     """Return a table of quantities by name, one value or more for each."""
     table = _table(title)
-    table.add_column("quantity")
+    table.add_column(first)
     for heading in columns:
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify=justify)
     for name, values in rows.items():
         table.add_row(name, *values)
     return table

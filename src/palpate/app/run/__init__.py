@@ -1,0 +1,1 @@
+"""A scene, run once or in real time."""

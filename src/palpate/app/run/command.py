@@ -1,0 +1,195 @@
+"""``palpate run beam``: the full or a reduced model of the paper's beam, once or in real time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, cast
+
+import numpy as np
+
+from palpate.app.console import Console, count_nodes, percent, print_json, print_plain, quantities_table
+from palpate.app.files import write_json
+from palpate.app.report import finite, machine
+from palpate.app.run.realtime import run_realtime
+from palpate.app.study import ReproduceError, prepare
+from palpate.dynamics.full import FullModel
+from palpate.dynamics.model import Model
+from palpate.dynamics.rollout import rollout
+from palpate.dynamics.trajectory import Trajectory
+from palpate.faults import DivergenceError, InputError, integer_in_range
+from palpate.reduction.errors import errors
+from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.training import reduce
+from palpate.scenes.beam import DURATION, EVERY, beam
+from palpate.scenes.scene import Scene
+
+__all__ = ["FILES", "run_beam"]
+
+FILES = ("report.json", "full.h5", "reduced.h5")
+SNAPSHOTS = round(DURATION / EVERY)
+OF_A_MODEL = ("modes", "spacing", "poisson")
+ONLY_REALTIME = ("seconds", "rate", "model")
+
+
+def run_beam(*, realtime: bool = False, **options: Any) -> int:
+    """Run the beam as the command line says: see `run_once` and `palpate.app.run.realtime.run_realtime`.
+
+    Parameters
+    ----------
+    realtime : bool
+    options : mapping
+        Of either; None where the command line does not say.
+
+    Raises
+    ------
+    InputError
+        An option that the kind of run does not know, or a parameter out of range.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    if realtime and "load" in given:
+        raise InputError(f"load = {given['load']:g}: in real time a tool moves the end; leave --load out")
+    for name in ONLY_REALTIME:
+        if not realtime and name in given:
+            raise InputError(f"{name} = {given[name]} is for runs in real time: add --realtime, or leave it out")
+    for name in OF_A_MODEL:
+        if "model" in given and name in given:
+            raise InputError(f"{name} = {given[name]}: a model from a file has its own; leave that or the file out")
+    return run_realtime(**given) if realtime else run_once(**given)
+
+
+def run_once(
+    *,
+    spacing: float = 0.005,
+    load: float = 100.0,
+    poisson: float = 0.49,
+    modes: int | None = None,
+    out: Path,
+    as_json: bool = False,
+) -> int:
+    """Run the paper's pull of the beam and leave the trajectory and a report in a folder.
+
+    Parameters
+    ----------
+    spacing : float [m]
+    load : float [N]
+    poisson : float
+        As for `palpate.scenes.beam.beam`.
+    modes : int, optional
+        Train a hyper-reduced model of so many modes on the full run, and run it, too. The full model then is in its
+        energy form, which the reduced one samples.
+    out : path
+    as_json : bool
+        As for `palpate.app.beam.reproduce.reproduce_beam`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, or a folder that cannot be written.
+    ReproduceError
+        A run diverged; the frames until then are kept.
+    OSError
+        A file could not be written.
+    """
+    if modes is not None:
+        integer_in_range("modes", modes, 1, SNAPSHOTS)
+    console = Console()
+    doubles = 6 if modes is None else 12
+    scene = prepare(lambda: _scene(spacing, load, poisson, modes is not None), out, doubles, console)
+    for name in FILES:  # of an earlier run: what stands in the folder belongs together
+        (out / name).unlink(missing_ok=True)
+    runs, reduced = {"full": _run(scene, scene.model, console, out / "full.h5")}, None
+    if modes is not None:
+        start = perf_counter()
+        reduced = reduce(cast(FullModel, scene.model), runs["full"], modes=modes)
+        count = count_nodes(reduced.report["nodes"])
+        console.say(f"trained {modes} modes at {count} in {perf_counter() - start:.3g} s")
+        runs["reduced"] = _run(scene, reduced, console)
+        runs["reduced"].save(out / "reduced.h5")
+    report = _report(scene, runs, reduced)
+    write_json(out / "report.json", report)
+    if as_json:
+        print_json(report)
+    else:
+        print_plain([_table(report)], out, [name for name in FILES if (out / name).is_file()])
+    return 0
+
+
+def _scene(spacing: float, load: float, poisson: float, energy: bool) -> Scene:
+    """Return the scene, its model in the energy form if asked."""
+    scene = beam(spacing=spacing, load=load, poisson=poisson)
+    if not energy:
+        return scene
+    body = scene.model
+    return replace(scene, model=FullModel(body.cloud, body.material, body.fixed, form="energy"))
+
+
+def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | None) -> dict[str, Any]:
+    report: dict[str, Any] = {
+        "title": scene.title,
+        "parameters": dict(scene.parameters),
+        "form": cast(FullModel, scene.model).form,
+        "machine": machine(),
+        "model": model and model.report,
+        "runs": {name: _described(run, scene) for name, run in runs.items()},
+    }
+    if len(runs) == 2:
+        report["errors"] = errors(runs["full"], runs["reduced"]).as_dict()
+        report["ratio"] = runs["reduced"].wall_seconds / runs["full"].wall_seconds
+    return {name: finite(value) for name, value in report.items()}
+
+
+def _run(scene: Scene, model: Model, console: Console, file: Path | None = None) -> Trajectory:
+    """Run a model; stream its frames to a file, if there is one, for what takes long."""
+    drive = model.drive(scene.loads)
+    kept = f"; the frames until then are kept in {file}" if file else ""
+    try:
+        step = min(scene.every, model.stable_step(model.state(drive), drive))
+        rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles what is left
+        run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file)
+    except DivergenceError as error:
+        raise ReproduceError(f"the {model.name} model diverged: {error}{kept}") from error
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"in the {model.name} run{kept}") from None
+    console.say(f"{model.name} model: {run.wall_seconds:.3g} s, {int(run.steps[-1])} steps")
+    return run
+
+
+def _described(run: Trajectory, scene: Scene) -> dict[str, Any]:
+    peaks = {name: float(np.linalg.norm(force, axis=1).max()) for name, force in run.reactions.items()}
+    return {
+        "nodes": len(run.points),
+        "wall_seconds": run.wall_seconds,
+        "real_time_factor": scene.duration / run.wall_seconds,
+        "steps": int(run.steps[-1]),
+        "seconds_per_step": run.wall_seconds / float(run.steps[-1]),
+        "viscosity": run.viscosity,
+        "largest_displacement": float(np.linalg.norm(run.displacements, axis=2).max()),
+        "largest_reactions": peaks,
+        "energy_balance": float(np.abs(run.balance).max() / np.abs(run.external).max()),
+    }
+
+
+def _table(report: dict[str, Any]) -> Any:
+    runs = report["runs"].values()
+    rows = {
+        "computing time": [f"{run['wall_seconds']:.3g} s" for run in runs],
+        "simulated time over computing time": [f"{run['real_time_factor']:.3g}" for run in runs],
+        "time steps": [f"{run['steps']}" for run in runs],
+        "a step": [f"{1e6 * run['seconds_per_step']:.3g} us" for run in runs],
+        "largest displacement": [f"{1e3 * run['largest_displacement']:.4g} mm" for run in runs],
+        "energy balance, largest miss over largest work": [percent(run["energy_balance"]) for run in runs],
+    }
+    for group in next(iter(runs))["largest_reactions"]:
+        rows[f"largest force of {group!r}"] = [f"{run['largest_reactions'][group]:.4g} N" for run in runs]
+    if "errors" in report:
+        rows |= {f"error of {name}": ["-", percent(value)] for name, value in report["errors"].items()}
+        rows["time over the full model's"] = ["-", percent(report["ratio"])]
+    columns = [f"full model, {report['form']} form", "reduced model"][: len(report["runs"])]
+    return quantities_table(report["title"], columns, rows)
