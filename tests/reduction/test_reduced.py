@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
-from palpate.reduction.training import strain_modes
+from palpate.reduction.bases import strain_modes
 
 EVERY, DURATION = 0.0005, 0.02
 TISSUE = {"C1": 60e3, "C2": 1.2e3, "density": 1120.0}

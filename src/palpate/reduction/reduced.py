@@ -7,7 +7,6 @@ model no more. A step costs what its samples and coordinates cost, whatever the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +17,11 @@ from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
 from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.stability import stable_step
 from palpate.faults import InputError
-from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import moving_least_squares
-from palpate.reduction.cubature import Cubature
+from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import PeriodData, RealtimeModel, period_functions
 from palpate.reduction.samples import sampled_energy, samples, scratch
 from palpate.reduction.stepping import newton, sampled_step
-from palpate.tissue.materials import Material
 
 __all__ = ["ReducedModel", "ReducedParts"]
 
@@ -34,59 +31,6 @@ MOVED = 0.1  # of the largest displacement seen: how far the state goes before t
 CONVERGED = 1e-7  # of the spacing: largest displacement that a Newton iteration may still change
 DIFFERENCE = 1e-5  # of the spacing: displacements for tangents by differences
 MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss
-
-
-@dataclass(frozen=True)
-class ReducedParts:
-    """What a reduced model is made of, and what its file holds.
-
-    Parameters
-    ----------
-    cloud : Cloud
-    material : Material
-    fixed : tuple of str
-    driven : tuple of str
-        Groups that tools hold.
-    volumes : (n,) array [m^3]
-        Nodal volumes of the mass.
-    viscosity : float [s]
-    fastest : float [m/s]
-        About the speed of the fastest waves: a tool that jumps counts as no faster in the viscous forces.
-    columns : (m + l + 3 g, n, 3) array
-        Displacement fields: modes, lifting columns of the tools, and the test fields of the g supports.
-    modes : int
-        How many of them are modes.
-    lifted : int
-        How many of them are lifting columns.
-    cubature : Cubature
-    gradients : (s, m + l + 3 g, 9) array
-        Derivatives of the columns at the sampled nodes, row by row.
-    constant : (m + l + 3 g, m + l + 3 g) array
-        Constant stiffness of what the stencils miss.
-    trained : (t, m + l) array
-        Coordinates of the training states.
-    reach : float [m]
-        Distance from the training states at which the trust number is 1.
-    report : mapping
-        What was measured in training.
-    """
-
-    cloud: Cloud
-    material: Material
-    fixed: tuple[str, ...]
-    driven: tuple[str, ...]
-    volumes: Floats
-    viscosity: float
-    fastest: float
-    columns: Floats
-    modes: int
-    lifted: int
-    cubature: Cubature
-    gradients: Floats
-    constant: Floats
-    trained: Floats
-    reach: float
-    report: dict[str, Any] = field(default_factory=dict)
 
 
 class ReducedModel(Model):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from palpate.dynamics.full import FullModel
@@ -17,10 +16,11 @@ from palpate.dynamics.reactions import partition
 from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
-from palpate.reduction.cubature import Cubature, non_negative, sketch, slopes_fit
+from palpate.reduction.bases import joined, strain_modes
 from palpate.reduction.errors import errors
 from palpate.reduction.linear import tool_responses
 from palpate.reduction.reduced import ReducedModel, ReducedParts
+from palpate.reduction.sampling import choose_samples, differentiated, pressure_moments
 
 __all__ = ["Trial", "reduce"]
 
@@ -30,33 +30,8 @@ Trial = tuple[Sequence[Load], Trajectory]
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # tried when a tolerance is given
 SOLVED = 6000  # nodes up to which equations of the whole body are solved
 STATES = 240  # training states that the cubature is fitted at
-ROWS, ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
-SLOPES = 60  # training states at which the moments' slopes are fitted
-BLOCK = 4096  # nodes at a time
 PRESSURES = 4  # modes to one pressure mode: more would stiffen what the modes cannot keep at constant volume
-LIGHT = 1e-12  # of the highest squared frequency: what keeps a body without supports regular
 HELD_SHARE = 0.95
-MOST_SNAPSHOTS = 800  # that modes are found from
-SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
-SINGLE = 1e-10  # of the largest eigenvalue of products in single precision: what is below is noise
-
-
-@dataclass(frozen=True)
-class _Fields:
-    """The columns, and what they do at the nodes of the energy form.
-
-    Parameters
-    ----------
-    columns : (m, n, 3) array
-    gradients : (n, m, 9) array
-        Their derivatives; of single precision where there are many.
-    constant : (m, m) array
-        Stiffness of what the stencils miss of them.
-    """
-
-    columns: Floats
-    gradients: Floats
-    constant: Floats
 
 
 def reduce(
@@ -143,55 +118,6 @@ def reduce(
     )
 
 
-def strain_modes(body: FullModel, snapshots: Floats, modes: int) -> Floats:
-    """Return modes (M, n, 3) that hold most of the gradients of some snapshots (t, n, 3), orthonormal in the volumes.
-
-    The proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not only in
-    displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so that small
-    motions are not lost beside large ones.
-
-    Raises
-    ------
-    InputError
-        More modes than independent snapshots, or snapshots that are all zero or not finite.
-    """
-    if not np.isfinite(snapshots).all():
-        raise InputError("snapshots are not finite")
-    chosen = snapshots[np.unique(np.linspace(0, len(snapshots) - 1, MOST_SNAPSHOTS).astype(int))]
-    roots = np.repeat(np.sqrt(body.volumes), 9)
-    rows = np.array([body.stencils.gradient(u).reshape(-1) * roots for u in chosen], dtype=np.float32)
-    gram = np.asarray(rows @ rows.T, dtype=float)
-    sizes = np.sqrt(np.diag(gram))
-    if sizes.max() == 0:
-        raise InputError("all snapshots are zero: there is nothing to find modes in")
-    scale = 1 / np.sqrt(np.maximum(sizes, SMALLEST * sizes.max()))
-    values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
-    rank = int(np.sum(values > SINGLE * values[-1]))
-    if modes > rank:
-        raise InputError(f"modes = {modes}: the {len(chosen)} snapshots hold only {rank} independent shapes")
-    shapes = (vectors[:, ::-1][:, :modes].T * scale) @ chosen.reshape(len(chosen), -1)
-    return _orthonormal(body, shapes.reshape(modes, -1, 3))
-
-
-def _orthonormal(body: FullModel, fields: Floats) -> Floats:
-    """Fields (m, n, 3) with the same span, orthonormal in the volumes."""
-    weights = np.repeat(np.sqrt(body.volumes), 3)
-    orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
-    return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
-
-
-def _joined(body: FullModel, modes: Floats | None, enrichment: Floats | None) -> Floats:
-    """Modes and enrichment, orthonormal together."""
-    if enrichment is None:
-        return np.zeros((0, len(body.cloud), 3)) if modes is None else modes
-    if enrichment.ndim != 3 or enrichment.shape[1:] != (len(body.cloud), 3) or not np.isfinite(enrichment).all():
-        raise InputError(f"enrichment has shape {enrichment.shape}; this body needs (e, {len(body.cloud)}, 3), finite")
-    if np.abs(enrichment[:, body.held]).max(initial=0.0) > 0:
-        raise InputError("enrichment moves nodes of the supports")
-    sizes = np.linalg.norm(enrichment, axis=2).max(axis=1)[:, None, None]
-    return _orthonormal(body, enrichment / sizes if modes is None else np.concatenate([modes, enrichment / sizes]))
-
-
 def _check(full: FullModel, runs: Sequence[Trajectory]) -> None:
     if not runs:
         raise InputError("reduce needs at least one trajectory to learn from")
@@ -223,21 +149,21 @@ def _trained(
     """Train a model of a given size."""
     start = perf_counter()
     snapshots = np.concatenate([run.displacements for run in runs])
-    lifting, supports = _lifting(body, tools), _support_fields(body, tools)
+    lifting, supports = _lifting(body, tools), _supportdifferentiated(body, tools)
     rest = _without_tools(body, snapshots, lifting, tools)
-    shapes = _joined(body, strain_modes(body, rest, modes) if modes else None, enrichment)
+    shapes = joined(body, strain_modes(body, rest, modes) if modes else None, enrichment)
     modes = len(shapes)
     # as single precision keeps them in the file, so that the model that is loaded is the model that was trained
     columns = np.concatenate([shapes, lifting, supports]).astype(np.float32).astype(float)
-    fields = _fields(body, columns)
+    fields = differentiated(body, columns)
     count = modes + len(lifting)
     flat = fields.columns[:count].reshape(count, -1)
     weights = np.repeat(body.masses, 3)
     mass = (flat * weights) @ flat.T
     states = np.linalg.solve(mass, (flat * weights) @ snapshots.reshape(len(snapshots), -1).T).T
     chosen = states[np.linspace(0, len(states) - 1, min(STATES, len(states))).astype(int)]
-    moments = _pressure_modes(body, snapshots, pressures or max(1, modes // PRESSURES))
-    rule = _cubature(body, fields, count, chosen, mass, share, moments, seed)
+    moments = pressure_moments(body, snapshots, pressures or max(1, modes // PRESSURES))
+    rule = choose_samples(body, fields, count, chosen, mass, share, moments, seed)
     parts = ReducedParts(
         body.cloud, body.material, body.fixed, tools, body.volumes, full.viscosity, full.fastest, fields.columns, modes,
         len(lifting), rule, np.asarray(fields.gradients[rule.nodes], dtype=float), fields.constant, chosen,
@@ -344,7 +270,7 @@ def _lifting(body: FullModel, tools: Sequence[str]) -> Floats:
     return tool_responses(body, np.array(columns), tools) if len(points) <= SOLVED else np.array(columns)
 
 
-def _support_fields(body: FullModel, tools: Sequence[str]) -> Floats:
+def _supportdifferentiated(body: FullModel, tools: Sequence[str]) -> Floats:
     """Test fields (3 g, n, 3) for the forces of the supports: 1 there in each direction, 0 at others and at tools."""
     held = {name: body.cloud.group(name) for name in (*body.fixed, *tools)}
     if not body.fixed:
@@ -367,104 +293,3 @@ def _without_tools(body: FullModel, snapshots: Floats, lifting: Floats, tools: S
     rest = snapshots - np.tensordot(coordinates, lifting, 1)
     rest[:, nodes] = 0.0  # rounding
     return np.asarray(rest)
-
-
-def _fields(body: FullModel, columns: Floats) -> _Fields:
-    """Differentiate columns (m, n, 3) at all nodes."""
-    blocks, lanes = body.body.lanes.nodes.shape
-    n, count = len(body.cloud), len(columns)
-    type_ = np.float64 if n * count < 2_000_000 else np.float32
-    gradients, misses = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
-    table = np.zeros((blocks, 1, 12, lanes))
-    for m in range(count):
-        body.formulation.differentiate(np.ascontiguousarray(columns[m : m + 1]), body.body, body.work, table)
-        by_node = table[:, 0].transpose(0, 2, 1).reshape(-1, 12)[body.slot]
-        gradients[:, m] = by_node[:, :9]
-        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.volumes), 3)
-    constant = np.asarray(misses @ misses.T, dtype=float) * body.body.hourglass
-    return _Fields(columns, gradients, constant)
-
-
-def _cubature(
-    body: FullModel, fields: _Fields, count: int, states: Floats, mass: Floats, share: float, moments: Floats, seed: int
-) -> Cubature:
-    """Choose nodes, weights, and the coefficients of the moments."""
-    own = fields.gradients[:, :count]
-    root = _compliance(body, own, fields.constant[:count, :count], moments, mass)
-    if share == 0.0:  # every node, with its volume
-        return Cubature(np.arange(len(body.cloud)), body.volumes, moments, 0.0)
-    generator = np.random.default_rng(seed)
-    total = min(ROWS, ENTRIES // len(body.cloud))
-    rows, columns, target = max(1, min(count, total // len(states))), [], []
-    for state in states:
-        weighted = sketch(rows, count, generator) @ root @ _shear_work(body, own, state)
-        size = np.linalg.norm(weighted.sum(axis=1))
-        if size > 0:
-            columns.append(weighted / np.sqrt(size))
-            target.append(columns[-1].sum(axis=1))
-    multiples, residual = non_negative(np.concatenate(columns), np.concatenate(target), share)
-    nodes = np.flatnonzero(multiples > 0)
-    pressure = _pressure(own, states, moments, nodes, root)
-    return Cubature(nodes, multiples[nodes] * body.volumes[nodes], pressure, residual)
-
-
-def _deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
-    """F, cof(F) and J at nodes with the derivatives (n, m, 9) of the columns."""
-    F = np.eye(3) + np.einsum("nmk,m->nk", gradients, state.astype(gradients.dtype)).astype(float).reshape(-1, 3, 3)
-    cofactor = np.stack([np.cross(F[:, 1], F[:, 2]), np.cross(F[:, 2], F[:, 0]), np.cross(F[:, 0], F[:, 1])], axis=1)
-    return F, cofactor, np.sum(F[:, 0] * cofactor[:, 0], axis=1)
-
-
-def _shear_work(body: FullModel, gradients: Floats, state: Floats) -> Floats:
-    """Work of every node's shear stress, times its volume, on the columns, shape (m, n)."""
-    F, cofactor, J = _deformation(gradients, state)
-    stress = body.material.stress(F) - (body.material.lame * (J - 1))[:, None, None] * cofactor
-    weighted = (stress * body.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
-    return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
-
-
-def _pressure_modes(body: FullModel, snapshots: Floats, pressures: int) -> Floats:
-    """Coefficients (k, n) of J - 1 at all nodes in the moments: those of the main shapes of the runs' pressures."""
-    roots, chosen = np.sqrt(body.volumes), snapshots[:: max(1, len(snapshots) // STATES)]
-    smooth = np.empty((len(chosen), len(roots)))
-    for u, row in zip(chosen, smooth, strict=True):
-        body.force(u)
-        row[:] = body.work.smooth * roots
-    sizes = np.linalg.norm(smooth, axis=1)
-    smooth /= np.sqrt(np.maximum(sizes, SMALLEST * sizes.max()))[:, None]
-    _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
-    kept = min(pressures, int(np.sum(values > 1e-10 * values[0])))
-    return np.asarray(np.sqrt(body.material.lame) * body.smoothed_back(shapes[:kept] * roots))
-
-
-def _compliance(body: FullModel, gradients: Floats, constant: Floats, moments: Floats, mass: Floats) -> Floats:
-    """Return R with R^T R the compliance of the body at rest in the coordinates."""
-    shear, count = body.material.shear_modulus, len(mass)
-    second = body.material.shear_bulk_modulus - 2 / 3 * shear
-    stiffness = constant.copy()
-    for start in range(0, len(gradients), BLOCK):
-        own = gradients[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
-        roots = np.sqrt(body.volumes[start : start + BLOCK])
-        strain = (own + np.swapaxes(own, 2, 3)).reshape(-1, count, 9) * roots[:, None, None]
-        rows = strain.transpose(0, 2, 1).reshape(-1, count)
-        traces = np.trace(own, axis1=2, axis2=3)
-        slopes = traces * roots[:, None]
-        stiffness += 0.5 * shear * rows.T @ rows + second * slopes.T @ slopes
-    divergence = gradients[:, :, 0] + gradients[:, :, 4] + gradients[:, :, 8]
-    slopes = moments @ divergence
-    stiffness += slopes.T @ slopes
-    values, vectors = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), mass)
-    return np.asarray((vectors / np.sqrt(np.maximum(values, LIGHT * np.abs(values).max()))).T)
-
-
-def _pressure(gradients: Floats, states: Floats, moments: Floats, nodes: NDArray[np.int64], root: Floats) -> Floats:
-    """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
-    sampled, whole, stiff = [], [], np.linalg.inv(root).T
-    for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPES)]):
-        _, cofactor, J = _deformation(gradients, state)
-        slope = np.matmul(gradients, cofactor.reshape(-1, 9, 1).astype(gradients.dtype))[:, :, 0] @ root.T
-        value = (J - 1)[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
-        both = np.hstack([slope, value if state.any() else 0 * value])
-        sampled.append(both[nodes])
-        whole.append(moments @ both)
-    return slopes_fit(np.hstack(sampled), np.hstack(whole))

@@ -1,0 +1,66 @@
+"""Bases: modes of strain, and fields that join them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.full import FullModel
+from palpate.faults import InputError
+
+__all__ = ["joined", "strain_modes"]
+
+Floats = NDArray[np.float64]
+
+MOST_SNAPSHOTS = 800  # that modes are found from
+SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
+SINGLE = 1e-10  # of the largest eigenvalue of products in single precision: what is below is noise
+
+
+def strain_modes(body: FullModel, snapshots: Floats, modes: int) -> Floats:
+    """Return modes (M, n, 3) that hold most of the gradients of some snapshots (t, n, 3), orthonormal in the volumes.
+
+    The proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not only in
+    displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so that small
+    motions are not lost beside large ones.
+
+    Raises
+    ------
+    InputError
+        More modes than independent snapshots, or snapshots that are all zero or not finite.
+    """
+    if not np.isfinite(snapshots).all():
+        raise InputError("snapshots are not finite")
+    chosen = snapshots[np.unique(np.linspace(0, len(snapshots) - 1, MOST_SNAPSHOTS).astype(int))]
+    roots = np.repeat(np.sqrt(body.volumes), 9)
+    rows = np.array([body.stencils.gradient(u).reshape(-1) * roots for u in chosen], dtype=np.float32)
+    gram = np.asarray(rows @ rows.T, dtype=float)
+    sizes = np.sqrt(np.diag(gram))
+    if sizes.max() == 0:
+        raise InputError("all snapshots are zero: there is nothing to find modes in")
+    scale = 1 / np.sqrt(np.maximum(sizes, SMALLEST * sizes.max()))
+    values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
+    rank = int(np.sum(values > SINGLE * values[-1]))
+    if modes > rank:
+        raise InputError(f"modes = {modes}: the {len(chosen)} snapshots hold only {rank} independent shapes")
+    shapes = (vectors[:, ::-1][:, :modes].T * scale) @ chosen.reshape(len(chosen), -1)
+    return _orthonormal(body, shapes.reshape(modes, -1, 3))
+
+
+def _orthonormal(body: FullModel, fields: Floats) -> Floats:
+    """Fields (m, n, 3) with the same span, orthonormal in the volumes."""
+    weights = np.repeat(np.sqrt(body.volumes), 3)
+    orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
+    return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
+
+
+def joined(body: FullModel, modes: Floats | None, enrichment: Floats | None) -> Floats:
+    """Modes and enrichment, orthonormal together."""
+    if enrichment is None:
+        return np.zeros((0, len(body.cloud), 3)) if modes is None else modes
+    if enrichment.ndim != 3 or enrichment.shape[1:] != (len(body.cloud), 3) or not np.isfinite(enrichment).all():
+        raise InputError(f"enrichment has shape {enrichment.shape}; this body needs (e, {len(body.cloud)}, 3), finite")
+    if np.abs(enrichment[:, body.held]).max(initial=0.0) > 0:
+        raise InputError("enrichment moves nodes of the supports")
+    sizes = np.linalg.norm(enrichment, axis=2).max(axis=1)[:, None, None]
+    return _orthonormal(body, enrichment / sizes if modes is None else np.concatenate([modes, enrichment / sizes]))

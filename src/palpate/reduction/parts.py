@@ -1,0 +1,70 @@
+"""What a reduced model is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.meshfree.cloud import Cloud
+from palpate.reduction.cubature import Cubature
+from palpate.tissue.materials import Material
+
+__all__ = ["ReducedParts"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReducedParts:
+    """What a reduced model is made of, and what its file holds.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    material : Material
+    fixed : tuple of str
+    driven : tuple of str
+        Groups that tools hold.
+    volumes : (n,) array [m^3]
+        Nodal volumes of the mass.
+    viscosity : float [s]
+    fastest : float [m/s]
+        About the speed of the fastest waves: a tool that jumps counts as no faster in the viscous forces.
+    columns : (m + l + 3 g, n, 3) array
+        Displacement fields: modes, lifting columns of the tools, and the test fields of the g supports.
+    modes : int
+        How many of them are modes.
+    lifted : int
+        How many of them are lifting columns.
+    cubature : Cubature
+    gradients : (s, m + l + 3 g, 9) array
+        Derivatives of the columns at the sampled nodes, row by row.
+    constant : (m + l + 3 g, m + l + 3 g) array
+        Constant stiffness of what the stencils miss.
+    trained : (t, m + l) array
+        Coordinates of the training states.
+    reach : float [m]
+        Distance from the training states at which the trust number is 1.
+    report : mapping
+        What was measured in training.
+    """
+
+    cloud: Cloud
+    material: Material
+    fixed: tuple[str, ...]
+    driven: tuple[str, ...]
+    volumes: Floats
+    viscosity: float
+    fastest: float
+    columns: Floats
+    modes: int
+    lifted: int
+    cubature: Cubature
+    gradients: Floats
+    constant: Floats
+    trained: Floats
+    reach: float
+    report: dict[str, Any] = field(default_factory=dict)
