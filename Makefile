@@ -11,6 +11,8 @@ BIN := $(VENV)/bin
 # Draw off-screen, without a display.
 export PYVISTA_OFF_SCREEN ?= true
 export MPLBACKEND ?= Agg
+# The tests run side by side already; threads of linear algebra beside them only wait for each other.
+test: export OPENBLAS_NUM_THREADS ?= 1
 ifeq ($(shell uname -s),Linux)
 export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
