@@ -120,7 +120,7 @@ def _against_energy_form(reduced: Sequence[dict[str, Any]]) -> Any:
         f"{entry['modes']} modes": [percent(value) for value in entry["errors_against"][ENERGY_FORM].values()]
         for entry in done
     }
-    title = "Hyper-reduced models: errors against the energy form"
+    title = "Hyper-reduced, against the energy form"
     return quantities_table(title, ["displ.", "velocity", "energy", "force"], rows)
 
 

@@ -86,6 +86,7 @@ def _pull(seconds: list[float], steps: int, duration: float) -> dict[str, Any]:
     median = float(np.median(seconds))
     return {
         "wall_seconds": median,
+        "rounds": seconds,
         "steps": steps,
         "steps_per_second": steps / median,
         "real_time_factor": duration / median,
