@@ -72,7 +72,8 @@ def reduce(
     cubature : float
         What the sampled forces may miss of the whole ones in training, relative.
     pressures : int, optional
-        Number of pressure modes; by default a quarter of the modes.
+        Number of pressure modes; by default a quarter of the modes, which errs least on motions not trained on. For
+        one trained motion and few modes, as many as modes are better.
     seed : int
         Of random combinations where the training data are many.
 
