@@ -185,7 +185,7 @@ def test_the_shortest_waves_are_not_free(deep, number, polarised):
     """No gradient at the nodes sees a wave of two spacings: what the fit misses must."""
     model = energy_form(deep, pt.NeoHookean(C1=20e3, density=1000, poisson=0.3))
     short = wave_frequency(model, np.pi / deep.spacing * np.array(number), np.array(polarised, dtype=float))
-    assert short > 0.4 * np.sqrt(model.material.shear_modulus / 1000) / deep.spacing
+    assert short > np.sqrt(model.material.shear_modulus / 1000) / deep.spacing
 
 
 @pytest.mark.parametrize(("poisson", "jitter"), [(0.3, 0.0), (0.49, 0.0), (0.49, 0.2), (0.499, 0.0)])
@@ -194,13 +194,13 @@ def test_the_lowest_vibrations_are_those_of_finite_elements(poisson, jitter):
     K = symmetric_stiffness(model)
     found = np.sqrt(eigvalsh((K + K.T) / 2, subset_by_index=(0, 7)))
     first, second, torsion, torsion2, axial, third = FINITE_ELEMENTS[poisson]
-    np.testing.assert_allclose(found[:6], (first, first, torsion, second, second, axial), rtol=0.05)
-    np.testing.assert_allclose(found[6:], (torsion2, third), rtol=0.12)
+    np.testing.assert_allclose(found[:6], (first, first, torsion, second, second, axial), rtol=0.04)
+    np.testing.assert_allclose(found[6:], (torsion2, third), rtol=0.08)
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.49])
 def test_a_beam_four_nodes_across_bends_as_far_as_in_closed_form(poisson):
-    length, side = 0.1, 0.02
+    length, side = 0.2, 0.02
     material, force = silicone(poisson), 1e-6
     cloud = pt.box((length, side, side), side / 3)
     model = energy_form(cloud, material, "x-")

@@ -1,4 +1,4 @@
-"""Nodal weights that integrate quadratics, and a smoothing that keeps integrals."""
+"""Nodal weights that integrate quadratics, a smoothing that keeps integrals, and what a quadratic fit misses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 from palpate.meshfree import quadrature
-from palpate.meshfree.quadrature import LEAST, conservative_smoothing, integration_weights
+from palpate.meshfree.quadrature import LEAST, conservative_smoothing, integration_weights, quadratic_misses
 
 BOXES = {"cube of 4": ((0.03,) * 3, 0.01), "bar": ((0.06, 0.02, 0.025), 0.005), "cube of 8": ((0.07,) * 3, 0.01)}
 
@@ -183,3 +183,37 @@ def test_a_smoothing_that_is_not_found_is_refused_by_the_node(monkeypatch):
     monkeypatch.setattr(quadrature, "TOLERANCE", 0.0)
     with pytest.raises(pt.CloudError, match=r"no smoothing of the pressure keeps its integral near node \d+ "):
         conservative_smoothing(linear_fit(cloud), cloud.volumes)
+
+
+def missed(cloud, field):
+    stencils = pt.moving_least_squares(cloud.points, neighbours=42)
+    weights = quadratic_misses(stencils, cloud.points)[stencils.row]
+    return np.sum(weights * (field[stencils.neighbours] - field[:, None]), axis=1)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
+def test_nothing_is_missed_of_quadratics(jitter):
+    cloud = pt.box((0.06, 0.02, 0.02), 0.005, jitter)
+    for field in quadratics(cloud)[0].T:
+        np.testing.assert_allclose(missed(cloud, field), 0, atol=1e-11)
+    noise = np.random.default_rng(0).normal(size=len(cloud))
+    assert np.abs(missed(cloud, noise)).mean() > 0.3
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+@pytest.mark.parametrize("number", [(1, 0, 0), (0, 1, 0), (1, 0, 1), (1, 1, 1)])
+def test_waves_of_two_spacings_are_missed_almost_whole(number, jitter):
+    cloud = pt.box((0.11,) * 3, 0.01, jitter)
+    lattice = pt.box((0.11,) * 3, 0.01).points / 0.01
+    wave = np.cos(np.pi * lattice @ np.array(number))
+    inside = np.all((lattice > 1.5) & (lattice < 9.5), axis=1)
+    assert (missed(cloud, wave) / wave)[inside].min() > 0.4
+
+
+def test_of_smooth_fields_a_part_of_fourth_order_is_missed_inside_a_lattice():
+    sizes = []
+    for cells in (8, 16):
+        cloud = pt.box((1.0,) * 3, 1 / cells)
+        inside = np.all(np.abs(cloud.points - 0.5) < 0.26, axis=1)
+        sizes.append(np.abs(missed(cloud, np.sin(cloud.points @ (2.0, 1.3, 0.7))))[inside].max())
+    assert np.log2(sizes[0] / sizes[1]) > 3.7

@@ -19,7 +19,7 @@ from palpate.dynamics.stability import StabilityReport, choose_viscosity, stable
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
-from palpate.meshfree.quadrature import conservative_smoothing, integration_weights
+from palpate.meshfree.quadrature import conservative_smoothing, integration_weights, quadratic_misses
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.materials import Material
 
@@ -139,14 +139,13 @@ class FullModel(NodalModel):
     def _prepare_energy(self, smoother: Stencils) -> None:
         """Lay out the passes of the energy form."""
         cloud, material = self.cloud, self.material
-        fit = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours, interpolating=False)
         self._volumes = integration_weights(cloud, self.stencils)
+        misses = quadratic_misses(self.stencils, cloud.points)
         row, first = self.stencils.row, self.stencils.first
         if len(first) > LATTICE * len(cloud):  # few nodes share a stencil: the fit alone would not balance
             edges = cloud.boundary_vectors() * cloud.volumes[:, None]
             first = consistent_gradient(self.stencils, cloud.points, self._volumes, edges)
             row = np.arange(len(cloud), dtype=np.int32)
-        misses = -fit.value[fit.row] if len(first) == len(cloud) else -_by_row(fit.value, fit.row, row, len(first))
         self.stencils = replace(
             self.stencils, row=row, first=first, own_first=-first.sum(axis=1), second=np.zeros((0, 0, 0)), value=misses
         )
@@ -240,10 +239,3 @@ class FullModel(NodalModel):
 
     def drive(self, loads: Sequence[Load]) -> Drive:
         return drive(self.cloud, self.fixed, loads)
-
-
-def _by_row(values: Floats, fit_row: NDArray[np.int32], row: NDArray[np.int32], rows: int) -> Floats:
-    """Values of one fit (s, k) laid out by the rows of another whose nodes share stencils alike, (rows, k)."""
-    result = np.empty((rows, values.shape[1]))
-    result[row] = values[fit_row]
-    return result

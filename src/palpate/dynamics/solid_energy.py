@@ -4,10 +4,11 @@ With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
     E(u) = sum over nodes of V [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
 
-theta is J - 1 smoothed by a linear fit over about 27 nodes: the pressure lame theta neither locks nor oscillates. e is
-what the quadratic fit misses of the node's own displacement. Gradients at nodes alone do not see the shortest waves,
-which would cost no energy; e does, is zero in every quadratic field, and so changes neither stretching nor bending
-(hourglass control as in Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
+theta is J - 1 smoothed over about 27 nodes such that its integral stays: the pressure lame theta neither locks nor
+oscillates, and a uniform one moves no node inside. e is what an evenly weighted quadratic fit misses of the node's own
+displacement. Gradients at nodes alone do not see the shortest waves, which would cost no energy; e does, is zero in
+every quadratic field, and so changes neither stretching nor bending (hourglass control as in Ganzenmueller, Comput.
+Methods Appl. Mech. Eng. 286, 2015, of second order).
 
 Four passes over blocks of nodes: deformation and shear stress; smoothing of J - 1; the transposed smoothing, which
 gives the pressure; the transposed derivatives of the stresses. Each node's result depends on no other's, so any number

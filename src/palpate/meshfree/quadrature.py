@@ -8,7 +8,8 @@ Here a field is integrated over each node's cell as its fit there says,
 m_I and M_I the first and second moments of the cell about its node, and the derivatives' weights are collected. On a
 lattice the weights of the inner nodes stay as they are, and those near a face become end corrections of Gregory's kind.
 
-A field that is smoothed at the nodes should keep its integral: `conservative_smoothing` sees to it.
+A field that is smoothed at the nodes should keep its integral: `conservative_smoothing` sees to it. And derivatives at
+the nodes do not see all of a field: `quadratic_misses` are a measure of the rest.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 
-__all__ = ["conservative_smoothing", "integration_weights"]
+__all__ = ["conservative_smoothing", "integration_weights", "quadratic_misses"]
 
 Floats = NDArray[np.float64]
 
@@ -100,3 +101,37 @@ def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats,
         )
     value[node, place] += change
     return value, 1.0 - value.sum(axis=1)
+
+
+def quadratic_misses(stencils: Stencils, points: Floats) -> Floats:
+    """Return weights of what a quadratic fit misses of a field at its own node, zero in every quadratic field.
+
+    The fit weighs all neighbours alike. One that weighs the farthest of them little, as moving least squares do, has
+    three planes of a lattice to fit a wave of two spacings with, and misses nothing of it.
+
+    Parameters
+    ----------
+    stencils : Stencils
+        Whose neighbours to use, at least 33 on a lattice: two spacings to each side.
+    points : (n, 3) array [m]
+
+    Returns
+    -------
+    (s, k) array
+        By the rows of the stencils; the node's own weight is minus their sum.
+    """
+    rows = len(stencils.first)
+    node = np.empty(rows, dtype=int)
+    node[stencils.row] = np.arange(len(points))  # one of every row
+    result = np.empty((rows, stencils.neighbours.shape[1]))
+    for part in np.array_split(np.arange(rows), rows // 4096 + 1):  # to hold few monomials at a time
+        near = stencils.neighbours[node[part]]
+        present = near != node[part, None]
+        offset = points[near] - points[node[part], None]
+        offset /= np.abs(offset).max()
+        squares = [offset[..., a] * offset[..., b] for a, b in PAIRS]
+        monomials = np.stack([np.ones(near.shape), *np.moveaxis(offset, 2, 0), *squares], axis=2) * present[:, :, None]
+        moments = np.einsum("nki,nkj->nij", monomials, monomials)
+        moments[:, 0, 0] += 1.0  # the node itself
+        result[part] = -np.einsum("nki,ni->nk", monomials, np.linalg.inv(moments)[:, :, 0])
+    return result
