@@ -59,7 +59,7 @@ def test_a_full_rank_reduced_run_is_the_full_run(small_cloud, tissue, everything
         np.testing.assert_allclose(getattr(runs[1], name), expected, atol=1e-8 * np.abs(expected).max())
     force = runs[0].reactions["x-"]
     np.testing.assert_allclose(runs[1].reactions["x-"], force, atol=1e-7 * np.abs(force).max())
-    assert runs[1].model == "reduced"
+    assert runs[1].model == "projected"
 
 
 def test_a_full_rank_spectrum_is_the_full_spectrum(body, everything):
