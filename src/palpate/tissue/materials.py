@@ -14,23 +14,32 @@ with `lame` chosen so that the law has the asked-for bulk modulus at rest.
 
 A new law is a frozen dataclass with its parameters, `shear_modulus`, `shear_bulk_modulus` and three static functions
 `energy`, `first` and `second` of the invariants and the tuple of coefficients. The functions are inlined in the
-compiled kernels and called with whole arrays elsewhere, so they are plain arithmetic and NumPy functions.
+compiled kernels and called with whole arrays elsewhere, so they are plain arithmetic and NumPy functions. A law of the
+principal stretches is a `StretchLaw` (`palpate.tissue.stretch_laws`): the same, with other variables.
+
+Here stand the contract and the two laws of the paper's examples; `palpate.tissue.catalogue` lists all.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.faults import InputError, number_in_range
 
-__all__ = ["Material", "MooneyRivlin", "NeoHookean"]
+__all__ = ["Material", "MooneyRivlin", "NeoHookean", "parameter"]
 
 MOST_POISSON = 0.499  # the stability of the split pressure is verified up to here
+
+
+def parameter(unit: str = "", low: float = -np.inf, high: float = np.inf, *, above: float | None = None) -> Any:
+    """Return the field of a law's parameter, with its unit and range: [low, high], or (above, high]."""
+    low, open_low = (low, False) if above is None else (above, True)
+    return field(metadata={"unit": unit, "low": low, "high": high, "open_low": open_low})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +59,15 @@ class Material(ABC):
     ------
     InputError
         A parameter out of range, or both or neither of `poisson` and `bulk`.
+
+    Attributes
+    ----------
+    variables : str
+        What the law is a function of: ``"invariants"`` I1, I2, J; ``"stretches"`` l1, l2, l3; or ``"gradient"``, the
+        small strain.
     """
+
+    variables: ClassVar[str] = "invariants"
 
     density: float
     poisson: float | None = None
@@ -72,9 +89,11 @@ class Material(ABC):
             bulk = number_in_range("bulk", self.bulk, low * (1 - 1e-9), high * (1 + 1e-9), unit="Pa")  # type: ignore[arg-type]
             object.__setattr__(self, "poisson", (3 * bulk - 2 * mu) / (2 * (3 * bulk + mu)))
 
-    @abstractmethod
     def _check_parameters(self) -> None:
-        """Raise `InputError` for a parameter out of range."""
+        """Raise `InputError` for a parameter out of range; each field made by `parameter` knows its own."""
+        for each in fields(self):
+            if each.metadata:
+                number_in_range(each.name, getattr(self, each.name), **each.metadata)
 
     @property
     @abstractmethod
@@ -126,23 +145,33 @@ class Material(ABC):
     def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the whole energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""
         self._refuse_incompressible()
-        I1, I2, J = _invariants(F)
-        J = np.where(J > 0, J, np.nan)  # a body turned inside out has no energy
-        return np.asarray(self.energy(I1, I2, J, self.coefficients) + self.lame / 2 * (J - 1) ** 2)
+        return np.asarray(self.shear_energy(F) + self.lame / 2 * self._dilatation(F) ** 2)
 
     def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the part W_s [J/m^3] of the energy without the bulk term, for F of shape (..., 3, 3)."""
         I1, I2, J = _invariants(F)
-        return np.asarray(self.energy(I1, I2, np.where(J > 0, J, np.nan), self.coefficients))
+        J = np.where(J > 0, J, np.nan)  # a body turned inside out has no energy
+        return np.asarray(self.energy(I1, I2, J, self.coefficients))
 
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the first Piola-Kirchhoff stress dW/dF [Pa], (..., 3, 3): the transpose of (21)."""
         self._refuse_incompressible()
+        pressure = self.lame * self._dilatation(F)
+        return np.asarray(self.shear_stress(F) + pressure[..., None, None] * self.cofactor(F))
+
+    def shear_stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the part of the first Piola-Kirchhoff stress [Pa] that comes from W_s."""
         I1, I2, J = (i[..., None, None] for i in _invariants(F))
         W1, W2, WJ = self.first(I1, I2, J, self.coefficients)
         C = np.swapaxes(F, -1, -2) @ F
-        cofactor = J * np.swapaxes(np.linalg.inv(F), -1, -2)
-        return np.asarray(2 * W1 * F + 2 * W2 * (I1 * F - F @ C) + (WJ + self.lame * (J - 1)) * cofactor)
+        return np.asarray(2 * W1 * F + 2 * W2 * (I1 * F - F @ C) + WJ * self.cofactor(F))
+
+    def cofactor(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what a pressure multiplies in the stress, dJ/dF = cof F, of shape (..., 3, 3)."""
+        return np.asarray(np.linalg.det(F)[..., None, None] * np.swapaxes(np.linalg.inv(F), -1, -2))
+
+    def _dilatation(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.linalg.det(F) - 1)
 
     def _refuse_incompressible(self) -> None:
         if self.incompressible:
@@ -169,10 +198,7 @@ class NeoHookean(Material):
         As for `Material`.
     """
 
-    C1: float
-
-    def _check_parameters(self) -> None:
-        number_in_range("C1", self.C1, 0.0, open_low=True, unit="Pa")
+    C1: float = parameter("Pa", above=0.0)
 
     @property
     def shear_modulus(self) -> float:
@@ -211,12 +237,8 @@ class MooneyRivlin(Material):
         As for `Material`.
     """
 
-    C1: float
-    C2: float
-
-    def _check_parameters(self) -> None:
-        number_in_range("C1", self.C1, 0.0, open_low=True, unit="Pa")
-        number_in_range("C2", self.C2, 0.0, unit="Pa")
+    C1: float = parameter("Pa", above=0.0)
+    C2: float = parameter("Pa", low=0.0)
 
     @property
     def shear_modulus(self) -> float:

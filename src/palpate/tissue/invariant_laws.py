@@ -1,0 +1,275 @@
+"""Laws of the invariants that stiffen with stretch, and St. Venant and Kirchhoff's.
+
+Laws printed for incompressible tissue as W = f(I1 - 3) are made compressible in one way:
+
+    W_s = f(x),      x = I1 - 3 - 2 ln J.
+
+x is I1 - 3 where the volume stays; it is a convex function of the logarithms of the stretches and least, zero, at rest
+alone. So rest is free of stress, W_s grows with every deformation if f does, mu = 2 f'(0), and the share of the shear
+part in the bulk modulus is 2/3 mu, whatever f is. For f(x) = mu/2 x this is the neo-Hookean law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.faults import number_in_range
+from palpate.tissue.materials import Material, parameter
+
+__all__ = ["ArrudaBoyce", "Fung", "Gent", "StVenantKirchhoff", "Yeoh"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Yeoh(Material):
+    """Yeoh's law (Rubber Chem. Technol. 63, 792, 1990).
+
+    W = C1 x + C2 x^2 + C3 x^3 + lame / 2 (J - 1)^2,  x = I1 - 3 - 2 ln J,  shear modulus 2 C1.
+
+    Parameters
+    ----------
+    C1 : float [Pa]
+        Positive.
+    C2 : float [Pa]
+        More than -sqrt(3 C1 C3), so that the law stiffens or softens but never gives way; or zero.
+    C3 : float [Pa]
+        Not negative.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    C1: float = parameter("Pa", above=0.0)
+    C2: float = parameter("Pa")
+    C3: float = parameter("Pa", low=0.0)
+
+    def _check_parameters(self) -> None:
+        super()._check_parameters()
+        least = -float(np.sqrt(3 * self.C1 * self.C3)) or 0.0
+        number_in_range("C2", self.C2, least, open_low=least < 0, unit="Pa, from -sqrt(3 C1 C3)")
+
+    @property
+    def shear_modulus(self) -> float:
+        return 2 * self.C1
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.shear_modulus
+
+    @staticmethod
+    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        x = I1 - 3.0 - 2.0 * np.log(J)
+        return x * (c[0] + x * (c[1] + x * c[2]))
+
+    @staticmethod
+    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        x = I1 - 3.0 - 2.0 * np.log(J)
+        f1 = c[0] + x * (2.0 * c[1] + x * 3.0 * c[2])
+        return f1, 0.0, -2.0 * f1 / J
+
+    @staticmethod
+    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        x = I1 - 3.0 - 2.0 * np.log(J)
+        f1 = c[0] + x * (2.0 * c[1] + x * 3.0 * c[2])
+        f2 = 2.0 * c[1] + 6.0 * c[2] * x
+        return f2, 0.0, 0.0, -2.0 * f2 / J, 0.0, (4.0 * f2 + 2.0 * f1) / (J * J)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gent(Material):
+    """Gent's law of limited stretch (Rubber Chem. Technol. 69, 59, 1996).
+
+    W = -mu/2 Jm ln(1 - x/Jm) + lame / 2 (J - 1)^2,  x = I1 - 3 - 2 ln J,  shear modulus mu.
+
+    From 95 % of the limit x = Jm on the logarithm is continued by its parabola, 400 times as stiff as at rest: a body
+    thrown beyond the limit is thrown back.
+
+    Parameters
+    ----------
+    mu : float [Pa]
+        Positive.
+    Jm : float
+        I1 - 3 at the limit; positive.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    mu: float = parameter("Pa", above=0.0)
+    Jm: float = parameter(above=0.0)
+
+    @property
+    def shear_modulus(self) -> float:
+        return self.mu
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.mu
+
+    @staticmethod
+    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        y = (I1 - 3.0 - 2.0 * np.log(J)) / c[1]
+        z = np.minimum(y, 0.95)
+        beyond = (y - z) / (1.0 - z)
+        return 0.5 * c[0] * c[1] * (beyond * (1.0 + 0.5 * beyond) - np.log(1.0 - z))
+
+    @staticmethod
+    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        y = (I1 - 3.0 - 2.0 * np.log(J)) / c[1]
+        z = np.minimum(y, 0.95)
+        r = 1.0 / (1.0 - z)
+        f1 = 0.5 * c[0] * r * (1.0 + (y - z) * r)
+        return f1, 0.0, -2.0 * f1 / J
+
+    @staticmethod
+    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        y = (I1 - 3.0 - 2.0 * np.log(J)) / c[1]
+        z = np.minimum(y, 0.95)
+        r = 1.0 / (1.0 - z)
+        f1 = 0.5 * c[0] * r * (1.0 + (y - z) * r)
+        f2 = 0.5 * c[0] / c[1] * r * r
+        return f2, 0.0, 0.0, -2.0 * f2 / J, 0.0, (4.0 * f2 + 2.0 * f1) / (J * J)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrudaBoyce(Material):
+    """Arruda and Boyce's law of eight chains (J. Mech. Phys. Solids 41, 389, 1993), its series to five terms.
+
+    W = mu [x/2 + (I^2 - 9)/(20 N) + 11 (I^3 - 27)/(1050 N^2) + 19 (I^4 - 81)/(7000 N^3) + 519 (I^5 - 243)/(673750 N^4)]
+        + lame / 2 (J - 1)^2,  I = 3 + x,  x = I1 - 3 - 2 ln J.
+
+    Parameters
+    ----------
+    mu : float [Pa]
+        Of the chains; positive. `shear_modulus` is mu (1 + 3/(5N) + ...).
+    N : float
+        Links of a chain; at least 1. It is straight at a stretch of sqrt(N).
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    mu: float = parameter("Pa", above=0.0)
+    N: float = parameter(low=1.0)
+
+    @property
+    def shear_modulus(self) -> float:
+        n = 1 / self.N
+        return self.mu * (1 + n * (3 / 5 + n * (99 / 175 + n * (513 / 875 + n * (42039 / 67375)))))
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.shear_modulus
+
+    @staticmethod
+    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        a, n = I1 - 2.0 * np.log(J), 1.0 / c[1]
+        # every term is a difference of powers of I and of 3, and has I - 3 as a factor
+        s2, s3 = a + 3.0, a * a + 3.0 * a + 9.0
+        s4, s5 = s2 * (a * a + 9.0), a * a * s3 + 27.0 * s2
+        series = 519 / 673750 * n * s5 + 19 / 7000 * s4
+        return c[0] * (a - 3.0) * (0.5 + n * (s2 / 20.0 + n * (11 / 1050 * s3 + n * series)))
+
+    @staticmethod
+    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        a, n = I1 - 2.0 * np.log(J), 1.0 / c[1]
+        p = a * n
+        f1 = c[0] * (0.5 + p * (1 / 10 + p * (11 / 350 + p * (19 / 1750 + p * (519 / 134750)))))
+        return f1, 0.0, -2.0 * f1 / J
+
+    @staticmethod
+    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        a, n = I1 - 2.0 * np.log(J), 1.0 / c[1]
+        p = a * n
+        f1 = c[0] * (0.5 + p * (1 / 10 + p * (11 / 350 + p * (19 / 1750 + p * (519 / 134750)))))
+        f2 = c[0] * n * (1 / 10 + p * (11 / 175 + p * (57 / 1750 + p * (1038 / 67375))))
+        return f2, 0.0, 0.0, -2.0 * f2 / J, 0.0, (4.0 * f2 + 2.0 * f1) / (J * J)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fung(Material):
+    """The isotropic exponential law of Fung and Demiray (Fung, Am. J. Physiol. 213, 1532, 1967; Demiray, J. Biomech. 5, 309, 1972).
+
+    W = mu/(2b) [exp(b x) - 1] + lame / 2 (J - 1)^2,  x = I1 - 3 - 2 ln J,  shear modulus mu.
+
+    From b x = 20 on the exponential, 5e8 then, is continued by its parabola.
+
+    Parameters
+    ----------
+    mu : float [Pa]
+        Positive.
+    b : float
+        How fast it stiffens; positive.
+    density, poisson, bulk
+        As for `Material`.
+    """  # noqa: E501
+
+    mu: float = parameter("Pa", above=0.0)
+    b: float = parameter(above=0.0)
+
+    @property
+    def shear_modulus(self) -> float:
+        return self.mu
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.mu
+
+    @staticmethod
+    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        y = c[1] * (I1 - 3.0 - 2.0 * np.log(J))
+        z = np.minimum(y, 20.0)
+        return 0.5 * c[0] / c[1] * (np.expm1(z) + np.exp(z) * (y - z) * (1.0 + 0.5 * (y - z)))
+
+    @staticmethod
+    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        y = c[1] * (I1 - 3.0 - 2.0 * np.log(J))
+        z = np.minimum(y, 20.0)
+        f1 = 0.5 * c[0] * np.exp(z) * (1.0 + (y - z))
+        return f1, 0.0, -2.0 * f1 / J
+
+    @staticmethod
+    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        y = c[1] * (I1 - 3.0 - 2.0 * np.log(J))
+        z = np.minimum(y, 20.0)
+        rise = 0.5 * c[0] * np.exp(z)
+        f1, f2 = rise * (1.0 + (y - z)), c[1] * rise
+        return f2, 0.0, 0.0, -2.0 * f2 / J, 0.0, (4.0 * f2 + 2.0 * f1) / (J * J)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StVenantKirchhoff(Material):
+    """St. Venant and Kirchhoff's law: Hooke's, of Green's strain E = (C - I) / 2 (Holzapfel, Nonlinear Solid Mechanics, 2000).
+
+    W = mu tr E^2 + lame / 2 (J - 1)^2,  tr E^2 = (I1^2 - 2 I2 - 2 I1 + 3) / 4,  shear modulus mu.
+
+    The bulk term is that of all laws here; the printed law has lame / 2 (tr E)^2, which is the same for small strain. As
+    printed, it softens in compression: squeezed along one axis to less than 0.58 of its length, it gives way.
+
+    Parameters
+    ----------
+    mu : float [Pa]
+        Positive.
+    density, poisson, bulk
+        As for `Material`.
+    """  # noqa: E501
+
+    mu: float = parameter("Pa", above=0.0)
+
+    @property
+    def shear_modulus(self) -> float:
+        return self.mu
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.mu
+
+    @staticmethod
+    def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return 0.25 * c[0] * ((I1 - 3.0) * (I1 + 1.0) - 2.0 * (I2 - 3.0))
+
+    @staticmethod
+    def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return 0.5 * c[0] * (I1 - 1.0), -0.5 * c[0], 0.0
+
+    @staticmethod
+    def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
+        return 0.5 * c[0], 0.0, 0.0, 0.0, 0.0, 0.0

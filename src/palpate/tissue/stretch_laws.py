@@ -1,0 +1,281 @@
+"""Laws of the principal stretches l1, l2, l3: equations (14), (18) and (19), with their constants as printed.
+
+The printed laws are for incompressible tissue. Where they have a sum of powers l1^a + l2^a + l3^a - 3, there stands
+
+    q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
+
+the same where the volume stays. It is convex in the logarithms of the stretches and least, zero, at rest alone,
+whatever the sign of a: so rest is free of stress, and W_s grows with every deformation.
+
+The stress is a sum over the principal directions N_i of C,
+
+    S = sum of s_i N_i N_i^T,      s_i = (dW/dl_i) / l_i,
+
+which has no differences of stretches in it: equal stretches, and rest, are no special case. Its derivative has them:
+
+    dS = N D N^T,   D_ii = sum over j of ds_i/dx_j K_jj,   D_ij = (s_i - s_j)/(x_i - x_j) K_ij,   K = N^T dC N,
+
+x_i = l_i^2; the quotient becomes ds_i/dx_i - ds_i/dx_j where the stretches meet (Ogden, Non-Linear Elastic
+Deformations, 1984, section 6.1). The compiled forces use both (`palpate.dynamics.principal`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.faults import InputError, number_in_range
+from palpate.tissue.materials import Material, parameter
+
+__all__ = ["Exponential", "Logarithmic", "Ogden", "StretchLaw"]
+
+STEEPEST = 100.0  # an exponent; beyond it powers of ordinary stretches overflow
+
+
+@dataclass(frozen=True, kw_only=True)
+class StretchLaw(Material):
+    """A law of the principal stretches.
+
+    Its three static functions take (l1, l2, l3, coefficients): `energy` returns W_s, `first` the derivatives by l1, l2
+    and l3, `second` those by (l1 l1), (l2 l2), (l3 l3), (l1 l2), (l1 l3), (l2 l3).
+    """
+
+    variables: ClassVar[str] = "stretches"
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.shear_modulus
+
+    def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        l1, l2, l3 = np.moveaxis(np.linalg.svd(F, compute_uv=False), -1, 0)
+        whole = np.where(np.linalg.det(F) > 0, 1.0, np.nan)  # a body turned inside out has no energy
+        return np.asarray(whole * self.energy(l1, l2, l3, self.coefficients))
+
+    def shear_stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        turned, stretches, directions = np.linalg.svd(F)
+        l1, l2, l3 = np.moveaxis(stretches, -1, 0)
+        slopes = self.first(l1, l2, l3, self.coefficients)
+        return np.asarray((turned * np.stack(np.broadcast_arrays(*slopes), axis=-1)[..., None, :]) @ directions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ogden(StretchLaw):
+    """Ogden's law, equation (14), of any number of terms (Ogden, Proc. R. Soc. A 326, 565, 1972).
+
+    W = sum of C_i (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3 - alpha_i ln J) + lame / 2 (J - 1)^2,
+    shear modulus 1/2 sum of C_i alpha_i^2. In Ogden's own notation C_i is mu_i / alpha_i.
+
+    Parameters
+    ----------
+    C : float or sequence of float [Pa]
+        One for each term; positive.
+    alpha : float or sequence of float
+        One for each term, real; not zero, from -100 to 100.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    C: tuple[float, ...] = parameter("Pa", above=0.0)
+    alpha: tuple[float, ...] = parameter(low=-STEEPEST, high=STEEPEST)
+
+    def _check_parameters(self) -> None:
+        for name in ("C", "alpha"):
+            given = getattr(self, name)
+            listed = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
+            ranges = self.__dataclass_fields__[name].metadata
+            numbers = [number_in_range(f"{name}[{i}]", value, **ranges) for i, value in enumerate(listed)]
+            object.__setattr__(self, name, tuple(numbers))
+        if len(self.C) != len(self.alpha) or not self.C:
+            raise InputError(f"C has {len(self.C)} terms and alpha {len(self.alpha)}: give as many, at least one")
+        for i, exponent in enumerate(self.alpha):
+            _not_zero(f"alpha[{i}]", exponent)
+
+    @property
+    def shear_modulus(self) -> float:
+        return 0.5 * sum(C * a * a for C, a in zip(self.C, self.alpha, strict=True))
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        return tuple(number for term in zip(self.C, self.alpha, strict=True) for number in term)
+
+    @staticmethod
+    def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        logarithm, total = np.log(l1 * l2 * l3), 0.0
+        for k in range(0, len(c), 2):
+            a = c[k + 1]
+            total += c[k] * (l1**a + l2**a + l3**a - 3.0 - a * logarithm)
+        return total
+
+    @staticmethod
+    def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        w1, w2, w3 = 0.0, 0.0, 0.0
+        for k in range(0, len(c), 2):
+            C, a = c[k] * c[k + 1], c[k + 1]
+            w1, w2, w3 = w1 + C * (l1**a - 1.0), w2 + C * (l2**a - 1.0), w3 + C * (l3**a - 1.0)
+        return w1 / l1, w2 / l2, w3 / l3
+
+    @staticmethod
+    def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        w1, w2, w3 = 0.0, 0.0, 0.0
+        for k in range(0, len(c), 2):
+            C, a = c[k] * c[k + 1], c[k + 1]
+            b = a - 1.0
+            w1, w2, w3 = w1 + C * (b * l1**a + 1.0), w2 + C * (b * l2**a + 1.0), w3 + C * (b * l3**a + 1.0)
+        return w1 / (l1 * l1), w2 / (l2 * l2), w3 / (l3 * l3), 0.0, 0.0, 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stiffening(StretchLaw):
+    """What equations (18) and (19) have in common: C1 g(C2 q(alpha1)) + C3 q(alpha2), with g'(0) = 1."""
+
+    C1: float = parameter("Pa", above=0.0)
+    C2: float = parameter(above=0.0)
+    C3: float = parameter("Pa", low=0.0)
+    alpha1: float = parameter(low=-STEEPEST, high=STEEPEST)
+    alpha2: float = parameter(low=-STEEPEST, high=STEEPEST)
+
+    def _check_parameters(self) -> None:
+        super()._check_parameters()
+        _not_zero("alpha1", self.alpha1)
+        _not_zero("alpha2", self.alpha2)
+
+    @property
+    def shear_modulus(self) -> float:
+        return 0.5 * (self.C1 * self.C2 * self.alpha1**2 + self.C3 * self.alpha2**2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exponential(_Stiffening):
+    """The exponential law of soft tissue, equation (18).
+
+    W = C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2) + lame / 2 (J - 1)^2,  q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
+    shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
+
+    From C2 q(alpha1) = 20 on the exponential, 5e8 then, is continued by its parabola.
+
+    Parameters
+    ----------
+    C1 : float [Pa]
+        Positive.
+    C2 : float
+        How fast it stiffens; positive.
+    C3 : float [Pa]
+        Of the term that does not stiffen; not negative.
+    alpha1, alpha2 : float
+        Real; not zero, from -100 to 100.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    @staticmethod
+    def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        a, b, logarithm = c[3], c[4], np.log(l1 * l2 * l3)
+        y = c[1] * (l1**a + l2**a + l3**a - 3.0 - a * logarithm)
+        z = np.minimum(y, 20.0)
+        g = np.expm1(z) + np.exp(z) * (y - z) * (1.0 + 0.5 * (y - z))
+        return c[0] * g + c[2] * (l1**b + l2**b + l3**b - 3.0 - b * logarithm)
+
+    @staticmethod
+    def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        a, b = c[3], c[4]
+        p1, p2, p3 = l1**a, l2**a, l3**a
+        y = c[1] * (p1 + p2 + p3 - 3.0 - a * np.log(l1 * l2 * l3))
+        z = np.minimum(y, 20.0)
+        g, h = c[0] * c[1] * a * np.exp(z) * (1.0 + (y - z)), c[2] * b
+        return (
+            (g * (p1 - 1.0) + h * (l1**b - 1.0)) / l1,
+            (g * (p2 - 1.0) + h * (l2**b - 1.0)) / l2,
+            (g * (p3 - 1.0) + h * (l3**b - 1.0)) / l3,
+        )
+
+    @staticmethod
+    def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        a, b = c[3], c[4]
+        p1, p2, p3 = l1**a, l2**a, l3**a
+        y = c[1] * (p1 + p2 + p3 - 3.0 - a * np.log(l1 * l2 * l3))
+        z = np.minimum(y, 20.0)
+        rise = c[0] * c[1] * a * np.exp(z)
+        g, h, k = rise * (1.0 + (y - z)), c[2] * b, rise * c[1] * a
+        d1, d2, d3 = (p1 - 1.0) / l1, (p2 - 1.0) / l2, (p3 - 1.0) / l3
+        return (
+            k * d1 * d1 + (g * ((a - 1.0) * p1 + 1.0) + h * ((b - 1.0) * l1**b + 1.0)) / (l1 * l1),
+            k * d2 * d2 + (g * ((a - 1.0) * p2 + 1.0) + h * ((b - 1.0) * l2**b + 1.0)) / (l2 * l2),
+            k * d3 * d3 + (g * ((a - 1.0) * p3 + 1.0) + h * ((b - 1.0) * l3**b + 1.0)) / (l3 * l3),
+            k * d1 * d2,
+            k * d1 * d3,
+            k * d2 * d3,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Logarithmic(_Stiffening):
+    """The logarithmic law of soft tissue, equation (19): its stretch is limited.
+
+    W = -C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2) + lame / 2 (J - 1)^2,  q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
+    shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
+
+    From 95 % of the limit C2 q(alpha1) = 1 on the logarithm is continued by its parabola, 400 times as stiff as at
+    rest: a body thrown beyond the limit is thrown back.
+
+    Parameters
+    ----------
+    C1 : float [Pa]
+        Positive.
+    C2 : float
+        One over the limit of q(alpha1); positive.
+    C3 : float [Pa]
+        Of the term that does not stiffen; not negative.
+    alpha1, alpha2 : float
+        Real; not zero, from -100 to 100.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    @staticmethod
+    def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        a, b, logarithm = c[3], c[4], np.log(l1 * l2 * l3)
+        y = c[1] * (l1**a + l2**a + l3**a - 3.0 - a * logarithm)
+        z = np.minimum(y, 0.95)
+        beyond = (y - z) / (1.0 - z)
+        g = beyond * (1.0 + 0.5 * beyond) - np.log(1.0 - z)
+        return c[0] * g + c[2] * (l1**b + l2**b + l3**b - 3.0 - b * logarithm)
+
+    @staticmethod
+    def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        a, b = c[3], c[4]
+        p1, p2, p3 = l1**a, l2**a, l3**a
+        y = c[1] * (p1 + p2 + p3 - 3.0 - a * np.log(l1 * l2 * l3))
+        z = np.minimum(y, 0.95)
+        r = 1.0 / (1.0 - z)
+        g, h = c[0] * c[1] * a * r * (1.0 + (y - z) * r), c[2] * b
+        return (
+            (g * (p1 - 1.0) + h * (l1**b - 1.0)) / l1,
+            (g * (p2 - 1.0) + h * (l2**b - 1.0)) / l2,
+            (g * (p3 - 1.0) + h * (l3**b - 1.0)) / l3,
+        )
+
+    @staticmethod
+    def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
+        a, b = c[3], c[4]
+        p1, p2, p3 = l1**a, l2**a, l3**a
+        y = c[1] * (p1 + p2 + p3 - 3.0 - a * np.log(l1 * l2 * l3))
+        z = np.minimum(y, 0.95)
+        r = 1.0 / (1.0 - z)
+        g, h = c[0] * c[1] * a * r * (1.0 + (y - z) * r), c[2] * b
+        d1, d2, d3, k = (p1 - 1.0) / l1, (p2 - 1.0) / l2, (p3 - 1.0) / l3, c[0] * (c[1] * a * r) ** 2
+        return (
+            k * d1 * d1 + (g * ((a - 1.0) * p1 + 1.0) + h * ((b - 1.0) * l1**b + 1.0)) / (l1 * l1),
+            k * d2 * d2 + (g * ((a - 1.0) * p2 + 1.0) + h * ((b - 1.0) * l2**b + 1.0)) / (l2 * l2),
+            k * d3 * d3 + (g * ((a - 1.0) * p3 + 1.0) + h * ((b - 1.0) * l3**b + 1.0)) / (l3 * l3),
+            k * d1 * d2,
+            k * d1 * d3,
+            k * d2 * d3,
+        )
+
+
+def _not_zero(name: str, exponent: float) -> None:
+    if exponent == 0:
+        raise InputError(f"{name} = 0 is out of range: allowed are numbers from {-STEEPEST:g} to {STEEPEST:g} but zero")
