@@ -33,9 +33,11 @@ class _DigestCache(FunctionCache):  # type: ignore[misc]
 KERNELS = (
     "dynamics/kernels.py",
     "dynamics/lanes.py",
+    "dynamics/principal.py",
     "dynamics/solid.py",
     "dynamics/solid_energy.py",
     "dynamics/sheet.py",
+    "dynamics/sheet_stretches.py",
     "dynamics/stepping.py",
     "reduction/projection.py",
     "reduction/samples.py",

@@ -133,8 +133,7 @@ class FullModel(NodalModel):
         )  # fmt: skip
         longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
         work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
-        law = type(material)
-        self._compile(solid(law.first, law.second, self.pressure == "direct"), body, work, lanes)
+        self._compile(solid(type(material), self.pressure == "direct"), body, work, lanes)
 
     def _prepare_energy(self, smoother: Stencils) -> None:
         """Lay out the passes of the energy form."""
@@ -167,7 +166,7 @@ class FullModel(NodalModel):
         families = (lanes, smooth_lanes, back_lanes)
         longest = int(max(*(np.diff(family.start).max() for family in families), 4 * np.diff(carriers.start).max()))
         work = energy_work(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
-        self._compile(solid_energy(type(material).first), body, work, lanes)
+        self._compile(solid_energy(type(material)), body, work, lanes)
 
     @property
     def weights(self) -> Floats:

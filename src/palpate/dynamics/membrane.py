@@ -96,10 +96,9 @@ class Membrane(NodalModel):
         wished = NEIGHBOURS[form] if neighbours is None else neighbours
         self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=wished)
         self._areas = cloud.volumes / self.prestretch**2
-        law = type(material)
         body, longest = self._body()
         self._compile(
-            sheet(law.energy, law.first, law.second, self.relaxed, form == "strong"),
+            sheet(type(material), self.relaxed, form == "strong"),
             body,
             sheet_work(len(cloud), len(body.lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS),
             body.lanes,
@@ -186,6 +185,10 @@ class Membrane(NodalModel):
         if self.relaxed:
             l1 = np.maximum(l1, 1.0)
             l2 = np.maximum(l2, l1**-0.5)
+        if self.material.variables == "stretches":
+            l3 = 1 / (l1 * l2)
+            w1, w2, w3 = self.material.first(l1, l2, l3, self.material.coefficients)
+            return np.stack([w1 - w3 * l3 / l1, w2 - w3 * l3 / l2], axis=1)
         t, D = l1**2 + l2**2, (l1 * l2) ** 2
         I1, I2 = t + 1 / D, D + t / D
         W1, W2, _ = self.material.first(I1, I2, np.ones_like(I1), self.material.coefficients)

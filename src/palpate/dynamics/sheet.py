@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
+from palpate.dynamics.sheet_stretches import make_principal_moduli, make_principal_strong
+from palpate.tissue.materials import Material
 
 __all__ = ["SheetBody", "SheetWork", "sheet", "sheet_work"]
 
@@ -271,22 +273,31 @@ def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
     cofactor[b, 8, v] = F00 * F11 - F10 * F01
 
 
+def _make_answer(digest: str, law: type[Material], relaxed: bool, strong: bool) -> Any:
+    if law.variables == "stretches":
+        moduli = make_principal_moduli(digest, law, relaxed)
+        if strong:
+            return make_principal_strong(digest, law, moduli, relaxed, _normal)
+        return _make_energy_answer(digest, moduli)
+    moduli, slopes = _make_moduli(digest, law.energy, law.first, law.second, relaxed)
+    return _make_strong_answer(digest, moduli, slopes) if strong else _make_energy_answer(digest, moduli)
+
+
 @cache
-def sheet(energy_of: Any, first_of: Any, second_of: Any, relaxed: bool, strong: bool) -> Formulation:
-    """Compile the passes of a membrane for a law given by its energy and derivative functions.
+def sheet(law: type[Material], relaxed: bool, strong: bool) -> Formulation:
+    """Compile the passes of a membrane.
 
     Parameters
     ----------
-    energy_of, first_of, second_of : functions
-        As `palpate.tissue.materials.Material` has them.
+    law : type
+        A material; its functions are compiled, not its parameters.
     relaxed : bool
         Whether wrinkled and slack states carry no compression.
     strong : bool
         The strong form instead of the energy form.
     """
-    digest = law_digest("sheet", energy_of, first_of, second_of, relaxed, strong)
-    moduli, slopes = _make_moduli(digest, energy_of, first_of, second_of, relaxed)
-    answer = _make_strong_answer(digest, moduli, slopes) if strong else _make_energy_answer(digest, moduli)
+    digest = law_digest("sheet", law.variables, law.energy, law.first, law.second, relaxed, strong)
+    answer = _make_answer(digest, law, relaxed, strong)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def each(  # type: ignore[no-untyped-def]

@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
 from palpate.dynamics.kernels import Formulation, combine, lift_passes, smooth_field, weights_address
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
+from palpate.dynamics.principal import make_principal_response
+from palpate.tissue.materials import Material
 
 __all__ = ["Body", "Workspace", "solid", "workspace"]
 
@@ -48,7 +50,7 @@ class Workspace(NamedTuple):
     """What the passes hand on, so that a step allocates nothing."""
 
     fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences
-    derivatives: NDArray[np.float64]  # (threads, 27, LANES) first (3, 3), then second (3, 6) derivatives
+    derivatives: NDArray[np.float64]  # (threads, 39, LANES) first (3, 3), second (3, 6), then a law's twelve slopes
     cofactor: NDArray[np.float64]  # (b, 9, LANES)
     shear: NDArray[np.float64]  # (b, 3, LANES) shear force density
     pressure: NDArray[np.float64]  # (n,)
@@ -59,7 +61,7 @@ def workspace(nodes: int, blocks: int, longest: int, threads: int) -> Workspace:
     """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
     return Workspace(
         np.zeros((threads, longest, 3, LANES)),
-        np.zeros((threads, 27, LANES)),
+        np.zeros((threads, 39, LANES)),
         np.zeros((blocks, 9, LANES)),
         np.zeros((blocks, 3, LANES)),
         np.zeros(nodes),
@@ -213,18 +215,19 @@ def _make_response(digest: str, law_first: Any, law_second: Any, direct: bool) -
 
 
 @cache
-def solid(first_of: Any, second_of: Any, direct: bool) -> Formulation:
-    """Compile the passes of a solid for a law given by its two derivative functions.
+def solid(law: type[Material], direct: bool) -> Formulation:
+    """Compile the passes of a solid.
 
     Parameters
     ----------
-    first_of, second_of : functions
-        As `palpate.tissue.materials.Material` has them.
+    law : type
+        A material; its functions are compiled, not its parameters.
     direct : bool
         Whether the pressure is differentiated directly instead of smoothed.
     """
-    digest = law_digest("solid", first_of, second_of, direct)
-    answer = _make_response(digest, first_of, second_of, direct)
+    digest = law_digest("solid", law.variables, law.first, law.second, direct)
+    make = make_principal_response if law.variables == "stretches" else _make_response
+    answer = make(digest, law.first, law.second, direct)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def each(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]

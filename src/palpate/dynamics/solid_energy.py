@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
+from palpate.dynamics.principal import make_principal_stress
+from palpate.tissue.materials import Material
 
 __all__ = ["EnergyBody", "EnergyWork", "energy_work", "make_stress", "solid_energy"]
 
@@ -131,14 +133,24 @@ def _project(table, body, work, volumes, partial, result):  # type: ignore[no-un
     add_blocks(partial, result)
 
 
-def make_stress(digest: str, law_first: Any) -> Any:
+def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> Any:
     """Make the compiled shear stress of one point: of F - I (9 numbers, row by row) its P, cof(F) and J - 1.
+
+    Parameters
+    ----------
+    digest : str
+    law_first : function
+        First derivatives of the law's energy, or a compiled function that takes their place.
+    variables : str
+        By which variables it derives, as `Material.variables` says.
 
     Returns
     -------
     function
         ``stress(d0, ..., d8, coefficients)`` returns two tuples of nine numbers, row by row, and J - 1.
     """
+    if variables == "stretches":
+        return make_principal_stress(digest, law_first)
     first_of = law_first if law_first.__closure__ else register_jitable(named_for(digest, law_first))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -176,16 +188,16 @@ def make_stress(digest: str, law_first: Any) -> Any:
 
 
 @cache
-def solid_energy(first_of: Any) -> Formulation:
-    """Compile the passes of a solid for a law given by the function of its energy's first derivatives.
+def solid_energy(law: type[Material]) -> Formulation:
+    """Compile the passes of a solid.
 
     Parameters
     ----------
-    first_of : function
-        As `palpate.tissue.materials.Material` has it.
+    law : type
+        A material; its functions are compiled, not its parameters.
     """
-    digest = law_digest("solid energy", first_of)
-    stress = make_stress(digest, first_of)
+    digest = law_digest("solid energy", law.variables, law.first)
+    stress = make_stress(digest, law.first, law.variables)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def answer(b, nodes, d, coefficients, hourglass, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]

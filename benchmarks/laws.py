@@ -1,0 +1,87 @@
+"""Force evaluations with every law, over one with the neo-Hookean law.
+
+    python benchmarks/laws.py [--nodes 8000] [--jitter 0.2] [--laws Gent Ogden] [--json FILE]
+
+All models of a form are measured in turn, round after round, so that what else the machine does meets all alike. The
+neo-Hookean law stands twice: the ratio of the two is what the machine itself wavers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+TIMES = 5  # evaluations in a row
+FORMS = ("strong", "energy", "membrane")
+
+
+def materials(poisson: float) -> dict[str, Any]:
+    """Make one material of every law."""
+    import palpate as pt
+    from palpate.tissue.catalogue import LAWS
+
+    given = {"density": 1000.0, "poisson": poisson}
+    made = {law.name: getattr(pt, law.name)(**law.example, **given) for law in LAWS}
+    return {**made, "NeoHookean again": pt.NeoHookean(C1=5e3, **given)}
+
+
+def model(form: str, material: Any, nodes: int, jitter: float) -> Any:
+    """Make a model of one form."""
+    import palpate as pt
+
+    if form == "membrane":
+        cloud = pt.disc(0.005 * (nodes / 3.14) ** 0.5, 0.005)
+        return pt.Membrane(cloud, material, 1e-3, prestretch=1.1, viscosity=1e-5)
+    cloud = pt.box(((round(nodes ** (1 / 3)) - 1) * 0.005,) * 3, 0.005, jitter)
+    return pt.FullModel(cloud, material, "x-", form=form, viscosity=5e-5)
+
+
+def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeats: int) -> dict[str, float]:
+    """Return the median time [ns] of a force evaluation, per node, for every law."""
+    from palpate.app.bench.timing import median_seconds
+
+    chosen = materials(0.5 if form == "membrane" else 0.45)
+    if laws:
+        chosen = {name: law for name, law in chosen.items() if name.split()[0] in {"NeoHookean", *laws}}
+    models = {name: model(form, law, nodes, jitter) for name, law in chosen.items()}
+    calls = []
+    for each in models.values():
+        u = 2e-4 * np.random.default_rng(0).standard_normal((len(each.cloud), 3))
+        calls.append(partial(several, each, u, np.zeros_like(u)))
+    seconds = median_seconds(*calls, repeats=repeats)
+    return {name: 1e9 * t / TIMES / len(m.cloud) for (name, m), t in zip(models.items(), seconds, strict=True)}
+
+
+def several(model: Any, u: Any, out: Any) -> None:
+    """Evaluate the force a few times, so that the model's own arrays are where a run finds them."""
+    for _ in range(TIMES):
+        model._internal_force(u, model.body, model.work, out)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--nodes", type=int, default=8_000)
+    parser.add_argument("--jitter", type=float, default=0.2)
+    parser.add_argument("--forms", nargs="+", choices=FORMS, default=FORMS)
+    parser.add_argument("--laws", nargs="+")
+    parser.add_argument("--repeats", type=int, default=31)
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    args = parser.parse_args()
+    report = {}
+    for form in args.forms:
+        report[form] = found = measure(form, args.nodes, args.jitter, args.laws, args.repeats)
+        print(f"{form}, {args.nodes} nodes, jitter {args.jitter:g}")
+        for name, time in found.items():
+            print(f"  {name:20s} {time:8.1f} ns a node  {time / found['NeoHookean']:5.2f}", flush=True)
+    if args.json:
+        args.json.write_text(json.dumps({"nodes": args.nodes, "jitter": args.jitter, "ns_per_node": report}, indent=2))
+
+
+if __name__ == "__main__":
+    main()
