@@ -26,6 +26,7 @@ _HOME = {
     "StVenantKirchhoff": "tissue.invariant_laws",
     "Yeoh": "tissue.invariant_laws",
     "Exponential": "tissue.stretch_laws",
+    "Hyperelastic": "tissue.own_law",
     "Logarithmic": "tissue.stretch_laws",
     "Ogden": "tissue.stretch_laws",
     "StretchLaw": "tissue.stretch_laws",
