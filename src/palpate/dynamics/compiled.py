@@ -40,6 +40,7 @@ KERNELS = (
     "dynamics/sheet_stretches.py",
     "dynamics/stepping.py",
     "reduction/projection.py",
+    "reduction/points.py",
     "reduction/samples.py",
     "reduction/stepping.py",
     "reduction/period.py",
