@@ -38,6 +38,7 @@ KERNELS = (
     "dynamics/solid_energy.py",
     "dynamics/sheet.py",
     "dynamics/sheet_stretches.py",
+    "dynamics/small_strain.py",
     "dynamics/stepping.py",
     "reduction/projection.py",
     "reduction/points.py",

@@ -60,7 +60,7 @@ class Membrane(NodalModel):
     Raises
     ------
     InputError
-        A cloud in space, a compressible material, an unknown group or a parameter out of range.
+        A cloud in space, a compressible or linear elastic material, an unknown group or a parameter out of range.
     CloudError
         The cloud cannot carry the stencils.
     """
@@ -84,6 +84,10 @@ class Membrane(NodalModel):
             raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
         if not material.incompressible:
             raise InputError(f"a membrane is incompressible: give its material poisson=0.5, not {material.poisson:g}")
+        if material.variables == "small strain":
+            raise InputError(
+                "a membrane needs a law of large strains; a linear elastic sheet has no forces out of plane"
+            )
         if form not in DAMPING:
             raise InputError(f"form = {form!r}: allowed are 'energy' and 'strong'")
         self.cloud, self.material = cloud, material

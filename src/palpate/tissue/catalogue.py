@@ -8,6 +8,7 @@ from typing import Any
 
 from palpate.tissue.invariant_laws import ArrudaBoyce, Fung, Gent, StVenantKirchhoff, Yeoh
 from palpate.tissue.materials import Material, MooneyRivlin, NeoHookean
+from palpate.tissue.small_strain import LinearElastic
 from palpate.tissue.stretch_laws import Exponential, Logarithmic, Ogden
 
 __all__ = ["LAWS", "Law", "Parameter"]
@@ -119,5 +120,10 @@ LAWS: tuple[Law, ...] = (
     Law(
         StVenantKirchhoff, "mu tr E^2,  E = (C - I) / 2", "mu", "Holzapfel, Nonlinear Solid Mechanics, Wiley 2000",
         {"mu": 10e3}, "softens in compression",
+    ),
+    Law(
+        LinearElastic, "mu e : e,  e = sym(F - I), with lame/2 (tr e)^2 for the bulk term", "mu",
+        "Landau, Lifshitz, Theory of Elasticity, section 4", {"mu": 10e3},
+        "small strains only, not objective; for solids by the full model, not for membranes",
     ),
 )  # fmt: skip
