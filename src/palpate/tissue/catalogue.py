@@ -92,12 +92,12 @@ LAWS: tuple[Law, ...] = (
     ),
     Law(
         Exponential, "C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2)", "1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
-        "Banihani, Rabczuk, Almomani, Math. Probl. Eng. 2013, equation (18)",
+        "Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (18)",
         {"C1": 2e3, "C2": 1.5, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5}, "alpha1 and alpha2 are not zero",
     ),
     Law(
         Logarithmic, "-C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2)", "1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
-        "Banihani, Rabczuk, Almomani, Math. Probl. Eng. 2013, equation (19)",
+        "Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (19)",
         {"C1": 10e3, "C2": 0.35, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5},
         "alpha1 and alpha2 are not zero; from C2 q(alpha1) = 0.95 on continued by a parabola",
     ),

@@ -154,7 +154,7 @@ class _Stiffening(StretchLaw):
 
 @dataclass(frozen=True, kw_only=True)
 class Exponential(_Stiffening):
-    """The exponential law of soft tissue, equation (18).
+    """The exponential law of soft tissue, equation (18) (Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010).
 
     W = C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2) + lame / 2 (J - 1)^2,  q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
     shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
@@ -221,7 +221,7 @@ class Exponential(_Stiffening):
 
 @dataclass(frozen=True, kw_only=True)
 class Logarithmic(_Stiffening):
-    """The logarithmic law of soft tissue, equation (19): its stretch is limited.
+    """The logarithmic law of soft tissue, equation (19), of limited stretch (Gao, Lister, Desai, as above).
 
     W = -C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2) + lame / 2 (J - 1)^2,  q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
     shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
