@@ -34,6 +34,7 @@ KERNELS = (
     "dynamics/kernels.py",
     "dynamics/lanes.py",
     "dynamics/principal.py",
+    "dynamics/principal_point.py",
     "dynamics/solid.py",
     "dynamics/solid_energy.py",
     "dynamics/sheet.py",
