@@ -25,6 +25,7 @@ _HOME = {
     "Gent": "tissue.invariant_laws",
     "StVenantKirchhoff": "tissue.invariant_laws",
     "Yeoh": "tissue.invariant_laws",
+    "LinearElastic": "tissue.small_strain",
     "Exponential": "tissue.stretch_laws",
     "Hyperelastic": "tissue.own_law",
     "Logarithmic": "tissue.stretch_laws",

@@ -211,3 +211,16 @@ def test_help_and_version_load_nothing_heavy(option):
     loaded = set(run.stderr.split())
     assert not loaded & {"numba", "numpy", "scipy", "h5py", "matplotlib", "pyvista", "vtkmodules", "rich"}
     assert "palpate" in run.stdout
+
+
+def test_laws_are_listed_for_people_and_for_machines(capsys):
+    assert main(["laws"]) == 0
+    text = capsys.readouterr().out
+    assert main(["laws", "--json"]) == 0
+    laws = json.loads(capsys.readouterr().out)["laws"]
+    assert len(laws) >= 11
+    for law in laws:
+        assert law["name"] in text
+        assert law["energy"] in text
+        assert {"name", "unit", "range"} == set(law["parameters"][0])
+        getattr(pt, law["name"])(**law["example"], density=1000.0, poisson=0.4)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.compiled import law_digest
 from palpate.dynamics.principal import principal
+from palpate.dynamics.principal_point import make_principal_point
 
 SIDE = 0.02
 OGDEN = pt.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4)
@@ -85,3 +87,58 @@ def test_membranes_of_ogden_and_neo_hookean_are_the_same():
             for law in (pt.Ogden(C=10e3, alpha=2.0, **given), pt.NeoHookean(C1=10e3, **given))
         ]
         np.testing.assert_allclose(*forces, atol=1e-10 * np.abs(forces[1]).max())
+
+
+POINTS = {
+    "ogden": OGDEN,
+    "exponential": pt.Exponential(C1=2e3, C2=0.5, C3=3e3, alpha1=2.0, alpha2=-1.5, density=1000, poisson=0.4),
+}
+
+
+@pytest.fixture(scope="module", params=POINTS)
+def point(request):
+    """A law, and the stress and energy of its points, compiled."""
+    law = POINTS[request.param]
+    digest = law_digest("test point", law.energy, law.first, law.second)
+    return law, *make_principal_point(digest, law.energy, law.first, law.second, 0.1)
+
+
+def test_a_point_that_is_whole_has_the_laws_energy_and_stress(point):
+    law, stress, density = point
+    for seed in range(20):
+        F = np.eye(3) + np.random.default_rng(seed).uniform(-0.3, 0.3, (3, 3))
+        found, cofactor, change = stress(*(F - np.eye(3)).ravel(), law.coefficients)
+        np.testing.assert_allclose(np.reshape(found, (3, 3)), law.shear_stress(F), atol=1e-10 * law.shear_modulus)
+        np.testing.assert_allclose(np.reshape(cofactor, (3, 3)), law.cofactor(F), atol=1e-12)
+        assert change == pytest.approx(np.linalg.det(F) - 1, abs=1e-12)
+        assert density(*(F - np.eye(3)).ravel(), law.coefficients)[0] == pytest.approx(law.shear_energy(F), rel=1e-10)
+
+
+@pytest.mark.parametrize("smallest", [0.3, 0.1, 0.02, 0.0, -0.1, -0.5])
+def test_the_stress_of_a_crushed_point_is_the_slope_of_its_energy(point, smallest):
+    law, stress, density = point
+    q, r = (np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0] for seed in (0, 1))
+    q, r = q * np.linalg.det(q), r * np.linalg.det(r)
+    F = (q * (1.2, 0.8, smallest)) @ r.T
+    found = stress(*(F - np.eye(3)).ravel(), law.coefficients)[0]
+    slope, step = np.empty(9), 1e-6
+    for k in range(9):
+        change = step * np.eye(9)[k]
+        ahead, behind = (density(*((F - np.eye(3)).ravel() + s * change), law.coefficients)[0] for s in (1, -1))
+        slope[k] = (ahead - behind) / (2 * step)
+    np.testing.assert_allclose(found, slope, atol=1e-6 * np.abs(slope).max())
+
+
+def test_energy_and_stress_have_no_jump_where_a_point_counts_as_crushed(point):
+    law, stress, density = point
+    near = [np.diag([1.2, 0.8, (0.1 + change) / 0.96]) - np.eye(3) for change in (-1e-9, 1e-9)]
+    for function in (stress, density):
+        one, other = (np.hstack([np.ravel(f) for f in function(*d.ravel(), law.coefficients)]) for d in near)
+        np.testing.assert_allclose(one, other, atol=1e-6 * np.abs(one).max())
+
+
+def test_a_point_of_no_size_has_finite_energy_and_stress(point):
+    law, stress, density = point
+    crushed = (-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0)
+    assert np.isfinite(density(*crushed, law.coefficients)).all()
+    assert np.isfinite(stress(*crushed, law.coefficients)[0]).all()

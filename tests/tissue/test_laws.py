@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,3 +133,10 @@ def test_ranges_are_read_off_the_laws():
     (C, alpha) = KINDS["Ogden"].parameters
     assert (C.unit, C.range) == ("Pa", "(0, inf)")
     assert (alpha.unit, alpha.range) == ("", "[-100, 100]")
+
+
+def test_the_documentation_names_every_law_with_its_source():
+    text = (Path(__file__).parents[2] / "docs" / "laws.md").read_text()
+    for law in LAWS:
+        assert f"`{law.name}`" in text
+        assert law.reference.split(",")[0].split(";")[0] in text

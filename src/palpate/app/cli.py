@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from palpate.faults import DivergenceError, FileFormatError, InputError
 
     try:
-        return {"reproduce": _reproduce, "run": _run, "bench": _bench}[command](options)
+        return {"reproduce": _reproduce, "run": _run, "bench": _bench, "laws": _laws}[command](options)
     except (InputError, FileFormatError, FileNotFoundError) as error:
         return _complain(str(error), BAD_INPUT)
     except (ReproduceError, DivergenceError, OSError) as error:
@@ -79,6 +79,12 @@ def _bench(options: dict[str, Any]) -> int:
     return bench(**options)
 
 
+def _laws(options: dict[str, Any]) -> int:
+    from palpate.app.laws import laws
+
+    return laws(**options)
+
+
 def _complain(message: str, code: int) -> int:
     print(f"palpate: {' '.join(message.split())}", file=sys.stderr)
     return code
@@ -97,6 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_membrane(examples)
     _add_run(commands)
     _add_bench(commands)
+    _add_laws(commands)
     return parser
 
 
@@ -182,3 +189,12 @@ def _add_bench(commands: Any) -> None:
     bench.add_argument("--fine", action="store_true", help="measure the beam at 2.5 mm, too (many minutes a round)")
     bench.add_argument("--repeats", type=int, default=3, metavar="K", help="rounds of the long runs")
     _add_results(bench, Path("out/bench"))
+
+
+def _add_laws(commands: Any) -> None:
+    laws = commands.add_parser(
+        "laws",
+        help="list the material laws, with parameters, units and ranges",
+        description="List every material law: its energy, parameters with units and ranges, and source.",
+    )
+    laws.add_argument("--json", action="store_true", dest="as_json", help="print the list as JSON")

@@ -197,8 +197,8 @@ class FullModel(NodalModel):
         stress = self.material.stress(F)
         if self.pressure == "split":
             self.force(displacements)
-            cofactor = np.linalg.det(F)[:, None, None] * np.swapaxes(np.linalg.inv(F), 1, 2)
-            stress = stress + (self.work.smooth - self.work.pressure)[:, None, None] * cofactor
+            change = self.work.smooth - self.work.pressure
+            stress = stress + change[:, None, None] * self.material.cofactor(F)
         return stress
 
     def strain_energy(self, displacements: Floats) -> float:

@@ -31,7 +31,7 @@ from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_su
 from palpate.dynamics.sheet_stretches import make_principal_moduli, make_principal_strong
 from palpate.tissue.materials import Material
 
-__all__ = ["SheetBody", "SheetWork", "sheet", "sheet_work"]
+__all__ = ["COSINE", "POINTS", "SINE", "SheetBody", "SheetWork", "make_moduli", "sheet", "sheet_work"]
 
 NUMBERS = 15  # derivatives a node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
 POINTS = 6  # about a node: six keep the symmetry of a triangular lattice
@@ -120,12 +120,18 @@ def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
     return mean + reach, mean - reach, 1.0 / np.sqrt(max(mean + reach, 1.0))
 
 
-def _make_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> tuple[Any, Any]:
+def make_moduli(
+    digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool, variables: str = "invariants"
+) -> tuple[Any, Any]:
     """Make the functions of C that give energy, a and g in P = a F + g F adj(C), and their derivatives.
+
+    For a law of the stretches the second is None (the strong form takes another way).
 
     In a wrinkled state P = h F N N^T, N the direction of tension, is of the same form: by the theorem of Cayley and
     Hamilton F N N^T (c1 - c2) = c1 F - F adj(C), c1 > c2 the eigenvalues of C.
     """
+    if variables == "stretches":
+        return make_principal_moduli(digest, energy_of, law_first, law_second, relaxed), None
     energy, first_of, second_of = (register_jitable(named_for(digest, f)) for f in (energy_of, law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -274,13 +280,12 @@ def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
 
 
 def _make_answer(digest: str, law: type[Material], relaxed: bool, strong: bool) -> Any:
-    if law.variables == "stretches":
-        moduli = make_principal_moduli(digest, law, relaxed)
-        if strong:
-            return make_principal_strong(digest, law, moduli, relaxed, _normal)
+    moduli, slopes = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
+    if not strong:
         return _make_energy_answer(digest, moduli)
-    moduli, slopes = _make_moduli(digest, law.energy, law.first, law.second, relaxed)
-    return _make_strong_answer(digest, moduli, slopes) if strong else _make_energy_answer(digest, moduli)
+    if law.variables == "stretches":
+        return make_principal_strong(digest, law.first, law.second, moduli, relaxed, _normal)
+    return _make_strong_answer(digest, moduli, slopes)
 
 
 @cache

@@ -25,10 +25,10 @@ __all__ = ["make_principal_moduli", "make_principal_strong"]
 NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
 
 
-def make_principal_moduli(digest: str, law: Any, relaxed: bool) -> Any:
+def make_principal_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> Any:
     """Make the function of C that gives energy, a and g, as `sheet` makes it for a law of the invariants."""
-    energy, first_of = (register_jitable(named_for(digest, f)) for f in (law.energy, law.first))
-    plane, _ = _make_slopes(digest, law)
+    energy, first_of = (register_jitable(named_for(digest, f)) for f in (energy_of, law_first))
+    plane, _ = _make_slopes(digest, law_first, law_second)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
@@ -55,9 +55,9 @@ def make_principal_moduli(digest: str, law: Any, relaxed: bool) -> Any:
     return moduli
 
 
-def _make_slopes(digest: str, law: Any) -> tuple[Any, Any]:
+def _make_slopes(digest: str, law_first: Any, law_second: Any) -> tuple[Any, Any]:
     """Make the functions of a taut state's stretches, and of a wrinkled one's, that give the slopes of its stress."""
-    first_of, second_of = (register_jitable(named_for(digest, f)) for f in (law.first, law.second))
+    first_of, second_of = (register_jitable(named_for(digest, f)) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"})
     def plane(l1, l2, coefficients):  # type: ignore[no-untyped-def]
@@ -86,12 +86,12 @@ def _make_slopes(digest: str, law: Any) -> tuple[Any, Any]:
     return plane, wrinkled
 
 
-def make_principal_strong(digest: str, law: Any, moduli: Any, relaxed: bool, normal: Any) -> Any:
+def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: Any, relaxed: bool, normal: Any) -> Any:
     """Make the strong form's answer of one block, Div P - P b from F and H, said in the principal axes of C.
 
     As in `palpate.dynamics.principal`: Div P = sum of s_a H_aa + F_a v_a; here over two axes.
     """
-    plane, wrinkled = _make_slopes(digest, law)
+    plane, wrinkled = _make_slopes(digest, law_first, law_second)
 
     @law_njit(digest, cached=False, fastmath={"contract"})
     def slopes(x1, x2, coefficients):  # type: ignore[no-untyped-def]

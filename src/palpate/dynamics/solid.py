@@ -27,6 +27,7 @@ from palpate.dynamics.compiled import law_digest, law_njit, named_for
 from palpate.dynamics.kernels import Formulation, combine, lift_passes, smooth_field, weights_address
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 from palpate.dynamics.principal import make_principal_response
+from palpate.dynamics.small_strain import make_linear_response
 from palpate.tissue.materials import Material
 
 __all__ = ["Body", "Workspace", "solid", "workspace"]
@@ -226,7 +227,9 @@ def solid(law: type[Material], direct: bool) -> Formulation:
         Whether the pressure is differentiated directly instead of smoothed.
     """
     digest = law_digest("solid", law.variables, law.first, law.second, direct)
-    make = make_principal_response if law.variables == "stretches" else _make_response
+    make = {
+        "invariants": _make_response, "stretches": make_principal_response, "small strain": make_linear_response,
+    }[law.variables]  # fmt: skip
     answer = make(digest, law.first, law.second, direct)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})

@@ -29,6 +29,7 @@ from palpate.dynamics.compiled import law_digest, law_njit, named_for
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
 from palpate.dynamics.principal import make_principal_stress
+from palpate.dynamics.small_strain import make_linear_stress
 from palpate.tissue.materials import Material
 
 __all__ = ["EnergyBody", "EnergyWork", "energy_work", "make_stress", "solid_energy"]
@@ -151,6 +152,8 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
     """
     if variables == "stretches":
         return make_principal_stress(digest, law_first)
+    if variables == "small strain":
+        return make_linear_stress(digest)
     first_of = law_first if law_first.__closure__ else register_jitable(named_for(digest, law_first))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)

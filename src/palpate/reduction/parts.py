@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.points import Kinematics
 from palpate.tissue.materials import Material
 
 __all__ = ["ReducedParts"]
@@ -50,6 +51,11 @@ class ReducedParts:
         Distance from the training states at which the trust number is 1.
     report : mapping
         What was measured in training.
+    kinematics : Kinematics
+        Whether the body is a solid or a membrane, and which.
+    slack : float [rad/s]
+        Highest frequency of a membrane in its training states: what is slack now may be as taut in a moment. 0 for
+        solids.
     """
 
     cloud: Cloud
@@ -68,3 +74,5 @@ class ReducedParts:
     trained: Floats
     reach: float
     report: dict[str, Any] = field(default_factory=dict)
+    kinematics: Kinematics = field(default_factory=Kinematics)
+    slack: float = 0.0

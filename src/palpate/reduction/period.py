@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import Samples, Scratch, sampled_energy
 from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, sampled_step
 
@@ -97,7 +98,7 @@ class RealtimeModel(NamedTuple):
 
 
 @cache
-def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any]:
+def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
     """Compile the period of a law.
 
     Returns
@@ -110,9 +111,9 @@ def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, 
         change with the tool's coordinates (l, l) when the body has come to rest, from the tangents of the last m
         periods.
     """
-    digest = law_digest("period", energy_of, first_of, single)
-    force, energy = sampled_energy(energy_of, first_of, single)
-    _, average, _ = sampled_step(energy_of, first_of, single)
+    digest = law_digest("period", law.digest, single)
+    force, energy = sampled_energy(law, single)
+    _, average, _ = sampled_step(law, single)
 
     @law_njit(digest, fastmath={"contract"})
     def follow(data, q):  # type: ignore[no-untyped-def]

@@ -7,6 +7,7 @@ model no more. A step costs what its samples and coordinates cost, whatever the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
+from palpate.dynamics.membrane import load_areas
 from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.stability import stable_step
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import PeriodData, RealtimeModel, period_functions
+from palpate.reduction.points import point_law
 from palpate.reduction.samples import sampled_energy, samples, scratch
 from palpate.reduction.stepping import newton, sampled_step
 
@@ -30,6 +33,7 @@ Floats = NDArray[np.float64]
 MOVED = 0.1  # of the largest displacement seen: how far the state goes before the explicit step is found anew
 CONVERGED = 1e-7  # of the spacing: largest displacement that a Newton iteration may still change
 DIFFERENCE = 1e-5  # of the spacing: displacements for tangents by differences
+NEIGHBOURS = {2: 14, 3: 42}  # of the stencils of a sheet and of a solid
 MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
@@ -61,20 +65,21 @@ class ReducedModel(Model):
         self.viscosity, self.report = parts.viscosity, parts.report
         self.fewest = 20 if step is None else 1  # the implicit step is the user's choice
         self.count = parts.modes + parts.lifted
-        count, coefficients = self.count, parts.material.coefficients
+        count = self.count
+        self._law, coefficients = point_law(parts.material, parts.kinematics)
         flat = parts.columns.reshape(len(parts.columns), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
         self._held = np.asarray(np.linalg.inv(self.mass[: parts.modes, : parts.modes]), dtype=float)
         self._free = np.linalg.inv(self.mass)
-        type_, law = np.float32 if single else np.float64, type(parts.material)
+        type_ = np.float32 if single else np.float64
         weights, pressure, constant = parts.cubature.weights, parts.cubature.pressure, parts.constant
         self._all = samples(parts.gradients, weights, pressure, constant, coefficients, type_)
         own = np.ascontiguousarray(parts.gradients[:, :count])
         self._samples = samples(own, weights, pressure, constant[:count, :count], coefficients, type_)
         self._all_scratch, self._scratch, self._newton = scratch(self._all), scratch(self._samples), newton(count)
-        self._force, self._energy = sampled_energy(law.energy, law.first, single)
-        self._explicit, self._implicit, self._tangent = sampled_step(law.energy, law.first, single)
+        self._force, self._energy = sampled_energy(self._law, single)
+        self._explicit, self._implicit, self._tangent = sampled_step(self._law, single)
         self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
         self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
         self._loaded: tuple[Drive, Floats] | None = None
@@ -106,7 +111,9 @@ class ReducedModel(Model):
     # loads
 
     def drive(self, loads: Sequence[Load]) -> Drive:
-        ready = drive(self.cloud, self.fixed, loads)
+        about = self.parts.kinematics
+        areas = partial(load_areas, self.cloud, about.prestretch) if about.sheet else None
+        ready = drive(self.cloud, self.fixed, loads, areas)
         if len(ready.places.pressure_node):
             raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
         held = {motion.group for motion, _ in ready.motions}
@@ -196,7 +203,7 @@ class ReducedModel(Model):
         if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > MOVED * self._reach:
             held = bool(self._holds(drive, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
             self._frequency, self._frequency_at = self._highest(state.coordinates, held), moved
-        return stable_step(self._frequency, self.viscosity)
+        return stable_step(max(self._frequency, self.parts.slack), self.viscosity)
 
     def _highest(self, coordinates: Floats, held: bool = True) -> float:
         moving = slice(self.parts.modes if held else None)
@@ -285,7 +292,7 @@ class ReducedModel(Model):
         fields = np.zeros((12, len(nodes), 3))
         for c in range(3):
             fields[c, :, c] = 1.0
-            for d in range(3):
+            for d in range(arms.shape[1]):
                 fields[3 + 3 * c + d, :, c] = arms[:, d]
         return np.asarray(np.linalg.lstsq(span.T, fields.reshape(12, -1).T, rcond=None)[0])
 
@@ -331,13 +338,17 @@ class ReducedModel(Model):
     def stencils(self) -> Any:  # type: ignore[override]
         """Stencils of the cloud, made when first asked for."""
         if not hasattr(self, "_stencils"):
-            self._stencils = moving_least_squares(self.cloud.points, order=2, neighbours=42)
+            stretch, space = self.parts.kinematics.prestretch, self.cloud.points.shape[1]
+            self._stencils = moving_least_squares(self.cloud.points / stretch, order=2, neighbours=NEIGHBOURS[space])
         return self._stencils
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
-        return np.asarray(self.stencils.gradient(displacements) + np.eye(3))
+        rest = self.parts.kinematics.prestretch * np.eye(3, self.cloud.points.shape[1])
+        return np.asarray(self.stencils.gradient(displacements) + rest)
 
     def stress(self, displacements: Floats) -> Floats:
+        if self.parts.kinematics.sheet:
+            raise InputError("a reduced membrane does not tell its stress at nodes: ask the full model")
         return self.material.stress(self.deformation_gradient(displacements))
 
     def strain_energy(self, displacements: Floats) -> float:
@@ -362,7 +373,7 @@ class ReducedModel(Model):
         InputError
             The model was not trained with exactly one driven group.
         """
-        parts, count, law = self.parts, self.count, type(self.material)
+        parts, count = self.parts, self.count
         if len(parts.driven) != 1:
             raise InputError(
                 f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP'"
@@ -379,7 +390,7 @@ class ReducedModel(Model):
             np.array([frequency, frequency, 0.0]), np.zeros((steps + 3, parts.lifted)),
             np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
         )  # fmt: skip
-        advance, stiffness = period_functions(law.energy, law.first, self.single)
+        advance, stiffness = period_functions(self._law, self.single)
         return RealtimeModel(advance, stiffness, data, np.zeros(count), self.tool_map(parts.driven[0]))
 
     def save(self, path: str | Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from palpate.tissue.invariant_laws import ArrudaBoyce, Fung, Gent, StVenantKirchhoff, Yeoh
 from palpate.tissue.materials import Material, MooneyRivlin, NeoHookean
+from palpate.tissue.small_strain import LinearElastic
 from palpate.tissue.stretch_laws import Exponential, Logarithmic, Ogden
 
 __all__ = ["LAWS", "Law", "Parameter"]
@@ -91,12 +92,12 @@ LAWS: tuple[Law, ...] = (
     ),
     Law(
         Exponential, "C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2)", "1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
-        "Banihani, Rabczuk, Almomani, Math. Probl. Eng. 2013, equation (18)",
+        "Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (18)",
         {"C1": 2e3, "C2": 1.5, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5}, "alpha1 and alpha2 are not zero",
     ),
     Law(
         Logarithmic, "-C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2)", "1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
-        "Banihani, Rabczuk, Almomani, Math. Probl. Eng. 2013, equation (19)",
+        "Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (19)",
         {"C1": 10e3, "C2": 0.35, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5},
         "alpha1 and alpha2 are not zero; from C2 q(alpha1) = 0.95 on continued by a parabola",
     ),
@@ -119,5 +120,10 @@ LAWS: tuple[Law, ...] = (
     Law(
         StVenantKirchhoff, "mu tr E^2,  E = (C - I) / 2", "mu", "Holzapfel, Nonlinear Solid Mechanics, Wiley 2000",
         {"mu": 10e3}, "softens in compression",
+    ),
+    Law(
+        LinearElastic, "mu e : e,  e = sym(F - I), with lame/2 (tr e)^2 for the bulk term", "mu",
+        "Landau, Lifshitz, Theory of Elasticity, section 4", {"mu": 10e3},
+        "small strains only, not objective; for solids by the full model, not for membranes",
     ),
 )  # fmt: skip

@@ -217,7 +217,7 @@ class Fung(Material):
     def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
         y = c[1] * (I1 - 3.0 - 2.0 * np.log(J))
         z = np.minimum(y, 20.0)
-        return 0.5 * c[0] / c[1] * (np.expm1(z) + np.exp(z) * (y - z) * (1.0 + 0.5 * (y - z)))
+        return 0.5 * c[0] / c[1] * (np.exp(z) * (1.0 + (y - z) * (1.0 + 0.5 * (y - z))) - 1.0)
 
     @staticmethod
     def first(I1, I2, J, c):  # type: ignore[no-untyped-def]

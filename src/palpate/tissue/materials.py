@@ -63,8 +63,8 @@ class Material(ABC):
     Attributes
     ----------
     variables : str
-        What the law is a function of: ``"invariants"`` I1, I2, J; ``"stretches"`` l1, l2, l3; or ``"gradient"``, the
-        small strain.
+        What the law is a function of: ``"invariants"`` I1, I2, J; ``"stretches"`` l1, l2, l3; or
+        ``"small strain"``.
     """
 
     variables: ClassVar[str] = "invariants"

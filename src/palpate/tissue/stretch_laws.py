@@ -17,6 +17,8 @@ which has no differences of stretches in it: equal stretches, and rest, are no s
 
 x_i = l_i^2; the quotient becomes ds_i/dx_i - ds_i/dx_j where the stretches meet (Ogden, Non-Linear Elastic
 Deformations, 1984, section 6.1). The compiled forces use both (`palpate.dynamics.principal`).
+
+Powers are exponentials of logarithms, which all terms of a law share: half as dear as powers.
 """
 
 from __future__ import annotations
@@ -103,27 +105,30 @@ class Ogden(StretchLaw):
 
     @staticmethod
     def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        logarithm, total = np.log(l1 * l2 * l3), 0.0
+        h1, h2, h3, total = np.log(l1), np.log(l2), np.log(l3), 0.0
         for k in range(0, len(c), 2):
             a = c[k + 1]
-            total += c[k] * (l1**a + l2**a + l3**a - 3.0 - a * logarithm)
+            total += c[k] * (np.exp(a * h1) + np.exp(a * h2) + np.exp(a * h3) - 3.0 - a * (h1 + h2 + h3))
         return total
 
     @staticmethod
     def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        w1, w2, w3 = 0.0, 0.0, 0.0
+        h1, h2, h3, w1, w2, w3 = np.log(l1), np.log(l2), np.log(l3), 0.0, 0.0, 0.0
         for k in range(0, len(c), 2):
             C, a = c[k] * c[k + 1], c[k + 1]
-            w1, w2, w3 = w1 + C * (l1**a - 1.0), w2 + C * (l2**a - 1.0), w3 + C * (l3**a - 1.0)
+            w1 += C * (np.exp(a * h1) - 1.0)
+            w2 += C * (np.exp(a * h2) - 1.0)
+            w3 += C * (np.exp(a * h3) - 1.0)
         return w1 / l1, w2 / l2, w3 / l3
 
     @staticmethod
     def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        w1, w2, w3 = 0.0, 0.0, 0.0
+        h1, h2, h3, w1, w2, w3 = np.log(l1), np.log(l2), np.log(l3), 0.0, 0.0, 0.0
         for k in range(0, len(c), 2):
             C, a = c[k] * c[k + 1], c[k + 1]
-            b = a - 1.0
-            w1, w2, w3 = w1 + C * (b * l1**a + 1.0), w2 + C * (b * l2**a + 1.0), w3 + C * (b * l3**a + 1.0)
+            w1 += C * ((a - 1.0) * np.exp(a * h1) + 1.0)
+            w2 += C * ((a - 1.0) * np.exp(a * h2) + 1.0)
+            w3 += C * ((a - 1.0) * np.exp(a * h3) + 1.0)
         return w1 / (l1 * l1), w2 / (l2 * l2), w3 / (l3 * l3), 0.0, 0.0, 0.0
 
 
@@ -149,7 +154,7 @@ class _Stiffening(StretchLaw):
 
 @dataclass(frozen=True, kw_only=True)
 class Exponential(_Stiffening):
-    """The exponential law of soft tissue, equation (18).
+    """The exponential law of soft tissue, equation (18) (Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010).
 
     W = C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2) + lame / 2 (J - 1)^2,  q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
     shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
@@ -172,38 +177,42 @@ class Exponential(_Stiffening):
 
     @staticmethod
     def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        a, b, logarithm = c[3], c[4], np.log(l1 * l2 * l3)
-        y = c[1] * (l1**a + l2**a + l3**a - 3.0 - a * logarithm)
+        a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
+        y = c[1] * (np.exp(a * h1) + np.exp(a * h2) + np.exp(a * h3) - 3.0 - a * (h1 + h2 + h3))
         z = np.minimum(y, 20.0)
-        g = np.expm1(z) + np.exp(z) * (y - z) * (1.0 + 0.5 * (y - z))
-        return c[0] * g + c[2] * (l1**b + l2**b + l3**b - 3.0 - b * logarithm)
+        g = np.exp(z) * (1.0 + (y - z) * (1.0 + 0.5 * (y - z))) - 1.0
+        return c[0] * g + c[2] * (np.exp(b * h1) + np.exp(b * h2) + np.exp(b * h3) - 3.0 - b * (h1 + h2 + h3))
 
     @staticmethod
     def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        a, b = c[3], c[4]
-        p1, p2, p3 = l1**a, l2**a, l3**a
-        y = c[1] * (p1 + p2 + p3 - 3.0 - a * np.log(l1 * l2 * l3))
+        a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
+        p1, p2, p3, r1, r2, r3 = (
+            np.exp(a * h1), np.exp(a * h2), np.exp(a * h3), np.exp(b * h1), np.exp(b * h2), np.exp(b * h3)
+        )  # fmt: skip
+        y = c[1] * (p1 + p2 + p3 - 3.0 - a * (h1 + h2 + h3))
         z = np.minimum(y, 20.0)
         g, h = c[0] * c[1] * a * np.exp(z) * (1.0 + (y - z)), c[2] * b
         return (
-            (g * (p1 - 1.0) + h * (l1**b - 1.0)) / l1,
-            (g * (p2 - 1.0) + h * (l2**b - 1.0)) / l2,
-            (g * (p3 - 1.0) + h * (l3**b - 1.0)) / l3,
+            (g * (p1 - 1.0) + h * (r1 - 1.0)) / l1,
+            (g * (p2 - 1.0) + h * (r2 - 1.0)) / l2,
+            (g * (p3 - 1.0) + h * (r3 - 1.0)) / l3,
         )
 
     @staticmethod
     def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        a, b = c[3], c[4]
-        p1, p2, p3 = l1**a, l2**a, l3**a
-        y = c[1] * (p1 + p2 + p3 - 3.0 - a * np.log(l1 * l2 * l3))
+        a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
+        p1, p2, p3, r1, r2, r3 = (
+            np.exp(a * h1), np.exp(a * h2), np.exp(a * h3), np.exp(b * h1), np.exp(b * h2), np.exp(b * h3)
+        )  # fmt: skip
+        y = c[1] * (p1 + p2 + p3 - 3.0 - a * (h1 + h2 + h3))
         z = np.minimum(y, 20.0)
         rise = c[0] * c[1] * a * np.exp(z)
         g, h, k = rise * (1.0 + (y - z)), c[2] * b, rise * c[1] * a
         d1, d2, d3 = (p1 - 1.0) / l1, (p2 - 1.0) / l2, (p3 - 1.0) / l3
         return (
-            k * d1 * d1 + (g * ((a - 1.0) * p1 + 1.0) + h * ((b - 1.0) * l1**b + 1.0)) / (l1 * l1),
-            k * d2 * d2 + (g * ((a - 1.0) * p2 + 1.0) + h * ((b - 1.0) * l2**b + 1.0)) / (l2 * l2),
-            k * d3 * d3 + (g * ((a - 1.0) * p3 + 1.0) + h * ((b - 1.0) * l3**b + 1.0)) / (l3 * l3),
+            k * d1 * d1 + (g * ((a - 1.0) * p1 + 1.0) + h * ((b - 1.0) * r1 + 1.0)) / (l1 * l1),
+            k * d2 * d2 + (g * ((a - 1.0) * p2 + 1.0) + h * ((b - 1.0) * r2 + 1.0)) / (l2 * l2),
+            k * d3 * d3 + (g * ((a - 1.0) * p3 + 1.0) + h * ((b - 1.0) * r3 + 1.0)) / (l3 * l3),
             k * d1 * d2,
             k * d1 * d3,
             k * d2 * d3,
@@ -212,7 +221,7 @@ class Exponential(_Stiffening):
 
 @dataclass(frozen=True, kw_only=True)
 class Logarithmic(_Stiffening):
-    """The logarithmic law of soft tissue, equation (19): its stretch is limited.
+    """The logarithmic law of soft tissue, equation (19), of limited stretch (Gao, Lister, Desai, as above).
 
     W = -C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2) + lame / 2 (J - 1)^2,  q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
     shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
@@ -236,40 +245,44 @@ class Logarithmic(_Stiffening):
 
     @staticmethod
     def energy(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        a, b, logarithm = c[3], c[4], np.log(l1 * l2 * l3)
-        y = c[1] * (l1**a + l2**a + l3**a - 3.0 - a * logarithm)
+        a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
+        y = c[1] * (np.exp(a * h1) + np.exp(a * h2) + np.exp(a * h3) - 3.0 - a * (h1 + h2 + h3))
         z = np.minimum(y, 0.95)
         beyond = (y - z) / (1.0 - z)
         g = beyond * (1.0 + 0.5 * beyond) - np.log(1.0 - z)
-        return c[0] * g + c[2] * (l1**b + l2**b + l3**b - 3.0 - b * logarithm)
+        return c[0] * g + c[2] * (np.exp(b * h1) + np.exp(b * h2) + np.exp(b * h3) - 3.0 - b * (h1 + h2 + h3))
 
     @staticmethod
     def first(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        a, b = c[3], c[4]
-        p1, p2, p3 = l1**a, l2**a, l3**a
-        y = c[1] * (p1 + p2 + p3 - 3.0 - a * np.log(l1 * l2 * l3))
+        a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
+        p1, p2, p3, r1, r2, r3 = (
+            np.exp(a * h1), np.exp(a * h2), np.exp(a * h3), np.exp(b * h1), np.exp(b * h2), np.exp(b * h3)
+        )  # fmt: skip
+        y = c[1] * (p1 + p2 + p3 - 3.0 - a * (h1 + h2 + h3))
         z = np.minimum(y, 0.95)
         r = 1.0 / (1.0 - z)
         g, h = c[0] * c[1] * a * r * (1.0 + (y - z) * r), c[2] * b
         return (
-            (g * (p1 - 1.0) + h * (l1**b - 1.0)) / l1,
-            (g * (p2 - 1.0) + h * (l2**b - 1.0)) / l2,
-            (g * (p3 - 1.0) + h * (l3**b - 1.0)) / l3,
+            (g * (p1 - 1.0) + h * (r1 - 1.0)) / l1,
+            (g * (p2 - 1.0) + h * (r2 - 1.0)) / l2,
+            (g * (p3 - 1.0) + h * (r3 - 1.0)) / l3,
         )
 
     @staticmethod
     def second(l1, l2, l3, c):  # type: ignore[no-untyped-def]
-        a, b = c[3], c[4]
-        p1, p2, p3 = l1**a, l2**a, l3**a
-        y = c[1] * (p1 + p2 + p3 - 3.0 - a * np.log(l1 * l2 * l3))
+        a, b, h1, h2, h3 = c[3], c[4], np.log(l1), np.log(l2), np.log(l3)
+        p1, p2, p3, r1, r2, r3 = (
+            np.exp(a * h1), np.exp(a * h2), np.exp(a * h3), np.exp(b * h1), np.exp(b * h2), np.exp(b * h3)
+        )  # fmt: skip
+        y = c[1] * (p1 + p2 + p3 - 3.0 - a * (h1 + h2 + h3))
         z = np.minimum(y, 0.95)
         r = 1.0 / (1.0 - z)
         g, h = c[0] * c[1] * a * r * (1.0 + (y - z) * r), c[2] * b
         d1, d2, d3, k = (p1 - 1.0) / l1, (p2 - 1.0) / l2, (p3 - 1.0) / l3, c[0] * (c[1] * a * r) ** 2
         return (
-            k * d1 * d1 + (g * ((a - 1.0) * p1 + 1.0) + h * ((b - 1.0) * l1**b + 1.0)) / (l1 * l1),
-            k * d2 * d2 + (g * ((a - 1.0) * p2 + 1.0) + h * ((b - 1.0) * l2**b + 1.0)) / (l2 * l2),
-            k * d3 * d3 + (g * ((a - 1.0) * p3 + 1.0) + h * ((b - 1.0) * l3**b + 1.0)) / (l3 * l3),
+            k * d1 * d1 + (g * ((a - 1.0) * p1 + 1.0) + h * ((b - 1.0) * r1 + 1.0)) / (l1 * l1),
+            k * d2 * d2 + (g * ((a - 1.0) * p2 + 1.0) + h * ((b - 1.0) * r2 + 1.0)) / (l2 * l2),
+            k * d3 * d3 + (g * ((a - 1.0) * p3 + 1.0) + h * ((b - 1.0) * r3 + 1.0)) / (l3 * l3),
             k * d1 * d2,
             k * d1 * d3,
             k * d2 * d3,

@@ -1,0 +1,72 @@
+"""Hooke's law of the small strain: what earlier simulators of surgery use, and what the large strains are judged by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.tissue.materials import Material, parameter
+
+__all__ = ["LinearElastic"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearElastic(Material):
+    """Small-strain linear elasticity (Landau, Lifshitz, Theory of Elasticity, section 4).
+
+    W = mu e : e + lame / 2 (tr e)^2,  e = sym(F - I),  P = dW/dF = 2 mu e + lame tr e I.
+
+    It is not objective: a turned body is strained, by 1 - cos of the angle. For displacements whose gradient is small
+    it is what every law here with these moduli becomes. The pressure is lame tr e, and acts on undeformed areas.
+
+    Parameters
+    ----------
+    mu : float [Pa]
+        Shear modulus; positive.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    variables: ClassVar[str] = "small strain"
+
+    mu: float = parameter("Pa", above=0.0)
+
+    @property
+    def shear_modulus(self) -> float:
+        return self.mu
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.mu
+
+    @staticmethod
+    def energy(square, trace, volume, c):  # type: ignore[no-untyped-def]
+        """W_s of e : e; the other two are there for the signature."""
+        return c[0] * square
+
+    @staticmethod
+    def first(square, trace, volume, c):  # type: ignore[no-untyped-def]
+        return c[0], 0.0, 0.0
+
+    @staticmethod
+    def second(square, trace, volume, c):  # type: ignore[no-untyped-def]
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+
+    def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(self.mu * np.sum(_strain(F) ** 2, axis=(-2, -1)))
+
+    def shear_stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 2 * self.mu * _strain(F)
+
+    def cofactor(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.broadcast_to(np.eye(3), F.shape).copy()
+
+    def _dilatation(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.trace(F, axis1=-2, axis2=-1) - 3)
+
+
+def _strain(F: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray((F + np.swapaxes(F, -1, -2)) / 2 - np.eye(3))
