@@ -17,12 +17,12 @@ SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
 SINGLE = 1e-10  # of the largest eigenvalue of products in single precision: what is below is noise
 
 
-def strain_modes(body: FullModel, snapshots: Floats, modes: int) -> Floats:
+def strain_modes(body: FullModel, snapshots: Floats, modes: int, spare: int = 0) -> Floats:
     """Return modes (M, n, 3) that hold most of the gradients of some snapshots (t, n, 3), orthonormal in the volumes.
 
     The proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not only in
     displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so that small
-    motions are not lost beside large ones.
+    motions are not lost beside large ones. Behind them come up to `spare` further ones, as many as the snapshots hold.
 
     Raises
     ------
@@ -43,8 +43,9 @@ def strain_modes(body: FullModel, snapshots: Floats, modes: int) -> Floats:
     rank = int(np.sum(values > SINGLE * values[-1]))
     if modes > rank:
         raise InputError(f"modes = {modes}: the {len(chosen)} snapshots hold only {rank} independent shapes")
-    shapes = (vectors[:, ::-1][:, :modes].T * scale) @ chosen.reshape(len(chosen), -1)
-    return _orthonormal(body, shapes.reshape(modes, -1, 3))
+    count = min(modes + spare, rank)
+    shapes = (vectors[:, ::-1][:, :count].T * scale) @ chosen.reshape(len(chosen), -1)
+    return _orthonormal(body, shapes.reshape(count, -1, 3))
 
 
 def _orthonormal(body: FullModel, fields: Floats) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.full import FullModel
 from palpate.reduction.cubature import Cubature, non_negative, sketch, slopes_fit
 
-__all__ = ["Fields", "choose_samples", "differentiated", "pressure_moments"]
+__all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiated", "pressure_moments"]
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def choose_samples(
 ) -> Cubature:
     """Choose nodes, weights, and the coefficients of the moments."""
     own = fields.gradients[:, :count]
-    root = _compliance(body, own, fields.constant[:count, :count], moments, mass)
+    root = compliance_root(body, own, fields.constant[:count, :count], moments, mass)
     if share == 0.0:  # every node, with its volume
         return Cubature(np.arange(len(body.cloud)), body.volumes, moments, 0.0)
     generator = np.random.default_rng(seed)
@@ -80,7 +80,7 @@ def choose_samples(
     return Cubature(nodes, multiples[nodes] * body.volumes[nodes], pressure, residual)
 
 
-def _deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
+def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
     """F, cof(F) and J at nodes with the derivatives (n, m, 9) of the columns."""
     F = np.eye(3) + np.einsum("nmk,m->nk", gradients, state.astype(gradients.dtype)).astype(float).reshape(-1, 3, 3)
     cofactor = np.stack([np.cross(F[:, 1], F[:, 2]), np.cross(F[:, 2], F[:, 0]), np.cross(F[:, 0], F[:, 1])], axis=1)
@@ -89,7 +89,7 @@ def _deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floa
 
 def _shear_work(body: FullModel, gradients: Floats, state: Floats) -> Floats:
     """Work of every node's shear stress, times its volume, on the columns, shape (m, n)."""
-    F, cofactor, J = _deformation(gradients, state)
+    F, cofactor, J = deformation(gradients, state)
     stress = body.material.stress(F) - (body.material.lame * (J - 1))[:, None, None] * cofactor
     weighted = (stress * body.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
     return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
@@ -109,7 +109,7 @@ def pressure_moments(body: FullModel, snapshots: Floats, pressures: int) -> Floa
     return np.asarray(np.sqrt(body.material.lame) * body.smoothed_back(shapes[:kept] * roots))
 
 
-def _compliance(body: FullModel, gradients: Floats, constant: Floats, moments: Floats, mass: Floats) -> Floats:
+def compliance_root(body: FullModel, gradients: Floats, constant: Floats, moments: Floats, mass: Floats) -> Floats:
     """Return R with R^T R the compliance of the body at rest in the coordinates."""
     shear, count = body.material.shear_modulus, len(mass)
     second = body.material.shear_bulk_modulus - 2 / 3 * shear
@@ -133,7 +133,7 @@ def _pressure(gradients: Floats, states: Floats, moments: Floats, nodes: NDArray
     """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
     sampled, whole, stiff = [], [], np.linalg.inv(root).T
     for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPES)]):
-        _, cofactor, J = _deformation(gradients, state)
+        _, cofactor, J = deformation(gradients, state)
         slope = np.matmul(gradients, cofactor.reshape(-1, 9, 1).astype(gradients.dtype))[:, :, 0] @ root.T
         value = (J - 1)[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
         both = np.hstack([slope, value if state.any() else 0 * value])
