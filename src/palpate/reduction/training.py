@@ -67,7 +67,8 @@ def reduce(
         Groups that rigid tools hold and move (`PrescribedMotion`): each gets lifting columns for its translations and
         rotations, so that its pose may be any, and its force is known.
     held_out : sequence of (loads, trajectory)
-        Runs that are not trained on: the reduced model repeats them and reports its errors.
+        Runs that are not trained on: the reduced model repeats them and reports its errors, and what the trust number
+        says of them (`ReducedModel.expected_error`).
     enrichment : (e, n, 3) array, optional
         Displacement fields that join the modes, or with ``modes=0`` stand for them: `palpate.vibration_modes`,
         `palpate.modal_derivatives`. Fields must vanish at supports and tools.

@@ -108,7 +108,9 @@ def error_table(numbers: Sequence[Floats], missed: Sequence[Floats]) -> list[dic
     reached = np.concatenate([np.maximum.accumulate(own) for own in numbers])
     errors = np.concatenate(list(missed))[np.argsort(reached, kind="stable")]
     reached = np.sort(reached)
-    parts = np.array_split(np.arange(len(reached)), int(np.clip(len(reached) // FEWEST, 1, BINS)))
+    about = np.array_split(np.arange(len(reached)), int(np.clip(len(reached) // FEWEST, 1, BINS)))
+    ends = np.unique([np.searchsorted(reached, reached[part[-1]], side="right") for part in about])  # equals together
+    parts = np.split(np.arange(len(reached)), ends[:-1])
     sizes = np.array([len(part) for part in parts], dtype=float)
     columns = [_rising(np.array([np.quantile(errors[part], q) for part in parts]), sizes) for q in (0.5, 0.95)]
     return [
