@@ -130,7 +130,7 @@ def study_trust(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> li
     table = []
     for modes in (16, 32, 64):
         rom = reduce(model, runs["train"], modes=modes, held_out=pairs["inside"][:CALIBRATED])
-        entry: dict[str, Any] = {"modes": modes, "reach": rom.parts.reach, "slack": rom.parts.slack}
+        entry: dict[str, Any] = {"modes": modes, "reach": rom.parts.reach, "leeway": rom.parts.leeway}
         entry["table"], others = rom.report["held_out"]["trust"], pairs | {"inside": pairs["inside"][CALIBRATED:]}
         frames = {kind: [_repeated(rom, *pair) for pair in some] for kind, some in others.items()}
         frames["all"] = [f for some in frames.values() for f in some]
@@ -151,7 +151,7 @@ def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     errors = np.concatenate([f.missed for f in some])
     distances, imbalances = (
         [f.distances / rom.parts.reach for f in some],
-        [f.imbalances / rom.parts.slack for f in some],
+        [f.imbalances / rom.parts.leeway for f in some],
     )
     numbers = {
         "distance": distances,

@@ -183,3 +183,88 @@ def test_runs_that_follow_each_other_are_one(sheet, push):
         half.then(replace(rest, points=1.1 * rest.points))
     with pytest.raises(pt.InputError, match="other supports"):
         half.then(replace(rest, reactions={}))
+
+
+# the sampled energy
+
+
+@pytest.fixture(scope="module")
+def sampled(sheet, push):
+    return pt.reduce(sheet, push, modes=10, driven="tool")
+
+
+def every_point(sheet, run, **options):
+    parts = pt.reduce(sheet, run, modes=6, driven="tool", cubature=0.0, **options).parts
+    return pt.ReducedModel(parts, single=False)
+
+
+@pytest.mark.parametrize("form", [{"prestretch": 1.0}, {"prestretch": 1.05}, {"prestretch": 1.02, "relaxed": False}])
+def test_all_points_with_their_volumes_are_the_galerkin_model(sheet, push, form):
+    tight = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", **form)
+    whole = every_point(tight, push)
+    columns = whole.parts.columns[: whole.count]
+    for frame in (4, 20, 40):
+        a = np.linalg.lstsq(columns.reshape(whole.count, -1).T, push.displacements[frame].ravel(), rcond=None)[0]
+        u = np.tensordot(a, columns, 1)
+        expected = np.einsum("n,mnc,nc->m", tight.volumes, columns, tight.force(u))
+        np.testing.assert_allclose(whole.force(a), expected, atol=1e-9 * np.abs(expected).max())
+        assert whole.energy(a) == pytest.approx(tight.strain_energy(u), rel=1e-9)
+
+
+def test_a_sampled_sheet_has_few_points_and_repeats_the_push(sheet, push, sampled):
+    assert len(sampled.parts.cubature.nodes) < 0.15 * 6 * len(sheet.cloud)
+    assert sampled.parts.cubature.pressure.shape[0] == 0
+    run = pt.rollout(sampled, [PUSH], duration=0.1, every=0.0025, progress=False)
+    found = pt.errors(push, run)
+    assert found.displacement < 0.15
+    assert found.energy < 0.01
+    assert found.reaction < 0.1
+    assert np.abs(run.balance).max() < 0.01 * run.external.max()
+    moved = run.displacements[-1, sheet.cloud.group("tool")[0]]
+    np.testing.assert_allclose(moved, [0.0, 0.0, 0.01], atol=1e-9)
+
+
+def test_few_points_feel_what_all_points_feel(sheet, push):
+    few = pt.reduce(sheet, push, modes=6, driven="tool")
+    runs = [
+        pt.rollout(model, [PUSH], duration=0.1, every=0.0025, progress=False)
+        for model in (few, every_point(sheet, push))
+    ]
+    assert pt.errors(runs[1], runs[0]).reaction < 0.05  # 40 % where the weights do not know the tool's force
+
+
+def test_the_sampled_tool_may_let_go(sheet, freed):
+    model = pt.reduce(sheet, freed, modes=16, driven="tool")
+    run = pt.rollout(model, [LET_GO], duration=0.15, every=0.0025, progress=False)
+    assert pt.errors(freed, run).displacement < 0.2
+    after = run.times > 0.1 + 1e-9
+    assert np.all(run.reactions["tool"][after] == 0)
+
+
+def test_the_step_of_a_slack_sheet_is_that_of_its_taut_states(sampled):
+    drive = sampled.drive([PUSH])
+    assert sampled.parts.slack > 1.2 * sampled.frequencies()[-1]
+    assert sampled.stable_step(sampled.state(drive), drive) < 2 / sampled.parts.slack
+
+
+def test_a_strong_form_sheet_is_reduced_by_its_energy_form(sheet, push):
+    strong = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", form="strong", viscosity=sheet.viscosity)
+    one, other = (pt.reduce(model, push, modes=4, driven="tool") for model in (sheet, strong))
+    np.testing.assert_array_equal(one.parts.gradients, other.parts.gradients)
+
+
+def test_a_sampled_sheet_is_saved_and_loaded(sampled, tmp_path):
+    sampled.save(tmp_path / "sheet.rom")
+    loaded = pt.load(tmp_path / "sheet.rom")
+    assert loaded.parts.kinematics == sampled.parts.kinematics
+    assert loaded.material == sampled.material
+    assert loaded.parts.slack == sampled.parts.slack
+    a = 1e-4 * np.random.default_rng(0).standard_normal(sampled.count)
+    np.testing.assert_array_equal(loaded.force(a), sampled.force(a))
+
+
+def test_a_sampled_sheet_refuses_what_it_does_not_know(sampled):
+    with pytest.raises(pt.InputError, match="stress at nodes"):
+        sampled.stress(np.zeros((len(sampled.cloud), 3)))
+    with pytest.raises(pt.InputError, match="follower pressures"):
+        sampled.drive([PUSH, pt.Traction("face", pressure=lambda t: 1.0)])

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
-from palpate.reduction.bases import strain_modes
+from palpate.reduction.bases import main_modes
 
 EVERY, DURATION = 0.0005, 0.02
 TISSUE = {"C1": 60e3, "C2": 1.2e3, "density": 1120.0}
@@ -279,7 +279,7 @@ def test_a_strong_form_is_reduced_by_way_of_the_energy_form(body, runs):
 
 def test_modes_of_strain_are_orthonormal_and_hold_strain_best(body, runs):
     snapshots = np.concatenate([run.displacements for run in runs])
-    modes = strain_modes(body, snapshots, 8)
+    modes = main_modes(body, snapshots, 8)
     gram = np.einsum("mnc,n,knc->mk", modes, body.volumes, modes)
     np.testing.assert_allclose(gram, np.eye(8), atol=1e-6)
 

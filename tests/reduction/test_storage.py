@@ -210,7 +210,7 @@ def test_twenty_thousand_nodes_with_64_modes_take_less_than_20_megabytes(tissue,
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (2, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (3, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["columns"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.parts.cubature.weights)
@@ -247,8 +247,8 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_another_version_is_refused_whatever_follows(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 2", b"version 1", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 1, and version 2 is the one that is"):
+    path.write_bytes(saved.read_bytes().replace(b"version 3", b"version 2", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 2, and version 3 is the one that is"):
         pt.load(path)
 
 
@@ -358,7 +358,7 @@ CASES = {
     **{
         f"{name} out of range": (attribute(name, value), f"{name} = .* is out of range")
         for name, value in {"reach": 0.0, "spacing": 0.0, "viscosity": -1.0, "fastest": -0.1, "residual": -1.0,
-                            "slack": 0.0, "step": -1e-3, "witnesses": -1}.items()
+                            "leeway": 0.0, "step": -1e-3, "witnesses": -1}.items()
     },
 }  # fmt: skip
 

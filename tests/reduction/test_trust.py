@@ -116,7 +116,7 @@ def test_the_engines_report_tells_the_same_number(body):
             state = pt.State(q, v, period * 1e-3)
             assert report[1] == pytest.approx(model.trust(state, drive), rel=1e-3)
             alone = pt.ReducedModel(replace(model.parts, reach=1e9), step=model.step)
-            assert alone.trust(state, drive) == pytest.approx(imbalance(model, state, drive) / model.parts.slack)
+            assert alone.trust(state, drive) == pytest.approx(imbalance(model, state, drive) / model.parts.leeway)
 
 
 def test_errors_are_told_by_the_largest_trust_number_so_far():

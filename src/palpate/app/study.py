@@ -61,7 +61,7 @@ class Phase:
     name : str
     start, duration : float [s]
     step : float, optional [s]
-        Time step of the reduced runs; by default the one that `palpate.rollout` chooses.
+        Time step of the projected runs; by default the one that `palpate.rollout` chooses.
     """
 
     name: str
@@ -239,7 +239,7 @@ def _run_size(study: Study, name: str, size: int, console: Console) -> list[Traj
         if entry["failed"]:
             entry["phases"][phase.name] = {"failed": True, "reason": "the phase before it failed"}
             continue
-        measured, run = _run_phase(study, phase, full, study.series[name], size, runs[-1] if runs else None)
+        measured, run = _run_phase(study, phase, full, name, size, runs[-1] if runs else None)
         entry["phases"][phase.name] = measured
         if run is None:
             entry["failed"] = True
@@ -260,18 +260,19 @@ def _run_size(study: Study, name: str, size: int, console: Console) -> list[Traj
 
 
 def _run_phase(
-    study: Study, phase: Phase, full: Trajectory, train: Train, size: int, before: Trajectory | None
+    study: Study, phase: Phase, full: Trajectory, name: str, size: int, before: Trajectory | None
 ) -> tuple[dict[str, Any], Trajectory | None]:
     """Train and run a reduced model over a phase; return its entry in the report, and its run if it was finished."""
     scene, begin = study.scene, {"start": phase.start} | _last(before)
     try:
         start = perf_counter()
-        model = train(scene.model, full, size)
+        model = study.series[name](scene.model, full, size)
         training = perf_counter() - start
         step = scene.model.stability.step
         # compiles, and warms the caches
         rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)
-        run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=phase.step, **begin)
+        own = phase.step if name == PROJECTED else None
+        run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=own, **begin)
     except (DivergenceError, InputError) as error:
         return {"failed": True, "reason": " ".join(str(error).split())}, None
     measured = {

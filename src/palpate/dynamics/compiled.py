@@ -38,6 +38,7 @@ KERNELS = (
     "dynamics/sheet.py",
     "dynamics/stepping.py",
     "reduction/projection.py",
+    "reduction/points.py",
     "reduction/samples.py",
     "reduction/stepping.py",
     "reduction/period.py",

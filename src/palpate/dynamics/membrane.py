@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numba
 import numpy as np
@@ -20,7 +21,7 @@ from palpate.meshfree.consistent import consistent_gradient
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.tissue.materials import Material
 
-__all__ = ["Membrane"]
+__all__ = ["Membrane", "load_areas"]
 
 Floats = NDArray[np.float64]
 
@@ -155,11 +156,14 @@ class Membrane(NodalModel):
 
     def stress(self, displacements: Floats) -> Floats:
         """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 2), for displacements (n, 3) [m]."""
-        F = self.deformation_gradient(displacements)
+        return self.stress_at(self.deformation_gradient(displacements))
+
+    def stress_at(self, F: Floats) -> Floats:
+        """Return the first Piola-Kirchhoff stress [Pa], (..., 3, 2), for deformation gradients (..., 3, 2)."""
         stretches, directions = _principal(F)
         tensions = self._nominal(stretches)
         scaled = np.divide(tensions, stretches, out=np.zeros_like(tensions), where=stretches > 0)
-        return np.asarray(F @ np.einsum("nla,na,nma->nlm", directions, scaled, directions))
+        return np.asarray(F @ np.einsum("...la,...a,...ma->...lm", directions, scaled, directions))
 
     def principal_stretches(self, displacements: Floats) -> Floats:
         """Return the principal stretches at every node, the larger first, (n, 2), for displacements (n, 3) [m]."""
@@ -181,8 +185,8 @@ class Membrane(NodalModel):
         return float(self.cloud.volumes[self.tension(displacements) == 1].sum())
 
     def _nominal(self, stretches: Floats) -> Floats:
-        """Principal nominal stresses [Pa], (n, 2), of principal stretches."""
-        l1, l2 = stretches.T
+        """Principal nominal stresses [Pa], (..., 2), of principal stretches."""
+        l1, l2 = stretches[..., 0], stretches[..., 1]
         if self.relaxed:
             l1 = np.maximum(l1, 1.0)
             l2 = np.maximum(l2, l1**-0.5)
@@ -190,21 +194,10 @@ class Membrane(NodalModel):
         I1, I2 = t + 1 / D, D + t / D
         W1, W2, _ = self.material.first(I1, I2, np.ones_like(I1), self.material.coefficients)
         nominal = [2 * (W1 * (a - 1 / (a * D)) + W2 * (a * b**2 + (a - t / a) / D)) for a, b in ((l1, l2), (l2, l1))]
-        return np.stack(nominal, axis=1)
+        return np.stack(nominal, axis=-1)
 
     def drive(self, loads: Sequence[Load]) -> Drive:
-        return drive(self.cloud, self.fixed, loads, self._load_areas)
-
-    def _load_areas(self, load: Traction) -> Floats:
-        """Area vectors of a load: a pressure acts on the face, a force on an edge, or spread over the sheet."""
-        nodes = self.cloud.group(load.group)
-        face = self._areas[nodes, None] * [0.0, 0.0, 1.0]
-        if load.pressure is not None:
-            return face
-        try:
-            return self.cloud.area_vectors(load.group)
-        except InputError:
-            return face
+        return drive(self.cloud, self.fixed, loads, partial(load_areas, self.cloud, self.prestretch))
 
     def stable_step(self, state: State, drive: Drive) -> float:
         # a slack place has no frequency until it is taut, sooner than the next estimate
@@ -212,7 +205,18 @@ class Membrane(NodalModel):
         return stable_step(max(frequency, self._taut), self.viscosity)
 
 
+def load_areas(cloud: Cloud, prestretch: float, load: Traction) -> Floats:
+    """Return area vectors (k, 3) of a load on a sheet: a pressure acts on the face, a force on an edge, or all over."""
+    face = cloud.volumes[cloud.group(load.group), None] / prestretch**2 * [0.0, 0.0, 1.0]
+    if load.pressure is not None:
+        return face
+    try:
+        return cloud.area_vectors(load.group)
+    except InputError:
+        return face
+
+
 def _principal(F: Floats) -> tuple[Floats, Floats]:
-    """Principal stretches (n, 2), the larger first, and their directions in the sheet (n, 2, 2), last axis the pair."""
-    squares, directions = np.linalg.eigh(np.swapaxes(F, 1, 2) @ F)
-    return np.sqrt(np.maximum(squares[:, ::-1], 0.0)), directions[:, :, ::-1]
+    """Principal stretches (..., 2), the larger first, and their directions in the sheet (..., 2, 2), last the pair."""
+    squares, directions = np.linalg.eigh(np.swapaxes(F, -1, -2) @ F)
+    return np.sqrt(np.maximum(squares[..., ::-1], 0.0)), directions[..., ::-1]

@@ -29,7 +29,7 @@ from palpate.dynamics.compiled import law_digest, law_njit, named_for
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
 
-__all__ = ["SheetBody", "SheetWork", "sheet", "sheet_work"]
+__all__ = ["COSINE", "POINTS", "SINE", "SheetBody", "SheetWork", "make_moduli", "sheet", "sheet_work"]
 
 NUMBERS = 15  # derivatives a node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
 POINTS = 6  # about a node: six keep the symmetry of a triangular lattice
@@ -118,7 +118,7 @@ def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
     return mean + reach, mean - reach, 1.0 / np.sqrt(max(mean + reach, 1.0))
 
 
-def _make_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> tuple[Any, Any]:
+def make_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> tuple[Any, Any]:
     """Make the functions of C that give energy, a and g in P = a F + g F adj(C), and their derivatives.
 
     In a wrinkled state P = h F N N^T, N the direction of tension, is of the same form: by the theorem of Cayley and
@@ -285,7 +285,7 @@ def sheet(energy_of: Any, first_of: Any, second_of: Any, relaxed: bool, strong: 
         The strong form instead of the energy form.
     """
     digest = law_digest("sheet", energy_of, first_of, second_of, relaxed, strong)
-    moduli, slopes = _make_moduli(digest, energy_of, first_of, second_of, relaxed)
+    moduli, slopes = make_moduli(digest, energy_of, first_of, second_of, relaxed)
     answer = _make_strong_answer(digest, moduli, slopes) if strong else _make_energy_answer(digest, moduli)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})

@@ -1,4 +1,4 @@
-"""Bases: modes of strain, and fields that join them."""
+"""Bases: the main modes of runs, and fields that join them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.full import FullModel
+from palpate.dynamics.membrane import Membrane
 from palpate.faults import InputError
 
-__all__ = ["joined", "strain_modes"]
+__all__ = ["joined", "main_modes"]
 
 Floats = NDArray[np.float64]
 
@@ -17,12 +18,13 @@ SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
 SINGLE = 1e-10  # of the largest eigenvalue of products in single precision: what is below is noise
 
 
-def strain_modes(body: FullModel, snapshots: Floats, modes: int, spare: int = 0) -> Floats:
-    """Return modes (M, n, 3) that hold most of the gradients of some snapshots (t, n, 3), orthonormal in the volumes.
+def main_modes(body: FullModel | Membrane, snapshots: Floats, modes: int, spare: int = 0) -> Floats:
+    """Return modes (M, n, 3) that hold most of some snapshots (t, n, 3), orthonormal in the volumes.
 
-    The proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not only in
-    displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so that small
-    motions are not lost beside large ones. Behind them come up to `spare` further ones, as many as the snapshots hold.
+    Of a solid, the proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not
+    only in displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so
+    that small motions are not lost beside large ones. Of a membrane, which is slack at first, that of u, and all
+    snapshots count the same: waves begin small. Behind them come up to `spare` further ones, as many as there are.
 
     Raises
     ------
@@ -32,13 +34,14 @@ def strain_modes(body: FullModel, snapshots: Floats, modes: int, spare: int = 0)
     if not np.isfinite(snapshots).all():
         raise InputError("snapshots are not finite")
     chosen = snapshots[np.unique(np.linspace(0, len(snapshots) - 1, MOST_SNAPSHOTS).astype(int))]
-    roots = np.repeat(np.sqrt(body.volumes), 9)
-    rows = np.array([body.stencils.gradient(u).reshape(-1) * roots for u in chosen], dtype=np.float32)
+    sheet, roots = isinstance(body, Membrane), np.sqrt(body.volumes)
+    fields = (u if sheet else body.stencils.gradient(u).reshape(-1, 9) for u in chosen)
+    rows = np.array([(field * roots[:, None]).reshape(-1) for field in fields], dtype=np.float32)
     gram = np.asarray(rows @ rows.T, dtype=float)
     sizes = np.sqrt(np.diag(gram))
     if sizes.max() == 0:
         raise InputError("all snapshots are zero: there is nothing to find modes in")
-    scale = 1 / np.sqrt(np.maximum(sizes, SMALLEST * sizes.max()))
+    scale = np.maximum(sizes, SMALLEST * sizes.max()) ** (-1.0 if sheet else -0.5)
     values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
     rank = int(np.sum(values > SINGLE * values[-1]))
     if modes > rank:
@@ -48,14 +51,14 @@ def strain_modes(body: FullModel, snapshots: Floats, modes: int, spare: int = 0)
     return _orthonormal(body, shapes.reshape(count, -1, 3))
 
 
-def _orthonormal(body: FullModel, fields: Floats) -> Floats:
+def _orthonormal(body: FullModel | Membrane, fields: Floats) -> Floats:
     """Fields (m, n, 3) with the same span, orthonormal in the volumes."""
     weights = np.repeat(np.sqrt(body.volumes), 3)
     orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
     return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
 
 
-def joined(body: FullModel, modes: Floats | None, enrichment: Floats | None) -> Floats:
+def joined(body: FullModel | Membrane, modes: Floats | None, enrichment: Floats | None) -> Floats:
     """Modes and enrichment, orthonormal together."""
     if enrichment is None:
         return np.zeros((0, len(body.cloud), 3)) if modes is None else modes

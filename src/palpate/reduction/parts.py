@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.points import Kinematics
 from palpate.tissue.materials import Material
 
 __all__ = ["ReducedParts"]
@@ -51,10 +52,15 @@ class ReducedParts:
         Distance from the training states that counts as 1 in the trust number.
     witnesses : int
         How many of the columns are witnesses: the last ones.
-    slack : float [m]
+    leeway : float [m]
         Imbalance at the witnesses that counts as 1 in the trust number.
     report : mapping
         What was measured in training.
+    kinematics : Kinematics
+        Whether the body is a solid or a membrane, and which.
+    slack : float [rad/s]
+        Highest frequency of a membrane in its training states: what is slack now may be as taut in a moment. 0 for
+        solids.
     """
 
     cloud: Cloud
@@ -73,5 +79,7 @@ class ReducedParts:
     trained: Floats
     reach: float
     witnesses: int = 0
-    slack: float = 1.0
+    leeway: float = 1.0
     report: dict[str, Any] = field(default_factory=dict)
+    kinematics: Kinematics = field(default_factory=Kinematics)
+    slack: float = 0.0

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.faults import InputError
+from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import Samples, Scratch, sampled_energy, scratch
 from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, newton, sampled_step
 
@@ -46,7 +47,7 @@ class PeriodData(NamedTuple):
     samples, scratch, newton : tuples
     trained, root : (t, m), (m, m) arrays
         Training states times the root; root of the mass matrix over the body's mass, transposed.
-    reach, slack : float [m]
+    reach, leeway : float [m]
     watched, watch : tuples
         Samples with the witnesses behind the coordinates, and their scratch.
     witness_mass : (w, m) array
@@ -75,7 +76,7 @@ class PeriodData(NamedTuple):
     trained: Floats
     root: Floats
     reach: float
-    slack: float
+    leeway: float
     watched: Samples
     watch: Scratch
     witness_mass: Floats
@@ -111,7 +112,7 @@ class RealtimeModel(NamedTuple):
 
 
 @cache
-def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any]:
+def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
     """Compile the period of a law.
 
     Returns
@@ -124,9 +125,9 @@ def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, 
         change with the tool's coordinates (l, l) when the body has come to rest, from the tangents of the last m
         periods.
     """
-    digest = law_digest("period", energy_of, first_of, single)
-    force, energy = sampled_energy(energy_of, first_of, single)
-    _, average, _ = sampled_step(energy_of, first_of, single)
+    digest = law_digest("period", law.digest, single)
+    force, energy = sampled_energy(law, single)
+    _, average, _ = sampled_step(law, single)
 
     @law_njit(digest, fastmath={"contract"})
     def follow(data, q):  # type: ignore[no-untyped-def]
@@ -243,7 +244,7 @@ def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, 
 
     @law_njit(digest, fastmath={"contract"})
     def imbalance(data, q, v):  # type: ignore[no-untyped-def]
-        """What the forces on the witnesses miss of balance, over the slack."""
+        """What the forces on the witnesses miss of balance, over the leeway."""
         at, result, rate, count, total = data.wide[0], data.wide[1], data.vectors[1], q.shape[0], 0.0
         for m in range(count):
             at[m] = q[m] + data.beta * v[m]
@@ -258,7 +259,7 @@ def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, 
             for m in range(data.modes):
                 left += data.witness_mass[j, m] * rate[m]
             total += left * left
-        return np.sqrt(total) / data.slack
+        return np.sqrt(total) / data.leeway
 
     @law_njit(digest, fastmath={"contract"})
     def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
@@ -335,7 +336,7 @@ def period_functions(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, 
 
 def realtime_model(model: ReducedModel, longest: float) -> RealtimeModel:
     """Make what `ReducedModel.realtime` returns."""
-    parts, count, law = model.parts, model.count, type(model.material)
+    parts, count = model.parts, model.count
     if len(parts.driven) != 1:
         raise InputError(
             f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP'"
@@ -349,10 +350,10 @@ def realtime_model(model: ReducedModel, longest: float) -> RealtimeModel:
     data = PeriodData(
         parts.modes, model.viscosity, model.step or 0.0, model.tolerance, model.mass, model._held,
         model._differences, model._samples, scratch(model._samples), newton(count),
-        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, parts.slack, watched, scratch(watched),
+        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, parts.leeway, watched, scratch(watched),
         model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
         model.stiffness(np.zeros(count)), np.zeros((count, count)), np.array([frequency, frequency, 0.0]),
         np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
     )  # fmt: skip
-    advance, stiffness = period_functions(law.energy, law.first, model.single)
+    advance, stiffness = period_functions(model._law, model.single)
     return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.driven[0]))

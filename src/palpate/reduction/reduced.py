@@ -7,6 +7,7 @@ model no more. A step costs what its samples and coordinates cost, whatever the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
+from palpate.dynamics.membrane import load_areas
 from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.stability import stable_step
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import RealtimeModel, realtime_model
+from palpate.reduction.points import point_law
 from palpate.reduction.samples import Samples, sampled_energy, samples, scratch
 from palpate.reduction.stepping import newton, sampled_step
 from palpate.reduction.trust import distance, expected_error, imbalance
@@ -32,6 +35,7 @@ Floats = NDArray[np.float64]
 MOVED = 0.1  # of the largest displacement seen: how far the state goes before the explicit step is found anew
 CONVERGED = 1e-7  # of the spacing: largest displacement that a Newton iteration may still change
 DIFFERENCE = 1e-5  # of the spacing: displacements for tangents by differences
+NEIGHBOURS = {2: 14, 3: 42}  # of the stencils of a sheet and of a solid
 MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
@@ -65,16 +69,16 @@ class ReducedModel(Model):
         self.fewest = 20 if step is None else 1  # the implicit step is the user's choice
         self.count = parts.modes + parts.lifted
         count = self.count
+        self._law, self._coefficients = point_law(parts.material, parts.kinematics)
         flat = parts.columns.reshape(len(parts.columns), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
         self._held = np.asarray(np.linalg.inv(self.mass[: parts.modes, : parts.modes]), dtype=float)
         self._free = np.linalg.inv(self.mass)
-        law = type(parts.material)
         self._all, self._samples = self.sampled(np.arange(len(flat))), self.sampled(np.arange(count))
         self._all_scratch, self._scratch, self._newton = scratch(self._all), scratch(self._samples), newton(count)
-        self._force, self._energy = sampled_energy(law.energy, law.first, single)
-        self._explicit, self._implicit, self._tangent = sampled_step(law.energy, law.first, single)
+        self._force, self._energy = sampled_energy(self._law, single)
+        self._explicit, self._implicit, self._tangent = sampled_step(self._law, single)
         self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
         self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
         self._loaded: tuple[Drive, Floats] | None = None
@@ -90,7 +94,7 @@ class ReducedModel(Model):
         """Return the samples of some columns."""
         rule, type_ = self.parts.cubature, np.float32 if self.single else np.float64
         own, constant = np.ascontiguousarray(self.parts.gradients[:, which]), self.parts.constant[np.ix_(which, which)]
-        return samples(own, rule.weights, rule.pressure, constant, self.material.coefficients, type_)
+        return samples(own, rule.weights, rule.pressure, constant, self._coefficients, type_)
 
     def force(self, coordinates: Floats) -> Floats:
         """Return the internal forces on the coordinates, -dE/da, shape (m + l,)."""
@@ -116,15 +120,16 @@ class ReducedModel(Model):
     def stiffness(self, coordinates: Floats) -> Floats:
         """Return the tangent -d(force)/d(coordinates), shape (m + l, m + l)."""
         matrix = np.zeros((self.count, self.count))
-        a = np.ascontiguousarray(coordinates, dtype=float)
-        vectors = np.zeros((3, self.count))
+        a, vectors = np.ascontiguousarray(coordinates, dtype=float), np.zeros((3, self.count))
         self._tangent(a, self._differences, self._samples, self._scratch, vectors, self.count, matrix)
         return matrix
 
     # loads
 
     def drive(self, loads: Sequence[Load]) -> Drive:
-        ready = drive(self.cloud, self.fixed, loads)
+        about = self.parts.kinematics
+        areas = partial(load_areas, self.cloud, about.prestretch) if about.sheet else None
+        ready = drive(self.cloud, self.fixed, loads, areas)
         if len(ready.places.pressure_node):
             raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
         held = {motion.group for motion, _ in ready.motions}
@@ -138,19 +143,13 @@ class ReducedModel(Model):
             raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
         return ready
 
-    def _load_columns(self, ready: Drive) -> Floats:
-        """Work on the columns of unit forces and moments of the force groups, and of unit gravity, (6 g + 3, all)."""
-        if self._loaded is not None and self._loaded[0] is ready:
-            return self._loaded[1]
-        result = load_work(ready.places, self.parts.columns, self.masses)
-        self._loaded = ready, result
-        return result
-
     def _loads(self, ready: Drive, times: Floats) -> Floats:
         """Generalised forces (t, all) of tractions and gravity at some times."""
+        if self._loaded is None or self._loaded[0] is not ready:
+            self._loaded = ready, load_work(ready.places, self.parts.columns, self.masses)
         schedule, count = ready.schedule(times), len(times)
         values = (schedule.force.reshape(count, -1), schedule.moment.reshape(count, -1), schedule.gravity)
-        return np.asarray(np.hstack(values) @ self._load_columns(ready))
+        return np.asarray(np.hstack(values) @ self._loaded[1])
 
     def _lifted(self, ready: Drive, times: Floats) -> Floats:
         """Coordinates (t, l) of the lifting columns at some times."""
@@ -207,7 +206,7 @@ class ReducedModel(Model):
         if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > MOVED * self._reach:
             held = bool(self._holds(drive, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
             self._frequency, self._frequency_at = self._highest(state.coordinates, held), moved
-        return stable_step(self._frequency, self.viscosity)
+        return stable_step(max(self._frequency, self.parts.slack), self.viscosity)
 
     def _highest(self, coordinates: Floats, held: bool = True) -> float:
         moving = slice(self.parts.modes if held else None)
@@ -313,7 +312,7 @@ class ReducedModel(Model):
         trust number at most 1 on 95 % of the frames of the held-out runs. Without those they are the distance that 95 %
         of the training states keep to other training runs, and the imbalance that projecting them makes.
         """
-        return max(distance(self, state) / self.parts.reach, imbalance(self, state, drive) / self.parts.slack)
+        return max(distance(self, state) / self.parts.reach, imbalance(self, state, drive) / self.parts.leeway)
 
     def expected_error(self, trust: float) -> tuple[float, float]:
         """Return what displacement error came with a trust number in the held-out runs: median and 95th percentile.
@@ -357,13 +356,17 @@ class ReducedModel(Model):
     def stencils(self) -> Any:  # type: ignore[override]
         """Stencils of the cloud, made when first asked for."""
         if not hasattr(self, "_stencils"):
-            self._stencils = moving_least_squares(self.cloud.points, order=2, neighbours=42)
+            stretch, space = self.parts.kinematics.prestretch, self.cloud.points.shape[1]
+            self._stencils = moving_least_squares(self.cloud.points / stretch, order=2, neighbours=NEIGHBOURS[space])
         return self._stencils
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
-        return np.asarray(self.stencils.gradient(displacements) + np.eye(3))
+        rest = self.parts.kinematics.prestretch * np.eye(3, self.cloud.points.shape[1])
+        return np.asarray(self.stencils.gradient(displacements) + rest)
 
     def stress(self, displacements: Floats) -> Floats:
+        if self.parts.kinematics.sheet:
+            raise InputError("a reduced membrane does not tell its stress at nodes: ask the full model")
         return self.material.stress(self.deformation_gradient(displacements))
 
     def strain_energy(self, displacements: Floats) -> float:

@@ -10,7 +10,8 @@ whatever w, Z and B are: this is why the model cannot blow up. Where a sample is
 volume, or inside out, W_s goes on as a parabola in J. The cost knows the samples and coordinates, not the body.
 
 The energy is that of `palpate.dynamics.solid_energy` with some of its nodes; with all nodes, their volumes, and the
-smoothed dilatations for moments it is the Galerkin model itself.
+smoothed dilatations for moments it is the Galerkin model itself. A membrane is sampled at the points of
+`palpate.dynamics.sheet`, six about a node, and has no moments.
 """
 
 from __future__ import annotations
@@ -20,18 +21,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.lanes import LANES, column_sums, column_work
-from palpate.dynamics.solid_energy import make_stress
+from palpate.reduction.points import PointLaw
 
 __all__ = ["Samples", "Scratch", "sampled_energy", "samples", "scratch"]
 
 Floats = NDArray[np.float64]
-
-CRUSHED = 0.1  # of a sample's volume
 
 
 class Samples(NamedTuple):
@@ -146,13 +144,12 @@ def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
 
 
 @cache
-def sampled_energy(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any]:
-    """Compile force and energy of sampled bodies for a law.
+def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
+    """Compile force and energy of sampled bodies.
 
     Parameters
     ----------
-    energy_of, first_of : functions
-        As `palpate.tissue.materials.Material` has them.
+    law : PointLaw
     single : bool
         Whether the table is of single precision; sums are of double precision anyhow.
 
@@ -162,26 +159,8 @@ def sampled_energy(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, An
         ``force(columns, samples, scratch, result)`` writes -dE/da (m,); ``energy(columns, samples, scratch)`` returns
         E [J].
     """
-    digest = law_digest("sampled energy", energy_of, first_of, single)
-    sums, work = column_sums[single], column_work[single]
-    energy_density, slopes = (register_jitable(named_for(digest, f)) for f in (energy_of, first_of))
-
-    @register_jitable
-    def beyond(I1, I2, coefficients):  # type: ignore[no-untyped-def]
-        """Slope of the energy by J where a sample counts as crushed, and how fast it changes there."""
-        slope = slopes(I1, I2, CRUSHED, coefficients)[2]
-        return slope, (slopes(I1, I2, 1.01 * CRUSHED, coefficients)[2] - slope) / (0.01 * CRUSHED)
-
-    @register_jitable
-    def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
-        """The law's first derivatives, gone on with below CRUSHED."""
-        W1, W2, WJ = slopes(I1, I2, max(J, CRUSHED), coefficients)
-        if J < CRUSHED:
-            slope, rise = beyond(I1, I2, coefficients)
-            WJ = slope + rise * (J - CRUSHED)
-        return W1, W2, WJ
-
-    stress_of = make_stress(digest, extended)
+    digest = law_digest("sampled energy", law.digest, single)
+    sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
 
     @law_njit(digest, fastmath={"contract"})
     def force(columns, samples, scratch, result):  # type: ignore[no-untyped-def]
@@ -216,21 +195,10 @@ def sampled_energy(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, An
             d = scratch.stress[b]
             sums(samples.table[b].ctypes.data, columns.ctypes.data, d.ctypes.data, columns.shape[0])
             for v in range(LANES):
-                F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
-                F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
-                F20, F21, F22 = d[6, v], d[7, v], 1.0 + d[8, v]
-                J = F00 * (F11 * F22 - F12 * F21) + F01 * (F12 * F20 - F10 * F22) + F02 * (F10 * F21 - F11 * F20)
-                scratch.dilatation[b, v] = J - 1.0
-                C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
-                C22, C01 = F02 * F02 + F12 * F12 + F22 * F22, F00 * F01 + F10 * F11 + F20 * F21
-                C02, C12 = F00 * F02 + F10 * F12 + F20 * F22, F01 * F02 + F11 * F12 + F21 * F22
-                I1 = C00 + C11 + C22
-                I2 = C00 * C11 + C00 * C22 + C11 * C22 - C01 * C01 - C02 * C02 - C12 * C12
-                whole = max(J, CRUSHED)
-                density = energy_density(I1, I2, whole, samples.coefficients)
-                if J < CRUSHED:
-                    slope, rise = beyond(I1, I2, samples.coefficients)
-                    density += (slope + 0.5 * rise * (J - CRUSHED)) * (J - CRUSHED)
+                density, scratch.dilatation[b, v] = density_of(
+                    d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
+                    samples.coefficients,
+                )  # fmt: skip
                 total += samples.weights[b, v] * density
         _moments(samples.pressure, scratch.dilatation, scratch.moments)
         for k in range(scratch.moments.shape[0]):

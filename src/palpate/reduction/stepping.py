@@ -26,6 +26,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import sampled_energy
 
 __all__ = ["Newton", "cholesky_factor", "cholesky_solve", "newton", "sampled_step"]
@@ -90,20 +91,20 @@ def cholesky_solve(factor, count, vector):  # type: ignore[no-untyped-def]
 
 
 @cache
-def sampled_step(energy_of: Any, first_of: Any, single: bool) -> tuple[Any, Any, Any]:
+def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
     """Compile the steps of sampled models of a law.
 
     Parameters
     ----------
-    energy_of, first_of, single
+    law, single
         As for `palpate.reduction.samples.sampled_energy`.
 
     Returns
     -------
     explicit, implicit, tangent : functions
     """
-    digest = law_digest("sampled step", energy_of, first_of, single)
-    force, _ = sampled_energy(energy_of, first_of, single)
+    digest = law_digest("sampled step", law.digest, single)
+    force, _ = sampled_energy(law, single)
 
     @law_njit(digest, fastmath={"contract"})
     def tangent(a, sizes, samples, scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]

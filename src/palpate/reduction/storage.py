@@ -26,6 +26,7 @@ import numpy as np
 from palpate.faults import FileFormatError, InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
 from palpate.tissue import materials
 
@@ -34,15 +35,15 @@ __all__ = ["load", "save"]
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION, SEAL = "palpate reduced model", 2, 512
+FORMAT, VERSION, SEAL = "palpate reduced model", 3, 512
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 # One line a dataset: its type, and its shape in sizes that all datasets share.
 LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "cloud/points": ("<f8", ("nodes", 3)),
+    "cloud/points": ("<f8", ("nodes", "space")),
     "cloud/volumes": ("<f8", ("nodes",)),
     "cloud/face_nodes": ("<i8", ("faces",)),
-    "cloud/face_normals": ("<f8", ("faces", 3)),
+    "cloud/face_normals": ("<f8", ("faces", "space")),
     "cloud/face_areas": ("<f8", ("faces",)),
     "cloud/group_sizes": ("<i8", ("groups",)),
     "cloud/group_nodes": ("<i8", ("members",)),
@@ -60,7 +61,8 @@ NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/n
 ATTRIBUTES = {
     "material": str, "parameters": str, "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
-    "witnesses": int, "slack": float, "step": float, "single": bool,
+    "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
+    "witnesses": int, "leeway": float, "step": float, "single": bool,
 }  # fmt: skip
 LAWS = {
     name: law for name, law in vars(materials).items()
@@ -157,6 +159,8 @@ def _seal(content: bytes) -> bytes:
 def _header(parts: ReducedParts) -> Header:
     material = parts.material
     parameters = {f.name: float(getattr(material, f.name)) for f in fields(material)}
+    if material.incompressible:  # no number says how stiff it is against a change of volume
+        del parameters["bulk"]
     return {
         "material": type(material).__name__,
         "parameters": json.dumps(parameters),
@@ -171,6 +175,10 @@ def _header(parts: ReducedParts) -> Header:
         "residual": float(parts.cubature.residual),
         "reach": float(parts.reach),
         "witnesses": int(parts.witnesses),
+        "leeway": float(parts.leeway),
+        "sheet": parts.kinematics.sheet,
+        "prestretch": float(parts.kinematics.prestretch),
+        "relaxed": parts.kinematics.relaxed,
         "slack": float(parts.slack),
         "report": json.dumps(parts.report, default=lambda value: value.tolist()),
     }
@@ -220,6 +228,7 @@ def _read(file: Any) -> tuple[Header, Arrays]:
             raise InputError(f"attribute {name} is {header.get(name)!r}, expected one of type {kind.__name__}")
     coordinates = integer_in_range("modes", header["modes"], 1) + integer_in_range("lifted", header["lifted"], 0)
     sizes: dict[str | int, int] = {
+        "space": 2 if header["sheet"] else 3,
         "groups": len(header["groups"]),
         "coordinates": coordinates,
         "columns": coordinates + 3 * len(header["fixed"]) + integer_in_range("witnesses", header["witnesses"], 0),
@@ -274,8 +283,12 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         trained=own["trained"],
         reach=number_in_range("reach", header["reach"], 0.0, open_low=True, unit="m"),
         witnesses=header["witnesses"],
-        slack=number_in_range("slack", header["slack"], 0.0, open_low=True, unit="m"),
+        leeway=number_in_range("leeway", header["leeway"], 0.0, open_low=True, unit="m"),
         report=_mapping("report", header["report"]),
+        kinematics=Kinematics(
+            header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
+        ),
+        slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
     )
 
 
@@ -319,9 +332,13 @@ def _material(name: str, parameters: dict[str, Any]) -> materials.Material:
     if name not in LAWS:
         raise InputError(f"unknown material {name!r}: the laws are {', '.join(sorted(LAWS))}")
     wanted = {field.name for field in fields(LAWS[name])}
+    if parameters.get("poisson") == 0.5:
+        wanted.discard("bulk")
     if parameters.keys() != wanted:
         raise InputError(f"{name} has the parameters {sorted(wanted)}, not {sorted(parameters)}")
     values = {key: number_in_range(key, value) for key, value in parameters.items()}
+    if "bulk" not in values:
+        return LAWS[name](**values)
     for derived in ("poisson", "bulk"):
         material = LAWS[name](**{key: value for key, value in values.items() if key != derived})
         if all(getattr(material, key) == value for key, value in values.items()):

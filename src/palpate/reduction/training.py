@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import Load
+from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.reactions import partition
 from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
-from palpate.reduction.bases import joined, strain_modes
+from palpate.reduction.bases import joined, main_modes
 from palpate.reduction.errors import errors
 from palpate.reduction.linear import tool_responses
+from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
 from palpate.reduction.sampling import choose_samples, differentiated, pressure_moments
 from palpate.reduction.trust import calibrated, nearest, tried_frames
@@ -34,10 +36,11 @@ SOLVED = 6000  # nodes up to which equations of the whole body are solved
 STATES = 240  # training states that the cubature is fitted at
 PRESSURES = 4  # modes to one pressure mode: more would stiffen what the modes cannot keep at constant volume
 HELD_SHARE = 0.95
+TAUT = 16  # training states whose highest frequency a membrane is stepped by
 
 
 def reduce(
-    full: FullModel,
+    full: FullModel | Membrane,
     trajectories: Trajectory | Sequence[Trajectory],
     *,
     modes: int | None = None,
@@ -53,7 +56,7 @@ def reduce(
 
     Parameters
     ----------
-    full : FullModel
+    full : FullModel or Membrane
         In its energy form the reduced model is a part of the same energy. A strong form is reduced by way of the energy
         form of the same body, and keeps the difference of the two, which shrinks with the spacing.
     trajectories : Trajectory or several
@@ -122,25 +125,30 @@ def reduce(
     )
 
 
-def _check(full: FullModel, runs: Sequence[Trajectory]) -> None:
+def _check(full: FullModel | Membrane, runs: Sequence[Trajectory]) -> None:
     if not runs:
         raise InputError("reduce needs at least one trajectory to learn from")
-    if not isinstance(full, FullModel):
-        raise InputError("reduce knows solids; project the equations of a membrane with palpate.project")
+    if not isinstance(full, FullModel | Membrane):
+        raise InputError(f"reduce needs a FullModel or a Membrane, not a {type(full).__name__}")
     for run in runs:
         if run.points.shape != full.cloud.points.shape or not np.allclose(run.points, full.cloud.points):
             raise InputError("a trajectory belongs to another cloud than the model")
 
 
-def _energy_form(full: FullModel) -> FullModel:
+def _energy_form(full: FullModel | Membrane) -> FullModel | Membrane:
+    if isinstance(full, Membrane):
+        return Membrane(
+            full.cloud, full.material, full.thickness, full.fixed,
+            prestretch=full.prestretch, relaxed=full.relaxed, viscosity=full.viscosity,
+        )  # fmt: skip
     return FullModel(
         full.cloud, full.material, full.fixed, form="energy", viscosity=full.viscosity, neighbours=full.neighbours
     )
 
 
 def _trained(
-    full: FullModel,
-    body: FullModel,
+    full: FullModel | Membrane,
+    body: FullModel | Membrane,
     runs: Sequence[Trajectory],
     modes: int,
     tools: tuple[str, ...],
@@ -153,9 +161,9 @@ def _trained(
     """Train a model of a given size."""
     start = perf_counter()
     snapshots = np.concatenate([run.displacements for run in runs])
-    lifting, supports = _lifting(body, tools), _supportdifferentiated(body, tools)
+    lifting, supports = _lifting(body, tools), _support_fields(body, tools)
     rest = _without_tools(body, snapshots, lifting, tools)
-    found = strain_modes(body, rest, modes, spare=WITNESSES)
+    found = main_modes(body, rest, modes, spare=0 if isinstance(body, Membrane) else WITNESSES)
     shapes = joined(body, found[:modes] if modes else None, enrichment)
     watched, modes = apart(body, shapes, found[modes:]), len(shapes)
     # as single precision keeps them in the file, so that the model that is loaded is the model that was trained
@@ -168,18 +176,23 @@ def _trained(
     states = np.linalg.solve(mass, (flat * weights) @ snapshots.reshape(len(snapshots), -1).T).T
     chosen = states[np.linspace(0, len(states) - 1, min(STATES, len(states))).astype(int)]
     moments = pressure_moments(body, snapshots, pressures or max(1, modes // PRESSURES))
-    rule = choose_samples(body, fields, count, chosen, mass, share, moments, seed)
-    fields, gradients = witnessed(body, fields, (modes, count, len(watched)), chosen, rule, moments)
+    bare = fields.of(slice(len(columns) - len(watched)))
+    places, rule = choose_samples(body, bare, modes, chosen, mass, share, moments, seed)
+    fields, gradients = witnessed(body, fields, (modes, count, len(watched)), chosen, rule, places, moments)
     parts = ReducedParts(
         body.cloud, body.material, body.fixed, tools, body.volumes, full.viscosity, full.fastest, fields.columns, modes,
         len(lifting), rule, gradients, fields.constant, chosen,
         _reach(chosen, mass / body.masses.sum(), [len(run.times) for run in runs], len(states)),
-        len(watched),
+        len(watched), kinematics=_kinematics(body),
     )  # fmt: skip
     if len(watched):
         some = snapshots[np.linspace(0, len(states) - 1, len(chosen)).astype(int)]
-        parts = replace(parts, slack=usual_imbalance(ReducedModel(parts), body, some))
+        parts = replace(parts, leeway=usual_imbalance(ReducedModel(parts), body, some))
     model = ReducedModel(parts)
+    if isinstance(body, Membrane):
+        taut = max(model._highest(state) for state in chosen[:: max(1, len(chosen) // TAUT)])
+        parts = replace(parts, slack=taut)
+        model = ReducedModel(parts)
     projected = np.tensordot(states, fields.columns[:count], 1)
     missed = np.linalg.norm(projected - snapshots) / np.linalg.norm(snapshots)
     report: dict[str, Any] = {
@@ -201,6 +214,12 @@ def _trained(
     if held_out:
         return _tried(model, held_out)
     return model
+
+
+def _kinematics(body: FullModel | Membrane) -> Kinematics:
+    if isinstance(body, Membrane):
+        return Kinematics(True, body.prestretch, body.relaxed)
+    return Kinematics()
 
 
 def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
@@ -226,9 +245,9 @@ def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     model.parts.report["held_out"] = {"runs": found, "mean": mean, "percentile_95": worst}
     if not frames:
         return model
-    reach, slack, table = calibrated(frames, HELD_SHARE)
+    reach, leeway, table = calibrated(frames, HELD_SHARE)
     model.parts.report["held_out"]["trust"] = table
-    return ReducedModel(replace(model.parts, reach=reach, slack=slack))
+    return ReducedModel(replace(model.parts, reach=reach, leeway=leeway))
 
 
 def _reach(chosen: Floats, mass: Floats, lengths: Sequence[int], total: int) -> float:
@@ -244,16 +263,18 @@ def _reach(chosen: Floats, mass: Floats, lengths: Sequence[int], total: int) -> 
     return max(float(np.quantile(np.concatenate(apart), HELD_SHARE)), 1e-300)
 
 
-def _lifting(body: FullModel, tools: Sequence[str]) -> Floats:
+def _lifting(body: FullModel | Membrane, tools: Sequence[str]) -> Floats:
     """Columns (l, n, 3) that move and turn each tool's nodes rigidly, the body following as it would at rest.
 
-    In a large body they fade evenly towards supports and other tools instead: the modes learn the rest.
+    In a large body they fade evenly towards supports and other tools instead: the modes learn the rest. A membrane is
+    slack at rest: there they move nothing but the tool's nodes.
     """
     if not tools:
         return np.zeros((0, len(body.cloud), 3))
     points = body.cloud.points
     held = {name: body.cloud.group(name) for name in (*tools, *body.fixed)}
-    shapes, columns = partition(points, held), []
+    sheet, columns = isinstance(body, Membrane), []
+    shapes = partition(points, held) if not sheet else [np.isin(np.arange(len(points)), held[n]) for n in tools]
     for g, name in enumerate(tools):
         nodes, own = held[name], []
         arms = points - points[nodes].mean(axis=0)
@@ -262,10 +283,12 @@ def _lifting(body: FullModel, tools: Sequence[str]) -> Floats:
             if np.abs(field[nodes]).max() > 1e-9 * body.cloud.spacing:
                 own.append(field / np.abs(field[nodes]).max())
         columns += [field[:, None] * np.eye(3)[c] for field in own for c in range(3)]
-    return tool_responses(body, np.array(columns), tools) if len(points) <= SOLVED else np.array(columns)
+    if isinstance(body, Membrane) or len(points) > SOLVED:
+        return np.array(columns)
+    return tool_responses(body, np.array(columns), tools)
 
 
-def _supportdifferentiated(body: FullModel, tools: Sequence[str]) -> Floats:
+def _support_fields(body: FullModel | Membrane, tools: Sequence[str]) -> Floats:
     """Test fields (3 g, n, 3) for the forces of the supports: 1 there in each direction, 0 at others and at tools."""
     held = {name: body.cloud.group(name) for name in (*body.fixed, *tools)}
     if not body.fixed:
@@ -274,7 +297,7 @@ def _supportdifferentiated(body: FullModel, tools: Sequence[str]) -> Floats:
     return np.concatenate([shape[:, None] * np.eye(3)[:, None, :] for shape in shapes])
 
 
-def _without_tools(body: FullModel, snapshots: Floats, lifting: Floats, tools: Sequence[str]) -> Floats:
+def _without_tools(body: FullModel | Membrane, snapshots: Floats, lifting: Floats, tools: Sequence[str]) -> Floats:
     """Return what the lifting columns leave of snapshots (t, n, 3); nothing at the tools' nodes."""
     if not tools:
         return snapshots

@@ -79,15 +79,15 @@ def tried_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, fu
 
 
 def calibrated(runs: Sequence[Frames], share: float) -> tuple[float, float, list[dict[str, float]]]:
-    """Return reach and slack [m] with which a share of all frames has a trust number of at most 1, and the table."""
-    reach, slack = (
+    """Return reach and leeway [m] with which a share of all frames has a trust number of at most 1, and the table."""
+    reach, leeway = (
         max(float(np.quantile(np.concatenate(values), share)), 1e-300)
         for values in ([run.distances for run in runs], [run.imbalances for run in runs])
     )
-    numbers = [np.maximum(run.distances / reach, run.imbalances / slack) for run in runs]
+    numbers = [np.maximum(run.distances / reach, run.imbalances / leeway) for run in runs]
     wider = max(float(np.quantile(np.concatenate(numbers), share)), 1.0)
     table = error_table([own / wider for own in numbers], [run.missed for run in runs])
-    return wider * reach, wider * slack, table
+    return wider * reach, wider * leeway, table
 
 
 def error_table(numbers: Sequence[Floats], missed: Sequence[Floats]) -> list[dict[str, float]]:

@@ -15,12 +15,13 @@ each witness has a factor at every sampled node, fitted to the forces from all n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.full import FullModel
+from palpate.dynamics.membrane import Membrane
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.sampling import Fields, compliance_root, deformation
@@ -36,7 +37,7 @@ SMALLEST = 1e-3  # of the largest force: the size below which a state counts les
 USUAL = 0.95
 
 
-def apart(body: FullModel, shapes: Floats, fields: Floats) -> Floats:
+def apart(body: FullModel | Membrane, shapes: Floats, fields: Floats) -> Floats:
     """Return what fields (w, n, 3) have beside shapes (m, n, 3), orthonormal in the volumes; at most w fields.
 
     The shapes are orthonormal in the volumes.
@@ -52,13 +53,15 @@ def apart(body: FullModel, shapes: Floats, fields: Floats) -> Floats:
 
 
 def witnessed(
-    body: FullModel, fields: Fields, sizes: tuple[int, int, int], states: Floats, rule: Cubature, moments: Floats
-) -> tuple[Fields, Floats]:
+    body: FullModel | Membrane, fields: Fields, sizes: tuple[int, int, int], states: Floats, rule: Cubature,
+    places: NDArray[np.int64], moments: Floats,
+) -> tuple[Fields, Floats]:  # fmt: skip
     """Combine the witnesses such that an imbalance is a displacement, and find their derivatives at the samples.
 
     Parameters
     ----------
-    body : FullModel
+    body : FullModel or Membrane
+        A membrane has no witnesses.
     fields : Fields
         Of all columns, the witnesses last.
     sizes : tuple
@@ -66,6 +69,8 @@ def witnessed(
     states : (t, m + l) array
         Training states.
     rule : Cubature
+    places : (s,) int array
+        Of the sampled points in the fields.
     moments : (k, n) array
         Of the dilatation, see `palpate.reduction.sampling.pressure_moments`.
 
@@ -77,8 +82,8 @@ def witnessed(
         Derivatives of all columns at the samples, those of the witnesses times their factors.
     """
     modes, count, witnesses = sizes
-    gradients = np.asarray(fields.gradients[rule.nodes], dtype=float)
-    if not witnesses:
+    gradients = np.asarray(fields.gradients[places], dtype=float)
+    if not witnesses or isinstance(body, Membrane):
         return fields, gradients
     multiples = _factors(body, fields, count, witnesses, states, rule, moments)
     scale, first = _scale(body, fields, modes, witnesses, moments), len(fields.columns) - witnesses
@@ -87,15 +92,15 @@ def witnessed(
     columns[first:] = np.tensordot(scale, fields.columns[first:], 1).astype(np.float32)
     mixed[first:, first:] = scale
     gradients[:, first:] = own
-    return Fields(columns, fields.gradients, mixed @ fields.constant @ mixed.T), gradients
+    return replace(fields, columns=columns, constant=mixed @ fields.constant @ mixed.T), gradients
 
 
 def _scale(body: FullModel, fields: Fields, modes: int, witnesses: int, moments: Floats) -> Floats:
     """Return A (w, w) [m/N] with |A r| the displacement [m] that an imbalance r of the witnesses would make."""
-    which = np.r_[:modes, len(fields.columns) - witnesses : len(fields.columns)]
-    flat = fields.columns[which].reshape(len(which), -1)
+    own = fields.of(np.r_[:modes, len(fields.columns) - witnesses : len(fields.columns)])
+    flat = own.columns.reshape(len(own.columns), -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
-    root = compliance_root(body, fields.gradients[:, which], fields.constant[np.ix_(which, which)], moments, mass)
+    root = compliance_root(body, own, len(own.columns), moments, mass)
     response = root.T @ root[:, -witnesses:]
     return np.linalg.cholesky(response.T @ mass @ response / body.masses.sum()).T
 
@@ -135,7 +140,7 @@ def _factors(
     return result
 
 
-def usual_imbalance(model: ReducedModel, body: FullModel, displacements: Floats) -> float:
+def usual_imbalance(model: ReducedModel, body: FullModel | Membrane, displacements: Floats) -> float:
     """Return the imbalance [m] that the model has at most training states, as far as one can tell without the loads.
 
     It is what the forces on the witnesses change by when displacements (t, n, 3) of the full body are projected on the

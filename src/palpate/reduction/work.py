@@ -28,6 +28,6 @@ def pose_map(points: Floats, columns: Floats) -> Floats:
     arms, fields = points - points.mean(axis=0), np.zeros((12, len(points), 3))
     for c in range(3):
         fields[c, :, c] = 1.0
-        for d in range(3):
+        for d in range(arms.shape[1]):
             fields[3 + 3 * c + d, :, c] = arms[:, d]
     return np.asarray(np.linalg.lstsq(columns.reshape(len(columns), -1).T, fields.reshape(12, -1).T, rcond=None)[0])

@@ -27,7 +27,7 @@ from palpate.app.figures import (
     plot_errors,
 )
 from palpate.app.report import finished
-from palpate.app.study import PROJECTED, Study
+from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
 from palpate.dynamics.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.membrane import RADIUS
@@ -40,6 +40,10 @@ __all__ = ["draw_figures"]
 Floats = NDArray[np.float64]
 States = NDArray[np.int8]
 
+Done = dict[str, list[dict[str, Any]]]  # finished runs by what happens in their phase
+
+TITLES = {PROJECTED: "Projected, all nodes (the paper's)", HYPER_REDUCED: "Hyper-reduced, few points"}
+MARKS = {PROJECTED: "o-", HYPER_REDUCED: "s:"}
 AFTERWARDS = {"return": "Tool back at 0", "hold": "Tool holds still", "release": "Tool has let go"}
 STATES = {"slack": YELLOW, "wrinkled": SKY, "taut": BLUE}
 WATCHED = {0.0: "black", 0.25: BLUE, 0.5: GREEN, 0.75: ORANGE}  # shares of the radius whose deflection is drawn
@@ -63,7 +67,10 @@ def draw_figures(study: Study, states: States, report: dict[str, Any], out: Path
     what = ("Tool pushes", AFTERWARDS[report["parameters"]["after"]])
     ends = (1e3 * (phase.start + phase.duration) for phase in study.phases)
     titles = [f"{happens}, until {end:.0f} ms" for happens, end in zip(what, ends, strict=True)]
-    done = {title: finished(study, phase.name) for title, phase in zip(titles, study.phases, strict=True)}
+    done = {
+        series: {title: finished(study, phase.name, series) for title, phase in zip(titles, study.phases, strict=True)}
+        for series in TITLES
+    }
     draw_error(done, out / "figure7_error.png")
     draw_time(done, [part.wall_seconds for part in study.parts], out / "figure8_time.png")
     series = dict(zip(titles, report["singular_values"].values(), strict=True))
@@ -74,21 +81,23 @@ def draw_figures(study: Study, states: States, report: dict[str, Any], out: Path
     draw_tension(study, states, out / "tension.png")
 
 
-def draw_error(done: dict[str, list[dict[str, Any]]], path: Path) -> None:
-    """Draw errors over the number of modes for each phase (Figure 7)."""
-    with figure(path, (9.6, 5.4)) as drawn:
+def draw_error(done: dict[str, Done], path: Path) -> None:
+    """Draw errors over the number of modes for each series and phase (Figure 7)."""
+    with figure(path, (9.6, 8.6)) as drawn:
         heading(drawn, "Error of the reduced models (paper: Figure 7)")
-        both = drawn.subplots(1, 2, sharey=True)
-        for axes, (title, entries) in zip(both, done.items(), strict=True):
-            over_modes(axes, entries, title, "relative error [%]" if axes is both[0] else "")
-            if entries:
-                plot_errors(axes, entries)
-                percent_axis(axes)
-        both[0].set_ylim(top=min(both[0].get_ylim()[1], MOST))
-        sizes = [entry["modes"] for entry in next(iter(done.values()))]
+        grid = drawn.subplots(2, 2, sharey=True)
+        for row, (series, phases) in zip(grid, done.items(), strict=True):
+            for axes, (title, entries) in zip(row, phases.items(), strict=True):
+                label = f"{TITLES[series]}\nrelative error [%]" if axes is row[0] else ""
+                over_modes(axes, entries, title, label)
+                if entries:
+                    plot_errors(axes, entries)
+                    percent_axis(axes)
+        grid[0, 0].set_ylim(top=min(grid[0, 0].get_ylim()[1], MOST))
+        sizes = [entry["modes"] for entry in next(iter(done[PROJECTED].values()))]
         if sizes:
-            _draw_error_claims(both[0], sizes)
-            legend_below(drawn, both[0])
+            _draw_error_claims(grid[0, 0], sizes)
+        legend_below(drawn, *grid.ravel())
 
 
 def _draw_error_claims(axes: Axes, sizes: list[int]) -> None:
@@ -101,26 +110,27 @@ def _draw_error_claims(axes: Axes, sizes: list[int]) -> None:
         axes.plot(8, 3, "v", color=RED, ms=9, zorder=4, label=label)
 
 
-def draw_time(done: dict[str, list[dict[str, Any]]], full: list[float], path: Path) -> None:
+def draw_time(done: dict[str, Done], full: list[float], path: Path) -> None:
     """Draw the computing time over the number of modes, in seconds and over the full model's [s] (Figure 8)."""
-    with figure(path, (9.6, 4.4)) as drawn:
+    with figure(path, (9.6, 4.8)) as drawn:
         heading(drawn, "Computing time of the reduced models (paper: Figure 8)")
         left, right = drawn.subplots(1, 2)
-        most = max(done.values(), key=len)
+        most = max((entries for phases in done.values() for entries in phases.values()), key=len)
         over_modes(left, most, "Seconds", "wall-clock time of a phase of 0.1 s [s]")
         over_modes(right, most, "Relative to the full model", "time of reduced / full model [%]")
         if not most:
             return
-        for (title, entries), whole, colour in zip(done.items(), full, (BLUE, ORANGE), strict=True):
-            sizes = [entry["modes"] for entry in entries]
+        for series, phases in done.items():
+            for (title, entries), colour in zip(phases.items(), (BLUE, ORANGE), strict=True):
+                sizes, label = [entry["modes"] for entry in entries], f"{TITLES[series]}: {title}"
+                left.plot(sizes, [entry["wall_seconds"] for entry in entries], MARKS[series], color=colour, label=label)
+                right.plot(sizes, [100 * entry["ratio"] for entry in entries], MARKS[series], color=colour)
+        for whole, colour in zip(full, (BLUE, ORANGE), strict=True):
             left.axhline(whole, color=colour, ls="--", lw=1.4)
-            left.plot(sizes, [entry["wall_seconds"] for entry in entries], "o-", color=colour, lw=2, label=title)
-            right.plot(sizes, [100 * entry["ratio"] for entry in entries], "o-", color=colour, lw=2)
         left.plot([], [], "--", color=GREY, lw=1.4, label="dashed: full model")
-        slowest = max(entry["wall_seconds"] for entries in done.values() for entry in entries)
-        left.set_ylim(0, 1.15 * max(*full, slowest))
-        right.set_ylim(0, 115 * max(entry["ratio"] for entries in done.values() for entry in entries))
-        drawn.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
+        percent_axis(left)
+        percent_axis(right)
+        drawn.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
 
 
 def _at_radius(cloud: Cloud, share: float) -> NDArray[np.int64]:
@@ -147,13 +157,13 @@ def draw_tool_force(study: Study, titles: Sequence[str], path: Path) -> None:
         for place, (title, part) in enumerate(zip(titles, study.parts, strict=True)):
             upper[place].plot(1e3 * part.times, 1e3 * part.reactions["tool"][:, 2], color=BLUE, lw=2.4, label="full")
             _plot_deflections(lower[place], cloud, part, "-", label=True)
-            if PROJECTED in study.shown:
-                ready = study.shown[PROJECTED]
-                shown, label = ready.runs[place], f"reduced, {ready.modes} modes"
+            for (series, ready), colour in zip(study.shown.items(), (ORANGE, GREEN), strict=False):
+                shown, label = ready.runs[place], f"{series}, {ready.modes} modes"
                 force = 1e3 * shown.reactions["tool"][:, 2]
-                upper[place].plot(1e3 * shown.times, force, "--", color=ORANGE, lw=1.6, label=label)
-                _plot_deflections(lower[place], cloud, shown, ":", label=False)
-                lower[place].plot([], [], ":", color=GREY, lw=1.8, label=f"dotted: {label}")
+                upper[place].plot(1e3 * shown.times, force, "--", color=colour, lw=1.6, label=label)
+                if series == PROJECTED:
+                    _plot_deflections(lower[place], cloud, shown, ":", label=False)
+                    lower[place].plot([], [], ":", color=GREY, lw=1.8, label=f"dotted: {label}")
             upper[place].set_title(title)
             lower[place].set(xlabel="time [ms]", xlim=1e3 * part.times[[0, -1]])
         upper[0].set_ylabel("force [mN]")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.app.console import quantities_table, reduced_table
 from palpate.app.report import Claim, finished, finite, listed, preamble, time_per_mode
-from palpate.app.study import Study
+from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
 from palpate.dynamics.trajectory import Trajectory
 
 __all__ = ["build_report", "tables"]
@@ -108,9 +108,11 @@ def tables(report: dict[str, Any]) -> list[Any]:
     }
     title = f"{report['title']}, {report['nodes']} nodes: full model"
     drawn = [quantities_table(title, list(report["full"]), rows)]
-    for name in report["full"]:
-        entries = [{"modes": entry["modes"]} | entry["phases"][name] for entry in report["reduced"]]
-        drawn.append(reduced_table(f"Projected models, {name}: errors, time over the full model's", entries))
+    for series, title in {PROJECTED: "Projected models (the paper's)", HYPER_REDUCED: "Hyper-reduced models"}.items():
+        for name in report["full"]:
+            own = [entry for entry in report["reduced"] if entry["series"] == series]
+            entries = [{"modes": entry["modes"]} | entry["phases"][name] for entry in own]
+            drawn.append(reduced_table(f"{title}, {name}: errors, time over the full model's", entries))
     return drawn
 
 

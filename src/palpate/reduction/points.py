@@ -1,0 +1,139 @@
+"""The energy of one sampled point, compiled: of a solid, and of a membrane.
+
+A point answers to the derivatives of the displacement, nine numbers row by row of du/dX, with its stress, cof(F) and
+J - 1, and with its energy density and J - 1. The pressure of nearly incompressible solids is not in it: it comes from
+moments of J - 1. A membrane has no such pressure (its thickness follows), and only the first two columns of du/dX.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from numba.extending import register_jitable
+
+from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.sheet import make_moduli
+from palpate.dynamics.solid_energy import make_stress
+from palpate.tissue.materials import Material
+
+__all__ = ["Kinematics", "PointLaw", "point_law"]
+
+CRUSHED = 0.1  # of a sample's volume
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """What F is of the displacement's derivatives.
+
+    Parameters
+    ----------
+    sheet : bool
+        Whether the body is a membrane.
+    prestretch : float
+        Of a mounted membrane.
+    relaxed : bool
+        Whether a membrane wrinkles instead of carrying compression.
+    """
+
+    sheet: bool = False
+    prestretch: float = 1.0
+    relaxed: bool = False
+
+
+@dataclass(frozen=True)
+class PointLaw:
+    """Compiled functions of a point.
+
+    Parameters
+    ----------
+    digest : str
+        Of everything they are made from.
+    stress : function
+        ``stress(d0, ..., d8, coefficients)`` returns P and cof(F), nine numbers each, and J - 1.
+    density : function
+        ``density(d0, ..., d8, coefficients)`` returns the energy density [J/m^3] and J - 1.
+    """
+
+    digest: str
+    stress: Any
+    density: Any
+
+
+def point_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
+    """Return the compiled law of a body's points, and its coefficients."""
+    law = type(material)
+    if kinematics.sheet:
+        compiled = _sheet_point(law.energy, law.first, law.second, kinematics.relaxed)
+        return compiled, (kinematics.prestretch, *material.coefficients)
+    return _solid_point(law.energy, law.first), material.coefficients
+
+
+@cache
+def _solid_point(energy_of: Any, first_of: Any) -> PointLaw:
+    """Compile the points of a solid; where one is crushed or inside out, W_s goes on as a parabola in J."""
+    digest = law_digest("solid point", energy_of, first_of)
+    energy_density, slopes = (register_jitable(named_for(digest, f)) for f in (energy_of, first_of))
+
+    @register_jitable
+    def beyond(I1, I2, coefficients):  # type: ignore[no-untyped-def]
+        """Slope of the energy by J where a sample counts as crushed, and how fast it changes there."""
+        slope = slopes(I1, I2, CRUSHED, coefficients)[2]
+        return slope, (slopes(I1, I2, 1.01 * CRUSHED, coefficients)[2] - slope) / (0.01 * CRUSHED)
+
+    @register_jitable
+    def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
+        """The law's first derivatives, gone on with below CRUSHED."""
+        W1, W2, WJ = slopes(I1, I2, max(J, CRUSHED), coefficients)
+        if J < CRUSHED:
+            slope, rise = beyond(I1, I2, coefficients)
+            WJ = slope + rise * (J - CRUSHED)
+        return W1, W2, WJ
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+        F00, F01, F02, F10, F11, F12, F20, F21, F22 = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
+        J = F00 * (F11 * F22 - F12 * F21) + F01 * (F12 * F20 - F10 * F22) + F02 * (F10 * F21 - F11 * F20)
+        C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
+        C22, C01 = F02 * F02 + F12 * F12 + F22 * F22, F00 * F01 + F10 * F11 + F20 * F21
+        C02, C12 = F00 * F02 + F10 * F12 + F20 * F22, F01 * F02 + F11 * F12 + F21 * F22
+        I1 = C00 + C11 + C22
+        I2 = C00 * C11 + C00 * C22 + C11 * C22 - C01 * C01 - C02 * C02 - C12 * C12
+        W = energy_density(I1, I2, max(J, CRUSHED), coefficients)
+        if J < CRUSHED:
+            slope, rise = beyond(I1, I2, coefficients)
+            W += (slope + 0.5 * rise * (J - CRUSHED)) * (J - CRUSHED)
+        return W, J - 1.0
+
+    return PointLaw(digest, make_stress(digest, extended), density)
+
+
+@cache
+def _sheet_point(energy_of: Any, first_of: Any, second_of: Any, relaxed: bool) -> PointLaw:
+    """Compile the points of a membrane; the first coefficient is the prestretch."""
+    digest = law_digest("sheet point", energy_of, first_of, second_of, relaxed)
+    moduli, _ = make_moduli(digest, energy_of, first_of, second_of, relaxed)
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+        F00, F01, F10, F11, F20, F21 = coefficients[0] + d0, d1, d3, coefficients[0] + d4, d6, d7
+        C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
+        C01 = F00 * F01 + F10 * F11 + F20 * F21
+        _, a, g = moduli(C00, C11, C01, coefficients[1:])
+        l00, l01, l11 = a + g * C11, -g * C01, a + g * C00
+        P = (
+            F00 * l00 + F01 * l01, F00 * l01 + F01 * l11, 0.0,
+            F10 * l00 + F11 * l01, F10 * l01 + F11 * l11, 0.0,
+            F20 * l00 + F21 * l01, F20 * l01 + F21 * l11, 0.0,
+        )  # fmt: skip
+        return P, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+        F00, F01, F10, F11, F20, F21 = coefficients[0] + d0, d1, d3, coefficients[0] + d4, d6, d7
+        C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
+        W, _, _ = moduli(C00, C11, F00 * F01 + F10 * F11 + F20 * F21, coefficients[1:])
+        return W, 0.0
+
+    return PointLaw(digest, stress, density)
