@@ -2,8 +2,8 @@
 
     python validation/large_training.py [--side 46] [--modes 100]
 
-A held block of side^3 nodes; 200 smooth random states in place of runs, large enough to be nonlinear. Prints the
-training's seconds, its nodes and the peak memory of the process, and appends them to docs/validation/large_training.json.
+A held block of side^3 nodes; 200 smooth random states in place of runs, large enough to be nonlinear. Prints seconds,
+sampled nodes and the peak memory of the process, and appends them to docs/validation/large_training.json.
 """
 
 from __future__ import annotations

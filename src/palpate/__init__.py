@@ -45,6 +45,7 @@ _HOME = {
     "project": "reduction.projected",
     "ReducedModel": "reduction.reduced",
     "reduce": "reduction.training",
+    "quickest": "reduction.choice",
     "load": "reduction.storage",
     "modal_derivatives": "reduction.linear",
     "vibration_modes": "reduction.linear",

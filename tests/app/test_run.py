@@ -134,6 +134,9 @@ def test_what_the_tool_felt_is_that_of_all_periods(realtime):
     assert felt["largest_force"] == pytest.approx(np.linalg.norm(force, axis=1).max())
     assert felt["largest_force"] > 0
     assert felt["untrained_share"] == pytest.approx(np.mean(trust > 1))
+    rows = report["model"]["held_out"]["trust"]
+    met = next((row for row in rows if trust.max() <= row["trust"]), dict.fromkeys(("median", "percentile_95")))
+    assert felt["expected_error"] == [met["median"], met["percentile_95"]]
     assert 0 < felt["largest_displacement"] < 0.1
 
 

@@ -209,6 +209,11 @@ def test_lost_trust_is_told_once(engine_of):
     assert len(told) == 1
     assert not engine.read().held
     assert engine.state == "running"
+    engine.set_pose((0.005, 0.0, 0.0))
+    until(lambda: engine.read().trust == pytest.approx(0.5))
+    assert engine.read().worst_trust == pytest.approx(2.0)
+    engine.reset()
+    assert engine.read().worst_trust < 0.5
 
 
 def test_clamping_holds_the_tool_where_the_model_was_trusted(engine_of, history):

@@ -268,3 +268,11 @@ def test_a_sampled_sheet_refuses_what_it_does_not_know(sampled):
         sampled.stress(np.zeros((len(sampled.cloud), 3)))
     with pytest.raises(pt.InputError, match="follower pressures"):
         sampled.drive([PUSH, pt.Traction("face", pressure=lambda t: 1.0)])
+
+
+def test_a_sampled_sheet_is_trusted_by_its_distance_from_training(sheet, push, sampled):
+    drive = sampled.drive([PUSH])
+    assert sampled.parts.witnesses == 0
+    near, far = (pt.State(scale * sampled.parts.trained[-1], np.zeros(sampled.count), 0.1) for scale in (1.0, 3.0))
+    assert sampled.trust(near, drive) < 1e-3
+    assert sampled.trust(far, drive) > 1

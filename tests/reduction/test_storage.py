@@ -103,6 +103,33 @@ def test_what_is_saved_is_loaded(trained, saved):
     assert os.listdir(saved.parent) == ["bar.rom"]
 
 
+@pytest.mark.parametrize("step", [None, 2.5e-4])
+@pytest.mark.parametrize("single", [True, False])
+def test_a_model_is_loaded_with_its_step_rule_and_precision(trained, path, push, step, single):
+    model = ReducedModel(rounded(trained.parts), step=step, single=single)
+    model.save(path)
+    loaded = pt.load(path)
+    assert (loaded.step, loaded.single) == (step, single)
+    expected, found = (pt.rollout(m, push, duration=0.003, every=0.001, progress=False) for m in (model, loaded))
+    np.testing.assert_array_equal(found.displacements, expected.displacements)
+    assert found.steps[-1] == expected.steps[-1]
+
+
+@pytest.mark.parametrize("step", [-1e-3, np.nan, np.inf])
+def test_a_step_that_no_model_has_is_not_saved(trained, path, step):
+    with pytest.raises(pt.InputError, match=r"step = .* is out of range"):
+        storage.save(trained.parts, path, step=step)
+    assert not path.exists()
+
+
+def test_the_trust_of_a_loaded_model_is_that_of_the_saved_one(trained, saved, push):
+    assert trained.parts.witnesses > 0
+    loaded, drive = pt.load(saved), trained.drive(push)
+    state = replace(trained.state(drive, time=0.004), coordinates=trained.parts.trained[15])
+    assert loaded.trust(state, drive) == pytest.approx(trained.trust(state, drive), rel=1e-6)
+    assert loaded.expected_error(0.5) == trained.expected_error(0.5)
+
+
 def test_a_file_of_a_loaded_model_is_the_same_file(saved, path):
     pt.load(saved).save(path)
     assert path.read_bytes() == saved.read_bytes()
@@ -183,7 +210,7 @@ def test_twenty_thousand_nodes_with_64_modes_take_less_than_20_megabytes(tissue,
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (2, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (3, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["columns"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.parts.cubature.weights)
@@ -220,8 +247,8 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_another_version_is_refused_whatever_follows(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 2", b"version 1", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 1, and version 2 is the one that is"):
+    path.write_bytes(saved.read_bytes().replace(b"version 3", b"version 2", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 2, and version 3 is the one that is"):
         pt.load(path)
 
 
@@ -285,9 +312,11 @@ def outside(file):
 CASES = {
     "an attribute missing": (lambda file: file.attrs.pop("reach"), "reach is None, expected one of type float"),
     "an attribute of another type": (attribute("modes", "four"), "attribute modes is 'four', expected one of type int"),
+    "a precision that is no yes or no": (attribute("single", 2), "attribute single is 2, expected one of type bool"),
+    "a witness too many": (attribute("witnesses", 9), "dataset columns has shape"),
     "no modes": (attribute("modes", 0), "modes = 0 is out of range"),
-    "a column too few": (put("columns", lambda a: a[1:]), r"columns has shape \(15, 112, 3\) .* \(16, 112, 3\) of <f4"),
-    "columns of fewer nodes": (put("columns", lambda a: a[:, 1:]), r"shape \(16, 111, 3\) .* expected \(16, 112, 3\)"),
+    "a column too few": (put("columns", lambda a: a[1:]), r"columns has shape \(23, 112, 3\) .* \(24, 112, 3\) of <f4"),
+    "columns of fewer nodes": (put("columns", lambda a: a[:, 1:]), r"shape \(24, 111, 3\) .* expected \(24, 112, 3\)"),
     "columns in double precision": (put("columns", lambda a: a.astype(float)), "of <f8, expected .* of <f4"),
     "points in the plane": (put("cloud/points", lambda a: a[:, :2]), r"points has .*\(112, 2\).*expected \(nodes, 3\)"),
     "a number for an array": (put("cubature/weights", lambda a: 1.0), r"weights has shape \(\).*expected \(\d+\)"),
@@ -328,7 +357,8 @@ CASES = {
     "columns that are all zero": (entry("columns", slice(None), 0.0), "Singular matrix"),
     **{
         f"{name} out of range": (attribute(name, value), f"{name} = .* is out of range")
-        for name, value in {"reach": 0.0, "spacing": 0.0, "viscosity": -1.0, "fastest": -0.1, "residual": -1.0}.items()
+        for name, value in {"reach": 0.0, "spacing": 0.0, "viscosity": -1.0, "fastest": -0.1, "residual": -1.0,
+                            "leeway": 0.0, "step": -1e-3, "witnesses": -1}.items()
     },
 }  # fmt: skip
 

@@ -49,6 +49,8 @@ class Reading:
         model tells none.
     trust : float
         Above 1 the model was not trained on such states.
+    worst_trust : float
+        The largest trust number since the last reset: `palpate.ReducedModel.expected_error` tells what errors it means.
     held : bool
         Whether the tool is held back from states that the model was not trained on.
     position, quaternion : (3,) array [m] and (4,) array
@@ -67,6 +69,7 @@ class Reading:
     moment: Floats
     stiffness: Floats
     trust: float
+    worst_trust: float
     held: bool
     limited: bool
     position: Floats
@@ -83,9 +86,8 @@ class Reading:
     def of(cls, row: Floats, state: str) -> Reading:
         """Read a row (WIDTH + 2 m,)."""
         head = row[:WIDTH].view(HEAD)[0]
-        numbers: dict[str, Any] = {
-            name: float(head[name]) for name in ("time", "trust", "kinetic", "strain", "computing", "lateness")
-        }
+        names = ("time", "trust", "worst_trust", "kinetic", "strain", "computing", "lateness")
+        numbers: dict[str, Any] = {name: float(head[name]) for name in names}
         arrays = {name: head[name].copy() for name in ("force", "moment", "stiffness", "position", "quaternion")}
         coordinates, velocities = row[WIDTH:].reshape(2, -1).copy()
         return cls(

@@ -18,13 +18,13 @@ SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
 SINGLE = 1e-10  # of the largest eigenvalue of products in single precision: what is below is noise
 
 
-def main_modes(body: FullModel | Membrane, snapshots: Floats, modes: int) -> Floats:
+def main_modes(body: FullModel | Membrane, snapshots: Floats, modes: int, spare: int = 0) -> Floats:
     """Return modes (M, n, 3) that hold most of some snapshots (t, n, 3), orthonormal in the volumes.
 
     Of a solid, the proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not
     only in displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so
     that small motions are not lost beside large ones. Of a membrane, which is slack at first, that of u, and all
-    snapshots count the same: waves begin small.
+    snapshots count the same: waves begin small. Behind them come up to `spare` further ones, as many as there are.
 
     Raises
     ------
@@ -46,8 +46,9 @@ def main_modes(body: FullModel | Membrane, snapshots: Floats, modes: int) -> Flo
     rank = int(np.sum(values > SINGLE * values[-1]))
     if modes > rank:
         raise InputError(f"modes = {modes}: the {len(chosen)} snapshots hold only {rank} independent shapes")
-    shapes = (vectors[:, ::-1][:, :modes].T * scale) @ chosen.reshape(len(chosen), -1)
-    return _orthonormal(body, shapes.reshape(modes, -1, 3))
+    count = min(modes + spare, rank)
+    shapes = (vectors[:, ::-1][:, :count].T * scale) @ chosen.reshape(len(chosen), -1)
+    return _orthonormal(body, shapes.reshape(count, -1, 3))
 
 
 def _orthonormal(body: FullModel | Membrane, fields: Floats) -> Floats:

@@ -34,21 +34,26 @@ class ReducedParts:
     viscosity : float [s]
     fastest : float [m/s]
         About the speed of the fastest waves: a tool that jumps counts as no faster in the viscous forces.
-    columns : (m + l + 3 g, n, 3) array
-        Displacement fields: modes, lifting columns of the tools, and the test fields of the g supports.
+    columns : (m + l + 3 g + w, n, 3) array
+        Displacement fields: modes, lifting columns of the tools, and test fields: those of the g supports and of the w
+        witnesses (`palpate.reduction.witnesses`).
     modes : int
         How many of them are modes.
     lifted : int
         How many of them are lifting columns.
     cubature : Cubature
-    gradients : (s, m + l + 3 g, 9) array
-        Derivatives of the columns at the sampled nodes, row by row.
-    constant : (m + l + 3 g, m + l + 3 g) array
+    gradients : (s, m + l + 3 g + w, 9) array
+        Derivatives of the columns at the sampled nodes, row by row; those of the witnesses each times a factor.
+    constant : (m + l + 3 g + w, m + l + 3 g + w) array
         Constant stiffness of what the stencils miss.
     trained : (t, m + l) array
         Coordinates of the training states.
     reach : float [m]
-        Distance from the training states at which the trust number is 1.
+        Distance from the training states that counts as 1 in the trust number.
+    witnesses : int
+        How many of the columns are witnesses: the last ones.
+    leeway : float [m]
+        Imbalance at the witnesses that counts as 1 in the trust number.
     report : mapping
         What was measured in training.
     kinematics : Kinematics
@@ -73,6 +78,8 @@ class ReducedParts:
     constant: Floats
     trained: Floats
     reach: float
+    witnesses: int = 0
+    leeway: float = 1.0
     report: dict[str, Any] = field(default_factory=dict)
     kinematics: Kinematics = field(default_factory=Kinematics)
     slack: float = 0.0

@@ -8,17 +8,21 @@ over the period. Nothing here allocates or asks Python.
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.faults import InputError
 from palpate.reduction.points import PointLaw
-from palpate.reduction.samples import Samples, Scratch, sampled_energy
-from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, sampled_step
+from palpate.reduction.samples import Samples, Scratch, sampled_energy, scratch
+from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, newton, sampled_step
 
-__all__ = ["PeriodData", "RealtimeModel", "period_functions"]
+if TYPE_CHECKING:
+    from palpate.reduction.reduced import ReducedModel
+
+__all__ = ["PeriodData", "RealtimeModel", "period_functions", "realtime_model"]
 
 Floats = NDArray[np.float64]
 
@@ -43,7 +47,12 @@ class PeriodData(NamedTuple):
     samples, scratch, newton : tuples
     trained, root : (t, m), (m, m) arrays
         Training states times the root; root of the mass matrix over the body's mass, transposed.
-    reach : float [m]
+    reach, leeway : float [m]
+    watched, watch : tuples
+        Samples with the witnesses behind the coordinates, and their scratch.
+    witness_mass : (w, m) array
+        Mass matrix of the witnesses and coordinates.
+    wide : (2, m + w) array
     vectors : (8, m) array
     tangent : (m, m) array
         Of which every period takes one column anew.
@@ -67,6 +76,11 @@ class PeriodData(NamedTuple):
     trained: Floats
     root: Floats
     reach: float
+    leeway: float
+    watched: Samples
+    watch: Scratch
+    witness_mass: Floats
+    wide: Floats
     vectors: Floats
     tangent: Floats
     condensed: Floats
@@ -212,7 +226,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         return steps
 
     @law_njit(digest, fastmath={"contract"})
-    def trust(data, q):  # type: ignore[no-untyped-def]
+    def distance(data, q):  # type: ignore[no-untyped-def]
         """Distance to the nearest training state, over the reach."""
         place, count, nearest = data.vectors[1], q.shape[0], np.inf
         for m in range(count):
@@ -227,6 +241,25 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 square += apart * apart
             nearest = min(nearest, square)
         return np.sqrt(nearest) / data.reach
+
+    @law_njit(digest, fastmath={"contract"})
+    def imbalance(data, q, v):  # type: ignore[no-untyped-def]
+        """What the forces on the witnesses miss of balance, over the leeway."""
+        at, result, rate, count, total = data.wide[0], data.wide[1], data.vectors[1], q.shape[0], 0.0
+        for m in range(count):
+            at[m] = q[m] + data.beta * v[m]
+        force(at, data.watched, data.watch, result)
+        for m in range(data.modes):
+            value = 0.0
+            for k in range(data.modes):
+                value += data.held[m, k] * result[k]
+            rate[m] = value
+        for j in range(data.witness_mass.shape[0]):
+            left = -result[count + j]
+            for m in range(data.modes):
+                left += data.witness_mass[j, m] * rate[m]
+            total += left * left
+        return np.sqrt(total) / data.leeway
 
     @law_njit(digest, fastmath={"contract"})
     def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
@@ -269,7 +302,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for j in range(modes, count):  # rounding
             q[j] = target[j - modes]
             v[j] = speeds[j]
-        report[1], report[2] = trust(data, q), taken
+        report[1], report[2] = max(distance(data, q), imbalance(data, q, v)), taken
         for m in range(count):
             for k in range(count):
                 report[3] += 0.5 * v[m] * data.mass[m, k] * v[k]
@@ -299,3 +332,28 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 out[i, j] = value
 
     return advance, stiffness
+
+
+def realtime_model(model: ReducedModel, longest: float) -> RealtimeModel:
+    """Make what `ReducedModel.realtime` returns."""
+    parts, count = model.parts, model.count
+    if len(parts.driven) != 1:
+        raise InputError(
+            f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP'"
+        )
+    root = np.linalg.cholesky(model.mass / model.masses.sum()).T
+    which = np.r_[:count, len(parts.columns) - parts.witnesses : len(parts.columns)]
+    watched = model.sampled(which)
+    frequency, steps = model._highest(np.zeros(count)), int(np.ceil(longest / (model.step or longest)))
+    vectors = np.zeros((8, count))
+    vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
+    data = PeriodData(
+        parts.modes, model.viscosity, model.step or 0.0, model.tolerance, model.mass, model._held,
+        model._differences, model._samples, scratch(model._samples), newton(count),
+        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, parts.leeway, watched, scratch(watched),
+        model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
+        model.stiffness(np.zeros(count)), np.zeros((count, count)), np.array([frequency, frequency, 0.0]),
+        np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
+    )  # fmt: skip
+    advance, stiffness = period_functions(model._law, model.single)
+    return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.driven[0]))

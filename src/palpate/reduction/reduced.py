@@ -21,10 +21,12 @@ from palpate.dynamics.stability import stable_step
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.parts import ReducedParts
-from palpate.reduction.period import PeriodData, RealtimeModel, period_functions
+from palpate.reduction.period import RealtimeModel, realtime_model
 from palpate.reduction.points import point_law
-from palpate.reduction.samples import sampled_energy, samples, scratch
+from palpate.reduction.samples import Samples, sampled_energy, samples, scratch
 from palpate.reduction.stepping import newton, sampled_step
+from palpate.reduction.trust import distance, expected_error, imbalance
+from palpate.reduction.work import load_work, pose_map
 
 __all__ = ["ReducedModel", "ReducedParts"]
 
@@ -58,6 +60,7 @@ class ReducedModel(Model):
 
     name = "reduced"
     conservative = True
+    tolerance = CONVERGED / DIFFERENCE  # of Newton's iterations
 
     def __init__(self, parts: ReducedParts, *, step: float | None = None, single: bool = True) -> None:
         self.parts, self.step, self.single = parts, step, single
@@ -66,17 +69,13 @@ class ReducedModel(Model):
         self.fewest = 20 if step is None else 1  # the implicit step is the user's choice
         self.count = parts.modes + parts.lifted
         count = self.count
-        self._law, coefficients = point_law(parts.material, parts.kinematics)
+        self._law, self._coefficients = point_law(parts.material, parts.kinematics)
         flat = parts.columns.reshape(len(parts.columns), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
         self._held = np.asarray(np.linalg.inv(self.mass[: parts.modes, : parts.modes]), dtype=float)
         self._free = np.linalg.inv(self.mass)
-        type_ = np.float32 if single else np.float64
-        weights, pressure, constant = parts.cubature.weights, parts.cubature.pressure, parts.constant
-        self._all = samples(parts.gradients, weights, pressure, constant, coefficients, type_)
-        own = np.ascontiguousarray(parts.gradients[:, :count])
-        self._samples = samples(own, weights, pressure, constant[:count, :count], coefficients, type_)
+        self._all, self._samples = self.sampled(np.arange(len(flat))), self.sampled(np.arange(count))
         self._all_scratch, self._scratch, self._newton = scratch(self._all), scratch(self._samples), newton(count)
         self._force, self._energy = sampled_energy(self._law, single)
         self._explicit, self._implicit, self._tangent = sampled_step(self._law, single)
@@ -91,10 +90,28 @@ class ReducedModel(Model):
     def volumes(self) -> Floats:
         return self.parts.volumes
 
+    def sampled(self, which: NDArray[np.int64]) -> Samples:
+        """Return the samples of some columns."""
+        rule, type_ = self.parts.cubature, np.float32 if self.single else np.float64
+        own, constant = np.ascontiguousarray(self.parts.gradients[:, which]), self.parts.constant[np.ix_(which, which)]
+        return samples(own, rule.weights, rule.pressure, constant, self._coefficients, type_)
+
     def force(self, coordinates: Floats) -> Floats:
         """Return the internal forces on the coordinates, -dE/da, shape (m + l,)."""
         self._force(np.ascontiguousarray(coordinates, dtype=float), self._samples, self._scratch, self._result)
         return self._result.copy()
+
+    def forces(self, coordinates: Floats) -> Floats:
+        """Return the internal forces on all columns, test fields too, shape (m + l + 3 g + w,)."""
+        moved = np.zeros(len(self.parts.columns))
+        moved[: self.count] = coordinates
+        self._force(moved, self._all, self._all_scratch, self._everything)
+        return self._everything.copy()
+
+    def projected(self, fields: Floats) -> Floats:
+        """Return the coordinates (t, m + l) that are nearest to displacements or velocities (t, n, 3)."""
+        flat = self.parts.columns[: self.count].reshape(self.count, -1) * np.repeat(self.masses, 3)
+        return np.asarray((fields.reshape(len(fields), -1) @ flat.T) @ self._free)
 
     def energy(self, coordinates: Floats) -> float:
         """Return the strain energy [J]."""
@@ -103,8 +120,7 @@ class ReducedModel(Model):
     def stiffness(self, coordinates: Floats) -> Floats:
         """Return the tangent -d(force)/d(coordinates), shape (m + l, m + l)."""
         matrix = np.zeros((self.count, self.count))
-        a = np.ascontiguousarray(coordinates, dtype=float)
-        vectors = np.zeros((3, self.count))
+        a, vectors = np.ascontiguousarray(coordinates, dtype=float), np.zeros((3, self.count))
         self._tangent(a, self._differences, self._samples, self._scratch, vectors, self.count, matrix)
         return matrix
 
@@ -127,26 +143,13 @@ class ReducedModel(Model):
             raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
         return ready
 
-    def _load_columns(self, ready: Drive) -> Floats:
-        """Work on the columns of unit forces and moments of the force groups, and of unit gravity, (6 g + 3, all)."""
-        if self._loaded is not None and self._loaded[0] is ready:
-            return self._loaded[1]
-        places, columns = ready.places, self.parts.columns
-        forces, moments = [], []
-        for g in range(len(places.force_start) - 1):
-            own = slice(places.force_start[g], places.force_start[g + 1])
-            at = columns[:, places.force_node[own]]
-            forces.append(np.einsum("k,mkc->cm", places.force_share[own], at))
-            moments.append(np.einsum("kcd,mkc->dm", places.moment_share[own], at))
-        result = np.concatenate([*forces, *moments, np.einsum("n,mnc->cm", self.masses, columns)])
-        self._loaded = ready, result
-        return result
-
     def _loads(self, ready: Drive, times: Floats) -> Floats:
         """Generalised forces (t, all) of tractions and gravity at some times."""
+        if self._loaded is None or self._loaded[0] is not ready:
+            self._loaded = ready, load_work(ready.places, self.parts.columns, self.masses)
         schedule, count = ready.schedule(times), len(times)
         values = (schedule.force.reshape(count, -1), schedule.moment.reshape(count, -1), schedule.gravity)
-        return np.asarray(np.hstack(values) @ self._load_columns(ready))
+        return np.asarray(np.hstack(values) @ self._loaded[1])
 
     def _lifted(self, ready: Drive, times: Floats) -> Floats:
         """Coordinates (t, l) of the lifting columns at some times."""
@@ -235,10 +238,9 @@ class ReducedModel(Model):
             times = state.time + step * np.arange(-1.0, steps + 2)
             middles = times[1:-2] + 0.5 * step
             loads = np.ascontiguousarray(self._loads(drive, middles)[:, :count])
-            tolerance = CONVERGED / DIFFERENCE
             work, lost, tools, taken = self._implicit(
                 a, v, self._lifted(drive, times), self._holds(drive, times[2:-1]), step, self.viscosity, loads,
-                self.mass, self._differences, tolerance, self._samples, self._scratch, self._newton,
+                self.mass, self._differences, self.tolerance, self._samples, self._scratch, self._newton,
             )  # fmt: skip
             end = float(times[-2])
             if taken < steps:
@@ -257,10 +259,8 @@ class ReducedModel(Model):
 
     def _rates(self, state: State, drive: Drive) -> tuple[Floats, Floats]:
         """Accelerations of the coordinates, and what internal forces and loads do on all columns."""
-        moved = np.zeros(len(self.parts.columns))
-        moved[: self.count] = state.coordinates + self.viscosity * state.velocities
-        self._force(moved, self._all, self._all_scratch, self._everything)
-        forces = self._everything + self._loads(drive, np.array([state.time]))[0]
+        forces = self.forces(state.coordinates + self.viscosity * state.velocities)
+        forces += self._loads(drive, np.array([state.time]))[0]
         modes = slice(self.parts.modes)
         if self._holds(drive, np.array([state.time]))[0]:
             bend = drive.rates(lambda times: self._lifted(drive, times), state.time)[1]
@@ -268,10 +268,14 @@ class ReducedModel(Model):
             return np.concatenate([own, bend]), forces
         return self._free @ forces[: self.count], forces
 
+    def needed(self, state: State, drive: Drive) -> Floats:
+        """Return what all columns need beyond internal forces and loads to move as they do, shape (all,)."""
+        rates, forces = self._rates(state, drive)
+        return np.asarray(self._all_mass[:, : self.count] @ rates - forces)
+
     def reactions(self, state: State, drive: Drive) -> dict[str, Floats]:
         """Return the force [N] of every support and tool on the body: what its columns need beyond the other forces."""
-        rates, forces = self._rates(state, drive)
-        needed = self._all_mass[:, : self.count] @ rates - forces
+        needed = self.needed(state, drive)
         result = {}
         for g, name in enumerate(self.fixed):
             result[name] = needed[self.count + 3 * g : self.count + 3 * g + 3]
@@ -287,14 +291,7 @@ class ReducedModel(Model):
         the mean place of the group's nodes.
         """
         nodes = self.cloud.group(group)
-        span = self.parts.columns[self.parts.modes : self.count, nodes].reshape(self.parts.lifted, -1)
-        arms = self.cloud.points[nodes] - self.cloud.points[nodes].mean(axis=0)
-        fields = np.zeros((12, len(nodes), 3))
-        for c in range(3):
-            fields[c, :, c] = 1.0
-            for d in range(arms.shape[1]):
-                fields[3 + 3 * c + d, :, c] = arms[:, d]
-        return np.asarray(np.linalg.lstsq(span.T, fields.reshape(12, -1).T, rcond=None)[0])
+        return pose_map(self.cloud.points[nodes], self.parts.columns[self.parts.modes : self.count, nodes])
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
         return Outputs(
@@ -307,15 +304,36 @@ class ReducedModel(Model):
             state.dissipated,
         )
 
-    def trust(self, state: State) -> float:
-        """Return how far a state is from the training states: above 1 it is farther than almost all held-out ones.
+    def trust(self, state: State, drive: Drive) -> float:
+        """Return how far a state is from what the model was trained on: above 1 it was not trained on such states.
 
-        The distance is the root mean square over the body of the displacement to the nearest training state, over the
-        distance that 95 % of the states of the held-out runs kept (of the training runs to each other without those).
+        The larger of two numbers: the distance to the nearest training state, and the imbalance of forces on test
+        fields that the coordinates cannot move (`palpate.reduction.trust`), both as lengths, over those that make the
+        trust number at most 1 on 95 % of the frames of the held-out runs. Without those they are the distance that 95 %
+        of the training states keep to other training runs, and the imbalance that projecting them makes.
         """
-        apart = state.coordinates - self.parts.trained
-        square = np.einsum("tm,mk,tk->t", apart, self.mass, apart).min() / self.masses.sum()
-        return float(np.sqrt(square) / self.parts.reach)
+        return max(distance(self, state) / self.parts.reach, imbalance(self, state, drive) / self.parts.leeway)
+
+    def expected_error(self, trust: float) -> tuple[float, float]:
+        """Return what displacement error came with a trust number in the held-out runs: median and 95th percentile.
+
+        Parameters
+        ----------
+        trust : float
+            The largest trust number of a motion so far: an error once made goes on ringing in the body.
+
+        Returns
+        -------
+        median, percentile : float
+            Root mean square over the body, over the largest such displacement of the run. Infinite for a trust number
+            above all that was met.
+
+        Raises
+        ------
+        InputError
+            The model was trained without held-out runs.
+        """
+        return expected_error(self.report, trust)
 
     def acceleration(self, state: State, drive: Drive) -> Floats:
         return np.tensordot(self._rates(state, drive)[0], self.parts.columns[: self.count], 1)
@@ -353,8 +371,7 @@ class ReducedModel(Model):
 
     def strain_energy(self, displacements: Floats) -> float:
         """Return the strain energy [J] of nodal displacements that the columns can make."""
-        flat = self.parts.columns[: self.count].reshape(self.count, -1)
-        return self.energy(self._free @ (flat @ (displacements * self.masses[:, None]).reshape(-1)))
+        return self.energy(self.projected(displacements[None])[0])
 
     def with_step(self, step: float | None) -> ReducedModel:
         """Return this model stepped by the energy-conserving implicit rule of a step [s], or explicitly (None)."""
@@ -373,28 +390,10 @@ class ReducedModel(Model):
         InputError
             The model was not trained with exactly one driven group.
         """
-        parts, count = self.parts, self.count
-        if len(parts.driven) != 1:
-            raise InputError(
-                f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP'"
-            )
-        own = scratch(self._samples)
-        root = np.linalg.cholesky(self.mass / self.masses.sum()).T
-        frequency, steps = self._highest(np.zeros(count)), int(np.ceil(longest / (self.step or longest)))
-        vectors = np.zeros((8, count))
-        vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
-        data = PeriodData(
-            parts.modes, self.viscosity, self.step or 0.0, CONVERGED / DIFFERENCE, self.mass, self._held,
-            self._differences, self._samples, own, newton(count), np.ascontiguousarray(parts.trained @ root.T), root,
-            parts.reach, vectors, self.stiffness(np.zeros(count)), np.zeros((count, count)),
-            np.array([frequency, frequency, 0.0]), np.zeros((steps + 3, parts.lifted)),
-            np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
-        )  # fmt: skip
-        advance, stiffness = period_functions(self._law, self.single)
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), self.tool_map(parts.driven[0]))
+        return realtime_model(self, longest)
 
     def save(self, path: str | Path) -> None:
         """Write everything to one file, whole or not at all (`palpate.load` reads it)."""
         from palpate.reduction.storage import save
 
-        save(self.parts, Path(path))
+        save(self.parts, Path(path), step=self.step, single=self.single)

@@ -18,7 +18,7 @@ from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.sheet import COSINE, SINE
 from palpate.reduction.cubature import Cubature, non_negative, sketch, slopes_fit
 
-__all__ = ["Fields", "choose_samples", "differentiated", "pressure_moments"]
+__all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiated", "pressure_moments"]
 
 Floats = NDArray[np.float64]
 
@@ -52,6 +52,11 @@ class Fields:
     constant: Floats
     nodes: NDArray[np.int64]
     volumes: Floats
+
+    def of(self, which: slice | NDArray[np.int64]) -> Fields:
+        """Return the fields of some columns."""
+        constant = self.constant[which][:, which]
+        return Fields(self.columns[which], self.gradients[:, which], constant, self.nodes, self.volumes)
 
 
 def differentiated(body: FullModel | Membrane, columns: Floats) -> Fields:
@@ -119,7 +124,7 @@ def choose_samples(
     seed : int
     """
     count = len(mass)
-    root = _compliance(body, fields, count, moments, mass)
+    root = compliance_root(body, fields, count, moments, mass)
     if share == 0.0:
         return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, moments, 0.0)
     rows = _rows(body, fields, modes, states, root, np.random.default_rng(seed))
@@ -155,7 +160,7 @@ def _rows(
     return np.concatenate(whole)
 
 
-def _deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
+def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
     """F, cof(F) and J at points with the derivatives (p, m, 9) of the columns."""
     F = np.eye(3) + np.einsum("nmk,m->nk", gradients, state.astype(gradients.dtype)).astype(float).reshape(-1, 3, 3)
     cofactor = np.stack([np.cross(F[:, 1], F[:, 2]), np.cross(F[:, 2], F[:, 0]), np.cross(F[:, 0], F[:, 1])], axis=1)
@@ -165,7 +170,7 @@ def _deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floa
 def _shear_work(body: FullModel | Membrane, fields: Fields, state: Floats) -> Floats:
     """Work of every point's shear stress, times its volume, on all columns, shape (columns, p)."""
     gradients = fields.gradients
-    F, cofactor, J = _deformation(gradients[:, : len(state)], state)
+    F, cofactor, J = deformation(gradients[:, : len(state)], state)
     if isinstance(body, Membrane):
         stress = np.zeros_like(F)
         stress[:, :, :2] = body.stress_at(F[:, :, :2] + (body.prestretch - 1) * np.eye(3, 2))
@@ -191,7 +196,7 @@ def pressure_moments(body: FullModel | Membrane, snapshots: Floats, pressures: i
     return np.asarray(np.sqrt(body.material.lame) * body.smoothed_back(shapes[:kept] * roots))
 
 
-def _compliance(body: FullModel | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
+def compliance_root(body: FullModel | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
     """Return R with R^T R the compliance of the body at rest in the coordinates; of a membrane, when it is taut."""
     stiffness, own = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
     shear = body.material.shear_modulus
@@ -215,7 +220,7 @@ def _pressure(gradients: Floats, states: Floats, moments: Floats, nodes: NDArray
     """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
     sampled, whole, stiff = [], [], np.linalg.inv(root).T
     for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPES)]):
-        _, cofactor, J = _deformation(gradients, state)
+        _, cofactor, J = deformation(gradients, state)
         slope = np.matmul(gradients, cofactor.reshape(-1, 9, 1).astype(gradients.dtype))[:, :, 0] @ root.T
         value = (J - 1)[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
         both = np.hstack([slope, value if state.any() else 0 * value])

@@ -35,7 +35,7 @@ __all__ = ["load", "save"]
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION, SEAL = "palpate reduced model", 2, 512
+FORMAT, VERSION, SEAL = "palpate reduced model", 3, 512
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 # One line a dataset: its type, and its shape in sizes that all datasets share.
@@ -62,6 +62,7 @@ ATTRIBUTES = {
     "material": str, "parameters": str, "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
+    "witnesses": int, "leeway": float, "step": float, "single": bool,
 }  # fmt: skip
 LAWS = {
     name: law for name, law in vars(materials).items()
@@ -69,10 +70,19 @@ LAWS = {
 }  # fmt: skip
 
 
-def save(parts: ReducedParts, path: str | Path) -> None:
-    """Write the parts of a model to an HDF5 file, whole or not at all.
+def save(parts: ReducedParts, path: str | Path, *, step: float | None = None, single: bool = True) -> None:
+    """Write a model to an HDF5 file, whole or not at all.
 
     The file is composed and checked in memory, written beside its place, and put there at once.
+
+    Parameters
+    ----------
+    parts : ReducedParts
+    path : path
+    step : float, optional [s]
+        Of the implicit rule; by default the steps are explicit.
+    single : bool
+        Whether the model keeps the derivatives at its samples in single precision; the file has them in double.
 
     Raises
     ------
@@ -82,7 +92,10 @@ def save(parts: ReducedParts, path: str | Path) -> None:
         The place cannot be written or the disk is full; a file that was there is unchanged.
     """
     path = Path(path)
-    content, partial = _file(parts), path.with_name(path.name + ".partial")
+    content, partial = (
+        _file(parts, {"step": float(step or 0.0), "single": bool(single)}),
+        path.with_name(path.name + ".partial"),
+    )
     try:
         with open(partial, "wb") as file:
             file.write(content)
@@ -97,7 +110,7 @@ def save(parts: ReducedParts, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> ReducedModel:
-    """Read a reduced model; its steps are explicit (`ReducedModel.with_step` returns one with others).
+    """Read a reduced model as it was saved: with its step rule, explicit or implicit, and its precision.
 
     Raises
     ------
@@ -111,7 +124,8 @@ def load(path: str | Path) -> ReducedModel:
     if not path.is_file():
         raise FileNotFoundError(f"no reduced model at {path}")
     try:
-        return ReducedModel(_parts(*_content(path.read_bytes())))
+        header, arrays = _content(path.read_bytes())
+        return ReducedModel(_parts(header, arrays), **_rule(header))
     except (InputError, np.linalg.LinAlgError) as error:
         raise FileFormatError(f"{path}: {error}") from error
 
@@ -119,16 +133,18 @@ def load(path: str | Path) -> ReducedModel:
 # writing
 
 
-def _file(parts: ReducedParts) -> bytes:
+def _file(parts: ReducedParts, rule: Header) -> bytes:
     """Return the file of a model; refuse what could not be loaded from it."""
     import h5py
 
     memory = BytesIO()
     with h5py.File(memory, "w", userblock_size=SEAL) as file:
-        file.attrs.update(format=FORMAT, version=VERSION, units="SI", **_header(parts))
+        file.attrs.update(format=FORMAT, version=VERSION, units="SI", **_header(parts), **rule)
         for name, array in _arrays(parts).items():
             file.create_dataset(name, data=array, **(PACKED if array.size else {}))
-        if _parts(*_read(file)).material != parts.material:
+        header, arrays = _read(file)
+        _rule(header)
+        if _parts(header, arrays).material != parts.material:
             raise InputError(f"the law of {parts.material} is not the one of this name in palpate.tissue.materials")
     content = memory.getvalue()[SEAL:]
     return _seal(content) + content
@@ -158,6 +174,8 @@ def _header(parts: ReducedParts) -> Header:
         "lifted": int(parts.lifted),
         "residual": float(parts.cubature.residual),
         "reach": float(parts.reach),
+        "witnesses": int(parts.witnesses),
+        "leeway": float(parts.leeway),
         "sheet": parts.kinematics.sheet,
         "prestretch": float(parts.kinematics.prestretch),
         "relaxed": parts.kinematics.relaxed,
@@ -213,7 +231,7 @@ def _read(file: Any) -> tuple[Header, Arrays]:
         "space": 2 if header["sheet"] else 3,
         "groups": len(header["groups"]),
         "coordinates": coordinates,
-        "columns": coordinates + 3 * len(header["fixed"]),
+        "columns": coordinates + 3 * len(header["fixed"]) + integer_in_range("witnesses", header["witnesses"], 0),
     }
     arrays = {}
     for name, (dtype, shape) in LAYOUT.items():
@@ -264,12 +282,20 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         constant=own["constant"],
         trained=own["trained"],
         reach=number_in_range("reach", header["reach"], 0.0, open_low=True, unit="m"),
+        witnesses=header["witnesses"],
+        leeway=number_in_range("leeway", header["leeway"], 0.0, open_low=True, unit="m"),
         report=_mapping("report", header["report"]),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
         ),
         slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
     )
+
+
+def _rule(header: Header) -> Header:
+    """Return how the model is stepped, and whether in single precision."""
+    step = number_in_range("step", header["step"], 0.0, unit="s")
+    return {"step": step or None, "single": header["single"]}
 
 
 def _check_values(arrays: Arrays) -> None:

@@ -23,6 +23,8 @@ from palpate.reduction.linear import tool_responses
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
 from palpate.reduction.sampling import choose_samples, differentiated, pressure_moments
+from palpate.reduction.trust import calibrated, nearest, tried_frames
+from palpate.reduction.witnesses import WITNESSES, apart, usual_imbalance, witnessed
 
 __all__ = ["Trial", "reduce"]
 
@@ -68,7 +70,8 @@ def reduce(
         Groups that rigid tools hold and move (`PrescribedMotion`): each gets lifting columns for its translations and
         rotations, so that its pose may be any, and its force is known.
     held_out : sequence of (loads, trajectory)
-        Runs that are not trained on: the reduced model repeats them and reports its errors.
+        Runs that are not trained on: the reduced model repeats them and reports its errors, and what the trust number
+        says of them (`ReducedModel.expected_error`).
     enrichment : (e, n, 3) array, optional
         Displacement fields that join the modes, or with ``modes=0`` stand for them: `palpate.vibration_modes`,
         `palpate.modal_derivatives`. Fields must vanish at supports and tools.
@@ -160,10 +163,11 @@ def _trained(
     snapshots = np.concatenate([run.displacements for run in runs])
     lifting, supports = _lifting(body, tools), _support_fields(body, tools)
     rest = _without_tools(body, snapshots, lifting, tools)
-    shapes = joined(body, main_modes(body, rest, modes) if modes else None, enrichment)
-    modes = len(shapes)
+    found = main_modes(body, rest, modes, spare=0 if isinstance(body, Membrane) else WITNESSES)
+    shapes = joined(body, found[:modes] if modes else None, enrichment)
+    watched, modes = apart(body, shapes, found[modes:]), len(shapes)
     # as single precision keeps them in the file, so that the model that is loaded is the model that was trained
-    columns = np.concatenate([shapes, lifting, supports]).astype(np.float32).astype(float)
+    columns = np.concatenate([shapes, lifting, supports, watched]).astype(np.float32).astype(float)
     fields = differentiated(body, columns)
     count = modes + len(lifting)
     flat = fields.columns[:count].reshape(count, -1)
@@ -172,13 +176,18 @@ def _trained(
     states = np.linalg.solve(mass, (flat * weights) @ snapshots.reshape(len(snapshots), -1).T).T
     chosen = states[np.linspace(0, len(states) - 1, min(STATES, len(states))).astype(int)]
     moments = pressure_moments(body, snapshots, pressures or max(1, modes // PRESSURES))
-    places, rule = choose_samples(body, fields, modes, chosen, mass, share, moments, seed)
+    bare = fields.of(slice(len(columns) - len(watched)))
+    places, rule = choose_samples(body, bare, modes, chosen, mass, share, moments, seed)
+    fields, gradients = witnessed(body, fields, (modes, count, len(watched)), chosen, rule, places, moments)
     parts = ReducedParts(
         body.cloud, body.material, body.fixed, tools, body.volumes, full.viscosity, full.fastest, fields.columns, modes,
-        len(lifting), rule, np.asarray(fields.gradients[places], dtype=float), fields.constant, chosen,
+        len(lifting), rule, gradients, fields.constant, chosen,
         _reach(chosen, mass / body.masses.sum(), [len(run.times) for run in runs], len(states)),
-        kinematics=_kinematics(body),
+        len(watched), kinematics=_kinematics(body),
     )  # fmt: skip
+    if len(watched):
+        some = snapshots[np.linspace(0, len(states) - 1, len(chosen)).astype(int)]
+        parts = replace(parts, leeway=usual_imbalance(ReducedModel(parts), body, some))
     model = ReducedModel(parts)
     if isinstance(body, Membrane):
         taut = max(model._highest(state) for state in chosen[:: max(1, len(chosen) // TAUT)])
@@ -192,6 +201,7 @@ def _trained(
         "nodes_full": len(body.cloud),
         "nodes": len(rule.nodes),
         "pressure_modes": len(rule.pressure),
+        "witnesses": len(watched),
         "cubature_residual": rule.residual,
         "projection_error": float(missed),
         "highest_frequency": model._highest(np.zeros(count)),
@@ -213,19 +223,18 @@ def _kinematics(body: FullModel | Membrane) -> Kinematics:
 
 
 def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
-    """Repeat the held-out runs; return the model with their errors in its report, and its reach set by them."""
-    found, distances = [], []
+    """Repeat the held-out runs; return the model with their errors in its report, and its trust calibrated."""
+    found, frames = [], []
     for loads, run in held_out:
         every = float(run.times[1] - run.times[0])
         entry: dict[str, Any] = {"failed": False}
         try:
             own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
             entry |= errors(run, own).as_dict()
+            frames.append(tried_frames(model, loads, own, run))
         except DivergenceError as error:
             entry = {"failed": True, "reason": str(error)}
         found.append(entry)
-        apart = _distances(model, run.displacements)
-        distances.append(apart)
     good = [entry for entry in found if not entry["failed"]]
     names = ("displacement", "velocity", "energy", "reaction")
     mean = {name: float(np.mean([e[name] for e in good])) if len(good) == len(found) else np.inf for name in names}
@@ -234,26 +243,11 @@ def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         for name in names
     }
     model.parts.report["held_out"] = {"runs": found, "mean": mean, "percentile_95": worst}
-    reach = float(np.quantile(np.concatenate(distances), HELD_SHARE))
-    return ReducedModel(replace(model.parts, reach=reach))
-
-
-def _distances(model: ReducedModel, displacements: Floats) -> Floats:
-    """Distances [m] of displacements (t, n, 3) from the training states."""
-    flat = model.parts.columns[: model.count].reshape(model.count, -1) * np.repeat(model.masses, 3)
-    states = np.linalg.solve(model.mass, flat @ displacements.reshape(len(displacements), -1).T).T
-    return _nearest(np.asarray(states, dtype=float), model.parts.trained, model.mass / model.masses.sum())
-
-
-def _nearest(states: Floats, others: Floats, mass: Floats) -> Floats:
-    """Root mean square distance [m] over the body of every state from the nearest of some others.
-
-    `mass` is the mass matrix over the body's mass.
-    """
-    root = np.linalg.cholesky(mass)
-    one, two = states @ root, others @ root
-    square = np.sum(one**2, axis=1)[:, None] + np.sum(two**2, axis=1) - 2 * one @ two.T
-    return np.sqrt(np.maximum(square.min(axis=1), 0.0))
+    if not frames:
+        return model
+    reach, leeway, table = calibrated(frames, HELD_SHARE)
+    model.parts.report["held_out"]["trust"] = table
+    return ReducedModel(replace(model.parts, reach=reach, leeway=leeway))
 
 
 def _reach(chosen: Floats, mass: Floats, lengths: Sequence[int], total: int) -> float:
@@ -263,7 +257,7 @@ def _reach(chosen: Floats, mass: Floats, lengths: Sequence[int], total: int) -> 
     for run in range(len(lengths)):
         own = owner == run
         if own.any() and (~own).any():
-            apart.append(_nearest(chosen[own], chosen[~own], mass))
+            apart.append(nearest(chosen[own], chosen[~own], mass))
     if not apart:
         apart = [np.asarray(np.linalg.norm(np.diff(chosen, axis=0) @ np.linalg.cholesky(mass), axis=1))]
     return max(float(np.quantile(np.concatenate(apart), HELD_SHARE)), 1e-300)

@@ -97,7 +97,7 @@ def run_realtime(
         "material": asdict(body.material),
         "machine": machine(),
         "model": body.report,
-        "felt": _felt(out / BLACK_BOX),
+        "felt": _felt(out / BLACK_BOX, body),
         "timing": _timing(statistics),
     }
     report = finite(report)
@@ -155,8 +155,9 @@ def _watched(hand: Hand, shown: Callable[[float, float], None]) -> Callable[[flo
     return path
 
 
-def _felt(black_box: Path) -> dict[str, Any]:
+def _felt(black_box: Path, body: ReducedModel) -> dict[str, Any]:
     """Return what the tool felt, and how well the model knew the states: over all periods."""
+    calibrated = "trust" in body.report.get("held_out", {})
     import h5py
 
     with h5py.File(black_box) as file:
@@ -168,6 +169,7 @@ def _felt(black_box: Path) -> dict[str, Any]:
         "largest_trust": float(trust.max()),
         "median_trust": float(np.median(trust)),
         "untrained_share": float(np.mean(trust > 1)),
+        "expected_error": body.expected_error(float(trust.max())) if calibrated else None,
         "mean_steps_per_period": float(taken.mean()),
     }
 
@@ -214,12 +216,20 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Any]:
             f"{felt['median_trust']:.2f}; {felt['largest_trust']:.2f}"
         ),
         "share of periods above 1": f"{felt['untrained_share']:.2%}",
+        "displacement error of held-out runs at the largest, median; 95 %": _expected(felt["expected_error"]),
     }
     return [
         quantities_table(title, ["computing (the model)", "lateness (the scheduler)"], rows),
         quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
         quantities_table("Tool", ["value"], {name: [value] for name, value in single.items()}),
     ]
+
+
+def _expected(error: list[float | None] | None) -> str:
+    """Write a median and a percentile; none is known where the model was not tried on such states."""
+    if error is None or None in error:
+        return "not known: none had so large a number" if error else "not measured"
+    return "; ".join(f"{part:.2%}" for part in error)
 
 
 def _microseconds(seconds: float) -> str:
