@@ -30,6 +30,7 @@ _HOME = {
     "Hyperelastic": "tissue.own_law",
     "Logarithmic": "tissue.stretch_laws",
     "Ogden": "tissue.stretch_laws",
+    "Prony": "tissue.prony",
     "StretchLaw": "tissue.stretch_laws",
     "FullModel": "dynamics.full",
     "Membrane": "dynamics.membrane",

@@ -18,7 +18,7 @@ from typing import Any
 from numba import njit
 from numba.core.caching import FunctionCache
 
-__all__ = ["law_digest", "law_njit", "named_for"]
+__all__ = ["kernel_njit", "law_digest", "law_njit", "named_for"]
 
 
 class _DigestCache(FunctionCache):  # type: ignore[misc]
@@ -37,6 +37,7 @@ KERNELS = (
     "dynamics/principal_point.py",
     "dynamics/solid.py",
     "dynamics/solid_energy.py",
+    "dynamics/relaxation.py",
     "dynamics/sheet.py",
     "dynamics/sheet_stretches.py",
     "dynamics/small_strain.py",
@@ -74,6 +75,14 @@ def named_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
     copy.__qualname__ = f"{function.__qualname__}_{digest[:16]}"
     copy.__module__ = function.__module__
     return copy
+
+
+def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile and cache a function that calls compiled ones of other files, under a digest of all of them.
+
+    Numba's own cache notices a change of the function's own file only.
+    """
+    return law_njit(law_digest("kernels"), **options)
 
 
 def law_njit(digest: str, *, cached: bool = True, **options: Any) -> Callable[[Callable[..., Any]], Any]:

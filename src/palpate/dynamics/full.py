@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from palpate.dynamics.kernels import smooth_field
 from palpate.dynamics.lanes import lane_table, transposed
 from palpate.dynamics.loads import Drive, Load, drive
+from palpate.dynamics.model import State
 from palpate.dynamics.nodal import NodalModel
+from palpate.dynamics.relaxation import isochoric_strain, kept, recall, relaxation
 from palpate.dynamics.solid import Body, solid, workspace
 from palpate.dynamics.solid_energy import EnergyBody, energy_work, solid_energy
 from palpate.dynamics.stability import StabilityReport, choose_viscosity, stable_step
@@ -95,6 +97,8 @@ class FullModel(NodalModel):
         self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
         if form not in ("strong", "energy"):
             raise InputError(f"form = {form!r}: allowed are 'strong' and 'energy'")
+        if material.prony is not None and (form != "energy" or material.variables == "small strain"):
+            raise InputError("tissue that relaxes (prony=) needs form='energy' and a law of finite strain")
         self.form, self.pressure, self.conservative = form, pressure, form == "energy"
         # the cloud's boundary vectors are those of the half cell, c = 2, which the energy form has by itself
         self.half_cell = 1.0 if self.conservative else number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
@@ -162,10 +166,12 @@ class FullModel(NodalModel):
             lanes, first_weights, miss_weights, carriers, back, -both.sum(axis=1),
             smooth_lanes, value, own, back_lanes, back_value,
             material.coefficients, material.lame, HOURGLASS * material.shear_modulus / cloud.spacing**2,
+            relaxation(material),
         )  # fmt: skip
         families = (lanes, smooth_lanes, back_lanes)
         longest = int(max(*(np.diff(family.start).max() for family in families), 4 * np.diff(carriers.start).max()))
-        work = energy_work(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
+        branches = len(body.relaxation.times)
+        work = energy_work(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS, branches)
         self._compile(solid_energy(type(material)), body, work, lanes)
 
     @property
@@ -212,7 +218,31 @@ class FullModel(NodalModel):
         shear = self.material.shear_energy(self.deformation_gradient(displacements))
         misses = self.work.flux[:, 9:]
         pressure = self.material.lame / 2 * self.work.smooth**2
-        return np.asarray(shear + pressure + np.sum(misses**2, axis=1) / (2 * self.body.hourglass))
+        density = np.asarray(shear + pressure + np.sum(misses**2, axis=1) / (2 * self.body.hourglass))
+        if self.material.prony is not None:
+            memory = self.work.memory
+            density += memory.energy.ravel()[self.slot] + self.material.lame * memory.volume_energy
+        return density
+
+    def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
+        if self.material.prony is None:
+            return ()
+        memory = self.work.memory
+        strain = isochoric_strain(self.deformation_gradient(displacements))[self.body.lanes.nodes].transpose(0, 2, 1)
+        memory.branches[:] = 0.0
+        self.force(displacements)
+        return strain.copy(), np.zeros_like(memory.branches), self.work.smooth.copy(), np.zeros_like(memory.volume)
+
+    def _recall(self, state: State) -> None:
+        if self.material.prony is not None:
+            recall(self.work.memory, state.memory)
+
+    def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
+        if self.material.prony is None:
+            return 0.0, ()
+        memory = self.work.memory
+        lost = memory.lost.ravel()[self.slot] + self.material.lame * memory.volume_lost
+        return float(self.volumes @ lost), tuple(array.copy() for array in kept(memory))
 
     def smoothed(self, values: Floats) -> Floats:
         """Return nodal values (n,) as the energy form smooths J - 1 to theta."""

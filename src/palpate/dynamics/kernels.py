@@ -20,12 +20,18 @@ __all__ = [
     "add_blocks",
     "combine",
     "differences",
+    "forgetful",
     "gather_fluxes",
     "internal_force",
     "lift_passes",
     "smooth_field",
     "weights_address",
 ]
+
+
+@njit(cache=True)
+def forgetful(work, interval):  # type: ignore[no-untyped-def]
+    """`Formulation.after` of a body that remembers nothing."""
 
 
 class Formulation(NamedTuple):
@@ -49,6 +55,9 @@ class Formulation(NamedTuple):
     project : function or None
         ``project(table, body, work, volumes, partial, result)``: virtual work of the responses on the columns of the
         table, by way of partial sums (b, m), where the forces are the derivative of an energy.
+    after : function
+        ``after(work, interval)``: the next evaluation is that of an interval [s] later, and remembered by tissue that
+        relaxes; with 0 none is.
     """
 
     digest: str
@@ -58,6 +67,7 @@ class Formulation(NamedTuple):
     differentiate: Any
     finish: Any
     project: Any = None
+    after: Any = forgetful
 
 
 @njit(cache=True, forceinline=True)

@@ -30,7 +30,9 @@ class State:
         Nodal (n, 3) [m], [m/s] for a full model, of modes and lifting columns (M + l,) for a reduced one.
     time : float [s]
     external_work, dissipated : float [J]
-        Work of loads and tools, and work lost to viscosity, since the run began.
+        Work of loads and tools, and work lost to viscosity and relaxation, since the run began.
+    memory : tuple of arrays
+        What relaxing tissue remembers; empty where it does not relax.
     """
 
     coordinates: Floats
@@ -38,6 +40,7 @@ class State:
     time: float = 0.0
     external_work: float = 0.0
     dissipated: float = 0.0
+    memory: tuple[Floats, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -93,9 +93,17 @@ class NodalModel(Model):
         schedule = drive.schedule(np.array([time]))
         holds = schedule.holds[0]
         fields[0][drive.places.driven[holds]] = schedule.motion[0, holds]
-        return State(fields[0], fields[1], time)
+        return State(fields[0], fields[1], time, memory=self._at_ease(fields[0]))
+
+    def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
+        """Memory of a body that has long been where it is; nothing where it does not relax."""
+        return ()
+
+    def _recall(self, state: State) -> None:
+        """Let evaluations start from what a state remembers."""
 
     def stable_step(self, state: State, drive: Drive) -> float:
+        self._recall(state)
         frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
         return stable_step(frequency, self.viscosity)
 
@@ -106,16 +114,23 @@ class NodalModel(Model):
         force, previous, surface, at = self._scratch
         schedule = drive.schedule(times)
         surface[:] = 0.0  # of another run's loads
+        self._recall(state)
         before = 0.0 if self.conservative else tool_power(self, state, drive)
         work, lost, tools = self._advance(
             u, v, step, self.viscosity, self.fastest, self.body, self.work, drive.places, schedule, self.volumes,
             self.material.density, self.slot, self.half_cell, force, previous,
             surface, at,
         )  # fmt: skip
-        new = State(u, v, float(times[-1]), state.external_work + work, state.dissipated + lost)
+        relaxed, memory = self._remembered()
+        dissipated = state.dissipated + lost + relaxed
+        new = State(u, v, float(times[-1]), state.external_work + work, dissipated, memory)
         if not self.conservative:  # trapezium rule for the power of the tools
             tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
         return replace(new, external_work=new.external_work + tools)
+
+    def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
+        """Energy [J] lost to relaxation since the last recall, and what the body remembers now."""
+        return 0.0, ()
 
     def tractions(self, drive: Drive, schedule: Schedule) -> Floats:
         """Return tractions per nodal volume [N/m^3] at a schedule's first time, on the body as last evaluated."""
@@ -124,9 +139,11 @@ class NodalModel(Model):
         return surface
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
+        self._recall(state)
         return evaluate(self, state, drive)
 
     def acceleration(self, state: State, drive: Drive) -> Floats:
+        self._recall(state)
         schedule = drive.schedule(np.array([state.time]))
         force = self.force(state.coordinates + self.viscosity * state.velocities)
         force += self.half_cell * self.tractions(drive, schedule)

@@ -25,7 +25,7 @@ from numba import get_thread_id, njit, prange
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.compiled import kernel_njit, law_digest, law_njit, named_for
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
 from palpate.dynamics.sheet_stretches import make_principal_moduli, make_principal_strong
@@ -100,7 +100,7 @@ def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-unty
             partial[b, m] = total
 
 
-@njit(cache=True)
+@kernel_njit()
 def _project(table, body, work, volumes, partial, result):  # type: ignore[no-untyped-def]
     _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
     add_blocks(partial, result)

@@ -25,10 +25,11 @@ from numba import get_thread_id, njit, prange
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.compiled import kernel_njit, law_digest, law_njit, named_for
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
 from palpate.dynamics.principal import make_principal_stress
+from palpate.dynamics.relaxation import Memory, Relaxation, memory, overstress, relax_volume
 from palpate.dynamics.small_strain import make_linear_stress
 from palpate.tissue.materials import Material
 
@@ -54,6 +55,7 @@ class EnergyBody(NamedTuple):
     coefficients: tuple[float, ...]
     lame: float
     hourglass: float  # s [Pa/m^2]
+    relaxation: Relaxation
 
 
 class EnergyWork(NamedTuple):
@@ -66,9 +68,10 @@ class EnergyWork(NamedTuple):
     dilatation: NDArray[np.float64]  # (n,) J - 1
     smooth: NDArray[np.float64]  # (n,) theta
     pressure: NDArray[np.float64]  # (n,) [Pa]
+    memory: Memory  # of tissue that relaxes
 
 
-def energy_work(nodes: int, blocks: int, longest: int, threads: int) -> EnergyWork:
+def energy_work(nodes: int, blocks: int, longest: int, threads: int, branches: int) -> EnergyWork:
     """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
     return EnergyWork(
         np.zeros((threads, longest, 3, LANES)),
@@ -78,6 +81,7 @@ def energy_work(nodes: int, blocks: int, longest: int, threads: int) -> EnergyWo
         np.zeros(nodes),
         np.zeros(nodes),
         np.zeros(nodes),
+        memory(branches, blocks, nodes),
     )
 
 
@@ -97,14 +101,39 @@ def _add_pressure(lanes, cofactor, pressure, lame, flux):  # type: ignore[no-unt
                     flux[i, 3 * d + c] += lame * pressure[i] * cofactor[b, 3 * c + d, lane]
 
 
+@njit(cache=True, parallel=True)
+def _add_overstress(lanes, stress, flux):  # type: ignore[no-untyped-def]
+    """Add the overstresses (b, 9, LANES) to the stresses."""
+    for b in prange(lanes.nodes.shape[0]):
+        for lane in range(LANES):
+            i = lanes.nodes[b, lane]
+            if lane > 0 and i == lanes.nodes[b, lane - 1]:
+                break  # the last node of an unfilled block is repeated
+            for c in range(3):
+                for d in range(3):
+                    flux[i, 3 * d + c] += stress[b, 3 * c + d, lane]
+
+
 @njit(cache=True)
+def _after(work, interval):  # type: ignore[no-untyped-def]
+    """Let the next evaluation be remembered as that of an interval [s] later; with 0 none is."""
+    work.memory.interval[0] = interval
+
+
+@kernel_njit()
 def _complete(body, work):  # type: ignore[no-untyped-def]
     """From the shear stresses and J - 1 that the deformation pass left: the whole stresses."""
     smooth_field(
         body.smoothing, body.value, body.smoothing_own, work.fields, work.derivatives, work.dilatation, work.smooth
     )
+    effective = work.smooth
+    if body.relaxation.times.shape[0] > 0:
+        overstress(body.relaxation, work.memory, work.cofactor)
+        _add_overstress(body.lanes, work.memory.stress, work.flux)
+        relax_volume(body.relaxation, work.memory, work.smooth, body.lame)
+        effective = work.memory.effective
     smooth_field(body.transposed_smoothing, body.transposed_value, body.smoothing_own, work.fields, work.derivatives,
-            work.smooth, work.pressure)  # fmt: skip
+            effective, work.pressure)  # fmt: skip
     _add_pressure(body.lanes, work.cofactor, work.pressure, body.lame, work.flux)
 
 
@@ -127,7 +156,7 @@ def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-unty
             partial[b, m] = total
 
 
-@njit(cache=True)
+@kernel_njit()
 def _project(table, body, work, volumes, partial, result):  # type: ignore[no-untyped-def]
     _complete(body, work)
     _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
@@ -246,4 +275,4 @@ def solid_energy(law: type[Material]) -> Formulation:
         _complete(body, work)
         gather_fluxes(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
 
-    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, _project)
+    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, _after)

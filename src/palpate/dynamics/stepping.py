@@ -135,7 +135,7 @@ def full_step(formulation: Formulation) -> Any:
         times less one, and returns the work [J] of tractions and gravity, the energy [J] lost to viscosity, and the
         work [J] of the nodal forces that drive nodes.
     """
-    force_of = internal_force(formulation)
+    force_of, after = internal_force(formulation), formulation.after
 
     @law_njit(formulation.digest)
     def advance(  # type: ignore[no-untyped-def]
@@ -164,6 +164,7 @@ def full_step(formulation: Formulation) -> Any:
                 for c in range(3):
                     at[i, c] = u[i, c] + beta * velocity[i, c]
             _slow_jumps(places.driven, schedule.holds[s], u, velocity, beta, fastest, at)
+            after(work, step if s > 0 else 0.0)
             force_of(at, body, work, force)
             change = _viscous_work(force, previous, volumes, u, at)
             if s > 0:
@@ -186,6 +187,7 @@ def full_step(formulation: Formulation) -> Any:
                 if holds[k]:
                     for c in range(3):
                         u[places.driven[k], c] = target[k, c]
+        after(work, 0.0)
         return total, lost, tools
 
     return advance

@@ -336,7 +336,7 @@ def _material(name: str, parameters: dict[str, Any]) -> materials.Material:
         wanted.discard("bulk")
     if parameters.keys() != wanted:
         raise InputError(f"{name} has the parameters {sorted(wanted)}, not {sorted(parameters)}")
-    values = {key: number_in_range(key, value) for key, value in parameters.items()}
+    values: dict[str, Any] = {key: number_in_range(key, value) for key, value in parameters.items()}
     if "bulk" not in values:
         return LAWS[name](**values)
     for derived in ("poisson", "bulk"):

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.faults import InputError, number_in_range
+from palpate.tissue.prony import Prony
 
 __all__ = ["Material", "MooneyRivlin", "NeoHookean", "parameter"]
 
@@ -54,6 +55,8 @@ class Material(ABC):
         Poisson's ratio at rest, 0 to 0.499, or 0.5 for the incompressible material of a membrane. Give this or `bulk`.
     bulk : float, optional [Pa]
         Bulk modulus at rest.
+    prony : Prony, optional
+        How the tissue relaxes; the law is the tissue at its ease.
 
     Raises
     ------
@@ -72,8 +75,11 @@ class Material(ABC):
     density: float
     poisson: float | None = None
     bulk: float | None = None
+    prony: Prony | None = None
 
     def __post_init__(self) -> None:
+        if self.prony is not None and not isinstance(self.prony, Prony):
+            raise InputError(f"prony is {self.prony!r}: give a palpate.Prony")
         number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
         self._check_parameters()
         mu = self.shear_modulus

@@ -18,6 +18,7 @@ import numpy as np
 
 from palpate.faults import InputError
 from palpate.tissue.materials import Material, parameter
+from palpate.tissue.prony import Prony
 from palpate.tissue.stretch_laws import StretchLaw
 
 __all__ = ["Hyperelastic"]
@@ -31,7 +32,13 @@ NEARLY = 1e-9  # share of the sizes of the terms that their sum may miss of zero
 
 
 def Hyperelastic(
-    energy: str, *, density: float, poisson: float | None = None, bulk: float | None = None, **parameters: float
+    energy: str,
+    *,
+    density: float,
+    poisson: float | None = None,
+    bulk: float | None = None,
+    prony: Prony | None = None,
+    **parameters: float,
 ) -> Material:
     """Return the material of an energy that is written down.
 
@@ -43,7 +50,7 @@ def Hyperelastic(
         ``l1``, ``l2``, ``l3``. With + - * / **, exp, log, sqrt, sinh, cosh, tanh, atan, numbers, and parameters under
         any other names.
     density : float [kg/m^3]
-    poisson, bulk : float, optional
+    poisson, bulk, prony
         As for `palpate.Material`.
     **parameters : float
         The values of the energy's parameters, in SI units.
@@ -75,8 +82,8 @@ def Hyperelastic(
         if name not in names:
             raise InputError(f"{name} = {parameters[name]!r} is no parameter of the energy; it has {names or 'none'}")
     law = _law(" ".join(energy.split()))
-    material: Material = law(density=density, poisson=poisson, bulk=bulk, **parameters)
-    return material
+    values: dict[str, Any] = dict(parameters)
+    return law(density=density, poisson=poisson, bulk=bulk, prony=prony, **values)
 
 
 # reading
@@ -151,9 +158,7 @@ def _law(text: str) -> type[Material]:
         "__module__": __name__,
     }
     own = [(name, float, parameter()) for name in parameters]
-    return make_dataclass(
-        "Hyperelastic", own, bases=(base,), namespace=namespace, frozen=True, kw_only=True
-    )
+    return make_dataclass("Hyperelastic", own, bases=(base,), namespace=namespace, frozen=True, kw_only=True)
 
 
 def _check_symmetry(energy: Any, stretches: list[Any]) -> None:

@@ -1,0 +1,254 @@
+"""The compiled overstress of relaxing tissue (`palpate.tissue.prony.Prony`), and the memory that it needs.
+
+Between two evaluations that are an interval h apart, the isochoric strain is taken to change evenly. Then
+
+    A(t + h) = exp(-h / tau) A(t) + (1 - exp(-h / tau)) tau / h (C̄(t + h) - C̄(t))
+
+is exact, whatever h, and so is what is lost in between. An evaluation with h = 0 answers at once (the limit) and is
+not remembered: it asks what the forces would be. The overstress follows from the branches' energy,
+
+    P = J^(-2/3) (F Q - (Q : C) / (3 J) cof F),     Q = sum of mu_i A_i.
+
+F comes from its cofactor, cof(cof F) = J F, which all passes leave behind.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from palpate.dynamics.lanes import LANES
+from palpate.tissue.materials import Material
+
+__all__ = [
+    "Memory",
+    "Relaxation",
+    "isochoric_strain",
+    "kept",
+    "memory",
+    "overstress",
+    "recall",
+    "relax_volume",
+    "relaxation",
+]
+
+Floats = NDArray[np.float64]
+
+LEAST = 0.1  # volume ratio that a crushed point counts with
+
+
+class Relaxation(NamedTuple):
+    """The branches: shear moduli, bulk moduli [Pa] and times [s], (k,) each."""
+
+    moduli: Floats
+    bulk: Floats
+    times: Floats
+
+
+class Memory(NamedTuple):
+    """What relaxing tissue remembers, point by point in blocks of lanes.
+
+    Parameters
+    ----------
+    interval : (1,) array [s]
+        From the last evaluation that was remembered to the next; 0 to ask without remembering.
+    strain : (b, 6, LANES) array
+        C̄ as last remembered: 00 11 22 01 02 12.
+    branches : (b, k, 6, LANES) array
+        A_i.
+    dilatation : (v,) array
+        What the bulk modulus multiplies, as last remembered: theta of the nodes, or the moments of a reduced model.
+    volume : (v, k) array
+        Its branches.
+    effective : (v,) array
+        It and what its branches add, as last evaluated.
+    stress : (b, 9, LANES) array [Pa]
+        Overstress, as last evaluated, row by row.
+    energy, lost : (b, LANES) arrays [J/m^3]
+        Stored in the branches as last evaluated; lost in them since it was last set to zero.
+    volume_energy, volume_lost : (v,) arrays
+        The same of the volume's, over its modulus.
+    """
+
+    interval: Floats
+    strain: Floats
+    branches: Floats
+    dilatation: Floats
+    volume: Floats
+    effective: Floats
+    stress: Floats
+    energy: Floats
+    lost: Floats
+    volume_energy: Floats
+    volume_lost: Floats
+
+
+def relaxation(material: Material) -> Relaxation:
+    """Return the branches of a material; none if it does not relax."""
+    series = material.prony
+    if series is None:
+        return Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))
+    bulk = np.array(series.bulk_shares or (0.0,) * len(series.times))
+    shares = np.array(series.shares)
+    return Relaxation(shares * material.shear_modulus, bulk * material.bulk_modulus, np.array(series.times))
+
+
+def memory(branches: int, blocks: int, volumes: int) -> Memory:
+    """Allocate the memory of a body at rest that has always been there."""
+    if branches == 0:
+        blocks = volumes = 0
+    kept = Memory(
+        np.zeros(1),
+        np.zeros((blocks, 6, LANES)),
+        np.zeros((blocks, branches, 6, LANES)),
+        np.zeros(volumes),
+        np.zeros((volumes, branches)),
+        np.zeros(volumes),
+        np.zeros((blocks, 9, LANES)),
+        np.zeros((blocks, LANES)),
+        np.zeros((blocks, LANES)),
+        np.zeros(volumes),
+        np.zeros(volumes),
+    )
+    kept.strain[:, :3] = 1.0
+    return kept
+
+
+def kept(of: Memory) -> tuple[Floats, ...]:
+    """What a memory must not forget between evaluations."""
+    return of.strain, of.branches, of.dilatation, of.volume
+
+
+def recall(into: Memory, remembered: tuple[Floats, ...]) -> None:
+    """Let a memory go on from what was kept; what it has lost is counted anew."""
+    for own, old in zip(kept(into), remembered, strict=True):
+        own[:] = old
+    into.lost[:] = 0.0
+    into.volume_lost[:] = 0.0
+
+
+def isochoric_strain(F: Floats) -> Floats:
+    """Return C̄ (..., 6) as 00 11 22 01 02 12 for deformation gradients (..., 3, 3)."""
+    C = np.swapaxes(F, -1, -2) @ F * np.maximum(np.linalg.det(F), LEAST)[..., None, None] ** (-2 / 3)
+    return np.stack([C[..., 0, 0], C[..., 1, 1], C[..., 2, 2], C[..., 0, 1], C[..., 0, 2], C[..., 1, 2]], axis=-1)
+
+
+@njit(cache=True)
+def _fade(interval, time):  # type: ignore[no-untyped-def]
+    """What is left of a branch after an interval, and what of an even change in it."""
+    if interval == 0.0:
+        return 1.0, 1.0
+    ratio = interval / time
+    return np.exp(-ratio), -np.expm1(-ratio) / ratio
+
+
+@njit(cache=True, forceinline=True)
+def _lost(a, added, interval, time):  # type: ignore[no-untyped-def]
+    """Integral of A^2 / tau over an interval in which A begins at a and the strain changes evenly by `added`."""
+    rate = added * time / interval
+    ratio = interval / time
+    b = a - rate
+    once, twice = -np.expm1(-ratio), -np.expm1(-2.0 * ratio)
+    return 0.5 * b * b * twice + 2.0 * b * rate * once + rate * rate * ratio
+
+
+@njit(cache=True, forceinline=True)
+def _isochoric(c):  # type: ignore[no-untyped-def]
+    """Return F, J, J^(-2/3) and C̄ from cof F (nine numbers, row by row)."""
+    det = c[0] * (c[4] * c[8] - c[5] * c[7]) - c[1] * (c[3] * c[8] - c[5] * c[6]) + c[2] * (c[3] * c[7] - c[4] * c[6])
+    J = np.sqrt(max(det, LEAST * LEAST))
+    r = 1.0 / J
+    F = (
+        r * (c[4] * c[8] - c[5] * c[7]), r * (c[5] * c[6] - c[3] * c[8]), r * (c[3] * c[7] - c[4] * c[6]),
+        r * (c[2] * c[7] - c[1] * c[8]), r * (c[0] * c[8] - c[2] * c[6]), r * (c[1] * c[6] - c[0] * c[7]),
+        r * (c[1] * c[5] - c[2] * c[4]), r * (c[2] * c[3] - c[0] * c[5]), r * (c[0] * c[4] - c[1] * c[3]),
+    )  # fmt: skip
+    scale = J ** (-2.0 / 3.0)
+    C = (
+        scale * (F[0] * F[0] + F[3] * F[3] + F[6] * F[6]), scale * (F[1] * F[1] + F[4] * F[4] + F[7] * F[7]),
+        scale * (F[2] * F[2] + F[5] * F[5] + F[8] * F[8]), scale * (F[0] * F[1] + F[3] * F[4] + F[6] * F[7]),
+        scale * (F[0] * F[2] + F[3] * F[5] + F[6] * F[8]), scale * (F[1] * F[2] + F[4] * F[5] + F[7] * F[8]),
+    )  # fmt: skip
+    return F, J, scale, C
+
+
+@njit(cache=True, forceinline=True)
+def _remember(relaxation, memory, b, v, C, interval):  # type: ignore[no-untyped-def]
+    """Bring the branches and the strain of one point up to date."""
+    for k in range(relaxation.times.shape[0]):
+        left, new = _fade(interval, relaxation.times[k])
+        lost = 0.0
+        for q in range(6):
+            old, change = memory.branches[b, k, q, v], C[q] - memory.strain[b, q, v]
+            lost += (1.0 if q < 3 else 2.0) * _lost(old, change, interval, relaxation.times[k])
+            memory.branches[b, k, q, v] = left * old + new * change
+        memory.lost[b, v] += 0.5 * relaxation.moduli[k] * lost
+    for q in range(6):
+        memory.strain[b, q, v] = C[q]
+
+
+@njit(cache=True, fastmath={"contract"})
+def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyped-def]
+    """Write the overstress of the points of one block."""
+    old, kept, stress = memory.branches[b], memory.strain[b], memory.stress[b]
+    for v in range(LANES):
+        c = (cofactor[b, 0, v], cofactor[b, 1, v], cofactor[b, 2, v], cofactor[b, 3, v], cofactor[b, 4, v],
+             cofactor[b, 5, v], cofactor[b, 6, v], cofactor[b, 7, v], cofactor[b, 8, v])  # fmt: skip
+        F, J, scale, C = _isochoric(c)
+        Q0, Q1, Q2, Q3, Q4, Q5, stored = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(relaxation.times.shape[0]):
+            left, new = _fade(interval, relaxation.times[k])
+            mu = relaxation.moduli[k]
+            A0, A1 = left * old[k, 0, v] + new * (C[0] - kept[0, v]), left * old[k, 1, v] + new * (C[1] - kept[1, v])
+            A2, A3 = left * old[k, 2, v] + new * (C[2] - kept[2, v]), left * old[k, 3, v] + new * (C[3] - kept[3, v])
+            A4, A5 = left * old[k, 4, v] + new * (C[4] - kept[4, v]), left * old[k, 5, v] + new * (C[5] - kept[5, v])
+            Q0, Q1, Q2 = Q0 + mu * A0, Q1 + mu * A1, Q2 + mu * A2
+            Q3, Q4, Q5 = Q3 + mu * A3, Q4 + mu * A4, Q5 + mu * A5
+            stored += 0.25 * mu * (A0 * A0 + A1 * A1 + A2 * A2 + 2.0 * (A3 * A3 + A4 * A4 + A5 * A5))
+        memory.energy[b, v] = stored
+        if interval > 0.0:
+            _remember(relaxation, memory, b, v, C, interval)
+        trace = Q0 * C[0] + Q1 * C[1] + Q2 * C[2] + 2.0 * (Q3 * C[3] + Q4 * C[4] + Q5 * C[5])
+        trace /= 3.0 * J
+        for i in range(3):
+            x, y, z = scale * F[3 * i], scale * F[3 * i + 1], scale * F[3 * i + 2]
+            stress[3 * i, v] = x * Q0 + y * Q3 + z * Q4 - trace * c[3 * i]
+            stress[3 * i + 1, v] = x * Q3 + y * Q1 + z * Q5 - trace * c[3 * i + 1]
+            stress[3 * i + 2, v] = x * Q4 + y * Q5 + z * Q2 - trace * c[3 * i + 2]
+
+
+@njit(cache=True, parallel=True)
+def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
+    """Write the overstress of all points into `memory.stress`; remember their strain if the interval is not 0.
+
+    `cofactor` is cof F, (b, 9, LANES), row by row.
+    """
+    for b in prange(cofactor.shape[0]):
+        _answer(relaxation, memory, cofactor, b, memory.interval[0])
+
+
+@njit(cache=True)
+def relax_volume(relaxation, memory, values, modulus):  # type: ignore[no-untyped-def]
+    """Write values (v,) that a modulus [Pa] multiplies, and what their branches add, into `memory.effective`."""
+    interval = memory.interval[0]
+    for i in range(values.shape[0]):
+        total, stored, gone = values[i], 0.0, 0.0
+        change = values[i] - memory.dilatation[i]
+        for k in range(relaxation.times.shape[0]):
+            share = relaxation.bulk[k] / modulus
+            left, new = _fade(interval, relaxation.times[k])
+            old = memory.volume[i, k]
+            now = left * old + new * change
+            total += share * now
+            stored += 0.5 * share * now * now
+            if interval > 0.0:
+                gone += share * _lost(old, change, interval, relaxation.times[k])
+                memory.volume[i, k] = now
+        memory.effective[i] = total
+        memory.volume_energy[i] = stored
+        if interval > 0.0:
+            memory.volume_lost[i] += gone
+            memory.dilatation[i] = values[i]

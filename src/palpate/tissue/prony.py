@@ -1,0 +1,74 @@
+"""Relaxation: how much stiffer tissue is than its law, and for how long."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.faults import InputError, number_in_range
+
+__all__ = ["Prony"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prony:
+    """A Prony series of overstresses that a law's stress is joined by and that fade with time.
+
+    The law is the tissue at its ease; a branch i is a Maxwell element beside it, of finite isochoric strain
+    (Holzapfel and Simo, Int. J. Solids Struct. 33, 1996). Its strain A_i follows that of the tissue and fades,
+
+        dA_i/dt = dC̄/dt - A_i / tau_i,     C̄ = J^(-2/3) C,
+
+    it stores s_i mu/4 |A_i|^2 and loses s_i mu/2 |A_i|^2 / tau_i, mu the law's shear modulus at rest: energy is lost,
+    never made. At small strain the relaxation modulus is mu (1 + sum of s_i exp(-t / tau_i)), and the storage and loss
+    moduli are mu (1 + sum of s_i (w tau_i)^2 / (1 + (w tau_i)^2)) and mu sum of s_i w tau_i / (1 + (w tau_i)^2).
+
+    Parameters
+    ----------
+    shares : float or sequence of float
+        s_i, each branch's shear modulus over the law's at rest; positive.
+    times : float or sequence of float [s]
+        tau_i, positive; one for each share.
+    bulk_shares : float or sequence of float, optional
+        The same of the bulk modulus, with the same times: branches of J - 1. By default none: the volume does not
+        relax.
+
+    Raises
+    ------
+    InputError
+        A number out of range, or sequences of other lengths.
+    """
+
+    shares: tuple[float, ...]
+    times: tuple[float, ...]
+    bulk_shares: tuple[float, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name, low_open in (("shares", True), ("times", True), ("bulk_shares", False)):
+            given = getattr(self, name)
+            listed: Sequence[float] = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
+            unit = "s" if name == "times" else ""
+            numbers = [
+                number_in_range(f"{name}[{i}]", value, 0.0, open_low=low_open, unit=unit)
+                for i, value in enumerate(listed)
+            ]
+            object.__setattr__(self, name, tuple(numbers))
+        if not self.shares or len(self.shares) != len(self.times):
+            raise InputError(f"{len(self.shares)} shares and {len(self.times)} times: give as many, at least one")
+        if self.bulk_shares and len(self.bulk_shares) != len(self.times):
+            raise InputError(f"{len(self.bulk_shares)} bulk_shares and {len(self.times)} times: give as many, or none")
+
+    def relaxation(self, times: Floats) -> Floats:
+        """Return the relaxation modulus over that at ease, 1 + sum of s_i exp(-t / tau_i), at some times [s]."""
+        decay = np.exp(-np.asarray(times, dtype=float)[..., None] / np.array(self.times))
+        return np.asarray(1 + decay @ np.array(self.shares))
+
+    def complex_modulus(self, frequencies: Floats) -> NDArray[np.complex128]:
+        """Return storage + i loss modulus over the modulus at ease, at some circular frequencies [rad/s]."""
+        turned = 1j * np.asarray(frequencies, dtype=float)[..., None] * np.array(self.times)
+        return np.asarray(1 + (turned / (1 + turned)) @ np.array(self.shares))
