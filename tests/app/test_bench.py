@@ -90,6 +90,8 @@ def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, c
         assert fast["ratio"][form] == pytest.approx(fast["wall_seconds"] / full["wall_seconds"])
     assert large["table_bytes"] == 24 * 6 * 9 * 4
     assert large["force_over_reading"] == pytest.approx(large["force_seconds"] / large["read_seconds"])
+    expected = large["force_seconds"] / large["memory_read_seconds"]
+    assert large["force_over_memory_reading"] == pytest.approx(expected)
     first, second = large["bodies"]
     assert (first["nodes"], second["nodes"]) == (64, 125)
     ratio = second["compiled_seconds_per_step"] / first["compiled_seconds_per_step"]
@@ -97,6 +99,18 @@ def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, c
     table = (out / "table.md").read_text().splitlines()
     assert all(line.count("|") == 3 for line in table)
     assert f"{100 * fast['ratio']['strong']:.2g} % (strong form)" in "".join(table)
+
+
+def test_what_was_measured_before_a_run_diverged_is_kept(small, tmp_path, capsys, monkeypatch):
+    def diverged(*_):
+        raise pt.DivergenceError("no step is stable at t = 0.1 s")
+
+    monkeypatch.setattr("palpate.app.bench.command.beam_case", diverged)
+    assert main(["bench", "--repeats", "1", "--out", str(tmp_path)]) == 0
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["beam"] == []
+    assert report["large"]["force_seconds"] > 0
+    assert "5 mm: failed: no step is stable" in capsys.readouterr().err
 
 
 def test_no_rounds_are_refused_before_anything_is_measured(tmp_path, assert_refused):

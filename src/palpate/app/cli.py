@@ -186,7 +186,7 @@ def _add_bench(commands: Any) -> None:
         "table in Markdown. All ratios are from one run; nothing else should keep the processors busy.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    bench.add_argument("--fine", action="store_true", help="measure the beam at 2.5 mm, too (many minutes a round)")
+    bench.add_argument("--fine", action="store_true", help="measure the beam at 2.5 mm, too (some ten minutes)")
     bench.add_argument("--repeats", type=int, default=3, metavar="K", help="rounds of the long runs")
     _add_results(bench, Path("out/bench"))
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.bench.timing import force_seconds, median_seconds, step_seconds
+from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
 from palpate.app.console import Console
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import Load, Traction
@@ -33,18 +33,19 @@ BODIES = (10, 27)  # nodes along the edges of a block: 1,000 and 19,683 nodes
 EDGE = 0.05  # [m]
 FRAMES, LASTING, STEP = 24, 0.006, 0.9  # of a training run of the block: snapshots, time [s], share of the stable step
 LOOSE = 0.1  # what the cubature may miss: the model is for timing alone, and its nodes are spread to SAMPLED
+LARGE = 256_000_000  # bytes that no cache holds
 CHUNK = 50  # steps that `rollout` takes at once
 
 # forces [N] and moments [N m] on the block's face, each with its own number of swings
 PULLS = (((8.0, 0.0, 0.0), 0.0), ((0.0, 3.0, 1.0), 0.0), ((-2.0, 1.0, -3.0), 0.0), ((1.0, 0.0, 0.0), 0.1))
 
 
-def beam_case(spacing: float, repeats: int, console: Console) -> dict[str, Any]:
-    """Measure the paper's pull of the beam [m]: both forms of the full model, and the hyper-reduced one."""
+def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Console) -> dict[str, Any]:
+    """Measure the paper's pull of the beam [m]: forms of the full model, and the hyper-reduced one."""
     scene = beam(spacing=spacing)
     strong = cast(FullModel, scene.model)
-    energy = FullModel(strong.cloud, strong.material, strong.fixed, form="energy")
-    seconds: dict[str, list[float]] = {"strong": [], "energy": [], "reduced": []}
+    bodies = {"strong": strong, "energy": FullModel(strong.cloud, strong.material, strong.fixed, form="energy")}
+    seconds: dict[str, list[float]] = {form: [] for form in (*forms, "reduced")}
     steps: dict[str, int] = {}
 
     def pull(name: str, model: Model) -> Trajectory:
@@ -59,9 +60,8 @@ def beam_case(spacing: float, repeats: int, console: Console) -> dict[str, Any]:
 
     fast: ReducedModel | None = None
     for _ in range(repeats):
-        run = pull("strong", strong)
-        pull("energy", energy)
-        fast = fast or reduce(strong, run, modes=FEW)
+        runs = [pull(form, bodies[form]) for form in forms]
+        fast = fast or reduce(bodies[forms[0]], runs[0], modes=FEW)
         pull("reduced", fast)
     assert fast is not None
     drive = fast.drive(scene.loads)
@@ -104,6 +104,7 @@ def large_case(repeats: int, console: Console) -> dict[str, Any]:
     small, rounds = found[0][0], max(repeats, 15)
     force, reading = force_seconds(small, rounds)
     table = small._samples.table.nbytes
+    from_memory = table * read_seconds(np.ones(LARGE // 8), repeats=rounds) / LARGE
     steps = step_seconds(*found, repeats=rounds)
     chunks = median_seconds(*(_chunk(*each) for each in found), repeats=rounds)
     return {
@@ -114,6 +115,8 @@ def large_case(repeats: int, console: Console) -> dict[str, Any]:
         "read_seconds": reading,
         "read_bytes_per_second": table / reading,
         "force_over_reading": force / reading,
+        "memory_read_seconds": from_memory,
+        "force_over_memory_reading": force / from_memory,
         "bodies": [
             {"nodes": n**3, "compiled_seconds_per_step": step, "seconds_per_step": chunk / CHUNK}
             for n, step, chunk in zip(BODIES, steps, chunks, strict=True)
