@@ -107,14 +107,15 @@ class Gent(Material):
 
     @staticmethod
     def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
-        y = (I1 - 3.0 - 2.0 * np.log(J)) / c[1]
+        y = (I1 - 3.0 - 2.0 * np.log(J)) * (1.0 / c[1])
         z = np.minimum(y, 0.95)
-        beyond = (y - z) / (1.0 - z)
+        r = 1.0 / (1.0 - z)
+        beyond = (y - z) * r
         return 0.5 * c[0] * c[1] * (beyond * (1.0 + 0.5 * beyond) - np.log(1.0 - z))
 
     @staticmethod
     def first(I1, I2, J, c):  # type: ignore[no-untyped-def]
-        y = (I1 - 3.0 - 2.0 * np.log(J)) / c[1]
+        y = (I1 - 3.0 - 2.0 * np.log(J)) * (1.0 / c[1])
         z = np.minimum(y, 0.95)
         r = 1.0 / (1.0 - z)
         f1 = 0.5 * c[0] * r * (1.0 + (y - z) * r)
@@ -122,7 +123,7 @@ class Gent(Material):
 
     @staticmethod
     def second(I1, I2, J, c):  # type: ignore[no-untyped-def]
-        y = (I1 - 3.0 - 2.0 * np.log(J)) / c[1]
+        y = (I1 - 3.0 - 2.0 * np.log(J)) * (1.0 / c[1])
         z = np.minimum(y, 0.95)
         r = 1.0 / (1.0 - z)
         f1 = 0.5 * c[0] * r * (1.0 + (y - z) * r)
