@@ -14,7 +14,7 @@ from palpate.dynamics.lanes import lane_table, transposed
 from palpate.dynamics.loads import Drive, Load, drive
 from palpate.dynamics.model import State
 from palpate.dynamics.nodal import NodalModel
-from palpate.dynamics.relaxation import isochoric_strain, kept, recall, relaxation
+from palpate.dynamics.relaxation import at_ease, recall, relaxation, remembered
 from palpate.dynamics.solid import Body, solid, workspace
 from palpate.dynamics.solid_energy import EnergyBody, energy_work, solid_energy
 from palpate.dynamics.stability import StabilityReport, choose_viscosity, stable_step
@@ -225,16 +225,10 @@ class FullModel(NodalModel):
         return density
 
     def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
-        if self.material.prony is None:
-            return ()
-        memory = self.work.memory
-        strain = isochoric_strain(self.deformation_gradient(displacements))[self.body.lanes.nodes].transpose(0, 2, 1)
-        memory.branches[:] = 0.0
-        self.force(displacements)
-        return strain.copy(), np.zeros_like(memory.branches), self.work.smooth.copy(), np.zeros_like(memory.volume)
+        return at_ease(self.work.memory, lambda: self.force(displacements)) if self.conservative else ()
 
     def _recall(self, state: State) -> None:
-        if self.material.prony is not None:
+        if self.conservative:
             recall(self.work.memory, state.memory)
 
     def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
@@ -242,7 +236,7 @@ class FullModel(NodalModel):
             return 0.0, ()
         memory = self.work.memory
         lost = memory.lost.ravel()[self.slot] + self.material.lame * memory.volume_lost
-        return float(self.volumes @ lost), tuple(array.copy() for array in kept(memory))
+        return float(self.volumes @ lost), remembered(memory)
 
     def smoothed(self, values: Floats) -> Floats:
         """Return nodal values (n,) as the energy form smooths J - 1 to theta."""

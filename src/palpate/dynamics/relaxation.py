@@ -14,6 +14,7 @@ F comes from its cofactor, cof(cof F) = J F, which all passes leave behind.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -26,13 +27,15 @@ from palpate.tissue.materials import Material
 __all__ = [
     "Memory",
     "Relaxation",
-    "isochoric_strain",
-    "kept",
+    "at_ease",
+    "forget",
     "memory",
     "overstress",
+    "overstress_alone",
     "recall",
     "relax_volume",
     "relaxation",
+    "remembered",
 ]
 
 Floats = NDArray[np.float64]
@@ -41,7 +44,7 @@ LEAST = 0.1  # volume ratio that a crushed point counts with
 
 
 class Relaxation(NamedTuple):
-    """The branches: shear moduli, bulk moduli [Pa] and times [s], (k,) each."""
+    """The branches: shear moduli [Pa], bulk moduli over the law's volumetric coefficient, times [s], (k,) each."""
 
     moduli: Floats
     bulk: Floats
@@ -53,8 +56,9 @@ class Memory(NamedTuple):
 
     Parameters
     ----------
-    interval : (1,) array [s]
-        From the last evaluation that was remembered to the next; 0 to ask without remembering.
+    interval : (2,) array [s]
+        From the last evaluation that was remembered to the next, 0 to ask without remembering; and the time that has
+        passed since, where the steps keep it.
     strain : (b, 6, LANES) array
         C̄ as last remembered: 00 11 22 01 02 12.
     branches : (b, k, 6, LANES) array
@@ -93,7 +97,9 @@ def relaxation(material: Material) -> Relaxation:
         return Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))
     bulk = np.array(series.bulk_shares or (0.0,) * len(series.times))
     shares = np.array(series.shares)
-    return Relaxation(shares * material.shear_modulus, bulk * material.bulk_modulus, np.array(series.times))
+    return Relaxation(
+        shares * material.shear_modulus, bulk * material.bulk_modulus / material.lame, np.array(series.times)
+    )
 
 
 def memory(branches: int, blocks: int, volumes: int) -> Memory:
@@ -101,7 +107,7 @@ def memory(branches: int, blocks: int, volumes: int) -> Memory:
     if branches == 0:
         blocks = volumes = 0
     kept = Memory(
-        np.zeros(1),
+        np.zeros(2),
         np.zeros((blocks, 6, LANES)),
         np.zeros((blocks, branches, 6, LANES)),
         np.zeros(volumes),
@@ -117,23 +123,35 @@ def memory(branches: int, blocks: int, volumes: int) -> Memory:
     return kept
 
 
-def kept(of: Memory) -> tuple[Floats, ...]:
-    """What a memory must not forget between evaluations."""
+def _kept(of: Memory) -> tuple[Floats, ...]:
     return of.strain, of.branches, of.dilatation, of.volume
 
 
-def recall(into: Memory, remembered: tuple[Floats, ...]) -> None:
-    """Let a memory go on from what was kept; what it has lost is counted anew."""
-    for own, old in zip(kept(into), remembered, strict=True):
-        own[:] = old
+def recall(into: Memory, old: tuple[Floats, ...]) -> None:
+    """Let a memory go on from what was remembered; what it has lost is counted anew."""
+    if not into.branches.size:
+        return
+    for own, was in zip(_kept(into), old, strict=True):
+        own[:] = was
     into.lost[:] = 0.0
     into.volume_lost[:] = 0.0
 
 
-def isochoric_strain(F: Floats) -> Floats:
-    """Return C̄ (..., 6) as 00 11 22 01 02 12 for deformation gradients (..., 3, 3)."""
-    C = np.swapaxes(F, -1, -2) @ F * np.maximum(np.linalg.det(F), LEAST)[..., None, None] ** (-2 / 3)
-    return np.stack([C[..., 0, 0], C[..., 1, 1], C[..., 2, 2], C[..., 0, 1], C[..., 0, 2], C[..., 1, 2]], axis=-1)
+def at_ease(of: Memory, evaluate: Callable[[], object]) -> tuple[Floats, ...]:
+    """Return what a body remembers that has long been in the state that is evaluated; nothing if it does not relax."""
+    if not of.branches.size:
+        return ()
+    of.interval[0] = 1.0  # any: the strain is remembered, and the branches then have faded
+    evaluate()
+    of.interval[:] = 0.0
+    of.branches[:] = 0.0
+    of.volume[:] = 0.0
+    return remembered(of)
+
+
+def remembered(of: Memory) -> tuple[Floats, ...]:
+    """Return copies of what a memory must not forget between evaluations; nothing if the body does not relax."""
+    return tuple(array.copy() for array in _kept(of)) if of.branches.size else ()
 
 
 @njit(cache=True)
@@ -220,6 +238,26 @@ def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyp
             stress[3 * i + 2, v] = x * Q4 + y * Q5 + z * Q2 - trace * c[3 * i + 2]
 
 
+@njit(cache=True)
+def overstress_alone(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
+    """Do as `overstress` on one thread."""
+    for b in range(cofactor.shape[0]):
+        _answer(relaxation, memory, cofactor, b, memory.interval[0])
+
+
+@njit(cache=True)
+def forget(memory):  # type: ignore[no-untyped-def]
+    """Let a memory be that of a body that has always been at rest."""
+    for b in range(memory.strain.shape[0]):
+        for q in range(6):
+            for v in range(LANES):
+                memory.strain[b, q, v] = 1.0 if q < 3 else 0.0
+    memory.branches[:] = 0.0
+    memory.dilatation[:] = 0.0
+    memory.volume[:] = 0.0
+    memory.interval[:] = 0.0
+
+
 @njit(cache=True, parallel=True)
 def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
     """Write the overstress of all points into `memory.stress`; remember their strain if the interval is not 0.
@@ -231,14 +269,14 @@ def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def relax_volume(relaxation, memory, values, modulus):  # type: ignore[no-untyped-def]
-    """Write values (v,) that a modulus [Pa] multiplies, and what their branches add, into `memory.effective`."""
+def relax_volume(relaxation, memory, values):  # type: ignore[no-untyped-def]
+    """Write values (v,) that the volumetric coefficient multiplies, and what branches add, to `memory.effective`."""
     interval = memory.interval[0]
     for i in range(values.shape[0]):
         total, stored, gone = values[i], 0.0, 0.0
         change = values[i] - memory.dilatation[i]
         for k in range(relaxation.times.shape[0]):
-            share = relaxation.bulk[k] / modulus
+            share = relaxation.bulk[k]
             left, new = _fade(interval, relaxation.times[k])
             old = memory.volume[i, k]
             now = left * old + new * change

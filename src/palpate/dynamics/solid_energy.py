@@ -130,7 +130,7 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
     if body.relaxation.times.shape[0] > 0:
         overstress(body.relaxation, work.memory, work.cofactor)
         _add_overstress(body.lanes, work.memory.stress, work.flux)
-        relax_volume(body.relaxation, work.memory, work.smooth, body.lame)
+        relax_volume(body.relaxation, work.memory, work.smooth)
         effective = work.memory.effective
     smooth_field(body.transposed_smoothing, body.transposed_value, body.smoothing_own, work.fields, work.derivatives,
             effective, work.pressure)  # fmt: skip

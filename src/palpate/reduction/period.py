@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.dynamics.relaxation import forget
 from palpate.faults import InputError
 from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import Samples, Scratch, sampled_energy, scratch
@@ -183,7 +184,10 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for _ in range(steps):
             for m in range(count):
                 at[m] = q[m] + data.beta * v[m]
+            clock = data.scratch.memory.interval
+            clock[0] = clock[1]
             force(at, data.samples, data.scratch, result)
+            clock[0], clock[1] = 0.0, step
             for m in range(modes):
                 value = 0.0
                 for k in range(modes):
@@ -268,6 +272,8 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         report[:] = 0.0
         kept[:] = q
         before[:] = v
+        if not q.any() and not v.any():  # at rest: begun, or begun again
+            forget(data.scratch.memory)
         follow(data, q)
         change = data.vectors[4]  # of the velocities, at the start of the period
         for j in range(modes, count):
@@ -345,12 +351,13 @@ def realtime_model(model: ReducedModel, longest: float) -> RealtimeModel:
     which = np.r_[:count, len(parts.columns) - parts.witnesses : len(parts.columns)]
     watched = model.sampled(which)
     frequency, steps = model._highest(np.zeros(count)), int(np.ceil(longest / (model.step or longest)))
-    vectors = np.zeros((8, count))
+    own, vectors = scratch(model._samples), np.zeros((8, count))
     vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
     data = PeriodData(
         parts.modes, model.viscosity, model.step or 0.0, model.tolerance, model.mass, model._held,
-        model._differences, model._samples, scratch(model._samples), newton(count),
-        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, parts.leeway, watched, scratch(watched),
+        model._differences, model._samples, own, newton(count),
+        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, parts.leeway,
+        watched, scratch(watched, own.memory),
         model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
         model.stiffness(np.zeros(count)), np.zeros((count, count)), np.array([frequency, frequency, 0.0]),
         np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),

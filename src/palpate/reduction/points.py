@@ -14,8 +14,10 @@ from typing import Any
 from numba.extending import register_jitable
 
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.principal_point import make_principal_point
 from palpate.dynamics.sheet import make_moduli
 from palpate.dynamics.solid_energy import make_stress
+from palpate.faults import InputError
 from palpate.tissue.materials import Material
 
 __all__ = ["Kinematics", "PointLaw", "point_law"]
@@ -65,31 +67,33 @@ def point_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tup
     """Return the compiled law of a body's points, and its coefficients."""
     law = type(material)
     if kinematics.sheet:
-        compiled = _sheet_point(law.energy, law.first, law.second, kinematics.relaxed)
+        compiled = _sheet_point(law, kinematics.relaxed)
         return compiled, (kinematics.prestretch, *material.coefficients)
-    return _solid_point(law.energy, law.first), material.coefficients
+    if law.variables == "small strain":
+        raise InputError(f"{law.__name__} is for small strain: it has no reduced model; take a law of finite strain")
+    if law.variables == "stretches":
+        return _stretched_point(law.energy, law.first, law.second), material.coefficients
+    return _solid_point(law.energy, law.first, law.second), material.coefficients
 
 
 @cache
-def _solid_point(energy_of: Any, first_of: Any) -> PointLaw:
+def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
     """Compile the points of a solid; where one is crushed or inside out, W_s goes on as a parabola in J."""
-    digest = law_digest("solid point", energy_of, first_of)
-    energy_density, slopes = (register_jitable(named_for(digest, f)) for f in (energy_of, first_of))
-
-    @register_jitable
-    def beyond(I1, I2, coefficients):  # type: ignore[no-untyped-def]
-        """Slope of the energy by J where a sample counts as crushed, and how fast it changes there."""
-        slope = slopes(I1, I2, CRUSHED, coefficients)[2]
-        return slope, (slopes(I1, I2, 1.01 * CRUSHED, coefficients)[2] - slope) / (0.01 * CRUSHED)
+    digest = law_digest("solid point", energy_of, first_of, second_of)
+    energy_density, slopes, bends = (
+        register_jitable(named_for(digest, f)) for f in (energy_of, first_of, second_of)
+    )
 
     @register_jitable
     def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
         """The law's first derivatives, gone on with below CRUSHED."""
         W1, W2, WJ = slopes(I1, I2, max(J, CRUSHED), coefficients)
         if J < CRUSHED:
-            slope, rise = beyond(I1, I2, coefficients)
-            WJ = slope + rise * (J - CRUSHED)
-        return W1, W2, WJ
+            _, _, _, W1J, W2J, _ = bends(I1, I2, CRUSHED, coefficients)
+            _, _, _, _, _, rise = bends(3.0, 3.0, CRUSHED, coefficients)
+            less = J - CRUSHED
+            return W1 + W1J * less, W2 + W2J * less, WJ + rise * less
+        return W1 + 0.0, W2 + 0.0, WJ + 0.0
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
@@ -102,7 +106,8 @@ def _solid_point(energy_of: Any, first_of: Any) -> PointLaw:
         I2 = C00 * C11 + C00 * C22 + C11 * C22 - C01 * C01 - C02 * C02 - C12 * C12
         W = energy_density(I1, I2, max(J, CRUSHED), coefficients)
         if J < CRUSHED:
-            slope, rise = beyond(I1, I2, coefficients)
+            _, _, slope = slopes(I1, I2, CRUSHED, coefficients)
+            _, _, _, _, _, rise = bends(3.0, 3.0, CRUSHED, coefficients)
             W += (slope + 0.5 * rise * (J - CRUSHED)) * (J - CRUSHED)
         return W, J - 1.0
 
@@ -110,10 +115,17 @@ def _solid_point(energy_of: Any, first_of: Any) -> PointLaw:
 
 
 @cache
-def _sheet_point(energy_of: Any, first_of: Any, second_of: Any, relaxed: bool) -> PointLaw:
+def _stretched_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
+    """Compile the points of a solid whose law is one of the principal stretches."""
+    digest = law_digest("stretched point", energy_of, first_of, second_of)
+    return PointLaw(digest, *make_principal_point(digest, energy_of, first_of, second_of, CRUSHED))
+
+
+@cache
+def _sheet_point(law: type[Material], relaxed: bool) -> PointLaw:
     """Compile the points of a membrane; the first coefficient is the prestretch."""
-    digest = law_digest("sheet point", energy_of, first_of, second_of, relaxed)
-    moduli, _ = make_moduli(digest, energy_of, first_of, second_of, relaxed)
+    digest = law_digest("sheet point", law.variables, law.energy, law.first, law.second, relaxed)
+    moduli, _ = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]

@@ -290,6 +290,8 @@ def project(
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
     if not runs:
         raise InputError("project needs at least one trajectory to learn from")
+    if full.material.prony is not None:
+        raise InputError("a projected model does not remember what relaxing tissue (prony) needs: use palpate.reduce")
     for run in runs:
         if run.points.shape != full.cloud.points.shape or not np.allclose(run.points, full.cloud.points):
             raise InputError("a trajectory belongs to another cloud than the model")

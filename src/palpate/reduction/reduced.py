@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
 from palpate.dynamics.membrane import load_areas
 from palpate.dynamics.model import Model, Nodes, Outputs, State
+from palpate.dynamics.relaxation import at_ease, recall, relaxation, remembered
 from palpate.dynamics.stability import stable_step
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
@@ -63,6 +64,8 @@ class ReducedModel(Model):
     tolerance = CONVERGED / DIFFERENCE  # of Newton's iterations
 
     def __init__(self, parts: ReducedParts, *, step: float | None = None, single: bool = True) -> None:
+        if step is not None and parts.material.prony is not None:
+            raise InputError("tissue that relaxes (prony) is stepped explicitly: leave the step out")
         self.parts, self.step, self.single = parts, step, single
         self.cloud, self.material, self.fixed = parts.cloud, parts.material, parts.fixed
         self.viscosity, self.report = parts.viscosity, parts.report
@@ -76,7 +79,8 @@ class ReducedModel(Model):
         self._held = np.asarray(np.linalg.inv(self.mass[: parts.modes, : parts.modes]), dtype=float)
         self._free = np.linalg.inv(self.mass)
         self._all, self._samples = self.sampled(np.arange(len(flat))), self.sampled(np.arange(count))
-        self._all_scratch, self._scratch, self._newton = scratch(self._all), scratch(self._samples), newton(count)
+        self._scratch, self._newton = scratch(self._samples), newton(count)
+        self._all_scratch = scratch(self._all, self._scratch.memory)
         self._force, self._energy = sampled_energy(self._law, single)
         self._explicit, self._implicit, self._tangent = sampled_step(self._law, single)
         self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
@@ -94,7 +98,7 @@ class ReducedModel(Model):
         """Return the samples of some columns."""
         rule, type_ = self.parts.cubature, np.float32 if self.single else np.float64
         own, constant = np.ascontiguousarray(self.parts.gradients[:, which]), self.parts.constant[np.ix_(which, which)]
-        return samples(own, rule.weights, rule.pressure, constant, self._coefficients, type_)
+        return samples(own, rule.weights, rule.pressure, constant, self._coefficients, type_, relaxation(self.material))
 
     def force(self, coordinates: Floats) -> Floats:
         """Return the internal forces on the coordinates, -dE/da, shape (m + l,)."""
@@ -196,11 +200,13 @@ class ReducedModel(Model):
                 moment[self.parts.modes :] = own
         else:
             coordinates, velocities = self._free @ coordinates, self._free @ velocities
-        return State(coordinates, velocities, time)
+        memory = at_ease(self._scratch.memory, lambda: self.force(coordinates))
+        return State(coordinates, velocities, time, memory=memory)
 
     def stable_step(self, state: State, drive: Drive) -> float:
         if self.step is not None:
             return self.step
+        recall(self._scratch.memory, state.memory)
         moved = state.coordinates * self.sizes
         self._reach = max(self._reach, float(np.abs(moved).max(initial=0.0)))
         if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > MOVED * self._reach:
@@ -224,28 +230,29 @@ class ReducedModel(Model):
         return np.sqrt(np.where(squares >= 0, squares, np.nan))
 
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
-        a, v, count = state.coordinates.copy(), state.velocities.copy(), self.count
+        a, v, count, memory = state.coordinates.copy(), state.velocities.copy(), self.count, self._scratch.memory
+        recall(memory, state.memory)
+        times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         if self.step is None:
-            times: Floats = state.time + step * np.arange(-1.0, steps + 2)
             loads = np.ascontiguousarray(self._loads(drive, times[1:-1])[:, :count])
             fastest = self.parts.fastest / self.sizes[self.parts.modes :]
             work, lost, tools = self._explicit(
                 a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, fastest, loads,
                 self.mass, self._held, self._free, self._samples, self._scratch, self._newton,
             )  # fmt: skip
-            end = float(times[-2])
         else:
-            times = state.time + step * np.arange(-1.0, steps + 2)
             middles = times[1:-2] + 0.5 * step
             loads = np.ascontiguousarray(self._loads(drive, middles)[:, :count])
             work, lost, tools, taken = self._implicit(
                 a, v, self._lifted(drive, times), self._holds(drive, times[2:-1]), step, self.viscosity, loads,
                 self.mass, self._differences, self.tolerance, self._samples, self._scratch, self._newton,
             )  # fmt: skip
-            end = float(times[-2])
             if taken < steps:
                 a[:] = np.nan
-        return State(a, v, end, state.external_work + work + tools, state.dissipated + lost)
+        if memory.branches.size:
+            lost += float(np.sum(self._samples.weights * memory.lost) + memory.volume_lost.sum())
+        external, dissipated = state.external_work + work + tools, state.dissipated + lost
+        return State(a, v, float(times[-2]), external, dissipated, remembered(memory))
 
     # what a state means
 
@@ -294,6 +301,7 @@ class ReducedModel(Model):
         return pose_map(self.cloud.points[nodes], self.parts.columns[self.parts.modes : self.count, nodes])
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
+        recall(self._scratch.memory, state.memory)
         return Outputs(
             self.displacement(state, drive),
             self.velocity(state, drive),

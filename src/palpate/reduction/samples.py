@@ -25,11 +25,14 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.lanes import LANES, column_sums, column_work
+from palpate.dynamics.relaxation import Memory, Relaxation, memory, overstress_alone, relax_volume
 from palpate.reduction.points import PointLaw
 
 __all__ = ["Samples", "Scratch", "sampled_energy", "samples", "scratch"]
 
 Floats = NDArray[np.float64]
+
+EASY = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # tissue that does not relax
 
 
 class Samples(NamedTuple):
@@ -47,6 +50,8 @@ class Samples(NamedTuple):
         H.
     coefficients : tuple
         Of the law.
+    relaxation : Relaxation
+        Of tissue that relaxes.
     """
 
     table: NDArray[np.float32] | Floats
@@ -54,6 +59,7 @@ class Samples(NamedTuple):
     pressure: Floats
     constant: Floats
     coefficients: tuple[float, ...]
+    relaxation: Relaxation
 
 
 class Scratch(NamedTuple):
@@ -64,6 +70,7 @@ class Scratch(NamedTuple):
     dilatation: Floats  # (b, LANES)
     moments: Floats  # (k,)
     partial: Floats  # (m, LANES)
+    memory: Memory  # of tissue that relaxes: of the samples, and of the moments
 
 
 def samples(
@@ -73,6 +80,7 @@ def samples(
     constant: Floats,
     law: tuple[float, ...],
     dtype: Any = np.float32,
+    relaxation: Relaxation = EASY,
 ) -> Samples:
     """Lay samples out in blocks.
 
@@ -87,6 +95,7 @@ def samples(
         Coefficients.
     dtype : type
         Of the table.
+    relaxation : Relaxation
     """
     count = len(gradients)
     padded = -count % LANES
@@ -97,16 +106,17 @@ def samples(
         return np.ascontiguousarray(np.moveaxis(filled.reshape(blocks, LANES, *values.shape[1:]), 1, -1))
 
     table = np.ascontiguousarray(lanes(gradients), dtype=dtype)
-    return Samples(table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), law)
+    return Samples(table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), law, relaxation)
 
 
-def scratch(of: Samples) -> Scratch:
-    """Allocate for some samples."""
+def scratch(of: Samples, remembered: Memory | None = None) -> Scratch:
+    """Allocate for some samples, with a memory of their own or another one's."""
     blocks, columns, _, _ = of.table.shape
     two = np.zeros((2, blocks, 9, LANES))
     return Scratch(
-        two[0], two[1], np.zeros((blocks, LANES)), np.zeros(of.pressure.shape[1]), np.zeros((columns, LANES))
-    )
+        two[0], two[1], np.zeros((blocks, LANES)), np.zeros(of.pressure.shape[1]), np.zeros((columns, LANES)),
+        memory(len(of.relaxation.times), blocks, of.pressure.shape[1]) if remembered is None else remembered,
+    )  # fmt: skip
 
 
 @njit(cache=True, fastmath={"contract", "reassoc"})
@@ -143,6 +153,18 @@ def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
         force[m] = -total
 
 
+@njit(cache=True)
+def _in_branches(weights, memory):  # type: ignore[no-untyped-def]
+    """Energy [J] stored in the branches of relaxing tissue, as last evaluated."""
+    total = 0.0
+    for b in range(weights.shape[0]):
+        for lane in range(LANES):
+            total += weights[b, lane] * memory.energy[b, lane]
+    for k in range(memory.volume_energy.shape[0]):
+        total += memory.volume_energy[k]
+    return total
+
+
 @cache
 def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
     """Compile force and energy of sampled bodies.
@@ -162,6 +184,16 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
     digest = law_digest("sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
 
+    @law_njit(digest)
+    def relax(samples, scratch):  # type: ignore[no-untyped-def]
+        """Add the overstresses to the stresses, and bring the moments' branches up to date."""
+        overstress_alone(samples.relaxation, scratch.memory, scratch.cofactor)
+        for b in range(scratch.stress.shape[0]):
+            for q in range(9):
+                for v in range(LANES):
+                    scratch.stress[b, q, v] += scratch.memory.stress[b, q, v]
+        relax_volume(samples.relaxation, scratch.memory, scratch.moments)
+
     @law_njit(digest, fastmath={"contract"})
     def force(columns, samples, scratch, result):  # type: ignore[no-untyped-def]
         for b in range(samples.table.shape[0]):
@@ -180,7 +212,11 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
                 scratch.dilatation[b, v] = volume
         _moments(samples.pressure, scratch.dilatation, scratch.moments)
-        _add_pressure(samples.weights, samples.pressure, scratch.moments, scratch.stress, scratch.cofactor,
+        effective = scratch.moments
+        if samples.relaxation.times.shape[0] > 0:
+            relax(samples, scratch)
+            effective = scratch.memory.effective
+        _add_pressure(samples.weights, samples.pressure, effective, scratch.stress, scratch.cofactor,
                       scratch.dilatation)  # fmt: skip
         scratch.partial[:] = 0.0
         for b in range(samples.table.shape[0]):
@@ -203,6 +239,9 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
         _moments(samples.pressure, scratch.dilatation, scratch.moments)
         for k in range(scratch.moments.shape[0]):
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
+        if samples.relaxation.times.shape[0] > 0:
+            force(columns, samples, scratch, scratch.partial[:, 0].copy())
+            total += _in_branches(samples.weights, scratch.memory)
         for m in range(columns.shape[0]):
             for k in range(columns.shape[0]):
                 total += 0.5 * columns[m] * samples.constant[m, k] * columns[k]

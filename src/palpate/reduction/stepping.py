@@ -250,6 +250,7 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
             for j in range(first, count):
                 if holds[s] and abs(v[j]) > fastest[j - first]:  # a jump, as in the full model
                     at[j] = a[j] + beta * np.sign(v[j]) * fastest[j - first]
+            scratch.memory.interval[0] = step if s > 0 else 0.0
             force(at, samples, scratch, result)
             for m in range(count):
                 if s > 0:
@@ -282,6 +283,7 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
             if s < steps:
                 for m in range(moving):
                     a[m] += step * v[m]
+        scratch.memory.interval[0] = 0.0
         return total, lost, tools
 
     return explicit, implicit, tangent

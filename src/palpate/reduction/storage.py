@@ -14,7 +14,6 @@ import json
 import os
 import re
 from contextlib import suppress
-from dataclasses import fields
 from hashlib import sha256
 from io import BytesIO
 from operator import attrgetter
@@ -28,7 +27,7 @@ from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
-from palpate.tissue import materials
+from palpate.reduction.stored_material import described, material_of
 
 __all__ = ["load", "save"]
 
@@ -59,14 +58,11 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
 }
 NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/nodes")  # hold numbers of nodes
 ATTRIBUTES = {
-    "material": str, "parameters": str, "groups": list, "spacing": float, "fixed": list, "driven": list,
+    "material": str, "parameters": str, "expression": str, "prony": str,
+    "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
     "witnesses": int, "leeway": float, "step": float, "single": bool,
-}  # fmt: skip
-LAWS = {
-    name: law for name, law in vars(materials).items()
-    if isinstance(law, type) and issubclass(law, materials.Material) and law is not materials.Material
 }  # fmt: skip
 
 
@@ -145,7 +141,7 @@ def _file(parts: ReducedParts, rule: Header) -> bytes:
         header, arrays = _read(file)
         _rule(header)
         if _parts(header, arrays).material != parts.material:
-            raise InputError(f"the law of {parts.material} is not the one of this name in palpate.tissue.materials")
+            raise InputError(f"the file would not give {parts.material} back")
     content = memory.getvalue()[SEAL:]
     return _seal(content) + content
 
@@ -157,13 +153,8 @@ def _seal(content: bytes) -> bytes:
 
 
 def _header(parts: ReducedParts) -> Header:
-    material = parts.material
-    parameters = {f.name: float(getattr(material, f.name)) for f in fields(material)}
-    if material.incompressible:  # no number says how stiff it is against a change of volume
-        del parameters["bulk"]
     return {
-        "material": type(material).__name__,
-        "parameters": json.dumps(parameters),
+        **described(parts.material),
         "groups": list(parts.cloud.groups),
         "spacing": float(parts.cloud.spacing),
         "fixed": list(parts.fixed),
@@ -268,7 +259,12 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
     residual = number_in_range("residual", header["residual"], 0.0)
     return ReducedParts(
         cloud=cloud,
-        material=_material(header["material"], _mapping("parameters", header["parameters"])),
+        material=material_of(
+            header["material"],
+            _mapping("parameters", header["parameters"]),
+            header["expression"],
+            _mapping("prony", header["prony"]),
+        ),
         fixed=tuple(header["fixed"]),
         driven=tuple(header["driven"]),
         volumes=own["volumes"],
@@ -322,25 +318,3 @@ def _mapping(name: str, text: str) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise InputError(f"attribute {name} is not a mapping")
     return values
-
-
-def _material(name: str, parameters: dict[str, Any]) -> materials.Material:
-    """Make a material by its name among the laws of `palpate.tissue.materials`.
-
-    It knows both `poisson` and `bulk`, and takes one: the one that gives the other to the last bit.
-    """
-    if name not in LAWS:
-        raise InputError(f"unknown material {name!r}: the laws are {', '.join(sorted(LAWS))}")
-    wanted = {field.name for field in fields(LAWS[name])}
-    if parameters.get("poisson") == 0.5:
-        wanted.discard("bulk")
-    if parameters.keys() != wanted:
-        raise InputError(f"{name} has the parameters {sorted(wanted)}, not {sorted(parameters)}")
-    values: dict[str, Any] = {key: number_in_range(key, value) for key, value in parameters.items()}
-    if "bulk" not in values:
-        return LAWS[name](**values)
-    for derived in ("poisson", "bulk"):
-        material = LAWS[name](**{key: value for key, value in values.items() if key != derived})
-        if all(getattr(material, key) == value for key, value in values.items()):
-            return material
-    raise InputError(f"poisson = {values['poisson']:g} does not belong to bulk = {values['bulk']:g} Pa")

@@ -21,7 +21,7 @@ from palpate.tissue.materials import Material, parameter
 from palpate.tissue.prony import Prony
 from palpate.tissue.stretch_laws import StretchLaw
 
-__all__ = ["Hyperelastic"]
+__all__ = ["Hyperelastic", "law_of"]
 
 INVARIANTS, STRETCHES = ("I1", "I2", "J"), ("l1", "l2", "l3")
 ISOCHORIC = {"I1bar": ("I1", -2), "I2bar": ("I2", -4)}  # I1 J^(-2/3), I2 J^(-4/3)
@@ -81,7 +81,7 @@ def Hyperelastic(
     for name in parameters:
         if name not in names:
             raise InputError(f"{name} = {parameters[name]!r} is no parameter of the energy; it has {names or 'none'}")
-    law = _law(" ".join(energy.split()))
+    law = law_of(energy)
     values: dict[str, Any] = dict(parameters)
     return law(density=density, poisson=poisson, bulk=bulk, prony=prony, **values)
 
@@ -125,6 +125,18 @@ def _symbolic(node: ast.expr, symbols: dict[str, Any]) -> Any:
 
 
 # making
+
+
+def law_of(energy: str) -> type[Material]:
+    """Return the class of the materials of an energy's text (`Hyperelastic`).
+
+    Raises
+    ------
+    InputError
+        A text that is no energy.
+    """
+    _tree(energy)
+    return _law(" ".join(energy.split()))
 
 
 @cache

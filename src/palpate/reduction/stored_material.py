@@ -1,0 +1,75 @@
+"""A material as numbers and words, and back: what the file of a reduced model says of its tissue."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, fields
+from typing import Any
+
+from palpate.faults import InputError, number_in_range
+from palpate.tissue import own_law
+from palpate.tissue.catalogue import LAWS
+from palpate.tissue.materials import Material
+from palpate.tissue.prony import Prony
+
+__all__ = ["described", "material_of"]
+
+KINDS = {law.name: law.kind for law in LAWS}
+OWN = "Hyperelastic"
+
+
+def described(material: Material) -> dict[str, str]:
+    """Return the attributes that describe a material: ``material``, ``parameters``, ``expression`` and ``prony``.
+
+    Raises
+    ------
+    InputError
+        A material that is neither one of the library's nor an energy that is written down.
+    """
+    name, expression = type(material).__name__, getattr(material, "expression", "")
+    known = own_law.law_of(expression) if name == OWN and expression else KINDS.get(name)
+    if type(material) is not known:
+        raise InputError(f"the law of {material} is not one of palpate's: it cannot be kept in a file")
+    parameters = {f.name: getattr(material, f.name) for f in fields(material) if f.name != "prony"}
+    if material.incompressible:  # no number says how stiff it is against a change of volume
+        del parameters["bulk"]
+    return {
+        "material": name,
+        "parameters": json.dumps(parameters),
+        "expression": expression,
+        "prony": json.dumps(asdict(material.prony) if material.prony else {}),
+    }
+
+
+def material_of(name: str, parameters: dict[str, Any], expression: str, prony: dict[str, Any]) -> Material:
+    """Make a material from what `described` says of it.
+
+    It knows both `poisson` and `bulk`, and takes one: the one that gives the other to the last bit.
+
+    Raises
+    ------
+    InputError
+        An unknown law, other parameters than it has, or numbers out of range.
+    """
+    if name != OWN and name not in KINDS:
+        raise InputError(f"unknown material {name!r}: the laws are {', '.join(sorted(KINDS))}")
+    law: Any = own_law.law_of(expression) if name == OWN else KINDS[name]
+    wanted = {field.name for field in fields(law)} - {"prony"}
+    if parameters.get("poisson") == 0.5:
+        wanted.discard("bulk")
+    if parameters.keys() != wanted:
+        raise InputError(f"{name} has the parameters {sorted(wanted)}, not {sorted(parameters)}")
+    values: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else number_in_range(key, value)
+        for key, value in parameters.items()
+    }
+    if prony.keys() - {field.name for field in fields(Prony)}:
+        raise InputError(f"attribute prony has {sorted(prony)}")
+    given = {"prony": Prony(**{key: tuple(value) for key, value in prony.items()})} if prony else {}
+    if "bulk" not in values:
+        return law(**values, **given)
+    for derived in ("poisson", "bulk"):
+        material: Material = law(**{key: value for key, value in values.items() if key != derived}, **given)
+        if all(getattr(material, key) == value for key, value in values.items()):
+            return material
+    raise InputError(f"poisson = {values['poisson']:g} does not belong to bulk = {values['bulk']:g} Pa")
