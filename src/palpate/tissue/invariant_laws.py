@@ -81,8 +81,8 @@ class Gent(Material):
 
     W = -mu/2 Jm ln(1 - x/Jm) + lame / 2 (J - 1)^2,  x = I1 - 3 - 2 ln J,  shear modulus mu.
 
-    From 95 % of the limit x = Jm on the logarithm is continued by its parabola, 400 times as stiff as at rest: a body
-    thrown beyond the limit is thrown back.
+    From 95 % of the limit x = Jm on the logarithm is continued by its parabola, 400 times as stiff as at rest, so that
+    energy and stress are finite everywhere.
 
     Parameters
     ----------

@@ -227,7 +227,7 @@ class Logarithmic(_Stiffening):
     shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
 
     From 95 % of the limit C2 q(alpha1) = 1 on the logarithm is continued by its parabola, 400 times as stiff as at
-    rest: a body thrown beyond the limit is thrown back.
+    rest, so that energy and stress are finite everywhere.
 
     Parameters
     ----------
