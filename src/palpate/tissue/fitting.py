@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from palpate.faults import InputError, integer_in_range
 from palpate.tissue.ellipticity import MaterialStability, material_stability
 from palpate.tissue.fit_problem import Problem
+from palpate.tissue.fit_starts import starts as begin
 from palpate.tissue.homogeneous import deformation_gradient, nominal_stress
 from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
@@ -21,11 +22,10 @@ __all__ = ["CurveFit", "Fit", "Start", "fit"]
 
 Floats = NDArray[np.float64]
 
-EVALUATIONS = 400  # of the residuals, from one start
-TIGHT = 1e-12  # change of cost, parameters and slope at which a start has converged
+EVALUATIONS = 200  # of the residuals, from one start
+TIGHT = 1e-11  # change of cost, parameters and slope at which a start has converged
 CONDITION = 1e6  # of the slopes; beyond it differences cannot tell parameters apart
 AS_GOOD = 1e-3  # relative difference of cost between starts that ended alike
-AT_BOUND = 1e-5  # distance from a bound, relative
 NARROW = (0.8, 1.25)  # stretches that stability is always checked in
 
 
@@ -145,7 +145,7 @@ def fit(
     bounds : dict, optional
         Pairs (least, largest) by name, within what the law allows; those of a sequence by its name or one by one,
         ``C[0]``. Other starts are drawn evenly between bounds (of positive numbers, between their logarithms), and
-        within a factor of 8 of the first start, either sign, where none are given.
+        where none are given, about the first start: within a factor of 1000, or of 8 with either sign.
     fixed : dict, optional
         Values of parameters that are not fitted.
     starts : int
@@ -176,12 +176,12 @@ def fit(
     with np.errstate(all="ignore"):  # trial parameters may overflow a law; such trials are stepped back from
         problem = Problem(law, curves, start or {}, bounds or {}, fixed or {}, density, poisson)
         ended = []
-        for first in problem.starts(starts, seed):
-            if not np.all(np.isfinite(problem.residuals(first))):
+        for first, better in begin(problem, starts, seed):
+            if not np.all(np.isfinite(problem.residuals(better))):
                 raise InputError(f"{law.__name__} has no finite stress at a measured deformation: give another start")
             solved = least_squares(
                 problem.residuals,
-                first,
+                better,
                 problem.jacobian,
                 bounds=(problem.low, problem.high),
                 x_scale="jac",
@@ -194,7 +194,7 @@ def fit(
 
 
 def _described(problem: Problem, ended: list[tuple[Floats, Any]]) -> Fit:
-    x = ended[0][1].x
+    x = problem.settled(ended[0][1].x)
     covariance, condition, remarks = _certainty(problem, x)
     table = tuple(
         Start(
@@ -212,17 +212,14 @@ def _described(problem: Problem, ended: list[tuple[Floats, Any]]) -> Fit:
         remarks.append(f"the best start had not converged after {EVALUATIONS} evaluations")
     material = problem.material(x)
     curves = tuple(_curve(material, i, m) for i, m in enumerate(problem.measurements, 1))
-    return Fit(material, table[0].values, covariance, curves, table, condition, tuple(remarks), problem.measurements)
+    named = dict(zip(problem.names, x.tolist(), strict=True))
+    return Fit(material, named, covariance, curves, table, condition, tuple(remarks), problem.measurements)
 
 
 def _certainty(problem: Problem, x: Floats) -> tuple[Floats, float, list[str]]:
     """Covariance, condition number and what they do not tell."""
-    near = AT_BOUND * np.maximum(np.abs(problem.first), np.abs(x))
-    bound = (x - problem.low <= near) | (problem.high - x <= near)
-    remarks = [
-        f"{problem.names[k]} lies on its bound {(problem.low if x[k] - problem.low[k] <= near[k] else problem.high)[k]:g}"
-        for k in np.flatnonzero(bound)
-    ]
+    bound = problem.on_bound(x)
+    remarks = [f"{problem.names[k]} lies on its bound {x[k]:.4g}" for k in np.flatnonzero(bound)]
     covariance = np.full((len(x), len(x)), np.nan)
     inner = np.flatnonzero(~bound)
     if not len(inner):

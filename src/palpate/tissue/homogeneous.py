@@ -34,8 +34,9 @@ Floats = NDArray[np.float64]
 # kind of test: the exponents of l in the second and the third principal stretch where the volume stays
 _ISOCHORIC = {"uniaxial": (-0.5, -0.5), "equibiaxial": (1.0, -2.0), "planar": (0.0, -1.0)}
 KINDS = (*_ISOCHORIC, "shear")
-WIDEST = 6.0  # of a bracket, in logarithms of the free stretch
+NARROWEST, WIDEST = 0.02, 6.0  # half a bracket, in logarithms of the free stretch
 ROUNDS = 60  # of a root; eight or so are usual
+ENOUGH = 1e-10  # the last step of a root in its logarithm: the error then is far below
 
 
 def rest(kind: str) -> float:
@@ -128,8 +129,7 @@ def _machine_stress(material: Material, kind: str, F: Floats) -> Floats:
 
 def _root(function: Callable[[Floats], Floats], near: Floats) -> Floats:
     """Zeros of a function that rises through them, by the Illinois method; NaN where none is found."""
-    a, b = _bracket(function, near)
-    fa, fb = function(a), function(b)
+    a, fa, b, fb = _bracket(function, near)
     for _ in range(ROUNDS):
         slope = fb - fa
         step = np.where(slope == 0, 0.0, -fb * (b - a) / np.where(slope == 0, 1.0, slope))
@@ -138,20 +138,25 @@ def _root(function: Callable[[Floats], Floats], near: Floats) -> Floats:
         crossed = np.signbit(value) != np.signbit(fb)
         a, fa = np.where(crossed, b, a), np.where(crossed, fb, fa / 2)
         b, fb = new, value
-        if not np.any((np.abs(step) > 1e-14) & (fb != 0)):
+        if not np.any(np.abs(step) > ENOUGH):
             break
     return b
 
 
-def _bracket(function: Callable[[Floats], Floats], near: Floats) -> tuple[Floats, Floats]:
+def _bracket(function: Callable[[Floats], Floats], near: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Widen an interval about a point until a function is negative at its left and positive at its right end."""
-    ends, half = [near - 0.02, near + 0.02], 0.02
+    low, high, half = near - NARROWEST, near + NARROWEST, NARROWEST
+    at_low, at_high = function(low), function(high)
     while half < WIDEST:
-        outside = [function(ends[0]) > 0, function(ends[1]) < 0]
-        if not np.any(outside):
+        left, right = at_low > 0, at_high < 0
+        if not np.any(left | right):
             break
-        half *= 2
-        ends = [np.where(outside[0], near - half, ends[0]), np.where(outside[1], near + half, ends[1])]
-    low, high = function(ends[0]), function(ends[1])
-    found = (low <= 0) & (high >= 0)
-    return np.where(found, ends[0], np.nan), np.where(found, ends[1], np.nan)
+        half *= 4
+        # the end that was passed is the other end now, so that the interval stays short
+        low, high = (
+            np.where(left, near - half, np.where(right, high, low)),
+            np.where(right, near + half, np.where(left, low, high)),
+        )
+        at_low, at_high = function(low), function(high)
+    found = (at_low <= 0) & (at_high >= 0)
+    return np.where(found, low, np.nan), at_low, np.where(found, high, np.nan), at_high

@@ -65,7 +65,9 @@ class Measurement:
             raise InputError(f"every {label} is {at_rest:g}, rest: nothing was deformed")
         work = (deformation - at_rest) * stress
         if np.any(work) and np.all(work <= 0):
-            raise InputError("the stresses act against the deformation: stress is positive in tension, where stretch > 1")
+            raise InputError(
+                "the stresses act against the deformation: stress is positive in tension, where stretch > 1"
+            )
         for name, values in (("deformation", deformation), ("stress", stress), ("deviation", deviation)):
             values.setflags(write=False)
             object.__setattr__(self, name, values)
