@@ -17,7 +17,7 @@ from palpate.faults import InputError, number_in_range
 from palpate.tissue.homogeneous import isochoric_stress, nominal_stress
 from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
-from palpate.tissue.parameters import Layout, flatten
+from palpate.tissue.parameters import Layout, field_metadata, flatten
 
 __all__ = ["Problem"]
 
@@ -95,7 +95,7 @@ class Problem:
 
     def _allowed(self, k: int) -> tuple[float, float]:
         """Bounds that the law itself has: its field names them, or it refuses a negative number."""
-        said = self.layout.metadata(self.names[k])
+        said = field_metadata(self.layout.law, self.names[k])
         if "low" in said:
             return said["low"], said["high"]
         negative = self.first.copy()

@@ -33,7 +33,7 @@ def starts(problem: Problem, count: int, seed: int) -> list[tuple[Floats, Floats
 
 def _strata(count: int, problem: Problem, random: np.random.Generator) -> Floats:
     """Return numbers from 0 to 1 for every nonlinear parameter, one in each of `count` equal parts, (count, m)."""
-    parts = [random.permutation(count) + random.random(count) for _ in range(np.sum(~problem.moduli))]
+    parts = [random.permutation(count) + random.random(count) for _ in np.flatnonzero(~problem.moduli)]
     return np.stack(parts, axis=1) / max(count, 1)
 
 
@@ -42,7 +42,7 @@ def _draw(problem: Problem, shares: Floats, random: np.random.Generator) -> Floa
     for _ in range(DRAWS):
         x = problem.first.copy()
         for k, share in zip(np.flatnonzero(~problem.moduli), shares, strict=True):
-            x[k] = _at(share, *problem.drawn[k], about=x[k], signed=problem.low[k] < 0)
+            x[k] = _at(share, problem.drawn[k], x[k], problem.low[k] < 0)
         x = _inside(problem, x)
         if np.all(np.isfinite(problem.residuals(x))):
             return x
@@ -50,7 +50,8 @@ def _draw(problem: Problem, shares: Floats, random: np.random.Generator) -> Floa
     return problem.first.copy()
 
 
-def _at(share: float, low: float, high: float, about: float, signed: bool) -> float:
+def _at(share: float, between: Floats, about: float, signed: bool) -> float:
+    low, high = between
     if np.isfinite(high - low):
         return low + share * (high - low) if low <= 0 else low * (high / low) ** share
     size = abs(about) or 1.0

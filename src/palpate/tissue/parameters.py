@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from palpate.faults import InputError
 from palpate.tissue.materials import Material
 
-__all__ = ["Layout", "flatten", "own_fields"]
+__all__ = ["Layout", "field_metadata", "flatten", "is_sequence", "own_fields"]
 
 INDEX = re.compile(r"\[(\d+)\]")
 
@@ -25,6 +25,17 @@ def own_fields(law: type[Material]) -> list[str]:
     """Return the names of the fields in which a law differs from other materials."""
     base = {f.name for f in fields(Material)}
     return [f.name for f in fields(law) if f.name not in base]
+
+
+def is_sequence(law: type[Material], field: str) -> bool:
+    """Return whether a law's field takes several numbers."""
+    declared = str(law.__dataclass_fields__[field].type)
+    return "tuple" in declared or "Sequence" in declared
+
+
+def field_metadata(law: type[Material], name: str) -> Mapping[str, Any]:
+    """Return what the law's field says about a parameter beyond its name, such as its unit."""
+    return law.__dataclass_fields__[INDEX.sub("", name)].metadata
 
 
 def flatten(tree: Mapping[str, Any]) -> dict[str, float]:
@@ -80,7 +91,7 @@ class Layout:
             return given[field.name]
         if field.default is not MISSING:
             return field.default
-        if "tuple" in str(field.type) or "Sequence" in str(field.type):
+        if is_sequence(self.law, field.name):
             raise InputError(
                 f"{field.name} of {self.law.__name__} is a sequence: give values to start from, to say how long it is"
             )
@@ -103,10 +114,6 @@ class Layout:
         if not found:
             raise InputError(f"{name} is no parameter of {self.law.__name__}: allowed are {', '.join(self.names)}")
         return found
-
-    def metadata(self, name: str) -> Mapping[str, Any]:
-        """Return what the law's field says about a parameter beyond its name."""
-        return self.law.__dataclass_fields__[INDEX.sub("", name)].metadata
 
 
 def _filled(value: Any, left: Iterator[float]) -> Any:
