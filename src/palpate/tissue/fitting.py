@@ -26,18 +26,33 @@ EVALUATIONS = 200  # of the residuals, from one start
 TIGHT = 1e-11  # change of cost, parameters and slope at which a start has converged
 CONDITION = 1e6  # of the slopes; beyond it differences cannot tell parameters apart
 AS_GOOD = 1e-3  # relative difference of cost between starts that ended alike
+PATTERN = 3.0  # standard deviations of the correlation between neighbours of so many points of noise
+EXACT = 1e-6  # differences of stress below, relative, are rounding
 NARROW = (0.8, 1.25)  # stretches that stability is always checked in
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """How one curve is met: root mean square of the stress differences [Pa], and R^2, 1 for a perfect one."""
+    """How one curve is met.
+
+    Attributes
+    ----------
+    name, kind : str
+    points : int
+    rms : float [Pa]
+        Root mean square of the differences of stress.
+    r_squared : float
+        1 less the share of the stresses' variance that the law misses.
+    correlation : float
+        Between the differences of neighbouring points: near 0 for noise, near 1 where the law has another shape.
+    """
 
     name: str
     kind: str
     points: int
     rms: float
     r_squared: float
+    correlation: float
 
 
 @dataclass(frozen=True)
@@ -212,6 +227,12 @@ def _described(problem: Problem, ended: list[tuple[Floats, Any]]) -> Fit:
         remarks.append(f"the best start had not converged after {EVALUATIONS} evaluations")
     material = problem.material(x)
     curves = tuple(_curve(material, i, m) for i, m in enumerate(problem.measurements, 1))
+    remarks += [
+        f"the law misses {curve.name} in a pattern (correlation {curve.correlation:.2f} between neighbours): "
+        "errors are not independent, and larger than their standard errors say"
+        for curve in curves
+        if curve.correlation > PATTERN / np.sqrt(curve.points)
+    ]
     named = dict(zip(problem.names, x.tolist(), strict=True))
     return Fit(material, named, covariance, curves, table, condition, tuple(remarks), problem.measurements)
 
@@ -251,4 +272,7 @@ def _curve(material: Material, number: int, measured: Measurement) -> CurveFit:
     spread = float(np.sum((stress - stress.mean()) ** 2))
     r_squared = 1 - float(wrong @ wrong) / spread if spread > 0 else np.nan
     name = measured.name or f"curve {number}, {measured.kind}"
-    return CurveFit(name, measured.kind, len(stress), float(np.sqrt(np.mean(wrong**2))), r_squared)
+    rms = float(np.sqrt(np.mean(wrong**2)))
+    exact = rms <= EXACT * float(np.abs(stress).max())
+    correlation = 0.0 if exact else float(wrong[1:] @ wrong[:-1]) / float(wrong @ wrong)
+    return CurveFit(name, measured.kind, len(stress), rms, r_squared, correlation)
