@@ -173,7 +173,9 @@ def test_a_law_that_ends_is_refused_where_it_does():
     report = material_stability(Limited(b=2.0, density=1000, poisson=0.5), (0.6, 1.8))
     assert any(finding.startswith("not finite, nearest to rest at principal stretches") for finding in report.findings)
     end = brentq(lambda l: l**2 + 2 / l - 3 - 0.5, 1, 3)
-    assert report.lost["uniaxial"][1] == pytest.approx(end, abs=0.011)  # a step of the path, beyond which W is no number
+    assert report.lost["uniaxial"][1] == pytest.approx(
+        end, abs=0.011
+    )  # a step of the path, beyond which W is no number
     assert material_stability(Limited(b=2.0, density=1000, poisson=0.5), (0.85, 1.15)).stable
 
 

@@ -48,7 +48,9 @@ def test_a_file_is_read_with_its_units_and_its_source(read):
     ],
 )
 def test_stress_is_read_in_every_unit(read, unit, pascals):
-    (curve,) = read(f"# kind: shear\nshear [-], engineering stress [{unit}], standard deviation [{unit}]\n0,0,2\n.2,3,4")
+    (curve,) = read(
+        f"# kind: shear\nshear [-], engineering stress [{unit}], standard deviation [{unit}]\n0,0,2\n.2,3,4"
+    )
     np.testing.assert_allclose(curve.stress, [0, 3 * pascals], rtol=1e-12)
     np.testing.assert_allclose(curve.deviation, [2 * pascals, 4 * pascals], rtol=1e-12)
 
@@ -68,7 +70,9 @@ def test_deformation_is_read_in_every_measure_as_a_stretch(read, column, cells):
     np.testing.assert_allclose(curve.deformation, [0.8, 0.9], rtol=1e-12)
 
 
-@pytest.mark.parametrize("text", ["strain [%]\tnominal stress [Pa]\n0\t0\n20\t3", "stretch [-],nominal stress [Pa]\n1,0\n0.8,3"])
+@pytest.mark.parametrize(
+    "text", ["strain [%]\tnominal stress [Pa]\n0\t0\n20\t3", "stretch [-],nominal stress [Pa]\n1,0\n0.8,3"]
+)
 def test_compression_may_be_given_in_positive_numbers(read, text):
     (curve,) = read(f"# kind: compression\n{text}\n")
     assert curve.kind == "uniaxial"
@@ -105,9 +109,15 @@ HEADER = "# kind: uniaxial\nstretch [-], nominal stress [Pa]\n"
     ("text", "message"),
     [
         ("", "has no header"),
-        ("# kind: uniaxial\nstretch, nominal stress [Pa]\n", r"line 2: column 'stretch' has no unit: allowed are \[-\]"),
+        (
+            "# kind: uniaxial\nstretch, nominal stress [Pa]\n",
+            r"line 2: column 'stretch' has no unit: allowed are \[-\]",
+        ),
         ("# kind: uniaxial\nstretch [m], nominal stress [Pa]\n", "column 'stretch' has the unknown unit 'm'"),
-        ("# kind: uniaxial\nstretch [-], nominal stress [bar]\n", r"the unknown unit 'bar': allowed are \[Pa\], \[kPa\]"),
+        (
+            "# kind: uniaxial\nstretch [-], nominal stress [bar]\n",
+            r"the unknown unit 'bar': allowed are \[Pa\], \[kPa\]",
+        ),
         ("# kind: uniaxial\nstretch [-], force [N]\n", r"column 'force \[N\]' is unknown: allowed are stretch, strain"),
         ("# kind: uniaxial\nstretch [-], true stress [Pa]\n", "'true stress' is force per deformed area"),
         ("# kind: uniaxial\nstretch [-], strain [%], nominal stress [Pa]\n", "not stretch and strain"),
@@ -115,14 +125,20 @@ HEADER = "# kind: uniaxial\nstretch [-], nominal stress [Pa]\n"
         ("# kind: uniaxial\nnominal stress [Pa]\n", "one column gives the deformation .*, not none"),
         ("# kind: uniaxial\nstretch [-]\n", "there is no column of stress"),
         ("stretch [-], nominal stress [Pa]\n1.0, 0\n1.1, 1\n", "says no kind of test"),
-        ("# kind: torsion\nstretch [-], nominal stress [Pa]\n1, 0\n", "line 3: kind 'torsion' is unknown: allowed are uni"),
+        (
+            "# kind: torsion\nstretch [-], nominal stress [Pa]\n1, 0\n",
+            "line 3: kind 'torsion' is unknown: allowed are uni",
+        ),
         (HEADER, "has no rows below its header"),
         (HEADER + "1.0, 0\n1.1\n", "line 4 has 1 cells: the header has 2"),
         (HEADER + "1.0, 0\n1.1, soft\n", "line 4: nominal stress = 'soft' is not a finite number"),
         (HEADER + "1.0, 0\n1.1, nan\n", "line 4: nominal stress = 'nan' is not a finite number"),
         (HEADER + "1.0, 0\n-1.1, 3\n", "lines 3 to 4: stretch = -1.1 at point 2 is out of range"),
         (HEADER + "1.0, 0\n1.2, 3\n1.1, 2\n", r"stretch = 1.1 at point 3 turns back after 1.2"),
-        ("# kind: shear\nstretch [-], nominal stress [Pa]\n1, 0\n1.1, 1\n", "kind 'shear' is not given by a column of str"),
+        (
+            "# kind: shear\nstretch [-], nominal stress [Pa]\n1, 0\n1.1, 1\n",
+            "kind 'shear' is not given by a column of str",
+        ),
         ("# kind: compression\nstretch [-], nominal stress [Pa]\n1, 0\n1.1, 1\n", "stretch = 1.1 is no compression"),
         ("# kind: compression\nstrain [-], nominal stress [Pa]\n-.1, 0\n.1, 1\n", "strain changes its sign"),
     ],

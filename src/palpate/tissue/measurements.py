@@ -54,7 +54,7 @@ class Measurement:
             _positive("stretch", deformation)
         _positive("deviation", deviation)
         steps = np.diff(deformation)
-        turns = np.flatnonzero(np.sign(steps) == -np.sign(deformation[-1] - deformation[0]))
+        turns = np.flatnonzero(steps * (deformation[-1] - deformation[0]) < 0)
         if len(turns):
             at = turns[0] + 1
             raise InputError(
