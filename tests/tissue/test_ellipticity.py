@@ -90,9 +90,9 @@ class Falling(Softening):
 
 
 SPREADS = {  # largest less least stretch of an incompressible specimen
-    "uniaxial": lambda l: abs(l - l**-0.5),
-    "equibiaxial": lambda l: abs(l - l**-2),
-    "planar": lambda l: abs(l - 1 / l),
+    "uniaxial": lambda s: abs(s - s**-0.5),
+    "equibiaxial": lambda s: abs(s - s**-2),
+    "planar": lambda s: abs(s - 1 / s),
 }
 
 
@@ -102,8 +102,8 @@ def test_a_softening_law_loses_ellipticity_where_the_closed_form_says(b):
     spread = 1 / np.sqrt(2 * b)
     assert not report.stable
     for kind, gap in SPREADS.items():
-        below = brentq(lambda l, gap=gap: gap(l) - spread, 0.3, 1)
-        above = brentq(lambda l, gap=gap: gap(l) - spread, 1, 3)
+        below = brentq(lambda s, gap=gap: gap(s) - spread, 0.3, 1)
+        above = brentq(lambda s, gap=gap: gap(s) - spread, 1, 3)
         expected = tuple(end if 0.5 <= end <= 2 else None for end in (below, above))
         found = report.lost[kind]
         assert [end is None for end in found] == [end is None for end in expected], kind
@@ -116,7 +116,7 @@ def test_a_softening_law_loses_ellipticity_where_the_closed_form_says(b):
 
 def test_the_least_modulus_of_a_softening_law_has_its_closed_form():
     b, mu = 2.0, 1e4
-    F = np.array([np.diag([l, l**-0.5, l**-0.5]) for l in (1.0, 1.1, 1.25)])
+    F = np.array([np.diag([s, s**-0.5, s**-0.5]) for s in (1.0, 1.1, 1.25)])
     shift = 0.3 * np.eye(3, k=1)
     F = np.concatenate([F, [np.eye(3) + shift, np.eye(3) + shift.T]])
     stretches = np.linalg.svd(F, compute_uv=False)
@@ -172,7 +172,7 @@ def test_a_law_with_stress_at_rest_is_refused():
 def test_a_law_that_ends_is_refused_where_it_does():
     report = material_stability(Limited(b=2.0, density=1000, poisson=0.5), (0.6, 1.8))
     assert any(finding.startswith("not finite, nearest to rest at principal stretches") for finding in report.findings)
-    end = brentq(lambda l: l**2 + 2 / l - 3 - 0.5, 1, 3)
+    end = brentq(lambda s: s**2 + 2 / s - 3 - 0.5, 1, 3)
     assert report.lost["uniaxial"][1] == pytest.approx(
         end, abs=0.011
     )  # a step of the path, beyond which W is no number

@@ -297,7 +297,7 @@ def test_the_report_says_how_curves_are_met_and_whether_the_law_is_stable():
 
 
 def test_rubber_fits_give_treloars_moduli():
-    """Treloar (Trans. Faraday Soc. 40, 59, 1944) drew Gaussian theory with a modulus of 4 kg/cm^2 through his curves."""
+    """Treloar (Trans. Faraday Soc. 40, 59, 1944) compares his curves with Gaussian theory of 4 kg/cm^2."""
     measured = read_measurements(EXAMPLES / "rubber_treloar.csv")
     small = [
         Measurement(kind=m.kind, deformation=m.deformation[chosen], stress=m.stress[chosen])

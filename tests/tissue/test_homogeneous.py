@@ -13,9 +13,9 @@ C1, C2 = 8e3, 3e3  # of a Mooney-Rivlin law [Pa]
 
 # Stress of the incompressible Mooney-Rivlin law of (16): a factor times C1 + C2 times another stretch
 CLOSED = {
-    "uniaxial": lambda l: (l - l**-2) * (C1 + C2 / l),
-    "equibiaxial": lambda l: (l - l**-5) * (C1 + C2 * l**2),
-    "planar": lambda l: (l - l**-3) * (C1 + C2),
+    "uniaxial": lambda s: (s - s**-2) * (C1 + C2 / s),
+    "equibiaxial": lambda s: (s - s**-5) * (C1 + C2 * s**2),
+    "planar": lambda s: (s - s**-3) * (C1 + C2),
     "shear": lambda gamma: gamma * (C1 + C2),
 }
 STRETCHED = [kind for kind in KINDS if kind != "shear"]
