@@ -184,7 +184,7 @@ def test_several_starts_find_the_least_minimum_where_one_does_not():
     assert len(costs) == 8
     assert costs == sorted(costs)
     assert costs[0] < 1e-6 * alone.starts[0].cost
-    assert costs[-1] == pytest.approx(alone.starts[0].cost, rel=1e-6)  # the other minimum shows in the table
+    assert costs[-1] == pytest.approx(alone.starts[0].cost, rel=1e-3)  # the other minimum shows in the table
 
 
 def test_the_same_seed_gives_the_same_starts_and_another_one_others():

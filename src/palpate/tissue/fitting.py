@@ -23,7 +23,8 @@ __all__ = ["CurveFit", "Fit", "Start", "fit"]
 Floats = NDArray[np.float64]
 
 EVALUATIONS = 200  # of the residuals, from one start
-TIGHT = 1e-11  # change of cost, parameters and slope at which a start has converged
+ROUGH = 1e-5  # relative change of cost at which a start has ended; the best goes on
+TIGHT = 1e-11  # relative change of cost at which the best start has ended
 CONDITION = 1e6  # of the slopes; beyond it differences cannot tell parameters apart
 AS_GOOD = 1e-3  # relative difference of cost between starts that ended alike
 PATTERN = 3.0  # standard deviations of the correlation between neighbours of so many points of noise
@@ -182,30 +183,35 @@ def fit(
         A name that the law does not have, a start that it refuses or that lies outside of bounds, fewer points than
         parameters, nothing to fit, or a law that has no finite stress at a measured deformation.
     """
-    from scipy.optimize import least_squares
-
     curves = (measurements,) if isinstance(measurements, Measurement) else tuple(measurements)
     if not curves:
         raise InputError("measurements are empty: give at least one curve")
     starts, seed = integer_in_range("starts", starts, 1), integer_in_range("seed", seed, 0)
     with np.errstate(all="ignore"):  # trial parameters may overflow a law; such trials are stepped back from
         problem = Problem(law, curves, start or {}, bounds or {}, fixed or {}, density, poisson)
-        ended = []
-        for first, better in begin(problem, starts, seed):
-            if not np.all(np.isfinite(problem.residuals(better))):
-                raise InputError(f"{law.__name__} has no finite stress at a measured deformation: give another start")
-            solved = least_squares(
-                problem.residuals,
-                better,
-                problem.jacobian,
-                bounds=(problem.low, problem.high),
-                x_scale="jac",
-                max_nfev=EVALUATIONS,
-                **dict.fromkeys(("ftol", "xtol", "gtol"), TIGHT),
-            )
-            ended.append((first, solved))
+        ended = [(first, _minimum(problem, better, ROUGH)) for first, better in begin(problem, starts, seed)]
         ended.sort(key=lambda pair: pair[1].cost)
+        ended[0] = ended[0][0], _minimum(problem, ended[0][1].x, TIGHT)
         return _described(problem, ended)
+
+
+def _minimum(problem: Problem, first: Floats, tolerance: float) -> Any:
+    from scipy.optimize import least_squares
+
+    if not np.all(np.isfinite(problem.residuals(first))):
+        law = problem.layout.law.__name__
+        raise InputError(f"{law} has no finite stress at a measured deformation: give another start")
+    return least_squares(
+        problem.residuals,
+        np.clip(first, np.nextafter(problem.low, np.inf), np.nextafter(problem.high, -np.inf)),
+        problem.jacobian,
+        bounds=(problem.low, problem.high),
+        x_scale="jac",
+        max_nfev=EVALUATIONS,
+        ftol=tolerance,
+        xtol=min(tolerance, 1e-8),
+        gtol=min(tolerance, 1e-10),
+    )
 
 
 def _described(problem: Problem, ended: list[tuple[Floats, Any]]) -> Fit:
