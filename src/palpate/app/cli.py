@@ -47,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     from palpate.faults import DivergenceError, FileFormatError, InputError
 
     try:
-        return {"reproduce": _reproduce, "run": _run, "bench": _bench, "laws": _laws}[command](options)
+        commands = {"reproduce": _reproduce, "run": _run, "bench": _bench, "laws": _laws, "fit": _fit}
+        return commands[command](options)
     except (InputError, FileFormatError, FileNotFoundError) as error:
         return _complain(str(error), BAD_INPUT)
     except (ReproduceError, DivergenceError, OSError) as error:
@@ -85,6 +86,12 @@ def _laws(options: dict[str, Any]) -> int:
     return laws(**options)
 
 
+def _fit(options: dict[str, Any]) -> int:
+    from palpate.app.fit.command import fit_law
+
+    return fit_law(**options)
+
+
 def _complain(message: str, code: int) -> int:
     print(f"palpate: {' '.join(message.split())}", file=sys.stderr)
     return code
@@ -102,6 +109,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_beam(examples)
     _add_membrane(examples)
     _add_run(commands)
+    _add_fit(commands)
     _add_bench(commands)
     _add_laws(commands)
     return parser
@@ -176,6 +184,27 @@ def _add_run(commands: Any) -> None:
     add("--seconds", type=float, metavar="S", help="in real time: length of the run [s], at most 600 (10)")
     add("--rate", type=float, metavar="HZ", help="in real time: steps a second, from 50 to 20000 (1000)")
     _add_results(beam, Path("out/run"))
+
+
+def _add_fit(commands: Any) -> None:
+    fit = commands.add_parser(
+        "fit",
+        help="find a law's parameters from measured curves",
+        description="Fit a law to curves of nominal stress from CSV files with units, and leave a report with standard "
+        "errors and the law's stability, and a picture, in a folder. See docs/fitting.md for the files.",
+    )
+    add = fit.add_argument
+    add("law", metavar="LAW", help="name of a law, such as NeoHookean or mooney-rivlin")
+    add("data", type=Path, nargs="+", metavar="DATA.csv", help="files of curves, fitted together")
+    several: dict[str, Any] = {"action": "extend", "nargs": "+", "default": []}
+    add("--start", **several, metavar="NAME=X[,X]", help="where to start; how many terms a law of several has")
+    add("--bounds", **several, metavar="NAME=LOW,HIGH", help="range of a parameter")
+    add("--fix", **several, dest="fixed", metavar="NAME=X[,X]", help="parameters that are not fitted")
+    add("--starts", type=int, default=8, metavar="K", help="how many starts (8)")
+    add("--seed", type=int, default=0, metavar="K", help="of the other starts (0)")
+    add("--poisson", type=float, default=0.5, metavar="NU", help="0.5 (as it is) or at most 0.499")
+    add("--density", type=float, default=1060.0, metavar="RHO", help="of the material [kg/m^3] (1060)")
+    _add_results(fit, Path("out/fit"))
 
 
 def _add_bench(commands: Any) -> None:

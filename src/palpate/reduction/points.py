@@ -80,9 +80,7 @@ def point_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tup
 def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
     """Compile the points of a solid; where one is crushed or inside out, W_s goes on as a parabola in J."""
     digest = law_digest("solid point", energy_of, first_of, second_of)
-    energy_density, slopes, bends = (
-        register_jitable(named_for(digest, f)) for f in (energy_of, first_of, second_of)
-    )
+    energy_density, slopes, bends = (register_jitable(named_for(digest, f)) for f in (energy_of, first_of, second_of))
 
     @register_jitable
     def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]

@@ -1,0 +1,179 @@
+"""``palpate fit``: the parameters of a law from measured curves, with a report and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import palpate
+from palpate.app.console import Console, print_json, print_plain, quantities_table
+from palpate.app.files import check_folder, write_json
+from palpate.app.fit.figure import draw_fit
+from palpate.app.report import finite, machine
+from palpate.faults import InputError
+from palpate.tissue.fitting import Fit, fit
+from palpate.tissue.materials import Material
+from palpate.tissue.measurement_files import read_measurements
+from palpate.tissue.measurements import Measurement
+from palpate.tissue.parameters import field_metadata, is_sequence, own_fields
+
+__all__ = ["FILES", "fit_law"]
+
+FILES = ("report.json", "fit.png")
+
+
+def fit_law(
+    *,
+    law: str,
+    data: Sequence[Path],
+    start: Sequence[str] = (),
+    bounds: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+    starts: int = 8,
+    seed: int = 0,
+    density: float = 1060.0,
+    poisson: float = 0.5,
+    out: Path,
+    as_json: bool = False,
+) -> int:
+    """Fit a law to the curves of CSV files and leave a report and a picture in a folder.
+
+    Parameters
+    ----------
+    law : str
+        Name of a law that `palpate` has, whatever its case, with or without hyphens.
+    data : sequence of path
+        As for `palpate.tissue.measurement_files.read_measurements`.
+    start, bounds, fixed : sequence of str
+        Such as ``"C1=1e3"`` or ``"alpha=2,-2"``, ``"C1=10,1e5"`` and ``"C2=0"``.
+    starts, seed, density, poisson
+        As for `palpate.tissue.fitting.fit`.
+    out : path
+        Folder; made if it does not exist.
+    as_json : bool
+        Print the report as JSON instead of tables.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InputError
+        An unknown law, an assignment that is none, a file that cannot be read as curves, or as for `fit`.
+    FileNotFoundError
+        There is no such file.
+    OSError
+        A file could not be written.
+    """
+    kind = _law(law)
+    curves = [_named(curve, path, len(data)) for path in data for curve in read_measurements(path)]
+    check_folder(out)
+    with Console().status(f"fitting {kind.__name__} to {len(curves)} curve{'' if len(curves) == 1 else 's'}"):
+        found = fit(
+            kind,
+            curves,
+            start=_shaped(kind, _numbers("start", start)),
+            bounds=_pairs(_numbers("bounds", bounds)),
+            fixed=_shaped(kind, _numbers("fix", fixed)),
+            starts=starts,
+            seed=seed,
+            density=density,
+            poisson=poisson,
+        )
+        report = finite(_report(found, data))
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "report.json", report)
+    draw_fit(found, out / "fit.png")
+    if as_json:
+        print_json(report)
+    else:
+        print_plain(_tables(found), out, FILES)
+    return 0
+
+
+def _law(name: str) -> type[Material]:
+    wanted = name.replace("-", "").replace("_", "").lower()
+    tissue = (getattr(palpate, own) for own, home in palpate._HOME.items() if home.startswith("tissue."))
+    laws = {each.__name__: each for each in tissue if isinstance(each, type) and issubclass(each, Material)}
+    concrete = {own: law for own, law in laws.items() if not law.__abstractmethods__}
+    for own, law in concrete.items():
+        if own.lower() == wanted:
+            return law
+    raise InputError(f"law = {name!r} is unknown: allowed are {', '.join(sorted(concrete))}")
+
+
+def _numbers(option: str, assignments: Sequence[str]) -> dict[str, list[float]]:
+    """Numbers by name from words such as ``alpha=2,-2``."""
+    found = {}
+    for word in assignments:
+        name, equals, values = word.partition("=")
+        try:
+            found[name.strip()] = [float(value) for value in values.split(",")]
+        except ValueError:
+            equals = ""
+        if not equals or not name.strip():
+            raise InputError(f"--{option} {word}: give NAME=NUMBER, or several numbers with commas between")
+    return found
+
+
+def _pairs(numbers: dict[str, list[float]]) -> dict[str, tuple[float, float]]:
+    for name, values in numbers.items():
+        if len(values) != 2:
+            raise InputError(f"--bounds {name}: give two numbers, NAME=LEAST,LARGEST, not {len(values)}")
+    return {name: (values[0], values[1]) for name, values in numbers.items()}
+
+
+def _shaped(law: type[Material], given: dict[str, list[float]]) -> dict[str, float | tuple[float, ...]]:
+    """A number for a field that is one, a sequence for a field of several; what is unknown is for `fit` to refuse."""
+    single = {
+        name for name in given if len(given[name]) == 1 and not (name in own_fields(law) and is_sequence(law, name))
+    }
+    return {name: values[0] if name in single else tuple(values) for name, values in given.items()}
+
+
+def _named(curve: Measurement, path: Path, files: int) -> Measurement:
+    return curve if files == 1 else replace(curve, name=f"{path.stem}, {curve.name}")
+
+
+def _report(found: Fit, data: Sequence[Path]) -> dict[str, Any]:
+    material, errors = found.material, found.standard_errors
+    return {
+        "title": f"{type(material).__name__} fitted to measured curves",
+        "law": type(material).__name__,
+        "parameters": {name: {"value": v, "standard_error": errors[name]} for name, v in found.parameters.items()},
+        "material": asdict(material),
+        "shear_modulus": material.shear_modulus,
+        "covariance": found.covariance.tolist(),
+        "condition": found.condition,
+        "curves": [asdict(curve) for curve in found.curves],
+        "starts": [asdict(start) for start in found.starts],
+        "remarks": found.remarks,
+        "stability": asdict(found.stability) | {"text": found.stability.text},
+        "data": [str(path) for path in data],
+        "sources": sorted({m.source for m in found.measurements if m.source}),
+        "machine": machine(),
+    }
+
+
+def _tables(found: Fit) -> list[Any]:
+    errors, material = found.standard_errors, found.material
+    law = type(material)
+    units = {name: field_metadata(law, name).get("unit", "") for name in found.parameters}
+    rows = {
+        f"{name} [{units[name]}]" if units[name] else name: [f"{value:.5g}", f"{errors[name]:.2g}"]
+        for name, value in found.parameters.items()
+    }
+    curves = {c.name: [str(c.points), f"{c.rms / 1e3:.3g}", f"{c.r_squared:.5f}"] for c in found.curves}
+    costs = ", ".join(f"{start.cost / found.starts[0].cost:.4g}" for start in found.starts)
+    return [
+        quantities_table(law.__name__, ["value", "standard error"], rows, first="parameter"),
+        quantities_table("Curves", ["points", "rms [kPa]", "R^2"], curves, first="curve"),
+        f"Poisson's ratio {material.poisson:g}, shear modulus at rest {material.shear_modulus:.4g} Pa",
+        f"cost of each start over the least: {costs}",
+        *(f"note: {remark}" for remark in found.remarks),
+        found.stability.text,
+    ]

@@ -1,0 +1,185 @@
+"""Measured curves and the CSV files they come from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.tissue.measurement_files import read_measurements
+from palpate.tissue.measurements import Measurement
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture
+def read(tmp_path):
+    """A function that reads a file of some text."""
+
+    def reading(text):
+        path = tmp_path / "curve.csv"
+        path.write_text(text, encoding="utf-8")
+        return read_measurements(path)
+
+    return reading
+
+
+def test_a_file_is_read_with_its_units_and_its_source(read):
+    (curve,) = read("# Doe, 2001\n# kind: uniaxial\nstretch [-], nominal stress [kPa]\n1.0, 0\n1.1, 0.61\n\n1.2,1.3\n")
+    assert (curve.kind, curve.name, curve.source) == ("uniaxial", "uniaxial", "Doe, 2001")
+    np.testing.assert_allclose(curve.deformation, [1.0, 1.1, 1.2], rtol=1e-15)
+    np.testing.assert_allclose(curve.stress, [0.0, 610.0, 1300.0], rtol=1e-15)
+    np.testing.assert_array_equal(curve.deviation, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "pascals"),
+    [
+        ("Pa", 1.0),
+        ("kPa", 1e3),
+        ("MPa", 1e6),
+        ("N/m^2", 1.0),
+        ("N/cm^2", 1.0 / 0.01**2),
+        ("N/mm^2", 1.0 / 0.001**2),
+        ("kgf/cm^2", 9.80665 / 0.01**2),
+        ("psi", 0.45359237 * 9.80665 / 0.0254**2),
+    ],
+)
+def test_stress_is_read_in_every_unit(read, unit, pascals):
+    (curve,) = read(
+        f"# kind: shear\nshear [-], engineering stress [{unit}], standard deviation [{unit}]\n0,0,2\n.2,3,4"
+    )
+    np.testing.assert_allclose(curve.stress, [0, 3 * pascals], rtol=1e-12)
+    np.testing.assert_allclose(curve.deviation, [2 * pascals, 4 * pascals], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("column", "cells"),
+    [
+        ("stretch [-]", ("0.8", "0.9")),
+        ("stretch [%]", ("80", "90")),
+        ("strain [%]", ("-20", "-10")),
+        ("Engineering Strain [mm/mm]", ("-0.2", "-0.1")),
+        ("true strain [-]", (str(np.log(0.8)), str(np.log(0.9)))),
+    ],
+)
+def test_deformation_is_read_in_every_measure_as_a_stretch(read, column, cells):
+    (curve,) = read(f"# kind: uniaxial\n{column}; nominal stress [Pa]\n{cells[0]}; -3\n{cells[1]}; -1\n")
+    np.testing.assert_allclose(curve.deformation, [0.8, 0.9], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ["strain [%]\tnominal stress [Pa]\n0\t0\n20\t3", "stretch [-],nominal stress [Pa]\n1,0\n0.8,3"]
+)
+def test_compression_may_be_given_in_positive_numbers(read, text):
+    (curve,) = read(f"# kind: compression\n{text}\n")
+    assert curve.kind == "uniaxial"
+    np.testing.assert_allclose(curve.deformation, [1, 0.8], rtol=1e-15)
+    np.testing.assert_allclose(curve.stress, [0, -3])
+
+
+def test_one_file_may_hold_several_curves(read):
+    curves = read(
+        "kind, curve, stretch [-], nominal stress [Pa]\n"
+        "tension, a, 1.1, 1\ntension, b, 1.2, 3\nbiaxial, a, 1.1, 4\ntension, a, 1.2, 2\ntension, b, 1.4, 5\n"
+        "biaxial, a, 1.3, 6\n"
+    )
+    assert [(c.kind, c.name) for c in curves] == [
+        ("uniaxial", "tension a"),
+        ("uniaxial", "tension b"),
+        ("equibiaxial", "biaxial a"),
+    ]
+    np.testing.assert_array_equal(curves[0].stress, [1, 2])
+    np.testing.assert_array_equal(curves[1].deformation, [1.2, 1.4])
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.csv")), ids=lambda path: path.stem)
+def test_every_example_is_read_and_says_where_it_comes_from(path):
+    for curve in read_measurements(path):
+        assert len(curve.stress) > 10
+        assert "Synthetic, not measured" in curve.source or "Trans. Faraday Soc." in curve.source
+
+
+HEADER = "# kind: uniaxial\nstretch [-], nominal stress [Pa]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "has no header"),
+        (
+            "# kind: uniaxial\nstretch, nominal stress [Pa]\n",
+            r"line 2: column 'stretch' has no unit: allowed are \[-\]",
+        ),
+        ("# kind: uniaxial\nstretch [m], nominal stress [Pa]\n", "column 'stretch' has the unknown unit 'm'"),
+        (
+            "# kind: uniaxial\nstretch [-], nominal stress [bar]\n",
+            r"the unknown unit 'bar': allowed are \[Pa\], \[kPa\]",
+        ),
+        ("# kind: uniaxial\nstretch [-], force [N]\n", r"column 'force \[N\]' is unknown: allowed are stretch, strain"),
+        ("# kind: uniaxial\nstretch [-], true stress [Pa]\n", "'true stress' is force per deformed area"),
+        ("# kind: uniaxial\nstretch [-], strain [%], nominal stress [Pa]\n", "not stretch and strain"),
+        ("# kind: uniaxial\nstretch [-], stretch [%], nominal stress [Pa]\n", "2 columns of stretch"),
+        ("# kind: uniaxial\nnominal stress [Pa]\n", "one column gives the deformation .*, not none"),
+        ("# kind: uniaxial\nstretch [-]\n", "there is no column of stress"),
+        ("stretch [-], nominal stress [Pa]\n1.0, 0\n1.1, 1\n", "says no kind of test"),
+        (
+            "# kind: torsion\nstretch [-], nominal stress [Pa]\n1, 0\n",
+            "line 3: kind 'torsion' is unknown: allowed are uni",
+        ),
+        (HEADER, "has no rows below its header"),
+        (HEADER + "1.0, 0\n1.1\n", "line 4 has 1 cells: the header has 2"),
+        (HEADER + "1.0, 0\n1.1, soft\n", "line 4: nominal stress = 'soft' is not a finite number"),
+        (HEADER + "1.0, 0\n1.1, nan\n", "line 4: nominal stress = 'nan' is not a finite number"),
+        (HEADER + "1.0, 0\n-1.1, 3\n", "lines 3 to 4: stretch = -1.1 at point 2 is out of range"),
+        (HEADER + "1.0, 0\n1.2, 3\n1.1, 2\n", r"stretch = 1.1 at point 3 turns back after 1.2"),
+        (
+            "# kind: shear\nstretch [-], nominal stress [Pa]\n1, 0\n1.1, 1\n",
+            "kind 'shear' is not given by a column of str",
+        ),
+        ("# kind: compression\nstretch [-], nominal stress [Pa]\n1, 0\n1.1, 1\n", "stretch = 1.1 is no compression"),
+        ("# kind: compression\nstrain [-], nominal stress [Pa]\n-.1, 0\n.1, 1\n", "strain changes its sign"),
+    ],
+)
+def test_a_file_that_is_no_curve_is_refused_by_line_and_what_is_allowed(read, text, message):
+    with pytest.raises(pt.FileFormatError, match=message):
+        read(text)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "picture.csv").write_bytes(b"\x89PNG\xff\xfe\x00")
+    with pytest.raises(pt.FileFormatError, match="is not a text file"):
+        read_measurements(tmp_path / "picture.csv")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "pull"}, "kind = 'pull' is unknown: allowed are uniaxial, equibiaxial, planar, shear"),
+        ({"stress": [0.0, 1.0]}, "stress has 2 points, the deformation 3"),
+        ({"stress": [0.0, np.inf, 1.0]}, "stress = inf at point 2 is out of range: allowed are finite numbers"),
+        ({"stress": "soft"}, "stress must be an array of numbers"),
+        ({"stress": [0.0, -1.0, -2.0]}, "the stresses act against the deformation"),
+        ({"deformation": [1.0], "stress": [0.0]}, r"deformation has the shape \(1,\)|stretch has the shape \(1,\)"),
+        ({"deformation": [1.0, 1.3, 1.2]}, "stretch = 1.2 at point 3 turns back after 1.3"),
+        ({"deformation": [0.0, 1.1, 1.2]}, r"stretch = 0 at point 1 is out of range: allowed is \(0, inf\)"),
+        ({"deformation": [1.0, 1.0, 1.0]}, "every stretch is 1, rest: nothing was deformed"),
+        ({"deviation": 0.0}, "deviation = 0 at point 1 is out of range"),
+        ({"deviation": [1.0, 2.0, -1.0]}, "deviation = -1 at point 3 is out of range"),
+    ],
+)
+def test_a_curve_that_cannot_be_is_refused(change, message):
+    curve = {"kind": "uniaxial", "deformation": [1.0, 1.1, 1.2], "stress": [0.0, 1.0, 2.0]}
+    with pytest.raises(pt.InputError, match=message):
+        Measurement(**(curve | change))
+
+
+def test_a_curve_cannot_be_changed_through_what_it_was_made_of():
+    stress = np.array([0.0, 1.0])
+    curve = Measurement(kind="shear", deformation=[0.0, 0.1], stress=stress)
+    stress[1] = 7.0
+    assert curve.stress[1] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        curve.stress[1] = 7.0
