@@ -170,7 +170,7 @@ def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Float
 def _shear_work(body: FullModel | Membrane, fields: Fields, state: Floats) -> Floats:
     """Work of every point's shear stress, times its volume, on all columns, shape (columns, p)."""
     gradients = fields.gradients
-    F, cofactor, J = deformation(gradients[:, : len(state)], state)
+    F, _, _ = deformation(gradients[:, : len(state)], state)
     if isinstance(body, Membrane):
         stress = np.zeros_like(F)
         stress[:, :, :2] = body.stress_at(F[:, :, :2] + (body.prestretch - 1) * np.eye(3, 2))

@@ -44,8 +44,6 @@ def described(material: Material) -> dict[str, str]:
 def material_of(name: str, parameters: dict[str, Any], expression: str, prony: dict[str, Any]) -> Material:
     """Make a material from what `described` says of it.
 
-    It knows both `poisson` and `bulk`, and takes one: the one that gives the other to the last bit.
-
     Raises
     ------
     InputError
@@ -66,10 +64,5 @@ def material_of(name: str, parameters: dict[str, Any], expression: str, prony: d
     if prony.keys() - {field.name for field in fields(Prony)}:
         raise InputError(f"attribute prony has {sorted(prony)}")
     given = {"prony": Prony(**{key: tuple(value) for key, value in prony.items()})} if prony else {}
-    if "bulk" not in values:
-        return law(**values, **given)
-    for derived in ("poisson", "bulk"):
-        material: Material = law(**{key: value for key, value in values.items() if key != derived}, **given)
-        if all(getattr(material, key) == value for key, value in values.items()):
-            return material
-    raise InputError(f"poisson = {values['poisson']:g} does not belong to bulk = {values['bulk']:g} Pa")
+    material: Material = law(**values, **given)
+    return material

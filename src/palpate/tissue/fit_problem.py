@@ -135,7 +135,8 @@ class Problem:
         """Return the material of a vector of free parameters; raises `InputError` if the law refuses it."""
         vector = self._all.copy()
         vector[self._free] = x
-        return self.layout.law(**self.layout.arguments(vector), **self._rest)
+        rest: dict[str, Any] = dict(self._rest)
+        return self.layout.law(**self.layout.arguments(vector), **rest)
 
     def residuals(self, x: Floats) -> Floats:
         """Return differences of stress over their deviations and the unit, (n,); NaN if the law refuses `x`."""

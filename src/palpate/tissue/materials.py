@@ -52,7 +52,8 @@ class Material(ABC):
     density : float [kg/m^3]
         Of the reference state.
     poisson : float, optional
-        Poisson's ratio at rest, 0 to 0.499, or 0.5 for the incompressible material of a membrane. Give this or `bulk`.
+        Poisson's ratio at rest, 0 to 0.499, or 0.5 for the incompressible material of a membrane. Give this or `bulk`;
+        both only if they belong together.
     bulk : float, optional [Pa]
         Bulk modulus at rest.
     prony : Prony, optional
@@ -83,8 +84,9 @@ class Material(ABC):
         number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
         self._check_parameters()
         mu = self.shear_modulus
-        if (self.poisson is None) == (self.bulk is None):
+        if self.poisson is None and self.bulk is None:
             raise InputError("give either poisson or bulk, to say how compressible the material is")
+        given = self.bulk
         if self.incompressible:
             object.__setattr__(self, "bulk", np.inf)
         elif self.poisson is not None:
@@ -94,6 +96,13 @@ class Material(ABC):
             low, high = (2 * mu * (1 + nu) / (3 * (1 - 2 * nu)) for nu in (0.0, MOST_POISSON))
             bulk = number_in_range("bulk", self.bulk, low * (1 - 1e-9), high * (1 + 1e-9), unit="Pa")  # type: ignore[arg-type]
             object.__setattr__(self, "poisson", (3 * bulk - 2 * mu) / (2 * (3 * bulk + mu)))
+        if given is not None:
+            if not np.isclose(given, self.bulk_modulus, rtol=1e-9, atol=0.0):
+                raise InputError(
+                    f"give either poisson or bulk: poisson = {self.poisson:g} makes bulk = {self.bulk:g} Pa, "
+                    f"not {given:g} Pa"
+                )
+            object.__setattr__(self, "bulk", given)  # to the last bit
 
     def _check_parameters(self) -> None:
         """Raise `InputError` for a parameter out of range; each field made by `parameter` knows its own."""
