@@ -44,7 +44,7 @@ def made_up(cloud, material, *, modes, samples=5, fixed=(), driven=(), lifted=0)
     nodes = np.sort(np.random.default_rng(8).choice(len(cloud), samples, replace=False))
     rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
     return ReducedParts(
-        cloud, material, fixed, driven, cloud.volumes, 1e-4, 20.0, columns, modes, lifted, rule,
+        cloud, material, fixed, driven, cloud.volumes, np.ones(len(cloud)), 1e-4, 20.0, columns, modes, lifted, rule,
         draw(size=(samples, count, 9)), np.eye(count), draw(size=(240, modes + lifted)), 1e-3,
     )  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numba
@@ -51,6 +51,9 @@ class FullModel(NodalModel):
         ``"strong"``: the equations of motion are collocated at the nodes, as the paper does. ``"energy"``: the nodal
         forces are the slope of an energy summed over nodes (`palpate.dynamics.solid_energy`): nothing makes energy, no
         viscosity is needed, and bending is truer; a sampled reduced model is a part of the same sum.
+    stiffness : mapping of str to float, or (n,) array, optional
+        Of the energy form: how many times stiffer than the law the tissue of some groups, or of every node, is (a
+        tumour in a liver). A node's share of the volume is of its own stiffness: interfaces lie midway between nodes.
     pressure : str
         Of the strong form. ``"split"``: the pressure is smoothed and differentiated by itself, which neither locks nor
         loses stability up to a Poisson's ratio of 0.499. ``"direct"``: everything is differentiated directly, for
@@ -81,6 +84,7 @@ class FullModel(NodalModel):
         *,
         form: str = "strong",
         viscosity: float | None = None,
+        stiffness: Mapping[str, float] | Floats | None = None,
         pressure: str = "split",
         half_cell: float = 3.0,
         neighbours: int = 42,
@@ -99,6 +103,9 @@ class FullModel(NodalModel):
             raise InputError(f"form = {form!r}: allowed are 'strong' and 'energy'")
         if material.prony is not None and (form != "energy" or material.variables == "small strain"):
             raise InputError("tissue that relaxes (prony=) needs form='energy' and a law of finite strain")
+        self._stiffness = _nodal_stiffness(cloud, stiffness)
+        if len(self._stiffness) and form != "energy":
+            raise InputError("a stiffness of its own at some nodes needs form='energy'")
         self.form, self.pressure, self.conservative = form, pressure, form == "energy"
         # the cloud's boundary vectors are those of the half cell, c = 2, which the energy form has by itself
         self.half_cell = 1.0 if self.conservative else number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
@@ -166,7 +173,7 @@ class FullModel(NodalModel):
             lanes, first_weights, miss_weights, carriers, back, -both.sum(axis=1),
             smooth_lanes, value, own, back_lanes, back_value,
             material.coefficients, material.lame, HOURGLASS * material.shear_modulus / cloud.spacing**2,
-            relaxation(material),
+            relaxation(material), self._stiffness,
         )  # fmt: skip
         families = (lanes, smooth_lanes, back_lanes)
         longest = int(max(*(np.diff(family.start).max() for family in families), 4 * np.diff(carriers.start).max()))
@@ -192,6 +199,11 @@ class FullModel(NodalModel):
         """Nodal volumes [m^3], shape (n,): the cloud's; in the energy form those that integrate quadratic fields."""
         return self._volumes
 
+    @property
+    def elastic_volumes(self) -> Floats:
+        """Nodal volumes [m^3] times the nodes' own stiffness, by which energies count, shape (n,)."""
+        return self.volumes * self._stiffness if len(self._stiffness) else self.volumes
+
     def deformation_gradient(self, displacements: Floats) -> Floats:
         return self.stencils.gradient(displacements) + np.eye(3)
 
@@ -216,13 +228,14 @@ class FullModel(NodalModel):
         """Energy [J/m^3] of the energy form at every node, shape (n,)."""
         self.force(displacements)
         shear = self.material.shear_energy(self.deformation_gradient(displacements))
-        misses = self.work.flux[:, 9:]
+        stiffness = self.elastic_volumes / self.volumes
+        misses = self.work.flux[:, 9:] / stiffness[:, None]
         pressure = self.material.lame / 2 * self.work.smooth**2
         density = np.asarray(shear + pressure + np.sum(misses**2, axis=1) / (2 * self.body.hourglass))
         if self.material.prony is not None:
             memory = self.work.memory
             density += memory.energy.ravel()[self.slot] + self.material.lame * memory.volume_energy
-        return density
+        return density * stiffness
 
     def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
         return at_ease(self.work.memory, lambda: self.force(displacements)) if self.conservative else ()
@@ -236,7 +249,7 @@ class FullModel(NodalModel):
             return 0.0, ()
         memory = self.work.memory
         lost = memory.lost.ravel()[self.slot] + self.material.lame * memory.volume_lost
-        return float(self.volumes @ lost), remembered(memory)
+        return float(self.elastic_volumes @ lost), remembered(memory)
 
     def smoothed(self, values: Floats) -> Floats:
         """Return nodal values (n,) as the energy form smooths J - 1 to theta."""
@@ -262,3 +275,18 @@ class FullModel(NodalModel):
 
     def drive(self, loads: Sequence[Load]) -> Drive:
         return drive(self.cloud, self.fixed, loads)
+
+
+def _nodal_stiffness(cloud: Cloud, given: Mapping[str, float] | Floats | None) -> Floats:
+    """Stiffness (n,) of the nodes beside the law's; empty where it is the law's everywhere."""
+    if given is None:
+        return np.zeros(0)
+    if isinstance(given, Mapping):
+        stiffness = np.ones(len(cloud))
+        for group, value in given.items():
+            stiffness[cloud.group(group)] = number_in_range(f"stiffness[{group!r}]", value, 0.0, open_low=True)
+        return stiffness
+    stiffness = np.array(given, dtype=float)
+    if stiffness.shape != (len(cloud),) or not np.all(np.isfinite(stiffness) & (stiffness > 0)):
+        raise InputError(f"stiffness must be {len(cloud)} positive numbers, one a node, not of shape {stiffness.shape}")
+    return stiffness

@@ -2,13 +2,13 @@
 
 With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
-    E(u) = sum over nodes of V [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
+    E(u) = sum over nodes of V k [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
 
-theta is J - 1 smoothed over about 27 nodes such that its integral stays: the pressure lame theta neither locks nor
-oscillates, and a uniform one moves no node inside. e is what an evenly weighted quadratic fit misses of the node's own
-displacement. Gradients at nodes alone do not see the shortest waves, which would cost no energy; e does, is zero in
-every quadratic field, and so changes neither stretching nor bending (hourglass control as in Ganzenmueller, Comput.
-Methods Appl. Mech. Eng. 286, 2015, of second order).
+k is 1, or the node's own stiffness beside the law's. theta is J - 1 smoothed over about 27 nodes such that its integral
+stays: the pressure lame theta neither locks nor oscillates, and a uniform one moves no node inside. e is what an evenly
+weighted quadratic fit misses of the node's own displacement. Gradients at nodes alone do not see the shortest waves,
+which would cost no energy; e does, is zero in every quadratic field, and so changes neither stretching nor bending
+(hourglass control as in Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
 
 Four passes over blocks of nodes: deformation and shear stress; smoothing of J - 1; the transposed smoothing, which
 gives the pressure; the transposed derivatives of the stresses. Each node's result depends on no other's, so any number
@@ -56,6 +56,7 @@ class EnergyBody(NamedTuple):
     lame: float
     hourglass: float  # s [Pa/m^2]
     relaxation: Relaxation
+    stiffness: NDArray[np.float64]  # (n,) k, empty where it is 1 everywhere
 
 
 class EnergyWork(NamedTuple):
@@ -69,6 +70,7 @@ class EnergyWork(NamedTuple):
     smooth: NDArray[np.float64]  # (n,) theta
     pressure: NDArray[np.float64]  # (n,) [Pa]
     memory: Memory  # of tissue that relaxes
+    scaled: NDArray[np.float64]  # (n,) theta times the stiffness
 
 
 def energy_work(nodes: int, blocks: int, longest: int, threads: int, branches: int) -> EnergyWork:
@@ -82,6 +84,7 @@ def energy_work(nodes: int, blocks: int, longest: int, threads: int, branches: i
         np.zeros(nodes),
         np.zeros(nodes),
         memory(branches, blocks, nodes),
+        np.zeros(nodes),
     )
 
 
@@ -115,6 +118,15 @@ def _add_overstress(lanes, stress, flux):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _stiffen(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
+    """Multiply what every node answers by its stiffness."""
+    for i in range(stiffness.shape[0]):
+        for q in range(NUMBERS):
+            flux[i, q] *= stiffness[i]
+        scaled[i] = stiffness[i] * theta[i]
+
+
+@njit(cache=True)
 def _after(work, interval):  # type: ignore[no-untyped-def]
     """Let the next evaluation be remembered as that of an interval [s] later; with 0 none is."""
     work.memory.interval[0] = interval
@@ -132,6 +144,9 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
         _add_overstress(body.lanes, work.memory.stress, work.flux)
         relax_volume(body.relaxation, work.memory, work.smooth)
         effective = work.memory.effective
+    if body.stiffness.shape[0] > 0:
+        _stiffen(body.stiffness, work.flux, effective, work.scaled)
+        effective = work.scaled
     smooth_field(body.transposed_smoothing, body.transposed_value, body.smoothing_own, work.fields, work.derivatives,
             effective, work.pressure)  # fmt: skip
     _add_pressure(body.lanes, work.cofactor, work.pressure, body.lame, work.flux)

@@ -35,7 +35,7 @@ def rest_stiffness(body: FullModel) -> Any:
     if not body.conservative:
         raise InputError("the strong form has no symmetric stiffness: make the model with form='energy'")
     material, n = body.material, len(body.cloud)
-    volume = sparse.diags(body.volumes)
+    volume = sparse.diags(body.elastic_volumes)
     near, row = body.stencils.neighbours, body.stencils.row
     slopes = [_operator(near, body.stencils.first[row][:, :, d]) for d in range(3)]
     misses = _operator(near, body.stencils.value[row])

@@ -31,6 +31,8 @@ class ReducedParts:
         Groups that tools hold.
     volumes : (n,) array [m^3]
         Nodal volumes of the mass.
+    stiffness : (n,) array
+        Of the nodes beside the law's; the weights of the samples hold it already.
     viscosity : float [s]
     fastest : float [m/s]
         About the speed of the fastest waves: a tool that jumps counts as no faster in the viscous forces.
@@ -68,6 +70,7 @@ class ReducedParts:
     fixed: tuple[str, ...]
     driven: tuple[str, ...]
     volumes: Floats
+    stiffness: Floats
     viscosity: float
     fastest: float
     columns: Floats

@@ -27,7 +27,7 @@ from palpate.reduction.points import point_law
 from palpate.reduction.samples import Samples, sampled_energy, samples, scratch
 from palpate.reduction.stepping import newton, sampled_step
 from palpate.reduction.trust import distance, expected_error, imbalance
-from palpate.reduction.work import load_work, pose_map
+from palpate.reduction.work import load_forces, load_work, pose_map
 
 __all__ = ["ReducedModel", "ReducedParts"]
 
@@ -347,15 +347,7 @@ class ReducedModel(Model):
         return np.tensordot(self._rates(state, drive)[0], self.parts.columns[: self.count], 1)
 
     def external_force(self, state: State, drive: Drive) -> Floats:
-        schedule, places = drive.schedule(np.array([state.time])), drive.places
-        result = self.masses[:, None] * schedule.gravity[0]
-        for g in range(len(places.force_start) - 1):
-            own = slice(places.force_start[g], places.force_start[g + 1])
-            share = (
-                places.force_share[own, None] * schedule.force[0, g] + places.moment_share[own] @ schedule.moment[0, g]
-            )
-            np.add.at(result, places.force_node[own], share)
-        return result
+        return load_forces(drive.places, drive.schedule(np.array([state.time])), self.masses)
 
     def nodal_force(self, displacements: Floats) -> Floats:
         raise InputError("a reduced model has no forces at nodes; ask the full model")
@@ -375,7 +367,7 @@ class ReducedModel(Model):
     def stress(self, displacements: Floats) -> Floats:
         if self.parts.kinematics.sheet:
             raise InputError("a reduced membrane does not tell its stress at nodes: ask the full model")
-        return self.material.stress(self.deformation_gradient(displacements))
+        return self.parts.stiffness[:, None, None] * self.material.stress(self.deformation_gradient(displacements))
 
     def strain_energy(self, displacements: Floats) -> float:
         """Return the strain energy [J] of nodal displacements that the columns can make."""

@@ -45,6 +45,7 @@ class Fields:
     nodes : (p,) int array
         Whose points they are.
     volumes : (p,) array [m^3]
+        Times the nodes' own stiffness.
     """
 
     columns: Floats
@@ -68,9 +69,9 @@ def differentiated(body: FullModel | Membrane, columns: Floats) -> Fields:
     gradients, misses = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
     for m, by_node in enumerate(_by_node(body, columns, 12)):
         gradients[:, m] = by_node[:, :9]
-        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.volumes), 3)
+        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.elastic_volumes), 3)
     constant = np.asarray(misses @ misses.T, dtype=float) * body.body.hourglass
-    return Fields(columns, gradients, constant, np.arange(n), body.volumes)
+    return Fields(columns, gradients, constant, np.arange(n), body.elastic_volumes)
 
 
 def _on_sheet(body: Membrane, columns: Floats) -> Fields:
@@ -184,7 +185,7 @@ def pressure_moments(body: FullModel | Membrane, snapshots: Floats, pressures: i
     """Coefficients (k, n) of J - 1 at all nodes in the moments: those of the main shapes of the runs' pressures."""
     if isinstance(body, Membrane):  # its thickness follows: it has no pressure
         return np.zeros((0, len(body.cloud)))
-    roots, chosen = np.sqrt(body.volumes), snapshots[:: max(1, len(snapshots) // STATES)]
+    roots, chosen = np.sqrt(body.elastic_volumes), snapshots[:: max(1, len(snapshots) // STATES)]
     smooth = np.empty((len(chosen), len(roots)))
     for u, row in zip(chosen, smooth, strict=True):
         body.force(u)

@@ -48,6 +48,7 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "cloud/group_nodes": ("<i8", ("members",)),
     "cloud/triangles": ("<i8", ("triangles", 3)),
     "volumes": ("<f8", ("nodes",)),
+    "stiffness": ("<f8", ("nodes",)),
     "columns": ("<f4", ("columns", "nodes", 3)),
     "cubature/nodes": ("<i8", ("samples",)),
     "cubature/weights": ("<f8", ("samples",)),
@@ -268,6 +269,7 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         fixed=tuple(header["fixed"]),
         driven=tuple(header["driven"]),
         volumes=own["volumes"],
+        stiffness=own["stiffness"],
         viscosity=number_in_range("viscosity", header["viscosity"], 0.0, unit="s"),
         fastest=number_in_range("fastest", header["fastest"], 0.0, unit="m/s"),
         columns=own["columns"],
@@ -303,8 +305,9 @@ def _check_values(arrays: Arrays) -> None:
             raise InputError(f"dataset {name} names nodes outside 0..{count - 1}")
     if np.any(arrays["cubature/weights"] < 0):
         raise InputError("dataset cubature/weights holds negative weights")
-    if not np.all(arrays["volumes"] > 0):
-        raise InputError("dataset volumes holds volumes that are not positive")
+    for name in ("volumes", "stiffness"):
+        if not np.all(arrays[name] > 0):
+            raise InputError(f"dataset {name} holds {name} that are not positive")
     sizes, members = arrays["cloud/group_sizes"], len(arrays["cloud/group_nodes"])
     if np.any(sizes < 1) or sizes.sum() != members:
         raise InputError(f"dataset cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")

@@ -180,7 +180,8 @@ def _trained(
     places, rule = choose_samples(body, bare, modes, chosen, mass, share, moments, seed)
     fields, gradients = witnessed(body, fields, (modes, count, len(watched)), chosen, rule, places, moments)
     parts = ReducedParts(
-        body.cloud, body.material, body.fixed, tools, body.volumes, full.viscosity, full.fastest, fields.columns, modes,
+        body.cloud, body.material, body.fixed, tools, body.volumes, _stiffness(body), full.viscosity, full.fastest,
+        fields.columns, modes,
         len(lifting), rule, gradients, fields.constant, chosen,
         _reach(chosen, mass / body.masses.sum(), [len(run.times) for run in runs], len(states)),
         len(watched), kinematics=_kinematics(body),
@@ -214,6 +215,10 @@ def _trained(
     if held_out:
         return _tried(model, held_out)
     return model
+
+
+def _stiffness(body: FullModel | Membrane) -> Floats:
+    return np.ones(len(body.cloud)) if isinstance(body, Membrane) else body.elastic_volumes / body.volumes
 
 
 def _kinematics(body: FullModel | Membrane) -> Kinematics:

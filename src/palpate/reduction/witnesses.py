@@ -127,7 +127,7 @@ def _factors(
 ) -> Floats:
     """Return factors (s, w) of the witnesses' derivatives at the sampled nodes."""
     few = _Rule(np.asarray(fields.gradients[rule.nodes], dtype=float), rule.weights, rule.pressure)
-    every = _Rule(fields.gradients, body.volumes, moments)
+    every = _Rule(fields.gradients, body.elastic_volumes, moments)
     terms = np.array([few.work(body, count, witnesses, state) for state in states])
     whole = np.array([every.work(body, count, witnesses, state).sum(axis=0) for state in states])
     sizes = np.linalg.norm(whole, axis=1)
