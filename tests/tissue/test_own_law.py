@@ -100,6 +100,14 @@ REFUSED = {
 }
 
 
+def test_a_law_that_gives_way_is_refused_with_a_report_unless_it_is_wanted():
+    text, parameters = "C1*(I1bar - 3) - C2*(I1bar - 3)**2", {"C1": 5e3, "C2": 3e4}
+    with pytest.raises(pt.InputError, match=r"not elliptic, worst at principal stretches"):
+        Hyperelastic(text, **parameters, **REST)
+    assert Hyperelastic(text, stable=(0.97, 1.03), **parameters, **REST).C2 == 3e4
+    assert Hyperelastic(text, stable=None, **parameters, **REST).C2 == 3e4
+
+
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_is_no_energy_is_refused(case):
     text, parameters, message = REFUSED[case]

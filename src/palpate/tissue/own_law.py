@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from palpate.faults import InputError
+from palpate.tissue.ellipticity import material_stability
 from palpate.tissue.materials import Material, parameter
 from palpate.tissue.prony import Prony
 from palpate.tissue.stretch_laws import StretchLaw
@@ -27,6 +28,7 @@ INVARIANTS, STRETCHES = ("I1", "I2", "J"), ("l1", "l2", "l3")
 ISOCHORIC = {"I1bar": ("I1", -2), "I2bar": ("I2", -4)}  # I1 J^(-2/3), I2 J^(-4/3)
 FUNCTIONS = ("exp", "log", "sqrt", "sinh", "cosh", "tanh", "atan")
 OPERATIONS = {ast.Add: "__add__", ast.Sub: "__sub__", ast.Mult: "__mul__", ast.Div: "__truediv__", ast.Pow: "__pow__"}
+VOLUMES = (0.9, 1.1)  # of the check of stability
 LONGEST = 4000  # characters of an energy
 NEARLY = 1e-9  # share of the sizes of the terms that their sum may miss of zero
 
@@ -38,6 +40,7 @@ def Hyperelastic(
     poisson: float | None = None,
     bulk: float | None = None,
     prony: Prony | None = None,
+    stable: tuple[float, float] | None = (0.8, 1.25),
     **parameters: float,
 ) -> Material:
     """Return the material of an energy that is written down.
@@ -52,6 +55,9 @@ def Hyperelastic(
     density : float [kg/m^3]
     poisson, bulk, prony
         As for `palpate.Material`.
+    stable : (float, float) or None
+        Range of the principal stretches, around 1, in which the law must be strongly elliptic
+        (`palpate.material_stability`, with volumes from 0.9 to 1.1); None takes it as it is.
     **parameters : float
         The values of the energy's parameters, in SI units.
 
@@ -65,8 +71,8 @@ def Hyperelastic(
     ------
     InputError
         A text that is no energy, that cannot be differentiated, or is not symmetric in the stretches; a parameter that
-        is missing or not in the text; an energy that is not finite or not free of stress at rest, or has no positive
-        moduli there.
+        is missing or not in the text; an energy that is not finite or not free of stress at rest, has no positive
+        moduli there, or is not elliptic in the range: with a report of where.
 
     Examples
     --------
@@ -83,7 +89,10 @@ def Hyperelastic(
             raise InputError(f"{name} = {parameters[name]!r} is no parameter of the energy; it has {names or 'none'}")
     law = law_of(energy)
     values: dict[str, Any] = dict(parameters)
-    return law(density=density, poisson=poisson, bulk=bulk, prony=prony, **values)
+    material: Material = law(density=density, poisson=poisson, bulk=bulk, prony=prony, **values)
+    if stable is not None:
+        material_stability(material, stable, VOLUMES).require()
+    return material
 
 
 # reading
