@@ -69,6 +69,8 @@ class Memory(NamedTuple):
         Its branches.
     effective : (v,) array
         It and what its branches add, as last evaluated.
+    factors : (k, 5) array
+        Of every branch, for the interval.
     stress : (b, 9, LANES) array [Pa]
         Overstress, as last evaluated, row by row.
     energy, lost : (b, LANES) arrays [J/m^3]
@@ -83,6 +85,7 @@ class Memory(NamedTuple):
     dilatation: Floats
     volume: Floats
     effective: Floats
+    factors: Floats
     stress: Floats
     energy: Floats
     lost: Floats
@@ -113,6 +116,7 @@ def memory(branches: int, blocks: int, volumes: int) -> Memory:
         np.zeros(volumes),
         np.zeros((volumes, branches)),
         np.zeros(volumes),
+        np.zeros((branches, 5)),
         np.zeros((blocks, 9, LANES)),
         np.zeros((blocks, LANES)),
         np.zeros((blocks, LANES)),
@@ -155,22 +159,25 @@ def remembered(of: Memory) -> tuple[Floats, ...]:
 
 
 @njit(cache=True)
-def _fade(interval, time):  # type: ignore[no-untyped-def]
-    """What is left of a branch after an interval, and what of an even change in it."""
-    if interval == 0.0:
-        return 1.0, 1.0
-    ratio = interval / time
-    return np.exp(-ratio), -np.expm1(-ratio) / ratio
+def _prepare(relaxation, memory):  # type: ignore[no-untyped-def]
+    """Write for every branch what is left of it after the interval, what of an even change is, and what both lose."""
+    interval = memory.interval[0]
+    for k in range(relaxation.times.shape[0]):
+        factors = memory.factors[k]
+        if interval == 0.0:
+            factors[0], factors[1], factors[2:] = 1.0, 1.0, 0.0
+            continue
+        ratio = interval / relaxation.times[k]
+        factors[0], factors[1] = np.exp(-ratio), -np.expm1(-ratio) / ratio
+        factors[2], factors[3], factors[4] = -np.expm1(-ratio), -np.expm1(-2.0 * ratio), ratio
 
 
 @njit(cache=True, forceinline=True)
-def _lost(a, added, interval, time):  # type: ignore[no-untyped-def]
+def _lost(a, added, factors):  # type: ignore[no-untyped-def]
     """Integral of A^2 / tau over an interval in which A begins at a and the strain changes evenly by `added`."""
-    rate = added * time / interval
-    ratio = interval / time
+    rate = added / factors[4]
     b = a - rate
-    once, twice = -np.expm1(-ratio), -np.expm1(-2.0 * ratio)
-    return 0.5 * b * b * twice + 2.0 * b * rate * once + rate * rate * ratio
+    return 0.5 * b * b * factors[3] + 2.0 * b * rate * factors[2] + rate * rate * factors[4]
 
 
 @njit(cache=True, forceinline=True)
@@ -194,15 +201,14 @@ def _isochoric(c):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, forceinline=True)
-def _remember(relaxation, memory, b, v, C, interval):  # type: ignore[no-untyped-def]
+def _remember(relaxation, memory, b, v, C):  # type: ignore[no-untyped-def]
     """Bring the branches and the strain of one point up to date."""
     for k in range(relaxation.times.shape[0]):
-        left, new = _fade(interval, relaxation.times[k])
-        lost = 0.0
+        factors, lost = memory.factors[k], 0.0
         for q in range(6):
             old, change = memory.branches[b, k, q, v], C[q] - memory.strain[b, q, v]
-            lost += (1.0 if q < 3 else 2.0) * _lost(old, change, interval, relaxation.times[k])
-            memory.branches[b, k, q, v] = left * old + new * change
+            lost += (1.0 if q < 3 else 2.0) * _lost(old, change, factors)
+            memory.branches[b, k, q, v] = factors[0] * old + factors[1] * change
         memory.lost[b, v] += 0.5 * relaxation.moduli[k] * lost
     for q in range(6):
         memory.strain[b, q, v] = C[q]
@@ -218,8 +224,7 @@ def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyp
         F, J, scale, C = _isochoric(c)
         Q0, Q1, Q2, Q3, Q4, Q5, stored = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(relaxation.times.shape[0]):
-            left, new = _fade(interval, relaxation.times[k])
-            mu = relaxation.moduli[k]
+            left, new, mu = memory.factors[k, 0], memory.factors[k, 1], relaxation.moduli[k]
             A0, A1 = left * old[k, 0, v] + new * (C[0] - kept[0, v]), left * old[k, 1, v] + new * (C[1] - kept[1, v])
             A2, A3 = left * old[k, 2, v] + new * (C[2] - kept[2, v]), left * old[k, 3, v] + new * (C[3] - kept[3, v])
             A4, A5 = left * old[k, 4, v] + new * (C[4] - kept[4, v]), left * old[k, 5, v] + new * (C[5] - kept[5, v])
@@ -228,7 +233,7 @@ def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyp
             stored += 0.25 * mu * (A0 * A0 + A1 * A1 + A2 * A2 + 2.0 * (A3 * A3 + A4 * A4 + A5 * A5))
         memory.energy[b, v] = stored
         if interval > 0.0:
-            _remember(relaxation, memory, b, v, C, interval)
+            _remember(relaxation, memory, b, v, C)
         trace = Q0 * C[0] + Q1 * C[1] + Q2 * C[2] + 2.0 * (Q3 * C[3] + Q4 * C[4] + Q5 * C[5])
         trace /= 3.0 * J
         for i in range(3):
@@ -241,6 +246,7 @@ def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyp
 @njit(cache=True)
 def overstress_alone(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
     """Do as `overstress` on one thread."""
+    _prepare(relaxation, memory)
     for b in range(cofactor.shape[0]):
         _answer(relaxation, memory, cofactor, b, memory.interval[0])
 
@@ -264,6 +270,7 @@ def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
 
     `cofactor` is cof F, (b, 9, LANES), row by row.
     """
+    _prepare(relaxation, memory)
     for b in prange(cofactor.shape[0]):
         _answer(relaxation, memory, cofactor, b, memory.interval[0])
 
@@ -277,13 +284,12 @@ def relax_volume(relaxation, memory, values):  # type: ignore[no-untyped-def]
         change = values[i] - memory.dilatation[i]
         for k in range(relaxation.times.shape[0]):
             share = relaxation.bulk[k]
-            left, new = _fade(interval, relaxation.times[k])
             old = memory.volume[i, k]
-            now = left * old + new * change
+            now = memory.factors[k, 0] * old + memory.factors[k, 1] * change
             total += share * now
             stored += 0.5 * share * now * now
             if interval > 0.0:
-                gone += share * _lost(old, change, interval, relaxation.times[k])
+                gone += share * _lost(old, change, memory.factors[k])
                 memory.volume[i, k] = now
         memory.effective[i] = total
         memory.volume_energy[i] = stored
