@@ -20,6 +20,7 @@ from palpate.faults import InputError
 from palpate.tissue.materials import Material, parameter
 from palpate.tissue.prony import Prony
 from palpate.tissue.stretch_laws import StretchLaw
+from palpate.tissue.volumetric import QUADRATIC
 
 __all__ = ["Hyperelastic", "law_of"]
 
@@ -38,6 +39,7 @@ def Hyperelastic(
     poisson: float | None = None,
     bulk: float | None = None,
     prony: Prony | None = None,
+    volumetric: str = QUADRATIC,
     **parameters: float,
 ) -> Material:
     """Return the material of an energy that is written down.
@@ -45,12 +47,12 @@ def Hyperelastic(
     Parameters
     ----------
     energy : str
-        W_s [J/m^3] without its bulk part lame / 2 (J - 1)^2, in the notation of Python, of the invariants ``I1``,
+        W_s [J/m^3] without its volumetric part U(J), in the notation of Python, of the invariants ``I1``,
         ``I2``, ``J`` of C and of ``I1bar`` = I1 J^(-2/3), ``I2bar`` = I2 J^(-4/3); or of the principal stretches
         ``l1``, ``l2``, ``l3``. With + - * / **, exp, log, sqrt, sinh, cosh, tanh, atan, numbers, and parameters under
         any other names.
     density : float [kg/m^3]
-    poisson, bulk, prony
+    poisson, bulk, prony, volumetric
         As for `palpate.Material`.
     **parameters : float
         The values of the energy's parameters, in SI units.
@@ -83,7 +85,7 @@ def Hyperelastic(
             raise InputError(f"{name} = {parameters[name]!r} is no parameter of the energy; it has {names or 'none'}")
     law = law_of(energy)
     values: dict[str, Any] = dict(parameters)
-    return law(density=density, poisson=poisson, bulk=bulk, prony=prony, **values)
+    return law(density=density, poisson=poisson, bulk=bulk, prony=prony, volumetric=volumetric, **values)
 
 
 # reading
