@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.tissue.volumetric import FORMS
 
 LAWS = {
     "neo-hookean": (pt.NeoHookean, {"C1": 30e3}),
@@ -34,10 +35,15 @@ def law(request):
     return LAWS[request.param]
 
 
-@pytest.fixture(params=[0.0, 0.3, 0.45, 0.499], ids=lambda nu: f"nu{nu}")
+@pytest.fixture(
+    params=[(nu, form) for form in FORMS for nu in ((0.0, 0.3, 0.45, 0.499) if form == "quadratic" else (0.45, 0.499))],
+    ids=lambda pair: f"nu{pair[0]}-{pair[1]}",
+)
 def material(request, law):
-    kind, parameters = law
-    return kind(**parameters, density=1000.0, poisson=request.param)
+    (kind, parameters), (poisson, form) = law, request.param
+    if form != "quadratic" and kind is pt.LinearElastic:
+        pytest.skip("small strain has one form")
+    return kind(**parameters, density=1000.0, poisson=poisson, volumetric=form)
 
 
 def differences(function, at, step):
@@ -141,7 +147,7 @@ def test_cauchy_stress_is_symmetric(material, deformations):
 
 def test_poissons_ratio_and_bulk_modulus_say_the_same(material, law):
     kind, parameters = law
-    again = kind(**parameters, density=1000.0, bulk=material.bulk_modulus)
+    again = kind(**parameters, density=1000.0, bulk=material.bulk_modulus, volumetric=material.volumetric)
     assert again.poisson == pytest.approx(material.poisson, abs=1e-12)
     assert again.lame == pytest.approx(material.lame, rel=1e-9)
     mu, nu = material.shear_modulus, material.poisson
@@ -225,6 +231,8 @@ def test_mooney_rivlin_without_C2_is_neo_hookean(deformations):
         ({"bulk": 1e5}, "either poisson or bulk"),
         ({"poisson": None, "bulk": 1e3}, r"bulk = 1000.0 is out of range"),
         ({"poisson": None, "bulk": 1e12}, r"bulk = 1000000000000.0 is out of range"),
+        ({"volumetric": "cubic"}, "volumetric = 'cubic': allowed are 'quadratic', 'logarithmic', 'mixed'"),
+        ({"volumetric": 2}, "volumetric = 2: allowed are"),
     ],
 )
 def test_a_parameter_out_of_range_is_refused_by_name_and_range(change, message):
@@ -240,6 +248,7 @@ def test_a_parameter_out_of_range_is_refused_by_name_and_range(change, message):
         ("gent", {"Jm": 0.0}, r"Jm = 0.0 is out of range: allowed is \(0, inf\)"),
         ("arruda-boyce", {"N": 0.5}, r"N = 0.5 is out of range: allowed is \[1, inf\)"),
         ("fung", {"b": -1.0}, r"b = -1.0 is out of range"),
+        ("linear-elastic", {"volumetric": "mixed"}, "volumetric = 'mixed': small strain has the quadratic form only"),
         ("st-venant-kirchhoff", {"mu": 0.0}, r"mu = 0.0 is out of range: allowed is \(0, inf\) Pa"),
         ("ogden-of-three-terms", {"C": (1.0, -2.0, 3.0)}, r"C\[1\] = -2.0 is out of range: allowed is \(0, inf\) Pa"),
         ("ogden-of-three-terms", {"C": 1.0}, "C has 1 terms and alpha 3: give as many"),

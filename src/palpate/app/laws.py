@@ -11,7 +11,8 @@ from palpate.tissue.catalogue import LAWS, Law
 __all__ = ["laws"]
 
 HEAD = """\
-Strain energies W [J/m^3]. To each comes lame/2 (J - 1)^2, with lame from the asked-for poisson or bulk modulus.
+Strain energies W [J/m^3]. To each comes lame/2 (J - 1)^2, with lame from the asked-for poisson or bulk modulus, or
+another form: volumetric="logarithmic" is lame/2 (ln J)^2, volumetric="mixed" is lame/4 (J^2 - 1 - 2 ln J).
 x = I1 - 3 - 2 ln J and q(a) = l1^a + l2^a + l3^a - 3 - a ln J, which are the printed I1 - 3 and l1^a + l2^a + l3^a - 3
 where the volume stays. All laws also take density [kg/m^3], and poisson in [0, 0.499] or bulk [Pa]; for a membrane
 poisson=0.5. Formulas, sources and curves: docs/laws.md

@@ -144,7 +144,8 @@ class FullModel(NodalModel):
         )  # fmt: skip
         longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
         work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
-        self._compile(solid(type(material), self.pressure == "direct"), body, work, lanes)
+        formulation = solid(type(material), self.pressure == "direct", material.volumetric)
+        self._compile(formulation, body, work, lanes)
 
     def _prepare_energy(self, smoother: Stencils) -> None:
         """Lay out the passes of the energy form."""
@@ -178,8 +179,9 @@ class FullModel(NodalModel):
         families = (lanes, smooth_lanes, back_lanes)
         longest = int(max(*(np.diff(family.start).max() for family in families), 4 * np.diff(carriers.start).max()))
         branches = len(body.relaxation.times)
-        work = energy_work(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS, branches)
-        self._compile(solid_energy(type(material)), body, work, lanes)
+        threads, form = numba.config.NUMBA_NUM_THREADS, material.volumetric
+        work = energy_work(len(cloud), len(lanes.nodes), longest, threads, branches, form)
+        self._compile(solid_energy(type(material), form), body, work, lanes)
 
     @property
     def weights(self) -> Floats:
@@ -252,7 +254,7 @@ class FullModel(NodalModel):
         return float(self.elastic_volumes @ lost), remembered(memory)
 
     def smoothed(self, values: Floats) -> Floats:
-        """Return nodal values (n,) as the energy form smooths J - 1 to theta."""
+        """Return nodal values (n,) as the energy form smooths J - 1, or what its form has for it, to theta."""
         body, work, result = self.body, self.work, np.empty(len(self.cloud))
         own = np.ascontiguousarray(values, dtype=float)
         smooth_field(body.smoothing, body.value, body.smoothing_own, work.fields, work.derivatives, own, result)

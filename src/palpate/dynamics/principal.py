@@ -124,7 +124,7 @@ def make_principal_stress(digest: str, law_first: Any) -> Any:
     return stress
 
 
-def make_principal_response(digest: str, law_first: Any, law_second: Any, direct: bool) -> Any:
+def make_principal_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
     """Make the compiled response of one block for a law of the stretches, as `solid` does for one of the invariants.
 
     All is said in the axes N of C, where S is diagonal: with F and H turned there, column a of P and its divergence are
@@ -135,7 +135,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, direct
     G_ij,b = dC_ij/dX_b, and g the quotients (s_a - s_b)/(x_a - x_b). The law is called in a loop of its own, which has
     powers and logarithms in it; the loops before and after have none, and run in vector lanes.
     """
-    slopes = _make_slopes(digest, law_first, law_second, direct)
+    slopes = _make_slopes(digest, law_first, law_second, volume, direct)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
@@ -147,9 +147,9 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, direct
         for v in range(LANES):
             _divergence(b, v, d, boundary, axes, squares)
         for v in range(LANES):
-            d[0, v] = _cofactor(v, d, axes, lame)
+            d[0, v] = _cofactor(v, d, axes)
         for v in range(LANES):
-            pressure[nodes[b, v]] = d[0, v]
+            pressure[nodes[b, v]] = lame * volume(d[0, v])[0]
 
     return respond
 
@@ -174,7 +174,7 @@ def _axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
     axes[6, v], axes[7, v], axes[8, v] = n[6], n[7], n[8]
 
 
-def _make_slopes(digest: str, law_first: Any, law_second: Any, direct: bool) -> Any:
+def _make_slopes(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
     """Make the function that writes s_a, ds_a/dx_b and the quotients of a lane, twelve numbers, into rows 27 to 38."""
     first_of, second_of = (register_jitable(named_for(digest, f)) for f in (law_first, law_second))
 
@@ -184,9 +184,10 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any, direct: bool) -> 
         l0, l1, l2 = np.sqrt(x0), np.sqrt(x1), np.sqrt(x2)
         w0, w1, w2 = first_of(l0, l1, l2, coefficients)
         w00, w11, w22, w01, w02, w12 = second_of(l0, l1, l2, coefficients)
-        if direct:  # the bulk term lame / 2 (J - 1)^2, too
+        if direct:  # the volumetric part, too
             J = l0 * l1 * l2
-            p, k = lame * (J - 1.0) * J, lame * J * J
+            slope, bend = volume(J - 1.0)
+            p, k = lame * slope * J, lame * bend * J * J
             w0, w1, w2 = w0 + p / l0, w1 + p / l1, w2 + p / l2
             w00, w11, w22 = w00 + k / x0, w11 + k / x1, w22 + k / x2
             w01, w02, w12 = w01 + (k + p) / (l0 * l1), w02 + (k + p) / (l0 * l2), w12 + (k + p) / (l1 * l2)
@@ -252,8 +253,8 @@ def _turned(c, v, d, axes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath={"contract"}, forceinline=True)
-def _cofactor(v, d, cofactor, lame):  # type: ignore[no-untyped-def]
-    """Write cof(F) of a lane, and return its pressure."""
+def _cofactor(v, d, cofactor):  # type: ignore[no-untyped-def]
+    """Write cof(F) of a lane, and return its J - 1."""
     F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
     F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
     F20, F21, F22 = d[6, v], d[7, v], 1.0 + d[8, v]
@@ -262,4 +263,4 @@ def _cofactor(v, d, cofactor, lame):  # type: ignore[no-untyped-def]
     cofactor[3, v], cofactor[4, v] = F02 * F21 - F01 * F22, F00 * F22 - F02 * F20
     cofactor[5, v], cofactor[6, v] = F01 * F20 - F00 * F21, F01 * F12 - F02 * F11
     cofactor[7, v], cofactor[8, v] = F02 * F10 - F00 * F12, F00 * F11 - F01 * F10
-    return lame * (F00 * c00 + F01 * c01 + F02 * c02 - 1.0)
+    return F00 * c00 + F01 * c01 + F02 * c02 - 1.0

@@ -26,7 +26,7 @@ def make_linear_stress(digest: str) -> Any:
     return stress
 
 
-def make_linear_response(digest: str, law_first: Any, law_second: Any, direct: bool) -> Any:
+def make_linear_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
     """Make the compiled response of one block, as `solid` does: mu (lap u + grad div u) - P b."""
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)

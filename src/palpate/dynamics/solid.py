@@ -29,6 +29,7 @@ from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_su
 from palpate.dynamics.principal import make_principal_response
 from palpate.dynamics.small_strain import make_linear_response
 from palpate.tissue.materials import Material
+from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
 __all__ = ["Body", "Workspace", "solid", "workspace"]
 
@@ -114,8 +115,11 @@ def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
                       work.shear, work.smooth, force)  # fmt: skip
 
 
-def _make_response(digest: str, law_first: Any, law_second: Any, direct: bool) -> Any:
-    """Make the compiled response of one block: stress divergence, cofactor and pressure from F and H."""
+def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
+    """Make the compiled response of one block: stress divergence, cofactor and pressure from F and H.
+
+    `volume` is the compiled function of J - 1 that returns U'(J) and U''(J) over lame.
+    """
     first_of, second_of = (register_jitable(named_for(digest, f)) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -171,8 +175,9 @@ def _make_response(digest: str, law_first: Any, law_second: Any, direct: bool) -
             W1, W2, WJ = first_of(I1, I2, J, coefficients)
             W11, W12, W22, W1J, W2J, WJJ = second_of(I1, I2, J, coefficients)
             if direct:
-                WJ += lame * (J - 1.0)
-                WJJ += lame
+                slope, bend = volume(J - 1.0)
+                WJ += lame * slope
+                WJJ += lame * bend
             # gradients of the energy's derivatives, twice for those that multiply a doubled tensor
             s0 = 2.0 * (W11 * 2.0 * h0 + W12 * 2.0 * e0 + W1J * j0)
             s1 = 2.0 * (W11 * 2.0 * h1 + W12 * 2.0 * e1 + W1J * j1)
@@ -208,15 +213,15 @@ def _make_response(digest: str, law_first: Any, law_second: Any, direct: bool) -
             cofactor[b, 0, v], cofactor[b, 1, v], cofactor[b, 2, v] = c00, c01, c02
             cofactor[b, 3, v], cofactor[b, 4, v], cofactor[b, 5, v] = c10, c11, c12
             cofactor[b, 6, v], cofactor[b, 7, v], cofactor[b, 8, v] = c20, c21, c22
-            d[0, v] = lame * (J - 1.0)
-        for v in range(LANES):
-            pressure[nodes[b, v]] = d[0, v]
+            d[0, v] = J - 1.0
+        for v in range(LANES):  # a loop of its own: logarithms do not run in lanes
+            pressure[nodes[b, v]] = lame * volume(d[0, v])[0]
 
     return respond
 
 
 @cache
-def solid(law: type[Material], direct: bool) -> Formulation:
+def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> Formulation:
     """Compile the passes of a solid.
 
     Parameters
@@ -225,12 +230,16 @@ def solid(law: type[Material], direct: bool) -> Formulation:
         A material; its functions are compiled, not its parameters.
     direct : bool
         Whether the pressure is differentiated directly instead of smoothed.
+    volumetric : str
+        Form of U(J).
     """
-    digest = law_digest("solid", law.variables, law.first, law.second, direct)
+    pressure_of = volumetric_form(volumetric).pressure
+    digest = law_digest("solid", law.variables, law.first, law.second, pressure_of, direct)
     make = {
         "invariants": _make_response, "stretches": make_principal_response, "small strain": make_linear_response,
     }[law.variables]  # fmt: skip
-    answer = make(digest, law.first, law.second, direct)
+    volume = register_jitable(named_for(digest, pressure_of))
+    answer = make(digest, law.first, law.second, volume, direct)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def each(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]

@@ -4,13 +4,14 @@ With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
     E(u) = sum over nodes of V k [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
 
-k is 1, or the node's own stiffness beside the law's. theta is J - 1 smoothed over about 27 nodes such that its integral
-stays: the pressure lame theta neither locks nor oscillates, and a uniform one moves no node inside. e is what an evenly
-weighted quadratic fit misses of the node's own displacement. Gradients at nodes alone do not see the shortest waves,
-which would cost no energy; e does, is zero in every quadratic field, and so changes neither stretching nor bending
-(hourglass control as in Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
+k is 1, or the node's own stiffness beside the law's. theta is J - 1, or another form's measure g(J)
+(`palpate.tissue.volumetric`), smoothed over about 27 nodes such that its integral stays: the pressure lame theta, times
+g', neither locks nor oscillates, and a uniform one moves no node inside. e is what an evenly weighted quadratic fit
+misses of the node's own displacement. Gradients at nodes alone do not see the shortest waves, which would cost no
+energy; e does, is zero in every quadratic field, and so changes neither stretching nor bending (hourglass control as in
+Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
 
-Four passes over blocks of nodes: deformation and shear stress; smoothing of J - 1; the transposed smoothing, which
+Four passes over blocks of nodes: deformation and shear stress; smoothing of g; the transposed smoothing, which
 gives the pressure; the transposed derivatives of the stresses. Each node's result depends on no other's, so any number
 of threads gives the same bits.
 """
@@ -32,6 +33,7 @@ from palpate.dynamics.principal import make_principal_stress
 from palpate.dynamics.relaxation import Memory, Relaxation, memory, overstress, relax_volume
 from palpate.dynamics.small_strain import make_linear_stress
 from palpate.tissue.materials import Material
+from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
 __all__ = ["EnergyBody", "EnergyWork", "energy_work", "make_stress", "solid_energy"]
 
@@ -66,14 +68,17 @@ class EnergyWork(NamedTuple):
     derivatives: NDArray[np.float64]  # (threads, 12, LANES)
     cofactor: NDArray[np.float64]  # (b, 9, LANES)
     flux: NDArray[np.float64]  # (n, 12): P_cd [Pa] as 3 d + c, then s e_c
-    dilatation: NDArray[np.float64]  # (n,) J - 1
+    dilatation: NDArray[np.float64]  # (n,) J - 1, or the form's g(J)
+    slope: NDArray[np.float64]  # (n,) g'(J); none where it is 1
     smooth: NDArray[np.float64]  # (n,) theta
     pressure: NDArray[np.float64]  # (n,) [Pa]
     memory: Memory  # of tissue that relaxes
     scaled: NDArray[np.float64]  # (n,) theta times the stiffness
 
 
-def energy_work(nodes: int, blocks: int, longest: int, threads: int, branches: int) -> EnergyWork:
+def energy_work(
+    nodes: int, blocks: int, longest: int, threads: int, branches: int, volumetric: str = QUADRATIC
+) -> EnergyWork:
     """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
     return EnergyWork(
         np.zeros((threads, longest, 3, LANES)),
@@ -81,6 +86,7 @@ def energy_work(nodes: int, blocks: int, longest: int, threads: int, branches: i
         np.zeros((blocks, 9, LANES)),
         np.zeros((nodes, NUMBERS)),
         np.zeros(nodes),
+        np.zeros(0 if volumetric == QUADRATIC else nodes),
         np.zeros(nodes),
         np.zeros(nodes),
         memory(branches, blocks, nodes),
@@ -134,7 +140,7 @@ def _after(work, interval):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def _complete(body, work):  # type: ignore[no-untyped-def]
-    """From the shear stresses and J - 1 that the deformation pass left: the whole stresses."""
+    """From the shear stresses and dilatations that the deformation pass left: the whole stresses."""
     smooth_field(
         body.smoothing, body.value, body.smoothing_own, work.fields, work.derivatives, work.dilatation, work.smooth
     )
@@ -149,6 +155,8 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
         effective = work.scaled
     smooth_field(body.transposed_smoothing, body.transposed_value, body.smoothing_own, work.fields, work.derivatives,
             effective, work.pressure)  # fmt: skip
+    for i in range(work.slope.shape[0]):
+        work.pressure[i] *= work.slope[i]
     _add_pressure(body.lanes, work.cofactor, work.pressure, body.lame, work.flux)
 
 
@@ -235,19 +243,23 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
 
 
 @cache
-def solid_energy(law: type[Material]) -> Formulation:
+def solid_energy(law: type[Material], volumetric: str = QUADRATIC) -> Formulation:
     """Compile the passes of a solid.
 
     Parameters
     ----------
     law : type
         A material; its functions are compiled, not its parameters.
+    volumetric : str
+        Form of U(J).
     """
-    digest = law_digest("solid energy", law.variables, law.first)
+    measure_of, curved = volumetric_form(volumetric).measure, volumetric != QUADRATIC
+    digest = law_digest("solid energy", law.variables, law.first, measure_of)
     stress = make_stress(digest, law.first, law.variables)
+    measure = register_jitable(named_for(digest, measure_of))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, coefficients, hourglass, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
+    def answer(b, nodes, d, coefficients, hourglass, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             P, c, volume = stress(
                 d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], coefficients
@@ -259,31 +271,38 @@ def solid_energy(law: type[Material]) -> Formulation:
             for w in range(3):
                 flux[i, 9 + w] = hourglass * d[9 + w, v]
                 cofactor[b, w, v], cofactor[b, 3 + w, v], cofactor[b, 6 + w, v] = c[w], c[3 + w], c[6 + w]
-            dilatation[i] = volume
+            if curved:
+                d[0, v] = volume
+            else:
+                dilatation[i] = volume
+        if curved:
+            for v in range(LANES):
+                i = nodes[b, v]
+                dilatation[i], slope[i] = measure(d[0, v])
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
-    def each(u, lanes, first, miss, coefficients, hourglass, fields, derivatives, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
+    def each(u, lanes, first, miss, coefficients, hourglass, fields, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, miss, fields[get_thread_id()], out)
-            answer(b, lanes.nodes, out, coefficients, hourglass, cofactor, flux, dilatation)
+            answer(b, lanes.nodes, out, coefficients, hourglass, cofactor, flux, dilatation, slope)
 
     @law_njit(digest)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
         each(u, body.lanes, body.first, body.second, body.coefficients, body.hourglass,
-             work.fields, work.derivatives, work.cofactor, work.flux, work.dilatation)  # fmt: skip
+             work.fields, work.derivatives, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
-    def each_column(columns, table, lanes, coefficients, hourglass, derivatives, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
+    def each_column(columns, table, lanes, coefficients, hourglass, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
-            answer(b, lanes.nodes, out, coefficients, hourglass, cofactor, flux, dilatation)
+            answer(b, lanes.nodes, out, coefficients, hourglass, cofactor, flux, dilatation, slope)
 
     @law_njit(digest)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
         each_column(columns, table, body.lanes, body.coefficients, body.hourglass,
-                    work.derivatives, work.cofactor, work.flux, work.dilatation)  # fmt: skip
+                    work.derivatives, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest)
     def finish(body, work, force):  # type: ignore[no-untyped-def]

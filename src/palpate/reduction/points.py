@@ -2,16 +2,19 @@
 
 A point answers to the derivatives of the displacement, nine numbers row by row of du/dX, with its stress, cof(F) and
 J - 1, and with its energy density and J - 1. The pressure of nearly incompressible solids is not in it: it comes from
-moments of J - 1. A membrane has no such pressure (its thickness follows), and only the first two columns of du/dX.
+moments of J - 1, or of another measure g(J) of the volume (`palpate.tissue.volumetric`). A membrane has no such
+pressure (its thickness follows), and only the first two columns of du/dX.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
 from palpate.dynamics.principal_point import make_principal_point
@@ -19,8 +22,9 @@ from palpate.dynamics.sheet import make_moduli
 from palpate.dynamics.solid_energy import make_stress
 from palpate.faults import InputError
 from palpate.tissue.materials import Material
+from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["Kinematics", "PointLaw", "point_law"]
+__all__ = ["Kinematics", "PointLaw", "measured", "point_law"]
 
 CRUSHED = 0.1  # of a sample's volume
 
@@ -56,11 +60,15 @@ class PointLaw:
         ``stress(d0, ..., d8, coefficients)`` returns P and cof(F), nine numbers each, and J - 1.
     density : function
         ``density(d0, ..., d8, coefficients)`` returns the energy density [J/m^3] and J - 1.
+    measure : function, optional
+        ``measure(x)`` returns g and g' of x = J - 1, which go on as a tangent where the point is crushed; None where g
+        is x itself.
     """
 
     digest: str
     stress: Any
     density: Any
+    measure: Any = None
 
 
 def point_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
@@ -71,9 +79,33 @@ def point_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tup
         return compiled, (kinematics.prestretch, *material.coefficients)
     if law.variables == "small strain":
         raise InputError(f"{law.__name__} is for small strain: it has no reduced model; take a law of finite strain")
-    if law.variables == "stretches":
-        return _stretched_point(law.energy, law.first, law.second), material.coefficients
-    return _solid_point(law.energy, law.first, law.second), material.coefficients
+    make = _stretched_point if law.variables == "stretches" else _solid_point
+    return _held(make(law.energy, law.first, law.second), material.volumetric), material.coefficients
+
+
+def measured(material: Material, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return g and g' of many points' x = J - 1, as `PointLaw.measure` has them."""
+    if material.volumetric == QUADRATIC:
+        return x, np.ones_like(x)
+    value, slope = volumetric_form(material.volumetric).measure(np.maximum(x, CRUSHED - 1.0))
+    return value + slope * np.minimum(x - (CRUSHED - 1.0), 0.0), slope
+
+
+@cache
+def _held(law: PointLaw, volumetric: str) -> PointLaw:
+    """Give a law the measure of its volume."""
+    if volumetric == QUADRATIC:
+        return law
+    measure_of = volumetric_form(volumetric).measure
+    digest = law_digest(law.digest, measure_of)
+    whole = register_jitable(named_for(digest, measure_of))
+
+    @law_njit(digest, cached=False)
+    def measure(x):  # type: ignore[no-untyped-def]
+        value, slope = whole(max(x, CRUSHED - 1.0))
+        return value + slope * min(x - (CRUSHED - 1.0), 0.0), slope
+
+    return replace(law, digest=digest, measure=measure)
 
 
 @cache

@@ -7,7 +7,8 @@ With the coordinates a of modes and lifting columns, F_s = I + B_s a at the samp
 Weights w_s are positive; c are few moments of the dilatations at the samples, one for every pressure mode, so that the
 pressure is Z^T c; H is the constant stiffness of what stencils miss. Each term is an energy bounded from below,
 whatever w, Z and B are: this is why the model cannot blow up. Where a sample is crushed to less than a tenth of its
-volume, or inside out, W_s goes on as a parabola in J. The cost knows the samples and coordinates, not the body.
+volume, or inside out, W_s goes on as a parabola in J. A law that holds its volume in another form has its measure g(J)
+in the place of J - 1 (`palpate.tissue.volumetric`). The cost knows the samples and coordinates, not the body.
 
 The energy is that of `palpate.dynamics.solid_energy` with some of its nodes; with all nodes, their volumes, and the
 smoothed dilatations for moments it is the Galerkin model itself. A membrane is sampled at the points of
@@ -67,7 +68,8 @@ class Scratch(NamedTuple):
 
     stress: Floats  # (b, 9, LANES)
     cofactor: Floats  # (b, 9, LANES)
-    dilatation: Floats  # (b, LANES)
+    dilatation: Floats  # (b, LANES): J - 1, or g(J)
+    slope: Floats  # (b, LANES): 1, or g'(J)
     moments: Floats  # (k,)
     partial: Floats  # (m, LANES)
     memory: Memory  # of tissue that relaxes: of the samples, and of the moments
@@ -114,7 +116,8 @@ def scratch(of: Samples, remembered: Memory | None = None) -> Scratch:
     blocks, columns, _, _ = of.table.shape
     two = np.zeros((2, blocks, 9, LANES))
     return Scratch(
-        two[0], two[1], np.zeros((blocks, LANES)), np.zeros(of.pressure.shape[1]), np.zeros((columns, LANES)),
+        two[0], two[1], np.zeros((blocks, LANES)), np.ones((blocks, LANES)), np.zeros(of.pressure.shape[1]),
+        np.zeros((columns, LANES)),
         memory(len(of.relaxation.times), blocks, of.pressure.shape[1]) if remembered is None else remembered,
     )  # fmt: skip
 
@@ -130,13 +133,16 @@ def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath={"contract", "reassoc"})
-def _add_pressure(weights, pressure, moments, stress, cofactor, dilatation):  # type: ignore[no-untyped-def]
+def _add_pressure(weights, pressure, moments, stress, cofactor, dilatation, slope, curved):  # type: ignore[no-untyped-def]
     """Multiply the stresses by their weights and add the pressure times its volume."""
     dilatation[:] = 0.0
     for b in range(weights.shape[0]):
         for k in range(pressure.shape[1]):
             for lane in range(LANES):
                 dilatation[b, lane] += pressure[b, k, lane] * moments[k]
+        if curved:
+            for lane in range(LANES):
+                dilatation[b, lane] *= slope[b, lane]
         for q in range(9):
             for lane in range(LANES):
                 stress[b, q, lane] = weights[b, lane] * stress[b, q, lane] + dilatation[b, lane] * cofactor[b, q, lane]
@@ -183,6 +189,15 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
     """
     digest = law_digest("sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
+    measure_of, curved = law.measure, law.measure is not None
+
+    @law_njit(digest)
+    def measure(scratch):  # type: ignore[no-untyped-def]
+        """Turn the samples' J - 1 into g, and write g'."""
+        if curved:
+            for b in range(scratch.dilatation.shape[0]):
+                for v in range(LANES):
+                    scratch.dilatation[b, v], scratch.slope[b, v] = measure_of(scratch.dilatation[b, v])
 
     @law_njit(digest)
     def relax(samples, scratch):  # type: ignore[no-untyped-def]
@@ -211,13 +226,14 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 c[3, v], c[4, v], c[5, v] = cofactor[3], cofactor[4], cofactor[5]
                 c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
                 scratch.dilatation[b, v] = volume
+        measure(scratch)
         _moments(samples.pressure, scratch.dilatation, scratch.moments)
         effective = scratch.moments
         if samples.relaxation.times.shape[0] > 0:
             relax(samples, scratch)
             effective = scratch.memory.effective
         _add_pressure(samples.weights, samples.pressure, effective, scratch.stress, scratch.cofactor,
-                      scratch.dilatation)  # fmt: skip
+                      scratch.dilatation, scratch.slope, curved)  # fmt: skip
         scratch.partial[:] = 0.0
         for b in range(samples.table.shape[0]):
             work(samples.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
@@ -236,6 +252,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
                     samples.coefficients,
                 )  # fmt: skip
                 total += samples.weights[b, v] * density
+        measure(scratch)
         _moments(samples.pressure, scratch.dilatation, scratch.moments)
         for k in range(scratch.moments.shape[0]):
             total += 0.5 * scratch.moments[k] * scratch.moments[k]

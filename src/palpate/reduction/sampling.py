@@ -17,6 +17,8 @@ from palpate.dynamics.full import FullModel
 from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.sheet import COSINE, SINE
 from palpate.reduction.cubature import Cubature, non_negative, sketch, slopes_fit
+from palpate.reduction.points import measured
+from palpate.tissue.materials import Material
 
 __all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiated", "pressure_moments"]
 
@@ -132,7 +134,9 @@ def choose_samples(
     multiples, residual = non_negative(rows, rows.sum(axis=1), share)
     chosen = np.flatnonzero(multiples > 0)
     own = fields.gradients[:, :count]
-    pressure = _pressure(own, states, moments, chosen, root) if len(moments) else np.zeros((0, len(chosen)))
+    pressure = np.zeros((0, len(chosen)))
+    if len(moments):
+        pressure = _pressure(body.material, own, states, moments, chosen, root)
     return chosen, Cubature(fields.nodes[chosen], multiples[chosen] * fields.volumes[chosen], pressure, residual)
 
 
@@ -182,7 +186,7 @@ def _shear_work(body: FullModel | Membrane, fields: Fields, state: Floats) -> Fl
 
 
 def pressure_moments(body: FullModel | Membrane, snapshots: Floats, pressures: int) -> Floats:
-    """Coefficients (k, n) of J - 1 at all nodes in the moments: those of the main shapes of the runs' pressures."""
+    """Coefficients (k, n) of all nodes' J - 1, or g(J), in the moments: those of the main shapes of the pressures."""
     if isinstance(body, Membrane):  # its thickness follows: it has no pressure
         return np.zeros((0, len(body.cloud)))
     roots, chosen = np.sqrt(body.elastic_volumes), snapshots[:: max(1, len(snapshots) // STATES)]
@@ -217,13 +221,17 @@ def compliance_root(body: FullModel | Membrane, fields: Fields, count: int, mome
     return np.asarray((vectors / np.sqrt(np.maximum(values, LIGHT * np.abs(values).max()))).T)
 
 
-def _pressure(gradients: Floats, states: Floats, moments: Floats, nodes: NDArray[np.int64], root: Floats) -> Floats:
+def _pressure(
+    material: Material, gradients: Floats, states: Floats, moments: Floats, nodes: NDArray[np.int64], root: Floats
+) -> Floats:
     """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
     sampled, whole, stiff = [], [], np.linalg.inv(root).T
     for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPES)]):
         _, cofactor, J = deformation(gradients, state)
+        volume, rise = measured(material, J - 1)
+        cofactor *= rise[:, None, None]
         slope = np.matmul(gradients, cofactor.reshape(-1, 9, 1).astype(gradients.dtype))[:, :, 0] @ root.T
-        value = (J - 1)[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
+        value = volume[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
         both = np.hstack([slope, value if state.any() else 0 * value])
         sampled.append(both[nodes])
         whole.append(moments @ both)

@@ -11,6 +11,7 @@ from palpate.tissue import own_law
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.materials import Material
 from palpate.tissue.prony import Prony
+from palpate.tissue.volumetric import QUADRATIC
 
 __all__ = ["described", "material_of"]
 
@@ -31,6 +32,8 @@ def described(material: Material) -> dict[str, str]:
     if type(material) is not known:
         raise InputError(f"the law of {material} is not one of palpate's: it cannot be kept in a file")
     parameters = {f.name: getattr(material, f.name) for f in fields(material) if f.name != "prony"}
+    if material.volumetric == QUADRATIC:  # which a file means that says nothing
+        del parameters["volumetric"]
     if material.incompressible:  # no number says how stiff it is against a change of volume
         del parameters["bulk"]
     return {
@@ -52,7 +55,9 @@ def material_of(name: str, parameters: dict[str, Any], expression: str, prony: d
     if name != OWN and name not in KINDS:
         raise InputError(f"unknown material {name!r}: the laws are {', '.join(sorted(KINDS))}")
     law: Any = own_law.law_of(expression) if name == OWN else KINDS[name]
-    wanted = {field.name for field in fields(law)} - {"prony"}
+    wanted = {field.name for field in fields(law)} - {"prony", "volumetric"}
+    parameters = parameters.copy()
+    volumetric = parameters.pop("volumetric", QUADRATIC)
     if parameters.get("poisson") == 0.5:
         wanted.discard("bulk")
     if parameters.keys() != wanted:
@@ -64,5 +69,5 @@ def material_of(name: str, parameters: dict[str, Any], expression: str, prony: d
     if prony.keys() - {field.name for field in fields(Prony)}:
         raise InputError(f"attribute prony has {sorted(prony)}")
     given = {"prony": Prony(**{key: tuple(value) for key, value in prony.items()})} if prony else {}
-    material: Material = law(**values, **given)
+    material: Material = law(**values, **given, volumetric=volumetric)
     return material

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.membrane import Membrane
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.points import measured
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.sampling import Fields, compliance_root, deformation
 
@@ -116,8 +117,9 @@ class _Rule:
     def work(self, body: FullModel, count: int, witnesses: int, state: Floats) -> Floats:
         """Work (s, w) of the nodes' stresses on the witnesses, which are the last columns."""
         F, cofactor, J = deformation(self.gradients[:, :count], state)
-        stress = body.material.stress(F) - (body.material.lame * (J - 1))[:, None, None] * cofactor
-        pressure = self.pressure.T @ (self.pressure @ (J - 1))
+        measure, slope = measured(body.material, J - 1)
+        stress = body.material.stress(F) - (body.material.lame * measure * slope)[:, None, None] * cofactor
+        pressure = slope * (self.pressure.T @ (self.pressure @ measure))
         whole = self.weights[:, None, None] * stress + pressure[:, None, None] * cofactor
         return np.asarray(np.matmul(self.gradients[:, -witnesses:], whole.reshape(-1, 9, 1))[:, :, 0])
 

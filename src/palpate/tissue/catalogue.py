@@ -40,7 +40,7 @@ class Law:
     kind : type
         The material.
     formula : str
-        Its energy, but for the bulk term lame / 2 (J - 1)^2, with x = I1 - 3 - 2 ln J and
+        Its energy, but for the volumetric part U(J), with x = I1 - 3 - 2 ln J and
         q(a) = l1^a + l2^a + l3^a - 3 - a ln J.
     shear_modulus : str
         At rest.

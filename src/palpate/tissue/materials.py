@@ -10,7 +10,8 @@ I1 = tr C, I2 = (I1^2 - tr C^2) / 2, J = det F, C = F^T F. The volumetric part o
 
     U(J) = lame / 2 (J - 1)^2,
 
-with `lame` chosen so that the law has the asked-for bulk modulus at rest.
+or another of the usual forms (`palpate.tissue.volumetric`), with `lame` chosen so that the law has the asked-for bulk
+modulus at rest.
 
 A new law is a frozen dataclass with its parameters, `shear_modulus`, `shear_bulk_modulus` and three static functions
 `energy`, `first` and `second` of the invariants and the tuple of coefficients. The functions are inlined in the
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 
 from palpate.faults import InputError, number_in_range
 from palpate.tissue.prony import Prony
+from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
 __all__ = ["Material", "MooneyRivlin", "NeoHookean", "parameter"]
 
@@ -58,11 +60,14 @@ class Material(ABC):
         Bulk modulus at rest.
     prony : Prony, optional
         How the tissue relaxes; the law is the tissue at its ease.
+    volumetric : str
+        Form of the volumetric part U(J): ``"quadratic"`` lame / 2 (J - 1)^2, ``"logarithmic"`` lame / 2 (ln J)^2, or
+        ``"mixed"`` lame / 4 (J^2 - 1 - 2 ln J). All have the same bulk modulus at rest.
 
     Raises
     ------
     InputError
-        A parameter out of range, or both or neither of `poisson` and `bulk`.
+        A parameter out of range, an unknown form, or both or neither of `poisson` and `bulk`.
 
     Attributes
     ----------
@@ -77,10 +82,14 @@ class Material(ABC):
     poisson: float | None = None
     bulk: float | None = None
     prony: Prony | None = None
+    volumetric: str = QUADRATIC
 
     def __post_init__(self) -> None:
         if self.prony is not None and not isinstance(self.prony, Prony):
             raise InputError(f"prony is {self.prony!r}: give a palpate.Prony")
+        volumetric_form(self.volumetric)
+        if self.volumetric != QUADRATIC and self.variables == "small strain":
+            raise InputError(f"volumetric = {self.volumetric!r}: small strain has the quadratic form only")
         number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
         self._check_parameters()
         mu = self.shear_modulus
@@ -133,7 +142,7 @@ class Material(ABC):
 
     @property
     def lame(self) -> float:
-        """Coefficient of the volumetric part U(J) = lame / 2 (J - 1)^2 [Pa]."""
+        """Coefficient of the volumetric part U(J) [Pa], its second derivative at rest."""
         return self.bulk_modulus - self.shear_bulk_modulus
 
     @property
@@ -160,7 +169,8 @@ class Material(ABC):
     def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the whole energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""
         self._refuse_incompressible()
-        return np.asarray(self.shear_energy(F) + self.lame / 2 * self._dilatation(F) ** 2)
+        measure, _ = volumetric_form(self.volumetric).measure(self._dilatation(F))
+        return np.asarray(self.shear_energy(F) + self.lame / 2 * measure**2)
 
     def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the part W_s [J/m^3] of the energy without the bulk term, for F of shape (..., 3, 3)."""
@@ -171,8 +181,8 @@ class Material(ABC):
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the first Piola-Kirchhoff stress dW/dF [Pa], (..., 3, 3): the transpose of (21)."""
         self._refuse_incompressible()
-        pressure = self.lame * self._dilatation(F)
-        return np.asarray(self.shear_stress(F) + pressure[..., None, None] * self.cofactor(F))
+        slope, _ = volumetric_form(self.volumetric).pressure(self._dilatation(F))
+        return np.asarray(self.shear_stress(F) + (self.lame * slope)[..., None, None] * self.cofactor(F))
 
     def shear_stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the part of the first Piola-Kirchhoff stress [Pa] that comes from W_s."""

@@ -21,6 +21,7 @@ from palpate.tissue.ellipticity import material_stability
 from palpate.tissue.materials import Material, parameter
 from palpate.tissue.prony import Prony
 from palpate.tissue.stretch_laws import StretchLaw
+from palpate.tissue.volumetric import QUADRATIC
 
 __all__ = ["Hyperelastic", "law_of"]
 
@@ -41,6 +42,7 @@ def Hyperelastic(
     bulk: float | None = None,
     prony: Prony | None = None,
     stable: tuple[float, float] | None = (0.8, 1.25),
+    volumetric: str = QUADRATIC,
     **parameters: float,
 ) -> Material:
     """Return the material of an energy that is written down.
@@ -48,12 +50,12 @@ def Hyperelastic(
     Parameters
     ----------
     energy : str
-        W_s [J/m^3] without its bulk part lame / 2 (J - 1)^2, in the notation of Python, of the invariants ``I1``,
+        W_s [J/m^3] without its volumetric part U(J), in the notation of Python, of the invariants ``I1``,
         ``I2``, ``J`` of C and of ``I1bar`` = I1 J^(-2/3), ``I2bar`` = I2 J^(-4/3); or of the principal stretches
         ``l1``, ``l2``, ``l3``. With + - * / **, exp, log, sqrt, sinh, cosh, tanh, atan, numbers, and parameters under
         any other names.
     density : float [kg/m^3]
-    poisson, bulk, prony
+    poisson, bulk, prony, volumetric
         As for `palpate.Material`.
     stable : (float, float) or None
         Range of the principal stretches, around 1, in which the law must be strongly elliptic
@@ -89,7 +91,7 @@ def Hyperelastic(
             raise InputError(f"{name} = {parameters[name]!r} is no parameter of the energy; it has {names or 'none'}")
     law = law_of(energy)
     values: dict[str, Any] = dict(parameters)
-    material: Material = law(density=density, poisson=poisson, bulk=bulk, prony=prony, **values)
+    material: Material = law(density=density, poisson=poisson, bulk=bulk, prony=prony, volumetric=volumetric, **values)
     if stable is not None:
         material_stability(material, stable, VOLUMES).require()
     return material
