@@ -2,7 +2,9 @@
 
 With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
-    E(u) = sum over nodes of V [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
+    E(u) = sum over nodes of V [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du,
+
+W_s with the energy of fibres, if there are any (`palpate.tissue.fibres`).
 
 theta is J - 1 smoothed over about 27 nodes such that its integral stays: the pressure lame theta neither locks nor
 oscillates, and a uniform one moves no node inside. e is what an evenly weighted quadratic fit misses of the node's own
@@ -26,6 +28,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import kernel_njit, law_digest, law_njit, named_for
+from palpate.dynamics.fibres import Families, FibrePoints
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
 from palpate.dynamics.principal import make_principal_stress
@@ -56,6 +59,7 @@ class EnergyBody(NamedTuple):
     lame: float
     hourglass: float  # s [Pa/m^2]
     relaxation: Relaxation
+    families: Families  # of fibres
 
 
 class EnergyWork(NamedTuple):
@@ -220,22 +224,26 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
 
 
 @cache
-def solid_energy(law: type[Material]) -> Formulation:
+def solid_energy(law: type[Material], fibres: FibrePoints) -> Formulation:
     """Compile the passes of a solid.
 
     Parameters
     ----------
     law : type
         A material; its functions are compiled, not its parameters.
+    fibres : FibrePoints
     """
-    digest = law_digest("solid energy", law.variables, law.first)
-    stress = make_stress(digest, law.first, law.variables)
+    digest = law_digest("solid energy", law.variables, law.first, fibres.digest)
+    stress, stressed = make_stress(digest, law.first, law.variables), fibres.stressed
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, coefficients, hourglass, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
+    def answer(b, nodes, d, coefficients, hourglass, families, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             P, c, volume = stress(
                 d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], coefficients
+            )
+            P = stressed(
+                P, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], b, v, families
             )
             i = nodes[b, v]
             flux[i, 0], flux[i, 3], flux[i, 6] = P[0], P[1], P[2]
@@ -247,27 +255,27 @@ def solid_energy(law: type[Material]) -> Formulation:
             dilatation[i] = volume
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
-    def each(u, lanes, first, miss, coefficients, hourglass, fields, derivatives, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
+    def each(u, lanes, first, miss, law, hourglass, families, fields, derivatives, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, miss, fields[get_thread_id()], out)
-            answer(b, lanes.nodes, out, coefficients, hourglass, cofactor, flux, dilatation)
+            answer(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation)
 
     @law_njit(digest)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
-        each(u, body.lanes, body.first, body.second, body.coefficients, body.hourglass,
+        each(u, body.lanes, body.first, body.second, body.coefficients, body.hourglass, body.families,
              work.fields, work.derivatives, work.cofactor, work.flux, work.dilatation)  # fmt: skip
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
-    def each_column(columns, table, lanes, coefficients, hourglass, derivatives, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
+    def each_column(columns, table, lanes, law, hourglass, families, derivatives, cofactor, flux, dilatation):  # type: ignore[no-untyped-def]
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
-            answer(b, lanes.nodes, out, coefficients, hourglass, cofactor, flux, dilatation)
+            answer(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation)
 
     @law_njit(digest)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
-        each_column(columns, table, body.lanes, body.coefficients, body.hourglass,
+        each_column(columns, table, body.lanes, body.coefficients, body.hourglass, body.families,
                     work.derivatives, work.cofactor, work.flux, work.dilatation)  # fmt: skip
 
     @law_njit(digest)
