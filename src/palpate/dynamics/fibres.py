@@ -19,7 +19,7 @@ from palpate.faults import InputError
 from palpate.tissue.fibres import LEAST, FibreLaw
 from palpate.tissue.materials import Material
 
-__all__ = ["Families", "FibrePoints", "fibre_points", "firm", "laid_out", "placed"]
+__all__ = ["BARE", "Families", "FibrePoints", "fibre_points", "firm", "laid_out", "placed"]
 
 Floats = NDArray[np.float64]
 
@@ -80,10 +80,13 @@ def _unchanged(of, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type:
     return of
 
 
+BARE = FibrePoints("", _unchanged, _unchanged)
+
+
 def fibre_points(fibres: FibreLaw | None) -> FibrePoints:
     """Return the compiled functions of some fibres, or of none."""
     if fibres is None:
-        return FibrePoints("", _unchanged, _unchanged)
+        return BARE
     return _compiled(type(fibres), len(fibres.directions))
 
 

@@ -7,17 +7,19 @@ moments of J - 1. A membrane has no such pressure (its thickness follows), and o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 from numba.extending import register_jitable
 
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.fibres import BARE, FibrePoints, fibre_points
 from palpate.dynamics.principal_point import make_principal_point
 from palpate.dynamics.sheet import make_moduli
 from palpate.dynamics.solid_energy import make_stress
 from palpate.faults import InputError
+from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 
 __all__ = ["Kinematics", "PointLaw", "point_law"]
@@ -56,15 +58,25 @@ class PointLaw:
         ``stress(d0, ..., d8, coefficients)`` returns P and cof(F), nine numbers each, and J - 1.
     density : function
         ``density(d0, ..., d8, coefficients)`` returns the energy density [J/m^3] and J - 1.
+    fibres : FibrePoints
+        What fibres add to them.
     """
 
     digest: str
     stress: Any
     density: Any
+    fibres: FibrePoints = BARE
 
 
-def point_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
+def point_law(
+    material: Material, kinematics: Kinematics, fibres: FibreLaw | None = None
+) -> tuple[PointLaw, tuple[float, ...]]:
     """Return the compiled law of a body's points, and its coefficients."""
+    compiled, coefficients = _bare_law(material, kinematics)
+    return (compiled if fibres is None else replace(compiled, fibres=fibre_points(fibres))), coefficients
+
+
+def _bare_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
     law = type(material)
     if kinematics.sheet:
         compiled = _sheet_point(law, kinematics.relaxed)

@@ -183,7 +183,7 @@ def _trained(
         body.cloud, body.material, body.fixed, tools, body.volumes, full.viscosity, full.fastest, fields.columns, modes,
         len(lifting), rule, gradients, fields.constant, chosen,
         _reach(chosen, mass / body.masses.sum(), [len(run.times) for run in runs], len(states)),
-        len(watched), kinematics=_kinematics(body),
+        len(watched), kinematics=_kinematics(body), fibres=body.fibres,
     )  # fmt: skip
     if len(watched):
         some = snapshots[np.linspace(0, len(states) - 1, len(chosen)).astype(int)]

@@ -215,8 +215,8 @@ class Guccione(FibreLaw):
     w = C/2 [exp(Q) - 1],  Q = bf E11^2 + bt (E22^2 + E33^2 + 2 E23^2) + 2 bfs (E12^2 + E13^2),  E = (C̄ - I) / 2,
 
     1 along the one direction. It resists every deformation, compression too; the shear modulus at rest is C bt / 2
-    across and C bfs / 2 along the fibres. `VolumeOnly` is a material for tissue that has no other energy. From Q = 20 on
-    the exponential goes on as its parabola.
+    across and C bfs / 2 along the fibres. `VolumeOnly` is a material for tissue that has no other energy. From Q = 20
+    on the exponential goes on as its parabola.
 
     Parameters
     ----------
