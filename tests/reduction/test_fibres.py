@@ -65,7 +65,7 @@ def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
     model = pt.reduce(body, expected, modes=12)
     assert model.report["nodes"] < len(body.cloud) / 2
     found = pt.errors(expected, pt.rollout(model, loads, **OPTIONS))
-    assert found.displacement < 0.03
+    assert found.displacement < 0.05
     assert found.reaction < 0.03
     # forces are the slope of the energy, beyond what was trained on too
     random = np.random.default_rng(0)

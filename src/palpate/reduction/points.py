@@ -73,7 +73,10 @@ def point_law(
 ) -> tuple[PointLaw, tuple[float, ...]]:
     """Return the compiled law of a body's points, and its coefficients."""
     compiled, coefficients = _bare_law(material, kinematics)
-    return (compiled if fibres is None else replace(compiled, fibres=fibre_points(fibres))), coefficients
+    if fibres is None:
+        return compiled, coefficients
+    added = fibre_points(fibres)
+    return replace(compiled, digest=law_digest(compiled.digest, added.digest), fibres=added), coefficients
 
 
 def _bare_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:

@@ -193,7 +193,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
         ``force(columns, samples, scratch, result)`` writes -dE/da (m,); ``energy(columns, samples, scratch)`` returns
         E [J].
     """
-    digest = law_digest("sampled energy", law.digest, law.fibres.digest, single)
+    digest = law_digest("sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
     stressed, charged = law.fibres.stressed, law.fibres.charged
 
