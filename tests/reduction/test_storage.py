@@ -21,7 +21,10 @@ def flat(parts):
     result = {}
     for owner in (parts, parts.cloud, parts.cubature):
         result |= {f"{type(owner).__name__}.{f.name}": getattr(owner, f.name) for f in fields(owner)}
-    return {name: value for name, value in result.items() if value is not parts.cloud and value is not parts.cubature}
+    if parts.fibres is not None:  # compared by what they are made of
+        result |= {"law": type(parts.fibres), "directions": parts.fibres.directions, "c": parts.fibres.coefficients}
+    inner = (parts.cloud, parts.cubature, parts.fibres)
+    return {name: value for name, value in result.items() if value is None or all(value is not each for each in inner)}
 
 
 def assert_equal(found, expected):
@@ -60,7 +63,8 @@ def push():
 @pytest.fixture(scope="module")
 def trained(bar, tissue, push):
     """A bar that a tool moves, trained and tried on one run."""
-    full = pt.FullModel(bar, tissue, fixed="x-", form="energy")
+    slanted = pt.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(0.6, 0.8, 0.0))
+    full = pt.FullModel(bar, tissue, fixed="x-", form="energy", fibres=slanted)
     run = pt.rollout(full, push, duration=0.01, every=0.0005)
     return pt.reduce(full, run, modes=4, driven="tip", held_out=[(push, run)])
 
@@ -210,7 +214,7 @@ def test_twenty_thousand_nodes_with_64_modes_take_less_than_20_megabytes(tissue,
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (3, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (4, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["columns"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.parts.cubature.weights)
@@ -247,8 +251,8 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_another_version_is_refused_whatever_follows(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 3", b"version 2", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 2, and version 3 is the one that is"):
+    path.write_bytes(saved.read_bytes().replace(b"version 4", b"version 3", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 3, and version 4 is the one that is"):
         pt.load(path)
 
 
@@ -351,6 +355,13 @@ CASES = {
     "groups that overlap": (entry("cloud/group_sizes", 0, 1), "group_sizes does not share out"),
     "an empty group": (put("cloud/group_sizes", lambda a: [0, a[0] + a[1], *a[2:]]), "group_sizes does not share out"),
     "a support that is no group": (attribute("fixed", ["w-"]), "unknown group 'w-'"),
+    "fibres of an unknown law": (attribute("fibres", '{"law": "Hair"}'), "unknown law of fibres 'Hair': .* Fibres, Gucc"),
+    "fibres that are code": (attribute("fibres", "exit()"), "attribute fibres is not JSON"),
+    "fibres without a parameter": (attribute("fibres", '{"law": "Fibres", "k1": 1.0}'), "fibres of Fibres have"),
+    "fibres without a law": (attribute("fibres", "{}"), "directions of fibres, but no law"),
+    "directions of no length": (entry("fibres/directions", (0, 3), 0.0), "unit vectors; one at nodes 3 has length 0"),
+    "directions for fewer nodes": (put("fibres/directions", lambda a: a[:, 1:]), r"shape \(1, 111, 3\) .* expected"),
+    "no directions": (put("fibres/directions", lambda a: a[:0]), r"have shape \(0, 112, 3\)"),
     "a tool that is no group": (attribute("driven", ["w+"]), "unknown group 'w\\+'"),
     "volumes that are not positive": (entry("volumes", 3, 0.0), "volumes holds volumes that are not positive"),
     "a node without volume": (entry("cloud/volumes", 3, 0.0), "volumes must be positive"),

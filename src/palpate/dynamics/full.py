@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.fibres import fibre_points, laid_out, placed
 from palpate.dynamics.kernels import smooth_field
 from palpate.dynamics.lanes import lane_table, transposed
 from palpate.dynamics.loads import Drive, Load, drive
@@ -23,6 +25,7 @@ from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
 from palpate.meshfree.quadrature import conservative_smoothing, integration_weights, quadratic_misses
 from palpate.meshfree.stencils import Stencils, moving_least_squares
+from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 
 __all__ = ["FullModel"]
@@ -65,6 +68,8 @@ class FullModel(NodalModel):
         Wished number of points in a stencil.
     smoothing : int
         Wished number of points over which the pressure is smoothed by a linear fit.
+    fibres : FibreLaw, optional
+        What reinforces the material (`palpate.Fibres`, `palpate.Guccione`); of the energy form.
 
     Raises
     ------
@@ -89,6 +94,7 @@ class FullModel(NodalModel):
         half_cell: float = 3.0,
         neighbours: int = 42,
         smoothing: int = 27,
+        fibres: FibreLaw | None = None,
     ) -> None:
         if cloud.points.shape[1] != 3:
             raise InputError("FullModel needs a cloud in space; this one is plane")
@@ -106,6 +112,7 @@ class FullModel(NodalModel):
         self._stiffness = _nodal_stiffness(cloud, stiffness)
         if len(self._stiffness) and form != "energy":
             raise InputError("a stiffness of its own at some nodes needs form='energy'")
+        self.fibres = placed(fibres, material, form, cloud.points)
         self.form, self.pressure, self.conservative = form, pressure, form == "energy"
         # the cloud's boundary vectors are those of the half cell, c = 2, which the energy form has by itself
         self.half_cell = 1.0 if self.conservative else number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
@@ -174,14 +181,14 @@ class FullModel(NodalModel):
             lanes, first_weights, miss_weights, carriers, back, -both.sum(axis=1),
             smooth_lanes, value, own, back_lanes, back_value,
             material.coefficients, material.lame, HOURGLASS * material.shear_modulus / cloud.spacing**2,
-            relaxation(material), self._stiffness,
+            relaxation(material), self._stiffness, laid_out(self.fibres, lanes.nodes),
         )  # fmt: skip
         families = (lanes, smooth_lanes, back_lanes)
         longest = int(max(*(np.diff(family.start).max() for family in families), 4 * np.diff(carriers.start).max()))
         branches = len(body.relaxation.times)
         threads, form = numba.config.NUMBA_NUM_THREADS, material.volumetric
         work = energy_work(len(cloud), len(lanes.nodes), longest, threads, branches, form)
-        self._compile(solid_energy(type(material), form), body, work, lanes)
+        self._compile(solid_energy(type(material), form, fibre_points(self.fibres)), body, work, lanes)
 
     @property
     def weights(self) -> Floats:
@@ -221,6 +228,11 @@ class FullModel(NodalModel):
             stress = stress + change[:, None, None] * self.material.cofactor(F)
         return stress
 
+    def shear_stress(self, F: Floats, nodes: Any = slice(None)) -> Floats:
+        """Return the stress [Pa] without the pressure of the bulk term for deformation gradients (k, 3, 3) at nodes."""
+        stress = self.material.shear_stress(F)
+        return stress if self.fibres is None else stress + self.fibres.of(nodes).stress(F)
+
     def strain_energy(self, displacements: Floats) -> float:
         if self.conservative:
             return float(self.volumes @ self._energy_density(displacements))
@@ -229,7 +241,10 @@ class FullModel(NodalModel):
     def _energy_density(self, displacements: Floats) -> Floats:
         """Energy [J/m^3] of the energy form at every node, shape (n,)."""
         self.force(displacements)
-        shear = self.material.shear_energy(self.deformation_gradient(displacements))
+        F = self.deformation_gradient(displacements)
+        shear = self.material.shear_energy(F)
+        if self.fibres is not None:
+            shear += self.fibres.energy(F)
         stiffness = self.elastic_volumes / self.volumes
         misses = self.work.flux[:, 9:] / stiffness[:, None]
         pressure = self.material.lame / 2 * self.work.smooth**2

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.fibres import firm
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import Lanes
 from palpate.dynamics.loads import FIXED, FREE, Drive, Schedule
@@ -16,6 +17,7 @@ from palpate.dynamics.reactions import evaluate, tool_power
 from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step
 from palpate.dynamics.stepping import full_step, surface_force
 from palpate.faults import InputError, number_in_range
+from palpate.tissue.fibres import FibreLaw
 
 __all__ = ["NodalModel"]
 
@@ -38,6 +40,8 @@ class NodalModel(Model):
     fastest : float [m/s]
         About the speed of the fastest waves: a tool that jumps counts as no faster in the viscous forces.
     highest_frequency : FrequencyTracker
+    fibres : FibreLaw or None
+        With a direction for every node.
     """
 
     body: Any
@@ -48,10 +52,12 @@ class NodalModel(Model):
     stability: StabilityReport
     fastest: float
     highest_frequency: FrequencyTracker
+    fibres: FibreLaw | None = None
 
     def _compile(self, formulation: Formulation, body: Any, work: Any, lanes: Lanes) -> None:
         """Take the compiled passes with what they read and write; called once the cloud and the supports are known."""
         self.formulation, self.body, self.work = formulation, body, work
+        self._firm = body if self.fibres is None else body._replace(families=firm(body.families))
         self._internal_force, self._advance = internal_force(formulation), full_step(formulation)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
@@ -74,6 +80,12 @@ class NodalModel(Model):
         """Return the internal force density [N/m^3] at every node for displacements (n, 3) [m]."""
         result = np.zeros((len(self.cloud), 3))
         self._internal_force(np.ascontiguousarray(displacements, dtype=float), self.body, self.work, result)
+        return result
+
+    def firm_force(self, displacements: Floats) -> Floats:
+        """Return the internal force density [N/m^3] by which a stable step is found: that of fibres never slack."""
+        result = np.zeros((len(self.cloud), 3))
+        self._internal_force(np.ascontiguousarray(displacements, dtype=float), self._firm, self.work, result)
         return result
 
     def nodal_force(self, displacements: Floats) -> Floats:

@@ -4,7 +4,7 @@ With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
     E(u) = sum over nodes of V k [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
 
-k is 1, or the node's own stiffness beside the law's. theta is J - 1, or another form's measure g(J)
+W_s holds the energy of fibres, if there are any (`palpate.tissue.fibres`); k is 1, or the node's own stiffness. theta is J - 1, or another form's measure g(J)
 (`palpate.tissue.volumetric`), smoothed over about 27 nodes such that its integral stays: the pressure lame theta, times
 g', neither locks nor oscillates, and a uniform one moves no node inside. e is what an evenly weighted quadratic fit
 misses of the node's own displacement. Gradients at nodes alone do not see the shortest waves, which would cost no
@@ -27,6 +27,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import kernel_njit, law_digest, law_njit, named_for
+from palpate.dynamics.fibres import BARE, Families, FibrePoints
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
 from palpate.dynamics.principal import make_principal_stress
@@ -59,6 +60,7 @@ class EnergyBody(NamedTuple):
     hourglass: float  # s [Pa/m^2]
     relaxation: Relaxation
     stiffness: NDArray[np.float64]  # (n,) k, empty where it is 1 everywhere
+    families: Families  # of fibres
 
 
 class EnergyWork(NamedTuple):
@@ -243,7 +245,7 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
 
 
 @cache
-def solid_energy(law: type[Material], volumetric: str = QUADRATIC) -> Formulation:
+def solid_energy(law: type[Material], volumetric: str = QUADRATIC, fibres: FibrePoints = BARE) -> Formulation:
     """Compile the passes of a solid.
 
     Parameters
@@ -252,17 +254,21 @@ def solid_energy(law: type[Material], volumetric: str = QUADRATIC) -> Formulatio
         A material; its functions are compiled, not its parameters.
     volumetric : str
         Form of U(J).
+    fibres : FibrePoints
     """
     measure_of, curved = volumetric_form(volumetric).measure, volumetric != QUADRATIC
-    digest = law_digest("solid energy", law.variables, law.first, measure_of)
-    stress = make_stress(digest, law.first, law.variables)
+    digest = law_digest("solid energy", law.variables, law.first, measure_of, fibres.digest)
+    stress, stressed = make_stress(digest, law.first, law.variables), fibres.stressed
     measure = register_jitable(named_for(digest, measure_of))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, coefficients, hourglass, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def answer(b, nodes, d, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             P, c, volume = stress(
                 d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], coefficients
+            )
+            P = stressed(
+                P, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], b, v, families
             )
             i = nodes[b, v]
             flux[i, 0], flux[i, 3], flux[i, 6] = P[0], P[1], P[2]
@@ -281,27 +287,27 @@ def solid_energy(law: type[Material], volumetric: str = QUADRATIC) -> Formulatio
                 dilatation[i], slope[i] = measure(d[0, v])
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
-    def each(u, lanes, first, miss, coefficients, hourglass, fields, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def each(u, lanes, first, miss, law, hourglass, families, fields, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, miss, fields[get_thread_id()], out)
-            answer(b, lanes.nodes, out, coefficients, hourglass, cofactor, flux, dilatation, slope)
+            answer(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
     @law_njit(digest)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
-        each(u, body.lanes, body.first, body.second, body.coefficients, body.hourglass,
+        each(u, body.lanes, body.first, body.second, body.coefficients, body.hourglass, body.families,
              work.fields, work.derivatives, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
-    def each_column(columns, table, lanes, coefficients, hourglass, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def each_column(columns, table, lanes, law, hourglass, families, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
-            answer(b, lanes.nodes, out, coefficients, hourglass, cofactor, flux, dilatation, slope)
+            answer(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
     @law_njit(digest)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
-        each_column(columns, table, body.lanes, body.coefficients, body.hourglass,
+        each_column(columns, table, body.lanes, body.coefficients, body.hourglass, body.families,
                     work.derivatives, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest)

@@ -133,13 +133,13 @@ class FrequencyTracker:
         """Return the highest frequency [rad/s] at a state with some nodes held."""
         model, vector = self._model, self._vector
         amplitude = 1e-6 * model.cloud.spacing
-        rest, ratio = model.force(displacements), 0.0
+        rest, ratio = model.firm_force(displacements), 0.0
         # some noise lets another mode take over when the fastest place of the body moves
         vector = vector / np.abs(vector).max() + 0.03 * self._noise
         for _ in range(self._iterations):
             vector = np.where(held[:, None], 0.0, vector)
             vector *= amplitude / np.abs(vector).max()
-            image = (rest - model.force(displacements + vector)) / model.material.density
+            image = (rest - model.firm_force(displacements + vector)) / model.material.density
             image[held] = 0.0
             if not image.any():  # nothing resists, as in a slack sheet
                 self.restart()

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.relaxation import relaxation
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.points import Kinematics
+from palpate.reduction.samples import Samples, samples
+from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 
 __all__ = ["ReducedParts"]
@@ -63,6 +66,8 @@ class ReducedParts:
     slack : float [rad/s]
         Highest frequency of a membrane in its training states: what is slack now may be as taut in a moment. 0 for
         solids.
+    fibres : FibreLaw, optional
+        With a direction for every node.
     """
 
     cloud: Cloud
@@ -86,3 +91,13 @@ class ReducedParts:
     report: dict[str, Any] = field(default_factory=dict)
     kinematics: Kinematics = field(default_factory=Kinematics)
     slack: float = 0.0
+    fibres: FibreLaw | None = None
+
+    def samples(self, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool) -> Samples:
+        """Lay the samples of some columns out."""
+        rule = self.cubature
+        return samples(
+            np.ascontiguousarray(self.gradients[:, which]), rule.weights, rule.pressure,
+            self.constant[np.ix_(which, which)], coefficients, np.float32 if single else np.float64,
+            relaxation(self.material), self.fibres and self.fibres.of(rule.nodes),
+        )  # fmt: skip

@@ -17,10 +17,12 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.fibres import BARE, FibrePoints, fibre_points
 from palpate.dynamics.principal_point import make_principal_point
 from palpate.dynamics.sheet import make_moduli
 from palpate.dynamics.solid_energy import make_stress
 from palpate.faults import InputError
+from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
@@ -63,16 +65,29 @@ class PointLaw:
     measure : function, optional
         ``measure(x)`` returns g and g' of x = J - 1, which go on as a tangent where the point is crushed; None where g
         is x itself.
+    fibres : FibrePoints
+        What fibres add to them.
     """
 
     digest: str
     stress: Any
     density: Any
     measure: Any = None
+    fibres: FibrePoints = BARE
 
 
-def point_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
+def point_law(
+    material: Material, kinematics: Kinematics, fibres: FibreLaw | None = None
+) -> tuple[PointLaw, tuple[float, ...]]:
     """Return the compiled law of a body's points, and its coefficients."""
+    compiled, coefficients = _bare_law(material, kinematics)
+    if fibres is None:
+        return compiled, coefficients
+    added = fibre_points(fibres)
+    return replace(compiled, digest=law_digest(compiled.digest, added.digest), fibres=added), coefficients
+
+
+def _bare_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
     law = type(material)
     if kinematics.sheet:
         compiled = _sheet_point(law, kinematics.relaxed)

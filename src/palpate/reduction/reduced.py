@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.fibres import firm
 from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
 from palpate.dynamics.membrane import load_areas
 from palpate.dynamics.model import Model, Nodes, Outputs, State
-from palpate.dynamics.relaxation import at_ease, recall, relaxation, remembered
+from palpate.dynamics.relaxation import at_ease, recall, remembered
 from palpate.dynamics.stability import stable_step
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import RealtimeModel, realtime_model
 from palpate.reduction.points import point_law
-from palpate.reduction.samples import Samples, sampled_energy, samples, scratch
+from palpate.reduction.samples import Samples, sampled_energy, scratch
 from palpate.reduction.stepping import newton, sampled_step
 from palpate.reduction.trust import distance, expected_error, imbalance
 from palpate.reduction.work import load_forces, load_work, pose_map
@@ -72,13 +73,14 @@ class ReducedModel(Model):
         self.fewest = 20 if step is None else 1  # the implicit step is the user's choice
         self.count = parts.modes + parts.lifted
         count = self.count
-        self._law, self._coefficients = point_law(parts.material, parts.kinematics)
+        self._law, self._coefficients = point_law(parts.material, parts.kinematics, parts.fibres)
         flat = parts.columns.reshape(len(parts.columns), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
         self._held = np.asarray(np.linalg.inv(self.mass[: parts.modes, : parts.modes]), dtype=float)
         self._free = np.linalg.inv(self.mass)
         self._all, self._samples = self.sampled(np.arange(len(flat))), self.sampled(np.arange(count))
+        self._firm = self._samples._replace(families=firm(self._samples.families))
         self._scratch, self._newton = scratch(self._samples), newton(count)
         self._all_scratch = scratch(self._all, self._scratch.memory)
         self._force, self._energy = sampled_energy(self._law, single)
@@ -96,9 +98,7 @@ class ReducedModel(Model):
 
     def sampled(self, which: NDArray[np.int64]) -> Samples:
         """Return the samples of some columns."""
-        rule, type_ = self.parts.cubature, np.float32 if self.single else np.float64
-        own, constant = np.ascontiguousarray(self.parts.gradients[:, which]), self.parts.constant[np.ix_(which, which)]
-        return samples(own, rule.weights, rule.pressure, constant, self._coefficients, type_, relaxation(self.material))
+        return self.parts.samples(which, self._coefficients, self.single)
 
     def force(self, coordinates: Floats) -> Floats:
         """Return the internal forces on the coordinates, -dE/da, shape (m + l,)."""
@@ -123,9 +123,12 @@ class ReducedModel(Model):
 
     def stiffness(self, coordinates: Floats) -> Floats:
         """Return the tangent -d(force)/d(coordinates), shape (m + l, m + l)."""
+        return self._stiffness(coordinates, self._samples)
+
+    def _stiffness(self, coordinates: Floats, of: Samples) -> Floats:
         matrix = np.zeros((self.count, self.count))
         a, vectors = np.ascontiguousarray(coordinates, dtype=float), np.zeros((3, self.count))
-        self._tangent(a, self._differences, self._samples, self._scratch, vectors, self.count, matrix)
+        self._tangent(a, self._differences, of, self._scratch, vectors, self.count, matrix)
         return matrix
 
     # loads
@@ -216,7 +219,7 @@ class ReducedModel(Model):
 
     def _highest(self, coordinates: Floats, held: bool = True) -> float:
         moving = slice(self.parts.modes if held else None)
-        tangent = self.stiffness(coordinates)[moving, moving]
+        tangent = self._stiffness(coordinates, self._firm)[moving, moving]
         return float(np.sqrt(np.abs(np.linalg.eigvals((self._held if held else self._free) @ tangent)).max()))
 
     def frequencies(self, coordinates: Floats | None = None) -> Floats:
@@ -367,7 +370,9 @@ class ReducedModel(Model):
     def stress(self, displacements: Floats) -> Floats:
         if self.parts.kinematics.sheet:
             raise InputError("a reduced membrane does not tell its stress at nodes: ask the full model")
-        return self.parts.stiffness[:, None, None] * self.material.stress(self.deformation_gradient(displacements))
+        F, fibres = self.deformation_gradient(displacements), self.parts.fibres
+        stress = self.material.stress(F) + (0.0 if fibres is None else fibres.stress(F))
+        return np.asarray(self.parts.stiffness[:, None, None] * stress)
 
     def strain_energy(self, displacements: Floats) -> float:
         """Return the strain energy [J] of nodal displacements that the columns can make."""

@@ -25,9 +25,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.dynamics.fibres import Families, laid_out
 from palpate.dynamics.lanes import LANES, column_sums, column_work
 from palpate.dynamics.relaxation import Memory, Relaxation, memory, overstress_alone, relax_volume
 from palpate.reduction.points import PointLaw
+from palpate.tissue.fibres import FibreLaw
 
 __all__ = ["Samples", "Scratch", "sampled_energy", "samples", "scratch"]
 
@@ -53,6 +55,8 @@ class Samples(NamedTuple):
         Of the law.
     relaxation : Relaxation
         Of tissue that relaxes.
+    families : Families
+        Of fibres.
     """
 
     table: NDArray[np.float32] | Floats
@@ -61,6 +65,7 @@ class Samples(NamedTuple):
     constant: Floats
     coefficients: tuple[float, ...]
     relaxation: Relaxation
+    families: Families
 
 
 class Scratch(NamedTuple):
@@ -83,6 +88,7 @@ def samples(
     law: tuple[float, ...],
     dtype: Any = np.float32,
     relaxation: Relaxation = EASY,
+    fibres: FibreLaw | None = None,
 ) -> Samples:
     """Lay samples out in blocks.
 
@@ -98,6 +104,8 @@ def samples(
     dtype : type
         Of the table.
     relaxation : Relaxation
+    fibres : FibreLaw, optional
+        With directions at the samples.
     """
     count = len(gradients)
     padded = -count % LANES
@@ -108,7 +116,11 @@ def samples(
         return np.ascontiguousarray(np.moveaxis(filled.reshape(blocks, LANES, *values.shape[1:]), 1, -1))
 
     table = np.ascontiguousarray(lanes(gradients), dtype=dtype)
-    return Samples(table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), law, relaxation)
+    places = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
+    return Samples(
+        table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), law, relaxation,
+        laid_out(fibres, places),
+    )  # fmt: skip
 
 
 def scratch(of: Samples, remembered: Memory | None = None) -> Scratch:
@@ -190,6 +202,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
     digest = law_digest("sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
     measure_of, curved = law.measure, law.measure is not None
+    stressed, charged = law.fibres.stressed, law.fibres.charged
 
     @law_njit(digest)
     def measure(scratch):  # type: ignore[no-untyped-def]
@@ -218,6 +231,10 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 stress, cofactor, volume = stress_of(
                     P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
                     samples.coefficients,
+                )  # fmt: skip
+                stress = stressed(
+                    stress, P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
+                    b, v, samples.families,
                 )  # fmt: skip
                 P[0, v], P[1, v], P[2, v] = stress[0], stress[1], stress[2]
                 P[3, v], P[4, v], P[5, v] = stress[3], stress[4], stress[5]
@@ -250,6 +267,10 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 density, scratch.dilatation[b, v] = density_of(
                     d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
                     samples.coefficients,
+                )  # fmt: skip
+                density = charged(
+                    density, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
+                    b, v, samples.families,
                 )  # fmt: skip
                 total += samples.weights[b, v] * density
         measure(scratch)

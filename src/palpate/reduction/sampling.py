@@ -180,7 +180,7 @@ def _shear_work(body: FullModel | Membrane, fields: Fields, state: Floats) -> Fl
         stress = np.zeros_like(F)
         stress[:, :, :2] = body.stress_at(F[:, :, :2] + (body.prestretch - 1) * np.eye(3, 2))
     else:
-        stress = body.material.shear_stress(F)
+        stress = body.shear_stress(F)
     weighted = (stress * fields.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
     return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
 

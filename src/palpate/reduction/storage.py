@@ -27,14 +27,14 @@ from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
-from palpate.reduction.stored_material import described, material_of
+from palpate.reduction.stored_material import described, described_fibres, fibres_of, material_of
 
 __all__ = ["load", "save"]
 
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION, SEAL = "palpate reduced model", 3, 512
+FORMAT, VERSION, SEAL = "palpate reduced model", 4, 512
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 # One line a dataset: its type, and its shape in sizes that all datasets share.
@@ -56,10 +56,11 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "gradients": ("<f8", ("samples", "columns", 9)),
     "constant": ("<f8", ("columns", "columns")),
     "trained": ("<f8", ("states", "coordinates")),
+    "fibres/directions": ("<f8", ("families", "nodes", 3)),
 }
 NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/nodes")  # hold numbers of nodes
 ATTRIBUTES = {
-    "material": str, "parameters": str, "expression": str, "prony": str,
+    "material": str, "parameters": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
@@ -156,6 +157,7 @@ def _seal(content: bytes) -> bytes:
 def _header(parts: ReducedParts) -> Header:
     return {
         **described(parts.material),
+        "fibres": described_fibres(parts.fibres),
         "groups": list(parts.cloud.groups),
         "spacing": float(parts.cloud.spacing),
         "fixed": list(parts.fixed),
@@ -181,6 +183,7 @@ def _arrays(parts: ReducedParts) -> Arrays:
     listed: dict[str, Any] = {
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
+        "fibres/directions": np.zeros((0, len(parts.cloud), 3)) if parts.fibres is None else parts.fibres.directions,
     }
     return {
         name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
@@ -287,6 +290,7 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
         ),
         slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
+        fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
     )
 
 

@@ -1,4 +1,4 @@
-"""A material as numbers and words, and back: what the file of a reduced model says of its tissue."""
+"""A material and its fibres as numbers and words, and back: what the file of a reduced model says of its tissue."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ import json
 from dataclasses import asdict, fields
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from palpate.faults import InputError, number_in_range
 from palpate.tissue import own_law
 from palpate.tissue.catalogue import LAWS
+from palpate.tissue.fibres import FibreLaw, Fibres, Guccione, VolumeOnly
 from palpate.tissue.materials import Material
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC
 
-__all__ = ["described", "material_of"]
+__all__ = ["described", "described_fibres", "fibres_of", "material_of"]
 
-KINDS = {law.name: law.kind for law in LAWS}
+KINDS = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
+FIBRES = {"Fibres": Fibres, "Guccione": Guccione}
 OWN = "Hyperelastic"
 
 
@@ -71,3 +76,43 @@ def material_of(name: str, parameters: dict[str, Any], expression: str, prony: d
     given = {"prony": Prony(**{key: tuple(value) for key, value in prony.items()})} if prony else {}
     material: Material = law(**values, **given, volumetric=volumetric)
     return material
+
+
+def described_fibres(fibres: FibreLaw | None) -> str:
+    """Return the attribute that describes fibres but for their directions; an empty mapping for none.
+
+    Raises
+    ------
+    InputError
+        A law that is not one of the library's.
+    """
+    if fibres is None:
+        return "{}"
+    if type(fibres) is not FIBRES.get(type(fibres).__name__):
+        raise InputError(f"the law of {fibres} is not one of palpate's: it cannot be kept in a file")
+    own = {f.name: getattr(fibres, f.name) for f in fields(fibres) if f.name != "directions"}
+    return json.dumps({"law": type(fibres).__name__, **own})
+
+
+def fibres_of(said: dict[str, Any], directions: NDArray[np.float64]) -> FibreLaw | None:
+    """Make fibres with directions (families, n, 3) from what `described_fibres` says of them.
+
+    Raises
+    ------
+    InputError
+        An unknown law, other parameters than it has, numbers out of range, or directions that do not fit.
+    """
+    if not said:
+        if len(directions):
+            raise InputError("there are directions of fibres, but no law of them")
+        return None
+    name = said.get("law")
+    if not isinstance(name, str) or name not in FIBRES:
+        raise InputError(f"unknown law of fibres {name!r}: the laws are {', '.join(sorted(FIBRES))}")
+    law: Any = FIBRES[name]
+    wanted = {f.name for f in fields(law)} - {"directions"} | {"law"}
+    if said.keys() != wanted:
+        raise InputError(f"fibres of {name} have {sorted(wanted)}, not {sorted(said)}")
+    values = {key: number_in_range(key, value) for key, value in said.items() if key != "law"}
+    fibres: FibreLaw = law(**values, directions=directions)
+    return fibres

@@ -184,7 +184,7 @@ def _trained(
         fields.columns, modes,
         len(lifting), rule, gradients, fields.constant, chosen,
         _reach(chosen, mass / body.masses.sum(), [len(run.times) for run in runs], len(states)),
-        len(watched), kinematics=_kinematics(body),
+        len(watched), kinematics=_kinematics(body), fibres=body.fibres,
     )  # fmt: skip
     if len(watched):
         some = snapshots[np.linspace(0, len(states) - 1, len(chosen)).astype(int)]

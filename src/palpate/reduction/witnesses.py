@@ -110,6 +110,7 @@ def _scale(body: FullModel, fields: Fields, modes: int, witnesses: int, moments:
 class _Rule:
     """How stresses are weighed: at some nodes, with weights (s,) [m^3] and coefficients (k, s) of the moments."""
 
+    nodes: NDArray[np.int64]
     gradients: Floats
     weights: Floats
     pressure: Floats
@@ -117,8 +118,8 @@ class _Rule:
     def work(self, body: FullModel, count: int, witnesses: int, state: Floats) -> Floats:
         """Work (s, w) of the nodes' stresses on the witnesses, which are the last columns."""
         F, cofactor, J = deformation(self.gradients[:, :count], state)
+        stress = body.shear_stress(F, self.nodes)
         measure, slope = measured(body.material, J - 1)
-        stress = body.material.stress(F) - (body.material.lame * measure * slope)[:, None, None] * cofactor
         pressure = slope * (self.pressure.T @ (self.pressure @ measure))
         whole = self.weights[:, None, None] * stress + pressure[:, None, None] * cofactor
         return np.asarray(np.matmul(self.gradients[:, -witnesses:], whole.reshape(-1, 9, 1))[:, :, 0])
@@ -128,8 +129,8 @@ def _factors(
     body: FullModel, fields: Fields, count: int, witnesses: int, states: Floats, rule: Cubature, moments: Floats
 ) -> Floats:
     """Return factors (s, w) of the witnesses' derivatives at the sampled nodes."""
-    few = _Rule(np.asarray(fields.gradients[rule.nodes], dtype=float), rule.weights, rule.pressure)
-    every = _Rule(fields.gradients, body.elastic_volumes, moments)
+    few = _Rule(rule.nodes, np.asarray(fields.gradients[rule.nodes], dtype=float), rule.weights, rule.pressure)
+    every = _Rule(fields.nodes, fields.gradients, body.elastic_volumes, moments)
     terms = np.array([few.work(body, count, witnesses, state) for state in states])
     whole = np.array([every.work(body, count, witnesses, state).sum(axis=0) for state in states])
     sizes = np.linalg.norm(whole, axis=1)
