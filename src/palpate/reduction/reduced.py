@@ -28,7 +28,7 @@ from palpate.reduction.points import point_law
 from palpate.reduction.samples import Samples, sampled_energy, scratch
 from palpate.reduction.stepping import newton, sampled_step
 from palpate.reduction.trust import distance, expected_error, imbalance
-from palpate.reduction.work import load_work, pose_map
+from palpate.reduction.work import load_work, nodal_loads, pose_map
 
 __all__ = ["ReducedModel", "ReducedParts"]
 
@@ -350,15 +350,7 @@ class ReducedModel(Model):
         return np.tensordot(self._rates(state, drive)[0], self.parts.columns[: self.count], 1)
 
     def external_force(self, state: State, drive: Drive) -> Floats:
-        schedule, places = drive.schedule(np.array([state.time])), drive.places
-        result = self.masses[:, None] * schedule.gravity[0]
-        for g in range(len(places.force_start) - 1):
-            own = slice(places.force_start[g], places.force_start[g + 1])
-            share = (
-                places.force_share[own, None] * schedule.force[0, g] + places.moment_share[own] @ schedule.moment[0, g]
-            )
-            np.add.at(result, places.force_node[own], share)
-        return result
+        return nodal_loads(drive.places, drive.schedule(np.array([state.time])), self.masses)
 
     def nodal_force(self, displacements: Floats) -> Floats:
         raise InputError("a reduced model has no forces at nodes; ask the full model")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads import Places
+from palpate.dynamics.loads import Places, Schedule
 
-__all__ = ["load_work", "pose_map"]
+__all__ = ["load_work", "nodal_loads", "pose_map"]
 
 Floats = NDArray[np.float64]
 
@@ -21,6 +21,16 @@ def load_work(places: Places, columns: Floats, masses: Floats) -> Floats:
         forces.append(np.einsum("k,mkc->cm", places.force_share[own], at))
         moments.append(np.einsum("kcd,mkc->dm", places.moment_share[own], at))
     return np.concatenate([*forces, *moments, np.einsum("n,mnc->cm", masses, columns)])
+
+
+def nodal_loads(places: Places, schedule: Schedule, masses: Floats) -> Floats:
+    """Forces [N] of tractions and gravity at the nodes at a schedule's first time, shape (n, 3)."""
+    result = masses[:, None] * schedule.gravity[0]
+    for g in range(len(places.force_start) - 1):
+        own = slice(places.force_start[g], places.force_start[g + 1])
+        share = places.force_share[own, None] * schedule.force[0, g] + places.moment_share[own] @ schedule.moment[0, g]
+        np.add.at(result, places.force_node[own], share)
+    return result
 
 
 def pose_map(points: Floats, columns: Floats) -> Floats:
