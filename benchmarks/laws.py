@@ -38,7 +38,19 @@ def materials(poisson: float) -> dict[str, Any]:
     return {**made, "NeoHookean again": pt.NeoHookean(C1=5e3, **given)}
 
 
-def model(form: str, material: Any, nodes: int, jitter: float) -> Any:
+def fibres() -> dict[str, Any]:
+    """Make laws of fibres, to lie in the neo-Hookean law; of the energy form."""
+    import palpate as pt
+
+    hgo, along = {"k1": 20e3, "k2": 2.0, "dispersion": 0.1}, (1.0, 0.0, 0.0)
+    return {
+        "Fibres, one family": pt.Fibres(**hgo, directions=along),
+        "Fibres, two families": pt.Fibres(**hgo, directions=(along, (0.6, 0.8, 0.0))),
+        "Guccione": pt.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=along),
+    }
+
+
+def model(form: str, material: Any, nodes: int, jitter: float, within: Any = None) -> Any:
     """Make a model of one form."""
     import palpate as pt
 
@@ -46,7 +58,7 @@ def model(form: str, material: Any, nodes: int, jitter: float) -> Any:
         cloud = pt.disc(0.005 * (nodes / 3.14) ** 0.5, 0.005)
         return pt.Membrane(cloud, material, 1e-3, prestretch=1.1, viscosity=1e-5)
     cloud = pt.box(((round(nodes ** (1 / 3)) - 1) * 0.005,) * 3, 0.005, jitter)
-    return pt.FullModel(cloud, material, "x-", form=form, viscosity=5e-5)
+    return pt.FullModel(cloud, material, "x-", form=form, viscosity=5e-5, fibres=within)
 
 
 def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeats: int) -> dict[str, float]:
@@ -62,6 +74,9 @@ def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeat
     for each in models.values():
         if each.material.prony is not None:
             each.work.memory.interval[0] = 1e-5  # remembers every evaluation, as in a run
+    if form == "energy":
+        added = {name: law for name, law in fibres().items() if not laws or name.split()[0].strip(",") in laws}
+        models |= {name: model(form, chosen["NeoHookean"], nodes, jitter, law) for name, law in added.items()}
     calls = []
     for each in models.values():
         u = 2e-4 * np.random.default_rng(0).standard_normal((len(each.cloud), 3))

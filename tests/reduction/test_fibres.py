@@ -90,8 +90,7 @@ def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
 
 
 def test_a_model_without_its_fibres_is_another_one(body, run):
-    loads, expected = run
-    model = pt.reduce(body, expected, modes=12)
+    model = pt.reduce(body, run[1], modes=12)
     bare = pt.ReducedModel(replace(model.parts, fibres=None))
     a = model.parts.trained[20]
     assert np.linalg.norm(bare.force(a) - model.force(a)) > 0.1 * np.linalg.norm(model.force(a))

@@ -80,6 +80,28 @@ def _unchanged(of, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type:
     return of
 
 
+@register_jitable
+def _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8):  # type: ignore[no-untyped-def]
+    """F, cof F, C (00 11 22 01 02 12), and J^(-2/3) with its derivative."""
+    F = (1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8)
+    cofactor = (
+        F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
+        F[2] * F[7] - F[1] * F[8], F[0] * F[8] - F[2] * F[6], F[1] * F[6] - F[0] * F[7],
+        F[1] * F[5] - F[2] * F[4], F[2] * F[3] - F[0] * F[5], F[0] * F[4] - F[1] * F[3],
+    )  # fmt: skip
+    C = (
+        F[0] * F[0] + F[3] * F[3] + F[6] * F[6], F[1] * F[1] + F[4] * F[4] + F[7] * F[7],
+        F[2] * F[2] + F[5] * F[5] + F[8] * F[8], F[0] * F[1] + F[3] * F[4] + F[6] * F[7],
+        F[0] * F[2] + F[3] * F[5] + F[6] * F[8], F[1] * F[2] + F[4] * F[5] + F[7] * F[8],
+    )  # fmt: skip
+    J = F[0] * cofactor[0] + F[1] * cofactor[1] + F[2] * cofactor[2]
+    large = max(J, LEAST)
+    root = np.cbrt(large)
+    power = 1.0 / (root * root)
+    slope = -2.0 / 3.0 * power / large
+    return F, cofactor, C, power + slope * (J - large), slope
+
+
 BARE = FibrePoints("", _unchanged, _unchanged)
 
 
@@ -96,30 +118,9 @@ def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
     digest = law_digest("fibres", law.respond, count, LEAST)
     respond = register_jitable(named_for(digest, law.respond))
 
-    @register_jitable
-    def strained(d0, d1, d2, d3, d4, d5, d6, d7, d8):  # type: ignore[no-untyped-def]
-        """F, cof F, C (00 11 22 01 02 12), and J^(-2/3) with its derivative."""
-        F = (1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8)
-        cofactor = (
-            F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
-            F[2] * F[7] - F[1] * F[8], F[0] * F[8] - F[2] * F[6], F[1] * F[6] - F[0] * F[7],
-            F[1] * F[5] - F[2] * F[4], F[2] * F[3] - F[0] * F[5], F[0] * F[4] - F[1] * F[3],
-        )  # fmt: skip
-        C = (
-            F[0] * F[0] + F[3] * F[3] + F[6] * F[6], F[1] * F[1] + F[4] * F[4] + F[7] * F[7],
-            F[2] * F[2] + F[5] * F[5] + F[8] * F[8], F[0] * F[1] + F[3] * F[4] + F[6] * F[7],
-            F[0] * F[2] + F[3] * F[5] + F[6] * F[8], F[1] * F[2] + F[4] * F[5] + F[7] * F[8],
-        )  # fmt: skip
-        J = F[0] * cofactor[0] + F[1] * cofactor[1] + F[2] * cofactor[2]
-        large = max(J, LEAST)
-        root = np.cbrt(large)
-        power = 1.0 / (root * root)
-        slope = -2.0 / 3.0 * power / large
-        return F, cofactor, C, power + slope * (J - large), slope
-
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stressed(P, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
-        F, c, C, s, slope = strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
+        F, c, C, s, slope = _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
         isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
         S0, S1, S2, S3, S4, S5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for f in range(count):
@@ -141,7 +142,7 @@ def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def charged(W, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
-        _, _, C, s, _ = strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
+        _, _, C, s, _ = _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
         isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
         for f in range(count):
             a = families.directions[b, f]

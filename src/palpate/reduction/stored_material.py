@@ -20,7 +20,7 @@ from palpate.tissue.volumetric import QUADRATIC
 __all__ = ["described", "described_fibres", "fibres_of", "material_of"]
 
 KINDS = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
-FIBRES = {"Fibres": Fibres, "Guccione": Guccione}
+FIBRES: dict[str, type[FibreLaw]] = {"Fibres": Fibres, "Guccione": Guccione}
 OWN = "Hyperelastic"
 
 
