@@ -4,12 +4,12 @@ With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
     E(u) = sum over nodes of V k [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
 
-W_s holds the energy of fibres, if there are any (`palpate.tissue.fibres`); k is 1, or the node's own stiffness. theta is J - 1, or another form's measure g(J)
-(`palpate.tissue.volumetric`), smoothed over about 27 nodes such that its integral stays: the pressure lame theta, times
-g', neither locks nor oscillates, and a uniform one moves no node inside. e is what an evenly weighted quadratic fit
-misses of the node's own displacement. Gradients at nodes alone do not see the shortest waves, which would cost no
-energy; e does, is zero in every quadratic field, and so changes neither stretching nor bending (hourglass control as in
-Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
+W_s holds the energy of fibres, if there are any (`palpate.tissue.fibres`); k is 1, or the node's own stiffness. theta is
+J - 1, or another form's measure g(J) (`palpate.tissue.volumetric`), smoothed over about 27 nodes such that its integral
+stays: the pressure lame theta, times g', neither locks nor oscillates, and a uniform one moves no node inside. e is
+what an evenly weighted quadratic fit misses of the node's own displacement. Gradients at nodes alone do not see the
+shortest waves, which would cost no energy; e does, is zero in every quadratic field, and so changes neither stretching
+nor bending (hourglass control as in Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
 
 Four passes over blocks of nodes: deformation and shear stress; smoothing of g; the transposed smoothing, which
 gives the pressure; the transposed derivatives of the stresses. Each node's result depends on no other's, so any number

@@ -101,3 +101,8 @@ class ReducedParts:
             self.constant[np.ix_(which, which)], coefficients, np.float32 if single else np.float64,
             relaxation(self.material), self.fibres and self.fibres.of(rule.nodes),
         )  # fmt: skip
+
+    def stress(self, F: Floats) -> Floats:
+        """Return the first Piola-Kirchhoff stress [Pa] for deformation gradients (n, 3, 3) at the nodes."""
+        stress = self.material.stress(F) + (0.0 if self.fibres is None else self.fibres.stress(F))
+        return np.asarray(self.stiffness[:, None, None] * stress)

@@ -370,9 +370,7 @@ class ReducedModel(Model):
     def stress(self, displacements: Floats) -> Floats:
         if self.parts.kinematics.sheet:
             raise InputError("a reduced membrane does not tell its stress at nodes: ask the full model")
-        F, fibres = self.deformation_gradient(displacements), self.parts.fibres
-        stress = self.material.stress(F) + (0.0 if fibres is None else fibres.stress(F))
-        return np.asarray(self.parts.stiffness[:, None, None] * stress)
+        return self.parts.stress(self.deformation_gradient(displacements))
 
     def strain_energy(self, displacements: Floats) -> float:
         """Return the strain energy [J] of nodal displacements that the columns can make."""
