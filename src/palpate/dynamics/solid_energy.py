@@ -4,7 +4,7 @@ With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
     E(u) = sum over nodes of V k [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
 
-W_s holds the energy of fibres, if there are any (`palpate.tissue.fibres`); k is 1, or the node's own stiffness. theta is
+W_s holds the energy of fibres, if there are any (`palpate.tissue.fibres`); k is 1, or a node's own stiffness. theta is
 J - 1, or another form's measure g(J) (`palpate.tissue.volumetric`), smoothed over about 27 nodes such that its integral
 stays: the pressure lame theta, times g', neither locks nor oscillates, and a uniform one moves no node inside. e is
 what an evenly weighted quadratic fit misses of the node's own displacement. Gradients at nodes alone do not see the
