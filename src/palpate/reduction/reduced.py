@@ -79,6 +79,7 @@ class ReducedModel(Model):
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
         self._held = np.asarray(np.linalg.inv(self.mass[: parts.modes, : parts.modes]), dtype=float)
         self._free = np.linalg.inv(self.mass)
+        self.sampled = partial(parts.samples, coefficients=self._coefficients, single=single)
         self._all, self._samples = self.sampled(np.arange(len(flat))), self.sampled(np.arange(count))
         self._firm = self._samples._replace(families=firm(self._samples.families))
         self._scratch, self._newton = scratch(self._samples), newton(count)
@@ -95,10 +96,6 @@ class ReducedModel(Model):
     @property
     def volumes(self) -> Floats:
         return self.parts.volumes
-
-    def sampled(self, which: NDArray[np.int64]) -> Samples:
-        """Return the samples of some columns."""
-        return self.parts.samples(which, self._coefficients, self.single)
 
     def force(self, coordinates: Floats) -> Floats:
         """Return the internal forces on the coordinates, -dE/da, shape (m + l,)."""
