@@ -199,7 +199,8 @@ def put(kind: str, key: dict, found: dict) -> None:
     others = [row for row in everything.get(kind, []) if any(row.get(k) != v for k, v in key.items())]
     everything[kind] = [*others, {**key, **found}]
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
-    OUTPUT.write_text(json.dumps(everything, indent=1) + "\n")
+    groups = (f"{json.dumps(k)}: [\n" + ",\n".join(map(json.dumps, rows)) + "\n]" for k, rows in everything.items())
+    OUTPUT.write_text("{\n" + ",\n".join(groups) + "\n}\n")  # a line for each result
     short = {k: v for k, v in found.items() if not isinstance(v, list) or len(v) < 4}
     print(*key.values(), short, flush=True)
 
