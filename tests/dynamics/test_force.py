@@ -54,9 +54,7 @@ LAWS = {
     "mooney-rivlin": pt.MooneyRivlin(C1=20e3, C2=15e3, density=1000, poisson=0.49),
     "coupled": Coupled(c=5e3, density=1000, bulk=200e3),
     "gent": pt.Gent(mu=20e3, Jm=3.0, density=1000, poisson=0.4),
-    "fung": pt.Fung(mu=20e3, b=0.6, density=1000, poisson=0.4),
     "ogden": pt.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4),
-    "exponential": pt.Exponential(C1=4e3, C2=1.5, C3=3e3, alpha1=2.0, alpha2=-1.5, density=1000, poisson=0.45),
     "logarithmic": pt.Logarithmic(C1=20e3, C2=0.35, C3=3e3, alpha1=2.0, alpha2=1.5, density=1000, poisson=0.4),
 }
 

@@ -52,9 +52,7 @@ LAWS = {
     "NeoHookean": pt.NeoHookean(C1=C1, density=1200.0, poisson=0.5),
     "MooneyRivlin": pt.MooneyRivlin(C1=0.3e6, C2=0.05e6, density=1000.0, poisson=0.5),
     "Coupled": Coupled(c=0.1e6, density=1100.0, poisson=0.5),
-    "Gent": pt.Gent(mu=0.3e6, Jm=9.0, density=1000.0, poisson=0.5),
     "Ogden": pt.Ogden(C=(0.2e6, 0.01e6), alpha=(1.3, -4.0), density=1000.0, poisson=0.5),
-    "Exponential": pt.Exponential(C1=0.1e6, C2=0.5, C3=0.1e6, alpha1=2.0, alpha2=-1.5, density=1000.0, poisson=0.5),
 }
 CLOUDS = {
     "rings": pt.disc(RADIUS, 0.01),

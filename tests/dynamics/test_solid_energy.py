@@ -17,9 +17,7 @@ STRETCHED = np.eye(3) + np.array([[0.3, 0.2, -0.1], [0.0, -0.2, 0.1], [0.1, 0.0,
 LAWS = {
     "neo-hookean": pt.NeoHookean(C1=20e3, density=1000, poisson=0.4),
     "mooney-rivlin": pt.MooneyRivlin(C1=20e3, C2=15e3, density=1000, poisson=0.49),
-    "fung": pt.Fung(mu=20e3, b=0.6, density=1000, poisson=0.4),
     "ogden": pt.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4),
-    "logarithmic": pt.Logarithmic(C1=20e3, C2=0.35, C3=3e3, alpha1=2.0, alpha2=1.5, density=1000, poisson=0.4),
 }
 CLOUDS = {
     "lattice": pt.box((3 * SIDE, 0.75 * SIDE, 0.75 * SIDE), spacing=SIDE / 4),

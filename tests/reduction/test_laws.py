@@ -15,6 +15,7 @@ from palpate.tissue.catalogue import LAWS
 
 REST = {"density": 1000.0, "poisson": 0.45}
 SOLID = [law for law in LAWS if law.kind.variables != "small strain"]
+COMPILED = ("NeoHookean", "Yeoh", "Gent", "Ogden", "Logarithmic")  # of each kind one or two: compiling takes long
 SERIES = pt.Prony(shares=(0.6, 0.3), times=(2e-3, 2e-2))
 
 
@@ -48,7 +49,7 @@ def shaped(body, count=6):
     )
 
 
-@pytest.mark.parametrize("law", SOLID, ids=lambda law: law.name)
+@pytest.mark.parametrize("law", [law for law in SOLID if law.name in COMPILED], ids=lambda law: law.name)
 def test_stress_and_energy_of_a_point_go_together_crushed_or_not(law):
     material = law.kind(**law.example, **REST)
     point, coefficients = point_law(material, Kinematics())
