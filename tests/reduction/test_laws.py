@@ -239,6 +239,29 @@ def test_the_engine_remembers_and_forgets():
     np.testing.assert_allclose(held(800), first, rtol=1e-6, atol=1e-6 * np.abs(first).max())
 
 
+def test_trust_and_forces_of_a_state_are_those_of_what_it_remembers(relaxing):
+    body, run, _ = relaxing
+    model = pt.reduce(body, run, modes=12, held_out=[(PULL, run)])
+    drive = model.drive(PULL)
+    early = model.advance(model.state(drive), drive, 1e-5, 300)
+    trust, forces = model.trust(early, drive), model.reactions(early, drive)["x-"]
+    late = model.advance(early, drive, 1e-5, 600)
+    assert model.trust(late, drive) != trust
+    assert model.trust(early, drive) == trust  # whatever was evaluated last
+    np.testing.assert_array_equal(model.reactions(early, drive)["x-"], forces)
+    # almost all frames of the run that it was calibrated on are trusted
+    assert model.trust(late, drive) < 1.5
+    again = pt.reduce(body, run, modes=12, held_out=[(PULL, run)])
+    assert again.parts.leeway == model.parts.leeway
+
+
+def test_relaxing_tissue_has_explicit_steps_to_choose_from(relaxing):
+    _, _, model = relaxing
+    chosen = pt.quickest(model, PULL, duration=0.004, tolerance=0.5)
+    assert chosen.step is None
+    assert [rule["step"] for rule in chosen.report["stepping"]["rules"]] == [None]
+
+
 def test_what_cannot_relax_is_refused(relaxing):
     body, run, model = relaxing
     with pytest.raises(pt.InputError, match="stepped explicitly"):

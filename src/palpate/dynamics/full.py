@@ -257,9 +257,9 @@ class FullModel(NodalModel):
     def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
         return at_ease(self.work.memory, lambda: self.force(displacements)) if self.conservative else ()
 
-    def _recall(self, state: State) -> None:
+    def _recall(self, state: State | None) -> None:
         if self.conservative:
-            recall(self.work.memory, state.memory)
+            recall(self.work.memory, () if state is None else state.memory)
 
     def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
         if self.material.prony is None:

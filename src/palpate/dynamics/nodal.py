@@ -111,8 +111,8 @@ class NodalModel(Model):
         """Memory of a body that has long been where it is; nothing where it does not relax."""
         return ()
 
-    def _recall(self, state: State) -> None:
-        """Let evaluations start from what a state remembers."""
+    def _recall(self, state: State | None) -> None:
+        """Let evaluations start from what a state remembers, or from rest."""
 
     def stable_step(self, state: State, drive: Drive) -> float:
         self._recall(state)

@@ -28,6 +28,7 @@ __all__ = [
     "Memory",
     "Relaxation",
     "at_ease",
+    "followed",
     "forget",
     "memory",
     "overstress",
@@ -132,13 +133,27 @@ def _kept(of: Memory) -> tuple[Floats, ...]:
 
 
 def recall(into: Memory, old: tuple[Floats, ...]) -> None:
-    """Let a memory go on from what was remembered; what it has lost is counted anew."""
+    """Let a memory go on from what was remembered, or from rest if that is nothing; its losses are counted anew."""
     if not into.branches.size:
         return
-    for own, was in zip(_kept(into), old, strict=True):
-        own[:] = was
+    if old:
+        for own, was in zip(_kept(into), old, strict=True):
+            own[:] = was
+    else:
+        forget(into)
     into.lost[:] = 0.0
     into.volume_lost[:] = 0.0
+
+
+def followed(
+    of: Memory, old: tuple[Floats, ...], interval: float, evaluate: Callable[[], object]
+) -> tuple[Floats, ...]:
+    """Return what a body remembers in the state that is evaluated, an even change over an interval [s] later."""
+    recall(of, old)
+    of.interval[0] = interval
+    evaluate()
+    of.interval[0] = 0.0
+    return remembered(of)
 
 
 def at_ease(of: Memory, evaluate: Callable[[], object]) -> tuple[Floats, ...]:

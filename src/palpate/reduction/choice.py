@@ -39,7 +39,7 @@ def quickest(
 
     A motion is run with explicit steps and with implicit ones of 1, 0.5 and 0.25 ms, and compared with a reference of
     explicit steps ten times shorter. Which rule wins depends on the model, the motion and the machine: a stiff body
-    needs short explicit steps, fast waves need short implicit ones.
+    needs short explicit steps, fast waves need short implicit ones. Tissue that relaxes has explicit steps only.
 
     Parameters
     ----------
@@ -74,7 +74,8 @@ def quickest(
     wanted = number_in_range("tolerance", tolerance, 0.0, 1.0, open_low=True)
     own = min(duration, max(duration / FRAMES, STEPS[1] or 0.0)) if every is None else every
     rounds = integer_in_range("repeats", repeats, 1)
-    rules = [_Rule(model.with_step(step), loads, duration, own, clock) for step in STEPS]
+    possible = [step for step in STEPS if step is None or model.material.prony is None]
+    rules = [_Rule(model.with_step(step), loads, duration, own, clock) for step in possible]
     explicit = rules[0].run()
     finest = duration / float(explicit.steps[-1]) / FINER
     fine = rollout(model.with_step(None), loads, duration=duration, every=own, step=finest, progress=False)

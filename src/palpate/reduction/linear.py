@@ -141,6 +141,7 @@ def modal_derivatives(body: FullModel, modes: Floats, held: Sequence[str] = ()) 
     displacement is 1 m.
     """
     free, pairs = _free(body, held), []
+    body._recall(None)
     solver = splu(rest_stiffness(body)[free][:, free].tocsc())
     shapes = AMPLITUDE * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
     for i, one in enumerate(shapes):

@@ -200,8 +200,9 @@ class ReducedModel(Model):
                 moment[self.parts.modes :] = own
         else:
             coordinates, velocities = self._free @ coordinates, self._free @ velocities
-        memory = at_ease(self._scratch.memory, lambda: self.force(coordinates))
-        return State(coordinates, velocities, time, memory=memory)
+        return State(
+            coordinates, velocities, time, memory=at_ease(self._scratch.memory, lambda: self.force(coordinates))
+        )
 
     def stable_step(self, state: State, drive: Drive) -> float:
         if self.step is not None:
@@ -266,6 +267,7 @@ class ReducedModel(Model):
 
     def _rates(self, state: State, drive: Drive) -> tuple[Floats, Floats]:
         """Accelerations of the coordinates, and what internal forces and loads do on all columns."""
+        recall(self._scratch.memory, state.memory)
         forces = self.forces(state.coordinates + self.viscosity * state.velocities)
         forces += self._loads(drive, np.array([state.time]))[0]
         modes = slice(self.parts.modes)
@@ -301,7 +303,6 @@ class ReducedModel(Model):
         return pose_map(self.cloud.points[nodes], self.parts.columns[self.parts.modes : self.count, nodes])
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
-        recall(self._scratch.memory, state.memory)
         return Outputs(
             self.displacement(state, drive),
             self.velocity(state, drive),

@@ -77,6 +77,7 @@ class Scratch(NamedTuple):
     slope: Floats  # (b, LANES): 1, or g'(J)
     moments: Floats  # (k,)
     partial: Floats  # (m, LANES)
+    spare: Floats  # (m,)
     memory: Memory  # of tissue that relaxes: of the samples, and of the moments
 
 
@@ -129,7 +130,7 @@ def scratch(of: Samples, remembered: Memory | None = None) -> Scratch:
     two = np.zeros((2, blocks, 9, LANES))
     return Scratch(
         two[0], two[1], np.zeros((blocks, LANES)), np.ones((blocks, LANES)), np.zeros(of.pressure.shape[1]),
-        np.zeros((columns, LANES)),
+        np.zeros((columns, LANES)), np.zeros(columns),
         memory(len(of.relaxation.times), blocks, of.pressure.shape[1]) if remembered is None else remembered,
     )  # fmt: skip
 
@@ -278,7 +279,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for k in range(scratch.moments.shape[0]):
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
         if samples.relaxation.times.shape[0] > 0:
-            force(columns, samples, scratch, scratch.partial[:, 0].copy())
+            force(columns, samples, scratch, scratch.spare)
             total += _in_branches(samples.weights, scratch.memory)
         for m in range(columns.shape[0]):
             for k in range(columns.shape[0]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.loads import Drive, Load
 from palpate.dynamics.model import State
+from palpate.dynamics.relaxation import at_ease, followed
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError, number_in_range
 
@@ -68,7 +70,12 @@ def tried_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, fu
     """Say of every frame of a reduced model's run how far it was from training, and from the full run."""
     drive, mass = model.drive(loads), model.masses / model.masses.sum()
     coordinates, velocities = model.projected(own.displacements), model.projected(own.velocities)
-    states = [State(a, v, float(t)) for a, v, t in zip(coordinates, velocities, own.times, strict=True)]
+    states: list[State] = []
+    for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):
+        where, evaluate = model._scratch.memory, partial(model.force, a)
+        last = states[-1] if states else None
+        memory = followed(where, last.memory, time - last.time, evaluate) if last else at_ease(where, evaluate)
+        states.append(State(a, v, time, memory=memory))
     squares = np.einsum("tnc,n->t", full.displacements**2, mass)
     missed = np.sqrt(np.einsum("tnc,n->t", (own.displacements - full.displacements) ** 2, mass))
     return Frames(

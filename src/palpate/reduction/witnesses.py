@@ -150,6 +150,7 @@ def usual_imbalance(model: ReducedModel, body: FullModel | Membrane, displacemen
     coordinates: the loads are the same, and the difference of the accelerations is left out.
     """
     witnesses, found = model.parts.columns[len(model.parts.columns) - model.parts.witnesses :], []
+    body._recall(None)
     for u, state in zip(displacements, model.projected(displacements), strict=True):
         whole = np.tensordot(witnesses, body.force(u) * body.volumes[:, None], 2)
         found.append(np.linalg.norm(whole - model.forces(state)[len(model.parts.columns) - len(witnesses) :]))
