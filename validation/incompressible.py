@@ -4,7 +4,7 @@
     python validation/incompressible.py blocks        [--spacings 0.005 0.004 0.0025] [--forms energy strong]
     python validation/incompressible.py cook          the same for Cook's slab
     python validation/incompressible.py volumetric    the three forms of U(J)
-    python validation/incompressible.py shown         pressures of the blocks at 2.5 mm, smoothed once more
+    python validation/incompressible.py shown         pressures of the blocks at 2.5 mm as `recovered_pressure` has them
 
 All write docs/validation/incompressible.json, which validation/incompressible_table.py reads. A block of 40 x 20 x
 20 mm of soft tissue (Young's modulus 8 kPa) is clamped at one end; its other end is pulled, pushed, turned about a
@@ -290,7 +290,7 @@ def kept(case: str, poisson: float, jitter: float) -> Path:
 
 
 def readouts() -> None:
-    """Smooth the pressures of the stress once more, of the runs that are kept: what one would show of them."""
+    """Recover the pressures of the runs that are kept: what one would show of them."""
     for row in (r for r in read()["rows"] if r["form"] == "energy" and r["spacing"] == 0.0025 and "error" in r):
         case, poisson, jitter = row["case"], row["poisson"], row["jitter"]
         file = kept(case, poisson, jitter)
@@ -299,7 +299,7 @@ def readouts() -> None:
         target = find(read()["reference"], case=case, poisson=poisson)
         model = pt.FullModel(pt.box(SIZE, 0.0025, jitter), tissue(poisson), "x-", form="energy")
         fields = dict(np.load(file))
-        fields["shown"] = model.smoothed(fields["acting"])
+        fields["shown"] = model.recovered_pressure(fields["u"])
         np.savez_compressed(file, **fields)
         found = pressure_errors(model.cloud, [fields["shown"]], target)
         found["rough"] = roughness(model, fields["shown"], pt.box(SIZE, 0.0025).points)

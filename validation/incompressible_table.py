@@ -14,7 +14,7 @@ from incompressible import CASES, FIGURE, SIZE, kept, read
 
 RATIO = 0.499  # of the picture
 LEAST = 0.56  # kPa that the colours span: a fifth of the shear modulus
-ROWS = ("finite elements", "stress, smoothed", "in the stress", "each node's own J")
+ROWS = ("finite elements", "recovered", "in the stress", "each node's own J")
 
 
 def find(rows: list[dict], **key) -> dict | None:
@@ -52,7 +52,7 @@ def print_all() -> None:
     table(lambda r: f"{r['rough'][1]:.0f} / {r['rough'][0]:.0f} / {r['rough'][2]:.0f}")
     print("Difference [Pa] of the pressure in the stress from the elements', (their range)\n")
     table(lambda r: f"{r['pressure_errors'][1]:.0f} ({r['range']:.0f})")
-    print("The same at 2.5 mm, smoothed once more: checkerboard, difference (range) [Pa]\n")
+    print("The same at 2.5 mm, recovered: checkerboard, difference (range) [Pa]\n")
     for row in read()["shown"]:
         figures = f"{row['rough']:.0f} | {row['pressure_errors'][0]:.0f} ({row['range']:.0f}) |"
         print(f"| {row['case']} | {row['poisson']} | {'jittered' if row['jitter'] else 'lattice'} | {figures}")

@@ -343,3 +343,22 @@ def test_an_unknown_form_is_refused(small_cloud, tissue, form):
 def test_arguments_out_of_range_are_refused_by_name(small_cloud, tissue, arguments, message):
     with pytest.raises(pt.InputError, match=message):
         energy_form(small_cloud, tissue, **arguments)
+
+
+@pytest.mark.parametrize("form", ["energy", "strong"])
+def test_a_uniform_pressure_is_recovered_as_it_is(form):
+    cloud = CLOUDS["jitter"]
+    body = pt.FullModel(cloud, silicone(0.49), "x-", form=form)
+    grown = 1e-3 * cloud.points
+    expected = body.material.lame * (1.001**3 - 1)
+    np.testing.assert_allclose(body.recovered_pressure(grown), expected, rtol=1e-6)
+
+
+def test_a_recovered_pressure_hardly_alternates():
+    cloud = CLOUDS["lattice"]
+    body = pt.FullModel(cloud, silicone(0.499), form="energy")
+    board = 1.0 - 2.0 * (np.rint(cloud.points / cloud.spacing).sum(axis=1) % 2)
+    slope = cloud.points @ np.array([2.0, -1.0, 3.0])
+    fitted = body._recovery.fit(np.column_stack([board, slope]))
+    assert np.abs(fitted[:, 0]).max() < 0.25
+    np.testing.assert_allclose(fitted[:, 1], slope, atol=1e-9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -34,6 +35,7 @@ Floats = NDArray[np.float64]
 
 DAMPING = 0.1  # viscosity of the energy form times its highest frequency
 HOURGLASS = 1.0  # modulus of what a fit misses, in shear moduli over the spacing squared
+RECOVERY = 57  # points over which a pressure that is shown is fitted
 LATTICE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
 
 
@@ -227,6 +229,20 @@ class FullModel(NodalModel):
             change = self.work.smooth - self.work.pressure
             stress = stress + change[:, None, None] * self.material.cofactor(F)
         return stress
+
+    def recovered_pressure(self, displacements: Floats) -> Floats:
+        """Return the pressure U'(J) [Pa] as it is to be shown or read, shape (n,): a linear fit over about 57 nodes.
+
+        In nearly incompressible tissue the pressure in `stress` alternates from node to node; forces do not feel that.
+        Positive where the volume has grown. Figures are in docs/incompressibility.md.
+        """
+        self.force(displacements)
+        acting = self.material.lame * self.work.pressure if self.conservative else self.work.smooth
+        return self._recovery.fit(acting)
+
+    @cached_property
+    def _recovery(self) -> Stencils:
+        return moving_least_squares(self.cloud.points, order=1, neighbours=RECOVERY, interpolating=False)
 
     def shear_stress(self, F: Floats, nodes: Any = slice(None)) -> Floats:
         """Return the stress [Pa] without the pressure of the bulk term for deformation gradients (k, 3, 3) at nodes."""
