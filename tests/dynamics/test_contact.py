@@ -162,6 +162,15 @@ def test_no_node_enters_a_small_fast_tool(tissue):
     assert trajectory.displacements[-1, under, 2] < -0.005  # it went with the tool
 
 
+def test_a_tool_that_slips_between_the_nodes_is_noticed(tissue):
+    thin = pt.box((0.03, 0.03, 0.006), spacing=0.002)
+    model = pt.FullModel(thin, tissue, fixed="x-", form="energy")
+    drop = lambda t: np.array([0.02, 0.015, 0.006 + 0.0022 - 0.5 * t])  # noqa: E731
+    with pytest.raises(pt.DivergenceError, match=r"'tool' slipped in between the nodes .* larger tool") as caught:
+        run(model, pt.Contact(pt.Sphere(0.0021), drop), duration=0.012)
+    assert not caught.value.trajectory.complete
+
+
 def test_two_tools_pinch_and_their_forces_add_up(loose):
     low, high = (0.0075, 0.0075, -0.008), (0.0075, 0.0075, SIDE + 0.008)
     pinch = [
@@ -258,6 +267,34 @@ def test_sampled_turns_are_interpolated_on_the_great_arc():
     tool = pt.Contact(pt.Plane(), ([0.0, 1.0], np.zeros((2, 3)), [[0, 0, 0], [0, 1.0, 0]]))
     quaternion = tool.poses(np.array([0.5]))[0, 3:]
     assert np.allclose(quaternion, [np.cos(0.25), 0, np.sin(0.25), 0])
+
+
+def test_forceps_hold_turn_and_let_go(cube):
+    def lift(t):
+        return TOP + np.array([0, 0, 0.1 * min(t, 0.02)]), [0, 0, 10.0 * min(t, 0.02)]
+
+    grasp = pt.Grasp(TOP, 0.004, lift, until=0.03, name="forceps")
+    trajectory = run(cube, grasp, duration=0.06)
+    near = np.linalg.norm(cube.cloud.points - TOP, axis=1) < 0.004
+    assert near.sum() == 4
+    c, s = np.cos(0.2), np.sin(0.2)
+    arms = cube.cloud.points[near] - TOP
+    turned = arms @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T - arms + [0, 0, 0.002]
+    assert np.allclose(trajectory.displacements[25, near], turned, atol=1e-12)
+    assert trajectory.reactions["forceps"][25, 2] > 0
+    assert np.all(trajectory.reactions["forceps"][31:] == 0.0)
+    assert np.abs(trajectory.displacements[-1, near] - turned).max() > 5e-4
+
+
+def test_a_tool_touches_what_forceps_have_let_go(cube):
+    grasp = pt.Grasp(TOP, 0.004, lambda t: TOP + np.array([0, 0, -0.002 * min(t / 0.01, 1)]), until=0.012)
+    roof = pt.Contact(pt.Plane(), ([0, 0, SIDE - 0.0005], [0.0, 1.0, 0, 0]), group="grasp")
+    marked = grasp.marked(cube.cloud)
+    model = pt.FullModel(marked, cube.material, fixed="z-", form="energy")
+    trajectory = run(model, grasp, roof, duration=0.04)
+    assert np.all(trajectory.reactions["tool"][:12] == 0.0)
+    assert trajectory.reactions["tool"][-15:, 2].max() < 0
+    assert trajectory.displacements[-1, marked.group("grasp"), 2].max() <= -0.0005 + 1e-9
 
 
 def test_moments_are_kept_in_files_and_joined(cube, tmp_path):

@@ -277,7 +277,8 @@ def contacts(loads: Sequence[Contact], cloud: Cloud, held_until: Floats) -> Cont
         if names.count(load.name) > 1:
             raise InputError(f"two tools are named {load.name!r}: give every Contact a name of its own")
         radius = load.tool.sizes[0]
-        if load.tool.kind != PLANE and radius < cloud.spacing:
+        # a solid's run notices a tool between its nodes; a membrane has no inside
+        if load.tool.kind != PLANE and radius < cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2):
             raise InputError(
                 f"Contact {load.name!r}: a radius of {radius:g} m could slip between nodes {cloud.spacing:g} m apart; "
                 "use a larger tool or a finer spacing"

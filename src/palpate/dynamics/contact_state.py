@@ -9,13 +9,14 @@ from palpate.dynamics.contact import gaps
 from palpate.dynamics.loads import Drive, Schedule
 from palpate.dynamics.model import Touch
 from palpate.dynamics.tools import PLANE
-from palpate.faults import InputError, first_few
+from palpate.faults import DivergenceError, InputError, first_few
 
-__all__ = ["check_apart", "check_way", "touched"]
+__all__ = ["check_apart", "check_pierced", "check_way", "touched"]
 
 Floats = NDArray[np.float64]
 
 INSIDE = 1e-3  # of the spacing: how far inside a tool a node may be when a run begins
+PIERCED = 0.05  # of the spacing: how far inside a tool a node of the body's inside may come
 WAY = 0.5  # of a tool's radius: how far it may move in a step
 
 
@@ -59,6 +60,28 @@ def check_way(drive: Drive, schedule: Schedule, spacing: float) -> None:
             raise InputError(
                 f"Contact {tool.name!r} moves {way[worst]:.3g} m in the step after t = {schedule.times[worst]:.4g} s: "
                 f"allowed is {most:.3g} m; move it without a jump, or slower"
+            )
+
+
+def check_pierced(drive: Drive, schedule: Schedule, displacements: Floats, spacing: float) -> None:
+    """Refuse tools that have slipped in between the nodes of the surface by a schedule's last time.
+
+    Raises
+    ------
+    DivergenceError
+        Names the tool, the time and a node of the body's inside that is inside it.
+    """
+    contacts, depth = drive.contacts, np.zeros(len(displacements))
+    for t, tool in enumerate(drive.tools):
+        if tool.group is not None:  # others may be inside by intention
+            continue
+        gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], contacts.points + displacements, depth)
+        depth[contacts.nodes[contacts.start[t] : contacts.start[t + 1]]] = 0.0
+        worst = int(np.argmin(depth))
+        if depth[worst] < -PIERCED * spacing and schedule.times[-1] > contacts.held_until[worst]:
+            raise DivergenceError(
+                f"Contact {tool.name!r} slipped in between the nodes of the surface by t = {schedule.times[-1]:.4g} s: "
+                f"node {worst} is {-depth[worst]:.3g} m inside it. Use a larger tool, a finer spacing, or press less"
             )
 
 

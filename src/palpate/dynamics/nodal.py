@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.contact_state import check_apart, check_way, touched
+from palpate.dynamics.contact_state import check_apart, check_pierced, check_way, touched
 from palpate.dynamics.fibres import firm
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import Lanes
@@ -150,6 +150,7 @@ class NodalModel(Model):
             self.volumes, self.weights * self.material.density, self.material.density, self.slot, self.half_cell,
             force, previous, surface, at,
         )  # fmt: skip
+        check_pierced(drive, schedule, u, self.cloud.spacing)
         relaxed, memory = self._remembered()
         dissipated = state.dissipated + lost + relaxed
         touch = None if state.touch is None else touched(drive, state.touch, 0.5 * step)

@@ -139,10 +139,9 @@ class Contact:
     Parameters
     ----------
     tool : Sphere, Capsule, Plane or Punch
-    motion : (3,) sequence [m], or function of time [s], or sampled arrays
-        Where the tool's origin is; tools that do not move have a constant place. A function returns a position (3,)
-        [m], or a position and a rotation: a rotation vector (3,) [rad] or a quaternion (4,), w x y z. Sampled arrays
-        are a tuple of times (k,) [s], positions (k, 3) [m] and, if the tool turns, rotations (k, 3) or (k, 4); between
+    motion : pose, or function of time [s], or sampled arrays
+        Where the tool's origin is: a position (3,) [m], or a position and a rotation, which is a rotation vector (3,)
+        [rad] or a quaternion (4,), w x y z; or a function of time that returns one of these. Sampled arrays are a tuple of times (k,) [s], positions (k, 3) [m] and, if the tool turns, rotations (k, 3) or (k, 4); between
         samples poses are interpolated, before the first and after the last they stay.
     friction : float
         Coulomb's coefficient mu, of sticking and of sliding.
@@ -234,14 +233,14 @@ def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
 
 
 def prepared(motion: Motion, what: str) -> Motion:
-    """Return a motion as a function of time, or as a constant place.
+    """Return a motion as a function of time, or as a constant pose.
 
     Raises
     ------
     InputError
         Sampled arrays that do not fit together, are not finite, or have times that do not ascend.
     """
-    if callable(motion) or np.ndim(motion[0]) == 0:
+    if callable(motion) or np.ndim(motion[0]) == 0 or (len(motion) == 2 and np.ndim(motion[1]) == 1):
         return motion
     if len(motion) not in (2, 3):
         raise InputError(f"{what}: samples are times (k,), positions (k, 3) and, if it turns, rotations (k, 3 or 4)")
@@ -282,7 +281,7 @@ def quaternion(rotation: Any, what: str) -> Floats:
 
 
 def poses(motion: Motion, times: Floats, what: str) -> Floats:
-    """Return the poses (t, 7) of a motion, a function of time or a constant place, at some times [s].
+    """Return the poses (t, 7) of a motion, a function of time or a constant pose, at some times [s].
 
     Raises
     ------
