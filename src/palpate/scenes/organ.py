@@ -78,25 +78,26 @@ def _zero_surface(field: Floats, step: float) -> tuple[Floats, NDArray[np.int64]
 
 def _liver(x: Floats, y: Floats, z: Floats) -> Floats:
     """Signed distance, nearly, to the liver's surface [m]: negative inside."""
-    right = _ellipsoid(x, y, z, (-0.052, 0.012, -0.005), (0.078, 0.088, 0.088))
-    front = _ellipsoid(x, y, z, (-0.030, -0.020, -0.020), (0.088, 0.066, 0.078), tilt=0.0)
-    left = _ellipsoid(x, y, z, (0.060, -0.018, 0.034), (0.092, 0.052, 0.040), tilt=-0.10)
-    body = _union(_union(right, front, 0.03), left, 0.045)
-    # the underside: a saddle that rises from the right front margin to the left and the back
-    under = _ellipsoid(x, y, z, (0.052, 0.075, -0.100), (0.120, 0.130, 0.105), tilt=-0.25)
-    body = _cut(body, under, 0.014)
-    stomach = _ellipsoid(x, y, z, (0.100, 0.060, -0.010), (0.085, 0.065, 0.055))
+    right = _ellipsoid(x, y, z, (-0.054, 0.016, -0.006), (0.076, 0.088, 0.100))
+    front = _ellipsoid(x, y, z, (-0.016, -0.022, -0.016), (0.116, 0.066, 0.090), tilt=-0.25)
+    left = _ellipsoid(x, y, z, (0.074, -0.026, 0.030), (0.092, 0.050, 0.046), tilt=-0.10)
+    body = _union(_union(right, front, 0.03), left, 0.05)
+    below = 0.42 * x - 0.9 * z + 0.0 * y - 0.072  # the inferior margin climbs from the right to the left
+    body = _cut(body, -below, 0.03)
+    viscera = _ellipsoid(x, y, z, (0.045, 0.115, -0.125), (0.150, 0.150, 0.150))
+    body = _cut(body, viscera, 0.012)
+    stomach = _ellipsoid(x, y, z, (0.120, 0.050, -0.062), (0.095, 0.085, 0.085))
     body = _cut(body, stomach, 0.014)
-    spine = _capsule(x, y, z, (0.020, 0.110, -0.2), (0.020, 0.110, 0.2), 0.048)
-    body = _cut(body, spine, 0.02)
-    kidney = _ellipsoid(x, y, z, (-0.045, 0.070, -0.085), (0.040, 0.045, 0.055))
+    spine = _capsule(x, y, z, (0.034, 0.105, -0.2), (0.034, 0.105, 0.2), 0.054)
+    body = _cut(body, spine, 0.03)
+    kidney = _ellipsoid(x, y, z, (-0.050, 0.085, -0.090), (0.036, 0.045, 0.055))
     body = _cut(body, kidney, 0.02)
-    gallbladder = _capsule(x, y, z, (-0.026, -0.085, -0.088), (0.000, 0.000, -0.040), 0.0155)
-    body = _cut(body, gallbladder, 0.010)
-    porta = _capsule(x, y, z, (-0.012, 0.008, -0.026), (0.040, 0.004, -0.004), 0.011)
-    body = _cut(body, porta, 0.010)
-    ligament = _capsule(x, y, z, (0.034, -0.105, -0.052), (0.032, -0.010, 0.000), 0.010)
-    return _cut(body, ligament, 0.010)
+    gallbladder = _capsule(x, y, z, (-0.034, -0.030, -0.115), (-0.006, 0.014, -0.036), 0.0135)
+    body = _cut(body, gallbladder, 0.012)
+    porta = _capsule(x, y, z, (-0.008, 0.016, -0.024), (0.038, 0.012, -0.012), 0.010)
+    body = _cut(body, porta, 0.012)
+    ligament = _ellipsoid(x, y, z, (0.036, -0.030, -0.088), (0.009, 0.090, 0.048), tilt=0.1)
+    return _cut(body, ligament, 0.014)
 
 
 def _ellipsoid(x: Floats, y: Floats, z: Floats, centre: Vector, radii: Vector, tilt: float = 0.0) -> Floats:
