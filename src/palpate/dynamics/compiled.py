@@ -48,6 +48,7 @@ KERNELS = (
     "reduction/points.py",
     "reduction/samples.py",
     "reduction/stepping.py",
+    "reduction/touch.py",
     "reduction/period.py",
 )
 

@@ -52,6 +52,7 @@ class Contacts(NamedTuple):
     bounds: Floats  # (t,) radius [m] about the origin beyond which a tool does not reach
     rows: Floats  # (k, 10) of the nodes pushed: node, change of velocity, velocity of the tool's matter, place
     impulse: Floats  # (n, 3) of the present step, by node [N s]
+    given: Floats  # (n, 3) impulse by node [N s], since a call began
     total: Floats  # (t, 6) impulse [N s] and its moment about the tool's origin [N m s] on the body, since a call began
 
 
@@ -212,6 +213,7 @@ def _apply(contacts, t, count, kick, u, velocity, mass, force, surface, gravity,
             lost += mass[i] * d * row[4 + c] - work
             loads += 0.5 * kick * volumes[i] * load * d
             contacts.impulse[i, c] += mass[i] * d
+            contacts.given[i, c] += mass[i] * d
             contacts.total[t, c] += mass[i] * d
         for c in range(3):
             a, b = (c + 1) % 3, (c + 2) % 3
@@ -300,6 +302,7 @@ def contacts(loads: Sequence[Contact], cloud: Cloud, held_until: Floats) -> Cont
         np.zeros((count, 2, 3, 4)),
         np.where(kind == CAPSULE, sizes[:, 0] + sizes[:, 1], np.inf),
         np.zeros((max((len(n) for n in nodes), default=0), 10)),
+        np.zeros((len(cloud) if count else 0, 3)),
         np.zeros((len(cloud) if count else 0, 3)),
         np.zeros((count, 6)),
     )

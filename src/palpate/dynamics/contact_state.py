@@ -11,7 +11,7 @@ from palpate.dynamics.model import Touch
 from palpate.dynamics.tools import PLANE
 from palpate.faults import DivergenceError, InputError, first_few
 
-__all__ = ["check_apart", "check_pierced", "check_way", "touched"]
+__all__ = ["check_apart", "check_pierced", "check_way", "touched", "untouched"]
 
 Floats = NDArray[np.float64]
 
@@ -85,9 +85,16 @@ def check_pierced(drive: Drive, schedule: Schedule, displacements: Floats, spaci
             )
 
 
+def untouched(tools: int, nodes: int, time: float, surface: int = 0) -> Touch:
+    """Return what tools do that do not touch, at a time [s]; `surface` is a reduced model's number of surface nodes."""
+    nothing = np.zeros((tools, surface, 3))
+    return Touch(np.zeros((nodes, 3)), np.zeros((tools, 6)), time, np.zeros((nodes, 3)), nothing, nothing)
+
+
 def touched(drive: Drive, before: Touch, last: float) -> Touch:
     """Return what the tools do after a call of some steps, the last kick of which took a time `last` [s]."""
     forces, contacts = np.zeros_like(before.forces), drive.contacts
     nodes = contacts.nodes
     forces[nodes] = contacts.impulse[nodes] / last
-    return Touch(forces, before.impulses + contacts.total, before.since)
+    impulses, given = before.impulses + contacts.total, before.given + contacts.given
+    return before._replace(forces=forces, impulses=impulses, given=given)

@@ -27,6 +27,13 @@ class Touch(NamedTuple):
     forces: Floats  # (n, 3) on the nodes, now [N]
     impulses: Floats  # (tools, 6) impulse [N s] and its moment about the tool's origin [N m s], since then
     since: float  # then [s]
+    given: Floats  # (n, 3) impulses [N s] on the nodes, since then
+    places: Floats  # (tools, k, 3) of a reduced model's surface nodes that are touched [m]; empty in a full one
+    pushes: Floats  # (tools, k, 3) forces on them [N]
+
+    def anew(self, time: float) -> Touch:
+        """Return this with impulses counted from now, a time [s]."""
+        return self._replace(impulses=np.zeros_like(self.impulses), since=time, given=np.zeros_like(self.given))
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,8 @@ class Outputs:
     kinetic, strain, external, dissipated : float [J]
     moments : mapping of tool name to (3,) array [N m]
         Moment about its origin, on the body, of every tool that touches it, the mean since the last frame.
+    touches : (c, 4) array
+        Nodes that tools have touched since the last frame, and the mean forces [N] of those tools on them.
     """
 
     displacements: Floats
@@ -77,6 +86,7 @@ class Outputs:
     external: float
     dissipated: float
     moments: dict[str, Floats] = field(default_factory=dict)
+    touches: Floats = field(default_factory=lambda: np.zeros((0, 4)))
 
 
 class Model(ABC):

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.contact_state import check_apart, check_pierced, check_way, touched
+from palpate.dynamics.contact_state import check_apart, check_pierced, check_way, touched, untouched
 from palpate.dynamics.fibres import firm
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import Lanes
 from palpate.dynamics.loads import FIXED, FREE, Drive, Schedule
-from palpate.dynamics.model import Model, Nodes, Outputs, State, Touch
+from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.reactions import evaluate, tool_power
 from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step
 from palpate.dynamics.stepping import foundation_force, full_step, surface_force
@@ -107,7 +107,7 @@ class NodalModel(Model):
         holds = schedule.holds[0]
         fields[0][drive.places.driven[holds]] = schedule.motion[0, holds]
         check_apart(drive, schedule, fields[0], self.cloud.spacing)
-        touch = Touch(np.zeros_like(fields[0]), np.zeros((len(drive.tools), 6)), time) if drive.tools else None
+        touch = untouched(len(drive.tools), len(self.cloud), time) if drive.tools else None
         return State(fields[0], fields[1], time, memory=self._at_ease(fields[0]), touch=touch)
 
     def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
@@ -141,7 +141,7 @@ class NodalModel(Model):
         force, previous, surface, at = self._scratch
         schedule = drive.schedule(times)
         check_way(drive, schedule, self.cloud.spacing)
-        drive.contacts.total[:] = 0.0
+        drive.contacts.total[:], drive.contacts.given[:] = 0.0, 0.0
         surface[:] = 0.0  # of another run's loads
         self._recall(state)
         before = 0.0 if self.conservative else tool_power(self, state, drive)

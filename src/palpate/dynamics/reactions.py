@@ -63,22 +63,25 @@ def tool_power(model: Model, state: State, drive: Drive) -> float:
     return float(sum(forces[g] @ model.velocity(state, drive, drive.supports[g]).mean(axis=0) for g in groups))
 
 
-def touching(state: State, drive: Drive) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Return the mean force [N] on the body, and the moment [N m] about its origin, of every tool that may touch it.
+def touching(state: State, drive: Drive) -> tuple[dict[str, Floats], dict[str, Floats], Floats]:
+    """Return the force [N] on the body and the moment [N m] about its origin of every tool that may touch it.
 
-    The means are over the time since the last frame of a run, so that their sum times that time is the momentum given.
+    And (c, 4) the nodes touched with the forces [N] on them. All are means over the time since the last frame of a run,
+    so that their sum times that time is the momentum given.
     """
-    means = np.zeros((len(drive.tools), 6))
+    means, touches = np.zeros((len(drive.tools), 6)), np.zeros((0, 4))
     if state.touch is not None and state.time > state.touch.since:
         means = state.touch.impulses / (state.time - state.touch.since)
+        nodes = np.flatnonzero(state.touch.given.any(axis=1))
+        touches = np.column_stack([nodes, state.touch.given[nodes] / (state.time - state.touch.since)])
     names = [tool.name for tool in drive.tools]
-    return dict(zip(names, means[:, :3], strict=True)), dict(zip(names, means[:, 3:], strict=True))
+    return dict(zip(names, means[:, :3], strict=True)), dict(zip(names, means[:, 3:], strict=True)), touches
 
 
 def evaluate(model: Model, state: State, drive: Drive) -> Outputs:
     """Return displacements, velocities, forces and energies at a state."""
     u, v = model.displacement(state, drive), model.velocity(state, drive)
-    forces, moments = touching(state, drive)
+    forces, moments, touches = touching(state, drive)
     return Outputs(
         u,
         v,
@@ -88,4 +91,5 @@ def evaluate(model: Model, state: State, drive: Drive) -> Outputs:
         state.external_work,
         state.dissipated,
         moments,
+        touches,
     )

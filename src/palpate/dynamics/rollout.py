@@ -88,8 +88,7 @@ def rollout(
                 _check(model, state, drive, outputs, last)
                 recorder.add(state.time, steps, outputs)
                 if state.touch is not None:  # the next frame's means are of its own interval
-                    untouched = np.zeros_like(state.touch.impulses)
-                    state = replace(state, touch=state.touch._replace(impulses=untouched, since=state.time))
+                    state = replace(state, touch=state.touch.anew(state.time))
                 shown(state.time - start, perf_counter() - began)
         complete = True
     except DivergenceError as error:

@@ -48,6 +48,8 @@ class Trajectory:
         False if the run stopped before its end.
     moments : mapping of tool name to (f, 3) array [N m]
         Moment about its origin, on the body, of every tool that touches it, the mean since the frame before.
+    touches : (c, 5) array
+        A row for every node that tools touched: frame, node, and the mean force [N] on it since the frame before.
     """
 
     model: str
@@ -65,6 +67,7 @@ class Trajectory:
     viscosity: float = 0.0
     complete: bool = True
     moments: dict[str, Floats] = field(default_factory=dict)
+    touches: Floats = field(default_factory=lambda: np.zeros((0, 5)))
 
     @property
     def balance(self) -> Floats:
@@ -95,6 +98,8 @@ class Trajectory:
         for name in ("reactions", "moments"):
             first, second = getattr(self, name), getattr(other, name)
             joined[name] = {of: np.concatenate([values, second[of][1:]]) for of, values in first.items()}
+        later = other.touches[other.touches[:, 0] > 0] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
+        joined["touches"] = np.concatenate([self.touches, later])
         seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
@@ -116,7 +121,8 @@ class Trajectory:
         energies = {name: float(getattr(self, name)[k]) for name in ("kinetic", "strain", "external", "dissipated")}
         forces = {name: force[k] for name, force in self.reactions.items()}
         moments = {name: moment[k] for name, moment in self.moments.items()}
-        return Outputs(self.displacements[k], self.velocities[k], forces, **energies, moments=moments)
+        touches = self.touches[self.touches[:, 0] == k, 1:]
+        return Outputs(self.displacements[k], self.velocities[k], forces, **energies, moments=moments, touches=touches)
 
     @staticmethod
     def load(path: str | Path) -> Trajectory:
@@ -142,6 +148,8 @@ class Trajectory:
                 data: dict[str, Any] = {n: file[n][:frames] for n in (*SERIES, "displacements", "velocities")}
                 data["reactions"] = {n: d[:frames] for n, d in file["reactions"].items()}
                 data["moments"] = {n: d[:frames] for n, d in file.get("moments", {}).items()}
+                touches = file["touches"][:] if "touches" in file else np.zeros((0, 5))
+                data["touches"] = touches[touches[:, 0] < frames]
                 data["points"] = file["points"][:]
                 for name in ("model", "wall_seconds", "viscosity", "complete"):
                     data[name] = file.attrs[name]
@@ -152,6 +160,7 @@ class Trajectory:
         arrays: dict[str, tuple[Any, tuple[int, ...]]] = {name: (data[name], shape) for name, shape in shapes.items()}
         arrays |= {f"reactions/{name}": (force, (frames, 3)) for name, force in data["reactions"].items()}
         arrays |= {f"moments/{name}": (moment, (frames, 3)) for name, moment in data["moments"].items()}
+        arrays["touches"] = data["touches"], (len(data["touches"]), 5)
         arrays["points"] = data["points"], (n, data["points"].shape[-1])
         for name, (array, shape) in arrays.items():
             if array.shape != shape or not np.isfinite(array).all():
@@ -223,10 +232,20 @@ class Recorder:
                     self._file.create_dataset(name, (0, *array.shape), maxshape=(None, *array.shape), dtype="f8")
                 self._file[name].resize(len(self.times), axis=0)
                 self._file[name][-1] = array
+            self._add_touches(frame.touches)
             self._file.attrs["frames"] = len(self.times)
             self._file.flush()
         except OSError as error:
             raise OSError(f"cannot write {self.path}: {error}; its earlier frames are kept") from error
+
+    def _add_touches(self, touches: Floats) -> None:
+        if not len(touches):
+            return
+        if "touches" not in self._file:
+            self._file.create_dataset("touches", (0, 5), maxshape=(None, 5), dtype="f8")
+        rows, frame = self._file["touches"], len(self.times) - 1
+        rows.resize(len(rows) + len(touches), axis=0)
+        rows[-len(touches) :] = np.column_stack([np.full(len(touches), float(frame)), touches])
 
     def close(self, wall_seconds: float, complete: bool) -> None:
         """Finish the file."""
@@ -245,7 +264,7 @@ class Recorder:
 
     def trajectory(self, wall_seconds: float, complete: bool) -> Trajectory:
         """Return what was collected."""
-        kept = [f.name for f in fields(Outputs) if f.name not in ("reactions", "moments")]
+        kept = [f.name for f in fields(Outputs) if f.name not in ("reactions", "moments", "touches")]
         series = {name: np.array([getattr(o, name) for o in self.frames]) for name in kept}
         names = self.frames[0].reactions if self.frames else {}
         touching = self.frames[0].moments if self.frames else {}
@@ -253,5 +272,8 @@ class Recorder:
             model=self.model, times=np.array(self.times), steps=np.array(self.steps, dtype=float), points=self.points,
             reactions={name: np.array([o.reactions[name] for o in self.frames]) for name in names},
             moments={name: np.array([o.moments[name] for o in self.frames]) for name in touching},
+            touches=np.concatenate(
+                [np.zeros((0, 5)), *(np.insert(o.touches, 0, k, axis=1) for k, o in enumerate(self.frames))]
+            ),
             wall_seconds=wall_seconds, viscosity=self.viscosity, complete=complete, **series,
         )  # fmt: skip

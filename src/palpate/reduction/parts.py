@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.relaxation import relaxation
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.dents import Dents
 from palpate.reduction.points import Kinematics
 from palpate.reduction.samples import Samples, samples
 from palpate.tissue.fibres import FibreLaw
@@ -68,6 +69,8 @@ class ReducedParts:
         solids.
     fibres : FibreLaw, optional
         With a direction for every node.
+    dents : Dents, optional
+        Compliance of the surface under tools, learnt from runs in which they touch the body.
     """
 
     cloud: Cloud
@@ -92,6 +95,7 @@ class ReducedParts:
     kinematics: Kinematics = field(default_factory=Kinematics)
     slack: float = 0.0
     fibres: FibreLaw | None = None
+    dents: Dents | None = None
 
     def samples(self, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool) -> Samples:
         """Lay the samples of some columns out."""

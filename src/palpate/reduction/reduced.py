@@ -7,6 +7,7 @@ model no more. A step costs what its samples and coordinates cost, whatever the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,13 @@ from numpy.typing import NDArray
 from palpate.dynamics.fibres import firm
 from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
 from palpate.dynamics.membrane import load_areas
-from palpate.dynamics.model import Model, Nodes, Outputs, State
+from palpate.dynamics.model import Model, Nodes, Outputs, State, Touch
+from palpate.dynamics.reactions import touching
 from palpate.dynamics.relaxation import at_ease, recall, remembered
 from palpate.dynamics.stability import stable_step
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
+from palpate.reduction.dents import Handling, dents_of, skin_of
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import RealtimeModel, realtime_model
 from palpate.reduction.points import point_law
@@ -89,6 +92,8 @@ class ReducedModel(Model):
         self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
         self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
         self._loaded: tuple[Drive, Floats] | None = None
+        self._skin = skin_of(parts)
+        self._handled: Handling | None = None
         self._result, self._everything = np.zeros(count), np.zeros(len(flat))
         self._frequency, self._reach = 0.0, 0.0
         self._frequency_at: Floats | None = None
@@ -136,8 +141,13 @@ class ReducedModel(Model):
         ready = drive(self.cloud, self.fixed, loads, areas)
         if len(ready.places.pressure_node):
             raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
-        if ready.tools or len(ready.places.foundation_node):
-            raise InputError("a reduced model knows no Contact and no Foundation yet: run the full model with them")
+        if len(ready.places.foundation_node):
+            raise InputError("a reduced model knows no Foundation yet: run the full model with it")
+        if ready.tools and (self.parts.dents is None or self.step is not None):
+            raise InputError(
+                "tools touch a reduced model that is stepped explicitly and was trained on runs in which they do: "
+                "train it with a Contact, and leave its step out"
+            )
         held = {motion.group for motion, _ in ready.motions}
         if held != set(self.parts.driven):
             wanted = ", ".join(map(repr, self.parts.driven)) or "no group"
@@ -156,6 +166,12 @@ class ReducedModel(Model):
         schedule, count = ready.schedule(times), len(times)
         values = (schedule.force.reshape(count, -1), schedule.moment.reshape(count, -1), schedule.gravity)
         return np.asarray(np.hstack(values) @ self._loaded[1])
+
+    def _handling(self, ready: Drive) -> Handling:
+        """Tools that touch the body, made ready once for a drive."""
+        if self._handled is None or self._handled.drive is not ready:
+            self._handled = Handling(self._skin, ready)
+        return self._handled
 
     def _lifted(self, ready: Drive, times: Floats) -> Floats:
         """Coordinates (t, l) of the lifting columns at some times."""
@@ -202,9 +218,10 @@ class ReducedModel(Model):
                 moment[self.parts.modes :] = own
         else:
             coordinates, velocities = self._free @ coordinates, self._free @ velocities
-        return State(
-            coordinates, velocities, time, memory=at_ease(self._scratch.memory, lambda: self.force(coordinates))
-        )
+        memory = at_ease(self._scratch.memory, lambda: self.force(coordinates))
+        rest = State(coordinates, velocities, time, memory=memory)
+        begun = self._handling(drive).begun(lambda: self.displacement(rest, drive), time, self.cloud.spacing)
+        return replace(rest, touch=begun)
 
     def stable_step(self, state: State, drive: Drive) -> float:
         if self.step is not None:
@@ -236,12 +253,15 @@ class ReducedModel(Model):
         a, v, count, memory = state.coordinates.copy(), state.velocities.copy(), self.count, self._scratch.memory
         recall(memory, state.memory)
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
+        handling = self._handling(drive)
         if self.step is None:
             loads = np.ascontiguousarray(self._loads(drive, times[1:-1])[:, :count])
             fastest = self.parts.fastest / self.sizes[self.parts.modes :]
             work, lost, tools = self._explicit(
                 a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, fastest, loads,
                 self.mass, self._held, self._free, self._samples, self._scratch, self._newton,
+                handling.poses(times[1:-1], state.touch, self.cloud.spacing), self._skin, handling.touch,
+                handling.tools,
             )  # fmt: skip
         else:
             middles = times[1:-2] + 0.5 * step
@@ -255,13 +275,20 @@ class ReducedModel(Model):
         if memory.branches.size:
             lost += float(np.sum(self._samples.weights * memory.lost) + memory.volume_lost.sum())
         external, dissipated = state.external_work + work + tools, state.dissipated + lost
-        return State(a, v, float(times[-2]), external, dissipated, remembered(memory))
+        return State(a, v, float(times[-2]), external, dissipated, remembered(memory), handling.after(state.touch))
 
     # what a state means
 
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes, rebuilt only there."""
-        return np.tensordot(state.coordinates, self.parts.columns[: self.count, nodes], 1)
+        moved = np.tensordot(state.coordinates, self.parts.columns[: self.count, nodes], 1)
+        return moved if state.touch is None else moved + self.dented(state.touch)[nodes]
+
+    def dented(self, touch: Touch | None) -> Floats:
+        """Return the displacements (n, 3) [m] that tools add to those of the coordinates."""
+        if touch is None or self.parts.dents is None:
+            return np.zeros((len(self.cloud), 3))
+        return dents_of(self.parts.dents, self.cloud.points, touch.forces)
 
     def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
@@ -272,6 +299,8 @@ class ReducedModel(Model):
         recall(self._scratch.memory, state.memory)
         forces = self.forces(state.coordinates + self.viscosity * state.velocities)
         forces += self._loads(drive, np.array([state.time]))[0]
+        if state.touch is not None:
+            forces += np.tensordot(self.parts.columns, state.touch.forces, 2)
         modes = slice(self.parts.modes)
         if self._holds(drive, np.array([state.time]))[0]:
             bend = drive.rates(lambda times: self._lifted(drive, times), state.time)[1]
@@ -305,14 +334,18 @@ class ReducedModel(Model):
         return pose_map(self.cloud.points[nodes], self.parts.columns[self.parts.modes : self.count, nodes])
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
+        forces, moments, touches = touching(state, drive)
+        dented = 0.0 if state.touch is None else 0.5 * float(np.sum(state.touch.forces * self.dented(state.touch)))
         return Outputs(
             self.displacement(state, drive),
             self.velocity(state, drive),
-            self.reactions(state, drive),
+            self.reactions(state, drive) | forces,
             float(0.5 * state.velocities @ self.mass @ state.velocities),
-            self.energy(state.coordinates),
+            self.energy(state.coordinates) + dented,
             state.external_work,
             state.dissipated,
+            moments,
+            touches,
         )
 
     def trust(self, state: State, drive: Drive) -> float:

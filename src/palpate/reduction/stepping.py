@@ -26,8 +26,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.dynamics.contact import rotation
 from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import sampled_energy
+from palpate.reduction.touch import settle
 
 __all__ = ["Newton", "cholesky_factor", "cholesky_solve", "newton", "sampled_step"]
 
@@ -234,9 +236,30 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
 
     @law_njit(digest, fastmath={"contract"})
     def explicit(  # type: ignore[no-untyped-def]
-        a, v, lifting, holds, step, beta, fastest, loads, mass, held_response, free_response, samples, scratch, keep
+        a,
+        v,
+        lifting,
+        holds,
+        step,
+        beta,
+        fastest,
+        loads,
+        mass,
+        held_response,
+        free_response,
+        samples,
+        scratch,
+        keep,
+        poses,
+        skin,
+        touch,
+        tooling,
     ):
-        """Advance by one step less than there are loads; return the works of loads, viscosity and tools [J]."""
+        """Advance by one step less than there are loads; return the works [J] of loads, viscosity and tools.
+
+        Tools that touch the body (`palpate.reduction.touch`) have `poses` (s, t, 7) at the times of the loads; their
+        work is among that of the loads, and what friction takes is among that of viscosity.
+        """
         count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
         total, lost, tools = 0.0, 0.0, 0.0
         at, result, previous, rate = keep.vectors[0], keep.vectors[1], keep.vectors[2], keep.vectors[3]
@@ -275,6 +298,19 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
                 total += kick * loads[s, m] * 0.5 * (before + v[m])
                 for j in range(moving, count):
                     rate[j] -= mass[j, m] * value
+            if s < steps and tooling.kind.shape[0] > 0:
+                for t in range(tooling.kind.shape[0]):
+                    rotation(poses[s, t], tooling.frames[t, 0])
+                    rotation(poses[s + 1, t], tooling.frames[t, 1])
+                for m in range(count):
+                    at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
+                works = settle(skin, touch, tooling, at, v, step)
+                total, lost = total + works[0], lost + works[1]
+                for m in range(moving):
+                    for k in range(moving):
+                        v[m] += step * response[m, k] * tooling.load[k]
+                for j in range(moving, count):
+                    rate[j] += tooling.load[j]
             for j in range(moving, count):
                 speed = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
                 total += kick * loads[s, j] * speed

@@ -25,6 +25,7 @@ import numpy as np
 from palpate.faults import FileFormatError, InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.dents import Dents
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
 from palpate.reduction.stored_material import described, described_fibres, fibres_of, material_of
@@ -34,7 +35,7 @@ __all__ = ["load", "save"]
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION, SEAL = "palpate reduced model", 4, 512
+FORMAT, VERSION, SEAL = "palpate reduced model", 5, 512
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 # One line a dataset: its type, and its shape in sizes that all datasets share.
@@ -57,14 +58,17 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "constant": ("<f8", ("columns", "columns")),
     "trained": ("<f8", ("states", "coordinates")),
     "fibres/directions": ("<f8", ("families", "nodes", 3)),
+    "dents/nodes": ("<i8", ("touched",)),
+    "dents/lengths": ("<f8", ("falls",)),
+    "dents/compliances": ("<f8", ("falls",)),
 }
-NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/nodes")  # hold numbers of nodes
+NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/nodes", "dents/nodes")  # hold numbers of nodes
 ATTRIBUTES = {
     "material": str, "parameters": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
-    "witnesses": int, "leeway": float, "step": float, "single": bool,
+    "witnesses": int, "leeway": float, "dents_own": float, "step": float, "single": bool,
 }  # fmt: skip
 
 
@@ -174,6 +178,7 @@ def _header(parts: ReducedParts) -> Header:
         "prestretch": float(parts.kinematics.prestretch),
         "relaxed": parts.kinematics.relaxed,
         "slack": float(parts.slack),
+        "dents_own": float(parts.dents.own if parts.dents else 0.0),
         "report": json.dumps(parts.report, default=lambda value: value.tolist()),
     }
 
@@ -184,6 +189,7 @@ def _arrays(parts: ReducedParts) -> Arrays:
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
         "fibres/directions": np.zeros((0, len(parts.cloud), 3)) if parts.fibres is None else parts.fibres.directions,
+        **{f"dents/{name}": getattr(parts.dents, name, ()) for name in ("nodes", "lengths", "compliances")},
     }
     return {
         name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
@@ -291,7 +297,18 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         ),
         slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
         fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
+        dents=_dents(own, number_in_range("dents_own", header["dents_own"], 0.0, unit="m/N")),
     )
+
+
+def _dents(arrays: Arrays, own: float) -> Dents | None:
+    """Make the compliance of the surface; none where no nodes may be touched."""
+    dents = Dents(arrays["dents/nodes"], arrays["dents/lengths"], arrays["dents/compliances"], own)
+    if not len(dents.nodes):
+        return None
+    if not (np.all(dents.lengths > 0) and np.all(dents.compliances >= 0) and own + dents.compliances.sum() > 0):
+        raise InputError("datasets dents/lengths and dents/compliances hold no positive compliance")
+    return dents
 
 
 def _rule(header: Header) -> Header:

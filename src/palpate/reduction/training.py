@@ -18,6 +18,7 @@ from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.bases import joined, main_modes
+from palpate.reduction.dents import fitted_dents
 from palpate.reduction.errors import errors
 from palpate.reduction.linear import tool_responses
 from palpate.reduction.points import Kinematics
@@ -211,6 +212,11 @@ def _trained(
         "seed": seed,
         "training_seconds": perf_counter() - start,
     }
+    if any(len(run.touches) for run in runs):
+        dents, explained = fitted_dents(model, runs)
+        parts = replace(parts, dents=dents)
+        report["dents_explained"] = explained
+        model = ReducedModel(parts)
     parts.report.update(report)
     if held_out:
         return _tried(model, held_out)

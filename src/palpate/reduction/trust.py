@@ -14,6 +14,7 @@ from palpate.dynamics.model import State
 from palpate.dynamics.relaxation import at_ease, followed
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError, number_in_range
+from palpate.reduction.dents import touch_of
 
 if TYPE_CHECKING:
     from palpate.reduction.reduced import ReducedModel
@@ -69,13 +70,15 @@ class Frames(NamedTuple):
 def tried_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, full: Trajectory) -> Frames:
     """Say of every frame of a reduced model's run how far it was from training, and from the full run."""
     drive, mass = model.drive(loads), model.masses / model.masses.sum()
-    coordinates, velocities = model.projected(own.displacements), model.projected(own.velocities)
+    touches = [touch_of(own, k, len(model.cloud)) for k in range(len(own.times))]
+    dents = np.array([model.dented(touch) for touch in touches])
+    coordinates, velocities = model.projected(own.displacements - dents), model.projected(own.velocities)
     states: list[State] = []
     for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):
         where, evaluate = model._scratch.memory, partial(model.force, a)
         last = states[-1] if states else None
         memory = followed(where, last.memory, time - last.time, evaluate) if last else at_ease(where, evaluate)
-        states.append(State(a, v, time, memory=memory))
+        states.append(State(a, v, time, memory=memory, touch=touches[len(states)]))
     squares = np.einsum("tnc,n->t", full.displacements**2, mass)
     missed = np.sqrt(np.einsum("tnc,n->t", (own.displacements - full.displacements) ** 2, mass))
     return Frames(
