@@ -13,6 +13,10 @@ os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 _HOME = {
     "Cloud": "meshfree.cloud",
     "box": "meshfree.cloud",
+    "in_box": "meshfree.attachment",
+    "near_plane": "meshfree.attachment",
+    "painted": "meshfree.attachment",
+    "read_painted": "app.painted",
     "disc": "meshfree.sheets",
     "sheet": "meshfree.sheets",
     "Surface": "meshfree.surfaces",

@@ -253,6 +253,27 @@ def test_a_turning_tool_turns_what_sticks_to_it(cube):
     assert trajectory.moments["tool"][-1, 2] > 0
 
 
+def test_a_ball_presses_a_membrane_from_either_side():
+    cloud = pt.disc(0.05, 0.005)
+    law = pt.NeoHookean(C1=1e4, density=1000.0, poisson=0.5)
+    sheet = pt.Membrane(cloud, law, 1e-3, fixed="rim", prestretch=1.1)
+    ball, forces = pt.Sphere(0.012), []
+    for side in (1, -1):
+        way = lambda t, side=side: np.array([0.0, 0.0, side * (0.012 - 0.2 * min(t, 0.03))])  # noqa: E731
+        trajectory = run(sheet, pt.Contact(ball, way), duration=0.1)
+        flat = np.pad(trajectory.points, ((0, 0), (0, 1)))
+        places = flat + trajectory.displacements - np.array([way(t) for t in trajectory.times])[:, None]
+        assert np.linalg.norm(places, axis=2).min() > 0.012 - 1e-9
+        assert np.abs(trajectory.balance).max() < 5e-3 * trajectory.external.max()
+        means = [trajectory.reactions[name][-30:, 2].mean() for name in ("tool", "rim")]
+        assert means[0] * side < 0
+        assert means[1] == pytest.approx(-means[0], rel=0.03)
+        forces.append(means[0])
+    assert forces[0] == pytest.approx(-forces[1], rel=1e-6)
+    with pytest.raises(pt.InputError, match=r"radius of 0.008 m could slip between nodes"):
+        run(sheet, pt.Contact(BALL, (0, 0, 1)))
+
+
 # motions, files, bad input
 
 

@@ -33,6 +33,8 @@ def check_apart(drive: Drive, schedule: Schedule, displacements: Floats, spacing
         places = contacts.points + displacements
         gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], places, depth)
         free = schedule.times[0] > contacts.held_until
+        if tool.group is not None:  # others may be inside by intention
+            free &= np.isin(np.arange(len(free)), contacts.nodes[contacts.start[t] : contacts.start[t + 1]])
         inside = np.flatnonzero(free & (depth < -INSIDE * spacing))
         if inside.size:
             raise InputError(
@@ -73,7 +75,7 @@ def check_pierced(drive: Drive, schedule: Schedule, displacements: Floats, spaci
     """
     contacts, depth = drive.contacts, np.zeros(len(displacements))
     for t, tool in enumerate(drive.tools):
-        if tool.group is not None:  # others may be inside by intention
+        if tool.group is not None:
             continue
         gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], contacts.points + displacements, depth)
         depth[contacts.nodes[contacts.start[t] : contacts.start[t + 1]]] = 0.0

@@ -141,7 +141,8 @@ class Contact:
     tool : Sphere, Capsule, Plane or Punch
     motion : pose, or function of time [s], or sampled arrays
         Where the tool's origin is: a position (3,) [m], or a position and a rotation, which is a rotation vector (3,)
-        [rad] or a quaternion (4,), w x y z; or a function of time that returns one of these. Sampled arrays are a tuple of times (k,) [s], positions (k, 3) [m] and, if the tool turns, rotations (k, 3) or (k, 4); between
+        [rad] or a quaternion (4,), w x y z; or a function of time that returns one of these. Sampled arrays are
+        a tuple of times (k,) [s], positions (k, 3) [m] and, if the tool turns, rotations (k, 3) or (k, 4); between
         samples poses are interpolated, before the first and after the last they stay.
     friction : float
         Coulomb's coefficient mu, of sticking and of sliding.
