@@ -53,7 +53,7 @@ def spacing_for(body: pt.Surface, nodes: int) -> float:
 
 
 def poked(cloud: pt.Cloud) -> tuple[pt.Cloud, np.ndarray]:
-    """Return the cloud with groups ``"tool"`` and ``"back"``, and the direction of the poke: along its shortest side."""
+    """Return the cloud with groups ``"tool"`` and ``"back"``, and the way of the poke: along its shortest side."""
     points, on = cloud.points, cloud.group("surface")
     axis = int(np.argmin(np.ptp(points, axis=0)))
     middle = (cloud.volumes @ points) / cloud.volumes.sum()

@@ -14,14 +14,14 @@ __all__ = ["repair"]
 
 Ints = NDArray[np.int64]
 
-WIDEST_HOLE = 0.5  # length of a rim over pi times the diagonal of the body, of a hole that is closed
+WIDEST_HOLE = 0.6  # length of a rim over pi times the diagonal of the body, of a hole that is closed
 SMOOTHINGS = 30  # of folds, at most
 
 
 def repair(surface: Surface) -> Surface:
     """Return a welded surface with small holes closed, triangles turned outwards, specks dropped and folds smoothed.
 
-    A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than half of pi times
+    A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than 0.6 pi times
     the diagonal of the body. Where triangles pass through each other, their corners are moved towards the mean of
     their neighbours until they do not, or for 30 rounds. Specks are parts of less than a thousandth of the volume.
     What cannot be repaired is left for `check_surface` to name.
