@@ -23,6 +23,7 @@ _HOME = {
     "check_surface": "meshfree.surface_checks",
     "read_surface": "meshfree.surface_files",
     "fill": "meshfree.filling",
+    "fetch_liver": "scenes.published",
     "liver_surface": "scenes.organ",
     "Stencils": "meshfree.stencils",
     "moving_least_squares": "meshfree.stencils",

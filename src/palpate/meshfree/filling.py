@@ -105,11 +105,11 @@ def fill(
     for warning in body.warnings:
         warnings.warn(warning, stacklevel=2)
     sizing = Sizing.of(spacing, refine)
-    _refuse_size(body, spacing, sizing)
     report = check_surface(body)
     if report.errors:
         what = "; ".join(problem.what for problem in report.errors)
         raise InputError(f"{body.name} cannot be filled: {what}")
+    _refuse_size(body, spacing, sizing)
     vertices, triangles = refined(body.vertices, body.triangles, lambda points: SHORT * sizing(points))
     inside = Inside.of(vertices, triangles)
     nodes = spread(vertices, triangles, ON_SURFACE * sizing(vertices), seed)

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SWEEPS = 60  # of moving vertices between clusters, at most
-ROUNDS = 8  # of mending clusters that are no discs
+ROUNDS = 12  # of mending clusters that are no discs
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,9 @@ def spread(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> Sur
     edges = np.column_stack([np.repeat(np.arange(len(vertices)), np.diff(start)), near])
     edges = edges[edges[:, 0] < edges[:, 1]]
     count = int(label.max()) + 1
-    for _ in range(ROUNDS):
-        label = _balanced(vertices, weights, edges, label, count, SWEEPS)
+    for k in range(ROUNDS):
+        # balancing anew may enclose another cluster in a spike: in the end faults are only merged with their neighbours
+        label = _balanced(vertices, weights, edges, label, count, SWEEPS if k < ROUNDS // 4 else 0)
         label = _joined(vertices, label, count, edges, start, near)
         label, count = _mended(triangles, label)
         coarse = _dual(triangles, label)

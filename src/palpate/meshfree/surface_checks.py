@@ -98,7 +98,7 @@ def check_surface(surface: Surface) -> SurfaceReport:
             Problem(
                 "error", "self-intersecting",
                 f"{len(crossing)} pairs of triangles pass through each other (first: triangles {crossing[0, 0]} and "
-                f"{crossing[0, 1]} near {_place(where[0])}): remesh or smooth it there",
+                f"{crossing[0, 1]} near {_place(where[0])}): repair smooths small folds",
                 where,
             )
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Repairs of a surface that leave its shape alone: small holes, triangles that face the wrong way, specks."""
+"""Repairs of a surface that leave its shape alone: small holes, triangles that face the wrong way, specks, folds."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from palpate.meshfree.crossings import self_intersections
 from palpate.meshfree.surfaces import Surface, components, halves, part_of, rims, welded
 
 __all__ = ["repair"]
 
 Ints = NDArray[np.int64]
 
-WIDEST_HOLE = 0.25  # length of a hole's rim over pi times the diagonal of the body, that is still closed on request
+WIDEST_HOLE = 0.6  # length of a rim over pi times the diagonal of the body, of a hole that is closed
+SMOOTHINGS = 30  # of folds, at most
 
 
 def repair(surface: Surface) -> Surface:
-    """Return a welded surface with small holes closed, triangles turned to face outwards, and specks dropped.
+    """Return a welded surface with small holes closed, triangles turned outwards, specks dropped and folds smoothed.
 
-    A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than a quarter of pi times
-    the diagonal of the body. Nothing else is changed: what cannot be repaired is left for `check_surface` to name.
+    A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than 0.6 pi times
+    the diagonal of the body. Where triangles pass through each other, their corners are moved towards the mean of
+    their neighbours until they do not, or for 30 rounds. Specks are parts of less than a thousandth of the volume.
+    What cannot be repaired is left for `check_surface` to name.
     """
     surface = welded(surface)
     label = components(surface)
@@ -32,7 +36,24 @@ def repair(surface: Surface) -> Surface:
     surface = _with_holes_closed(surface)
     if surface.volume < 0:
         surface = Surface(surface.vertices, surface.triangles[:, ::-1], surface.name, surface.warnings)
-    return surface
+    return _unfolded(surface)
+
+
+def _unfolded(surface: Surface) -> Surface:
+    """The surface smoothed where it passes through itself."""
+    vertices, n = surface.vertices.copy(), len(surface.vertices)
+    edges, _ = halves(surface.triangles)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    near = sparse.csr_matrix((np.ones(len(both)), both.T), (n, n))
+    near.data[:] = 1.0
+    near = sparse.diags(1.0 / near.sum(axis=1).A1) @ near
+    for _ in range(SMOOTHINGS):
+        crossing = self_intersections(vertices, surface.triangles)
+        if not len(crossing):
+            break
+        corners = np.unique(surface.triangles[crossing])
+        vertices[corners] = 0.5 * vertices[corners] + 0.5 * (near[corners] @ vertices)
+    return Surface(vertices, surface.triangles, surface.name, surface.warnings)
 
 
 def _turned(triangles: Ints) -> Ints:
