@@ -34,7 +34,7 @@ from palpate.faults import InputError, number_in_range
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["Material", "MooneyRivlin", "NeoHookean", "parameter"]
+__all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw", "parameter"]
 
 MOST_POISSON = 0.499  # the stability of the split pressure is verified up to here
 
@@ -201,6 +201,29 @@ class Material(ABC):
     def _refuse_incompressible(self) -> None:
         if self.incompressible:
             raise InputError("an incompressible material (poisson = 0.5) has no stress of F alone; a Membrane has")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShearLaw(Material):
+    """A law whose first parameter is its shear modulus at rest; its share in the bulk modulus is 2/3 of that.
+
+    Parameters
+    ----------
+    mu : float [Pa]
+        Positive.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    mu: float = parameter("Pa", above=0.0)
+
+    @property
+    def shear_modulus(self) -> float:
+        return self.mu
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.mu
 
 
 def _invariants(F: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

@@ -8,13 +8,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.tissue.materials import Material, parameter
+from palpate.tissue.materials import ShearLaw
 
 __all__ = ["LinearElastic"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearElastic(Material):
+class LinearElastic(ShearLaw):
     """Small-strain linear elasticity (Landau, Lifshitz, Theory of Elasticity, section 4).
 
     W = mu e : e + lame / 2 (tr e)^2,  e = sym(F - I),  P = dW/dF = 2 mu e + lame tr e I.
@@ -31,16 +31,6 @@ class LinearElastic(Material):
     """
 
     variables: ClassVar[str] = "small strain"
-
-    mu: float = parameter("Pa", above=0.0)
-
-    @property
-    def shear_modulus(self) -> float:
-        return self.mu
-
-    @property
-    def shear_bulk_modulus(self) -> float:
-        return 2 / 3 * self.mu
 
     @staticmethod
     def energy(square, trace, volume, c):  # type: ignore[no-untyped-def]
