@@ -12,7 +12,10 @@ from palpate.tissue.volumetric import volumetric_form
 
 KINDS = {law.name: law for law in LAWS if law.name != "LinearElastic"}
 ORDER = {"invariants": [0, 1, 3, 1, 2, 4, 3, 4, 5], "stretches": [0, 3, 4, 3, 1, 5, 4, 5, 2]}
-LOW, HIGH = {"invariants": (3.1, 3.1, 0.7), "stretches": (0.7,) * 3}, {"invariants": (4.5, 4.5, 1.4), "stretches": (1.4,) * 3}
+LOW, HIGH = (
+    {"invariants": (3.1, 3.1, 0.7), "stretches": (0.7,) * 3},
+    {"invariants": (4.5, 4.5, 1.4), "stretches": (1.4,) * 3},
+)
 
 
 def made(name, **changes):
@@ -54,7 +57,9 @@ def test_rest_is_free_of_stress_and_the_volume_is_held_by_its_own_part_alone(nam
     for J in (0.3, 0.8, 1.5, 3.0):
         slope, _ = volumetric_form("mixed").pressure(J - 1)
         expected = material.bulk_modulus * slope * J ** (2 / 3) * np.eye(3)
-        np.testing.assert_allclose(material.stress(np.cbrt(J) * np.eye(3)), expected, atol=1e-9 * expected[0, 0].__abs__())
+        np.testing.assert_allclose(
+            material.stress(np.cbrt(J) * np.eye(3)), expected, atol=1e-9 * expected[0, 0].__abs__()
+        )
 
 
 @pytest.mark.parametrize("name", KINDS)

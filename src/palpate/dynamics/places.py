@@ -69,7 +69,7 @@ def _everywhere(coefficients, b, v):  # type: ignore[no-untyped-def]
 
 @cache
 def parameters_at(count: int) -> Any:
-    """Return the function ``at(coefficients, b, v)`` that gives the law's parameters of a lane, `count` if they differ."""
+    """Return the function ``at(coefficients, b, v)``: the law's parameters in a lane, `count` if they differ."""
     if count == EVERYWHERE:
         return _everywhere
     if count == 1:

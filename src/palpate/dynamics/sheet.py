@@ -331,7 +331,8 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
         if more:
             prepare(body.relaxation, work.memory)
         each(u, body.lanes, body.first, body.second, body.boundary, body.radius, body.coefficients, body.prestretch,
-             gathered(body.families, body.relaxation, work.memory), work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
+             gathered(body.families, body.relaxation, work.memory),
+             work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def each_column(  # type: ignore[no-untyped-def]
@@ -347,7 +348,8 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
         if more:
             prepare(body.relaxation, work.memory)
         each_column(columns, table, body.lanes, body.boundary, body.radius, body.coefficients, body.prestretch,
-                    gathered(body.families, body.relaxation, work.memory), work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
+                    gathered(body.families, body.relaxation, work.memory),
+                    work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest)
     def finish(body, work, force):  # type: ignore[no-untyped-def]

@@ -5,8 +5,8 @@ With Q twice their derivative by that strain, and no stress across the sheet, th
 
     S = Q - Q33 / (det C)^2 adj(C).
 
-Where a relaxed sheet is wrinkled, its strain is that of simple tension, C* = c1 N N^T + w (1 - N N^T), w = c1^(-1/2), and
-where it is slack it is none: what the material between the wrinkles has. The chain rule through C* gives
+Where a relaxed sheet is wrinkled, its strain is that of simple tension, C* = c1 N N^T + w (1 - N N^T), w = c1^(-1/2),
+and where it is slack it is none: what the material between the wrinkles has. The chain rule through C* gives
 
     S = (Q_NN - w^3 / 2 (Q_TT + Q_33)) N N^T + Q_NT (c1 - w) / (c1 - c2) (N T^T + T N^T),
 
@@ -77,7 +77,7 @@ ALONE = Beside("", None)
 
 
 def beside(fibres: FibreLaw | None, relaxing: bool, relaxed: bool) -> Beside:
-    """Return what stands beside the law of a sheet: some fibres, the branches of tissue that relaxes, both or nothing."""
+    """Return what stands beside a sheet's law: some fibres, the branches of tissue that relaxes, both or nothing."""
     if fibres is None and not relaxing:
         return ALONE
     kind = (None, 0) if fibres is None else (type(fibres), len(fibres.directions))

@@ -73,9 +73,8 @@ class ReducedModel(Model):
         self.fewest = 20 if step is None else 1  # the implicit step is the user's choice
         self.count = parts.modes + parts.lifted
         count = self.count
-        self._law, self._coefficients = point_law(
-            parts.material, parts.kinematics, parts.fibres, parts.regions is not None
-        )
+        several = parts.regions is not None
+        self._law, self._coefficients = point_law(parts.material, parts.kinematics, parts.fibres, several)
         flat = parts.columns.reshape(len(parts.columns), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])

@@ -64,8 +64,10 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "constant": ("<f8", ("columns", "columns")),
     "trained": ("<f8", ("states", "coordinates")),
     "fibres/directions": ("<f8", ("families", "nodes", 3)),
-    "regions": ("<i8", ("placed",)),
 }
+PLACED: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "regions": ("<i8", ("nodes",))
+}  # where there are several materials
 NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/nodes")  # hold numbers of nodes
 ATTRIBUTES = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
@@ -192,12 +194,12 @@ def _arrays(parts: ReducedParts) -> Arrays:
     listed: dict[str, Any] = {
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
-        "regions": [] if parts.regions is None else parts.regions.which,
+        "regions": None if parts.regions is None else parts.regions.which,
         "fibres/directions": np.zeros((0, len(parts.cloud), 3)) if parts.fibres is None else parts.fibres.directions,
     }
     return {
         name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
-        for name, (dtype, _) in LAYOUT.items()
+        for name, (dtype, _) in (LAYOUT if parts.regions is None else LAYOUT | PLACED).items()
     }
 
 
@@ -240,11 +242,8 @@ def _read(file: Any) -> tuple[Header, Arrays]:
         "columns": coordinates + 3 * len(header["fixed"]) + integer_in_range("witnesses", header["witnesses"], 0),
     }
     arrays = {}
-    for name, (dtype, shape) in LAYOUT.items():
+    for name, (dtype, shape) in (LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED).items():
         data = file.get(name)
-        if data is None and name == "regions" and header["regions"] == "[]":
-            arrays[name] = np.zeros(0, dtype=dtype)
-            continue
         if not isinstance(data, h5py.Dataset):
             raise InputError(f"dataset {name} is missing")
         if data.external or data.is_virtual:
@@ -281,9 +280,7 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         header["expression"],
         _mapping("prony", header["prony"]),
     )
-    regions = regions_of(_json("regions", header["regions"]), own["regions"], material)
-    if regions is not None and len(regions.which) != len(cloud):
-        raise InputError(f"dataset regions has {len(regions.which)} entries for {len(cloud)} nodes")
+    regions = regions_of(_json("regions", header["regions"]), own.get("regions", np.zeros(0, dtype=int)), material)
     return ReducedParts(
         cloud=cloud,
         material=material,

@@ -190,9 +190,7 @@ class Material(ABC):
         measure, _ = volumetric_form(self.volumetric).measure(self._dilatation(F))
         return np.asarray(self.shear_energy(F) + self.lame / 2 * measure**2)
 
-    def shear_energy(
-        self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None
-    ) -> NDArray[np.float64]:
+    def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
         """Return the part W_s [J/m^3] of the energy without the bulk term, for F of shape (..., 3, 3).
 
         `coefficients`, arrays (...), take the place of the material's own.
@@ -212,9 +210,7 @@ class Material(ABC):
         """Return the pressure U'(J) over `lame`, shape (...), for F of shape (..., 3, 3)."""
         return np.asarray(volumetric_form(self.volumetric).pressure(self._dilatation(F))[0])
 
-    def shear_stress(
-        self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None
-    ) -> NDArray[np.float64]:
+    def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
         """Return the part of the first Piola-Kirchhoff stress [Pa] that comes from W_s, as `shear_energy` does it."""
         I1, I2, J = (i[..., None, None] for i in _invariants(F))
         own = self.coefficients if coefficients is None else tuple(c[..., None, None] for c in coefficients)

@@ -93,7 +93,9 @@ def Hyperelastic(
             raise InputError(f"{name} = {parameters[name]!r} is no parameter of the energy; it has {names or 'none'}")
     law = law_of(energy)
     values: dict[str, Any] = dict(parameters)
-    material: Material = law(density=density, poisson=poisson, bulk=bulk, prony=prony, volumetric=volumetric, split=split, **values)
+    material: Material = law(
+        density=density, poisson=poisson, bulk=bulk, prony=prony, volumetric=volumetric, split=split, **values
+    )
     if stable is not None:
         material_stability(material, stable, VOLUMES).require()
     return material

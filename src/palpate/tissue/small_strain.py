@@ -55,15 +55,11 @@ class LinearElastic(Material):
     def second(square, trace, volume, c):  # type: ignore[no-untyped-def]
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
-    def shear_energy(
-        self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None
-    ) -> NDArray[np.float64]:
+    def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
         mu = (coefficients or self.coefficients)[0]
         return np.asarray(mu * np.sum(_strain(F) ** 2, axis=(-2, -1)))
 
-    def shear_stress(
-        self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None
-    ) -> NDArray[np.float64]:
+    def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
         mu = np.asarray((coefficients or self.coefficients)[0])
         return np.asarray(2 * mu[..., None, None] * _strain(F))
 
