@@ -5,10 +5,10 @@
 writes docs/validation/interfaces.json and prints the table. Small: one half 4 times softer or 5 times stiffer than the
 other at nu = 0, free sides, the stiffness at rest under a small pull. Large: two Gent materials of other shear moduli,
 limits and Poisson's ratios, their sides held, pulled until the softer is half as long again; the closed form is the
-stretch of either at which its stress P11 of diag(l, 1, 1) is that of the pull. With an odd number of cells the interface
-lies midway between nodes; with an even one nodes lie on it: they are counted to the first half, and the closed form
-has its interface half a spacing further; or, where a stiffness tells the halves apart, they have the mean of the
-compliances.
+stretch of either at which its stress P11 of diag(l, 1, 1) is that of the pull. With an odd number of cells the
+interface lies midway between nodes; with an even one nodes lie on it: they are counted to the first half, and the
+closed form has its interface half a spacing further; or, where a stiffness tells the halves apart, they have the mean
+of the compliances.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def bar(cells: int) -> pt.Cloud:
     cloud = pt.box((LENGTH, WIDE, WIDE), LENGTH / cells)
     x = cloud.points[:, 0]
     groups = {"far": np.flatnonzero(x > LENGTH / 2 + 1e-9), "middle": np.flatnonzero(np.abs(x - LENGTH / 2) < 1e-9)}
-    return replace(cloud, groups=cloud.groups | groups)
+    return replace(cloud, groups=cloud.groups | {name: nodes for name, nodes in groups.items() if len(nodes)})
 
 
 def loads(model: pt.FullModel, force: float) -> np.ndarray:

@@ -29,7 +29,7 @@ def body():
 
 
 def test_with_all_nodes_and_all_pressures_it_is_the_galerkin_model(body):
-    """The pressures of snapshots alone do not span that of any other state: of this one they miss some tenths of 1 %."""
+    """The pressures of the snapshots do not span those of other states: they miss tenths of 1 % of the forces there."""
     loads = [pt.Traction("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.3, 0.05, -0.02]))]
     run = pt.rollout(body, loads, duration=0.01, every=0.0005, progress=False)
     assert np.abs(run.balance).max() < 0.01 * np.abs(run.external).max()
