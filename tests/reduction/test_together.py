@@ -29,7 +29,7 @@ def body():
 
 
 def test_with_all_nodes_and_all_pressures_it_is_the_galerkin_model(body):
-    """The pressures of the snapshots do not span those of other states: they miss tenths of 1 % of the forces there."""
+    """The pressures of the snapshots do not span those of other states: they miss 0.3 % of the forces there, or 3 %."""
     loads = [pt.Traction("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.3, 0.05, -0.02]))]
     run = pt.rollout(body, loads, duration=0.01, every=0.0005, progress=False)
     assert np.abs(run.balance).max() < 0.01 * np.abs(run.external).max()
@@ -48,4 +48,4 @@ def test_with_all_nodes_and_all_pressures_it_is_the_galerkin_model(body):
         np.testing.assert_allclose(whole.force(a), expected, atol=1e-9 * np.abs(expected).max())
         assert whole.energy(a) == pytest.approx(body.strain_energy(u), rel=1e-9)
         errors.append(np.abs(some.force(a) - expected).max() / np.abs(expected).max())
-    assert 1e-7 < max(errors) < 0.02  # so it is the pressures alone
+    assert 1e-4 < errors[0] < 0.01 < errors[1] < 0.06  # so it is the pressures alone

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 import palpate as pt
 from palpate.dynamics.compiled import law_digest
+from palpate.reduction.stored_material import described, material_of
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.volumetric import volumetric_form
 
@@ -92,6 +95,15 @@ def test_laws_are_told_apart_where_they_are_compiled():
     laws = [made(name, split=split).law for name in ("NeoHookean", "Gent") for split in ("coupled", "isochoric")]
     assert len({law_digest(law.first) for law in laws}) == 4
     assert made("Gent").law is made("Gent", poisson=0.3).law
+
+
+@pytest.mark.parametrize("split", ["coupled", "isochoric"])
+def test_a_file_keeps_the_split(split):
+    material = made("Gent", split=split)
+    said = described(material)
+    again = material_of(said["material"], json.loads(said["parameters"]), said["expression"], {})
+    assert again == material
+    assert ("split" in json.loads(said["parameters"])) == (split == "isochoric")
 
 
 @pytest.mark.parametrize(

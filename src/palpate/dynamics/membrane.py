@@ -89,27 +89,7 @@ class Membrane(NodalModel):
         neighbours: int | None = None,
         fibres: FibreLaw | None = None,
     ) -> None:
-        if cloud.points.shape[1] != 2:
-            raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
-        if not isinstance(material, Material):
-            raise InputError(f"a membrane has one material everywhere, not {material!r}")
-        if not material.incompressible:
-            raise InputError(f"a membrane is incompressible: give its material poisson=0.5, not {material.poisson:g}")
-        if material.variables == "small strain":
-            raise InputError(
-                "a membrane needs a law of large strains; a linear elastic sheet has no forces out of plane"
-            )
-        if form not in DAMPING:
-            raise InputError(f"form = {form!r}: allowed are 'energy' and 'strong'")
-        if material.prony is not None and material.prony.bulk_shares:
-            raise InputError("a membrane keeps its volume: leave bulk_shares out of its Prony series")
-        if material.prony is not None and form != "energy":
-            raise InputError("tissue that relaxes (prony=) needs form='energy'")
-        self.fibres = placed(fibres, material, form, cloud.points)
-        if self.fibres is not None and relaxed:
-            raise InputError("a sheet with fibres carries compression: give it relaxed=False")
-        if self.fibres is not None and np.abs(self.fibres.directions[..., 2]).max() > FLAT:
-            raise InputError("directions of fibres must lie in the plane of the sheet: their third component is 0")
+        self.fibres = _checked(cloud, material, form, relaxed, fibres)
         self.cloud, self.material = cloud, material
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
         self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
@@ -262,6 +242,30 @@ class Membrane(NodalModel):
         # a slack place has no frequency until it is taut, sooner than the next estimate
         frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
         return stable_step(max(frequency, self._taut), self.viscosity)
+
+
+def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres: FibreLaw | None) -> FibreLaw | None:
+    """Refuse what is no membrane; return its fibres, with a direction for every node."""
+    if cloud.points.shape[1] != 2:
+        raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
+    if not isinstance(material, Material):
+        raise InputError(f"a membrane has one material everywhere, not {material!r}")
+    if not material.incompressible:
+        raise InputError(f"a membrane is incompressible: give its material poisson=0.5, not {material.poisson:g}")
+    if material.variables == "small strain":
+        raise InputError("a membrane needs a law of large strains; a linear elastic sheet has no forces out of plane")
+    if form not in DAMPING:
+        raise InputError(f"form = {form!r}: allowed are 'energy' and 'strong'")
+    if material.prony is not None and material.prony.bulk_shares:
+        raise InputError("a membrane keeps its volume: leave bulk_shares out of its Prony series")
+    if material.prony is not None and form != "energy":
+        raise InputError("tissue that relaxes (prony=) needs form='energy'")
+    placed_fibres = placed(fibres, material, form, cloud.points)
+    if placed_fibres is not None and relaxed:
+        raise InputError("a sheet with fibres carries compression: give it relaxed=False")
+    if placed_fibres is not None and np.abs(placed_fibres.directions[..., 2]).max() > FLAT:
+        raise InputError("directions of fibres must lie in the plane of the sheet: their third component is 0")
+    return placed_fibres
 
 
 def load_areas(cloud: Cloud, prestretch: float, load: Traction) -> Floats:
