@@ -1,6 +1,6 @@
 """A bar of two kinds of tissue, one behind the other, against its closed form.
 
-    python validation/interfaces.py [--cells 9 13 17 8 12 16]
+    python validation/interfaces.py [--cells 9 17 33 8 16 32]
 
 writes docs/validation/interfaces.json and prints the table. Small: one half 4 times softer or 5 times stiffer than the
 other at nu = 0, free sides, the stiffness at rest under a small pull. Large: two Gent materials of other shear moduli,
@@ -26,7 +26,7 @@ import palpate as pt
 from palpate.reduction.linear import rest_stiffness
 
 OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "interfaces.json"
-LENGTH, WIDE = 0.08, 0.03
+LENGTH, ACROSS = 0.08, 4  # cells across: the lattice is even in all directions
 TISSUE = {"density": 1000.0, "poisson": 0.0}
 SOFT = pt.Gent(mu=8e3, Jm=3.0, density=1000.0, poisson=0.3)
 FIRM = pt.Gent(mu=20e3, Jm=0.5, density=1000.0, poisson=0.4)
@@ -35,7 +35,7 @@ STRETCH = 1.5  # of the softer half of a large pull
 
 def bar(cells: int) -> pt.Cloud:
     """Lay out the bar, its further half a group."""
-    cloud = pt.box((LENGTH, WIDE, WIDE), LENGTH / cells)
+    cloud = pt.box((LENGTH, ACROSS * LENGTH / cells, ACROSS * LENGTH / cells), LENGTH / cells)
     x = cloud.points[:, 0]
     groups = {"far": np.flatnonzero(x > LENGTH / 2 + 1e-9), "middle": np.flatnonzero(np.abs(x - LENGTH / 2) < 1e-9)}
     return replace(cloud, groups=cloud.groups | {name: nodes for name, nodes in groups.items() if len(nodes)})
@@ -51,6 +51,11 @@ def tip(model: pt.FullModel, u: np.ndarray) -> float:
     return float(u.reshape(-1, 3)[model.cloud.group("x+"), 0].mean())
 
 
+def area(cells: int) -> float:
+    """Cross-section [m^2] of the bar."""
+    return (ACROSS * LENGTH / cells) ** 2
+
+
 def middle(cells: int) -> float:
     """Where the interface counts as: half a spacing beyond nodes that lie on it and belong to the first half."""
     return LENGTH / 2 + (LENGTH / cells / 2 if cells % 2 == 0 else 0.0)
@@ -58,7 +63,7 @@ def middle(cells: int) -> float:
 
 def small(cells: int, ratio: float, kind: str) -> float:
     """Error of the stretch of a bar whose further half is stiffer, told by `kind`."""
-    cloud, law, force = bar(cells), pt.NeoHookean(C1=5e3, **TISSUE), 1e-5
+    cloud, law, stress = bar(cells), pt.NeoHookean(C1=5e3, **TISSUE), 1.0
     stiff = pt.NeoHookean(C1=5e3 * ratio, **TISSUE)
     if kind == "materials":
         model = pt.FullModel(cloud, {"": law, "far": stiff}, "x-", form="energy")
@@ -67,9 +72,9 @@ def small(cells: int, ratio: float, kind: str) -> float:
         model = pt.FullModel(cloud, law, "x-", form="energy", stiffness={"far": ratio} | between)
     free = np.flatnonzero(np.repeat(~model.held, 3))
     u = np.zeros(3 * len(cloud))
-    u[free] = splu(rest_stiffness(model)[free][:, free].tocsc()).solve(loads(model, force)[free])
+    u[free] = splu(rest_stiffness(model)[free][:, free].tocsc()).solve(loads(model, stress * area(cells))[free])
     place = LENGTH / 2 if kind == "mean compliance" else middle(cells)
-    return tip(model, u) / (force / (2e4 * WIDE**2) * (place + (LENGTH - place) / ratio)) - 1
+    return tip(model, u) / (stress / 2e4 * (place + (LENGTH - place) / ratio)) - 1
 
 
 def pull(material: pt.Material, stretch: float) -> float:
@@ -81,7 +86,7 @@ def large(cells: int, first: pt.Material, second: pt.Material) -> float:
     """Error of the stretch of a bar of two materials, its sides held."""
     cloud, stress = bar(cells), pull(SOFT, STRETCH)
     model = pt.FullModel(cloud, {"": first, "far": second}, "x-", form="energy")
-    outside = loads(model, stress * WIDE**2)
+    outside = loads(model, stress * area(cells))
     free = 3 * np.flatnonzero(~model.held)
     inverse = splu(rest_stiffness(model)[free][:, free].tocsc())
     u = np.zeros(3 * len(cloud))
@@ -103,7 +108,7 @@ def large(cells: int, first: pt.Material, second: pt.Material) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cells", type=int, nargs="+", default=[9, 13, 17, 8, 12, 16])
+    parser.add_argument("--cells", type=int, nargs="+", default=[9, 17, 33, 8, 16, 32])
     args = parser.parse_args()
     report = []
     for cells in args.cells:
