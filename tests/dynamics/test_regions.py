@@ -89,6 +89,7 @@ def test_a_material_for_every_node_is_one_by_group():
     u = bent(cloud.points)
     np.testing.assert_allclose(by_node.force(u), body({"": SOFT, "far": FIRM}).force(u), atol=1e-9)
     np.testing.assert_array_equal(body({"": SOFT}).force(u), body(SOFT).force(u))
+    assert body({"": FIRM, "x-": SOFT}).material == FIRM
 
 
 def test_a_reduced_model_knows_the_parts(tmp_path):
@@ -118,6 +119,7 @@ def test_a_reduced_model_knows_the_parts(tmp_path):
         ({"": SOFT, "far": pt.Gent(mu=1e3, Jm=1.0, **GIVEN, volumetric="mixed")}, "one volumetric form"),
         ({"": SOFT, "far": pt.Gent(mu=1e3, Jm=1.0, **GIVEN, split="isochoric")}, "one split"),
         ({"": SOFT, "far": replace_prony(SOFT, pt.Prony(shares=1.0, times=1.0))}, "one Prony series"),
+        ({"": SOFT, "far": pt.Gent(mu=1e3, Jm=1.0, density=1000.0, poisson=0.5)}, "compressible"),
         ({"far": FIRM}, "nodes have no material"),
         ({"": SOFT, "nowhere": FIRM}, "nowhere"),
         ({"": SOFT, "far": 5.0}, "material holds 5.0"),

@@ -103,7 +103,7 @@ class FullModel(NodalModel):
         if cloud.points.shape[1] != 3:
             raise InputError("FullModel needs a cloud in space; this one is plane")
         material, self.regions = regions_of(material, cloud)
-        if material.incompressible:
+        if material.incompressible or (self.regions and any(each.incompressible for each in self.regions.materials)):
             raise InputError("FullModel needs a compressible material: poisson at most 0.499, not 0.5")
         if pressure not in ("split", "direct"):
             raise InputError(f"pressure = {pressure!r}: allowed are 'split' and 'direct'")

@@ -52,8 +52,9 @@ def regions_of(
     for each in given:
         if not isinstance(each, Material):
             raise InputError(f"material holds {each!r}: give palpate's materials, by group or by node")
-    regions = Regions.of_nodes([given[k] for k in which])
-    return regions.materials[0], regions if len(regions.materials) > 1 else None
+    kinds = {each: i for i, each in enumerate(dict.fromkeys(given[k] for k in np.unique(which)))}  # equal ones are one
+    regions = Regions(tuple(kinds), np.array([kinds.get(each, 0) for each in given])[which])
+    return regions.materials[0], regions if len(kinds) > 1 else None
 
 
 def spread(regions: Regions, nodes: NDArray[np.integer[Any]]) -> NDArray[np.float64]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -55,13 +54,6 @@ class Regions:
                     raise InputError(f"the materials of a body need one {said}; these have {mine!r} and {its!r}")
         if first.prony is not None and first.prony.bulk_shares:
             raise InputError("a volume that relaxes (bulk_shares) needs the same material everywhere")
-
-    @classmethod
-    def of_nodes(cls, materials: Sequence[Material]) -> Self:
-        """Return the regions of a material for every node; equal ones count once."""
-        kinds: dict[Material, int] = {}
-        which = [kinds.setdefault(material, len(kinds)) for material in materials]
-        return cls(tuple(kinds), np.array(which, dtype=np.int64))
 
     def at(self, nodes: Any) -> Self:
         """Return the regions of some nodes."""
