@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,11 +45,13 @@ class LinearElastic(ShearLaw):
     def second(square, trace, volume, c):  # type: ignore[no-untyped-def]
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
-    def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(self.mu * np.sum(_strain(F) ** 2, axis=(-2, -1)))
+    def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
+        mu = (coefficients or self.coefficients)[0]
+        return np.asarray(mu * np.sum(_strain(F) ** 2, axis=(-2, -1)))
 
-    def shear_stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        return 2 * self.mu * _strain(F)
+    def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
+        mu = np.asarray((coefficients or self.coefficients)[0])
+        return np.asarray(2 * mu[..., None, None] * _strain(F))
 
     def cofactor(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.broadcast_to(np.eye(3), F.shape).copy()
