@@ -50,14 +50,32 @@ def fibres() -> dict[str, Any]:
     }
 
 
+def regions() -> dict[str, tuple[Any, Any]]:
+    """Make pairs of materials of one law, for the two halves of a body; of the energy form."""
+    import palpate as pt
+
+    given = {"density": 1000.0, "poisson": 0.45}
+    return {
+        "NeoHookean, two regions": (pt.NeoHookean(C1=5e3, **given), pt.NeoHookean(C1=9e3, **given)),
+        "Gent, two regions": (pt.Gent(mu=10e3, Jm=3.0, **given), pt.Gent(mu=20e3, Jm=1.5, **given)),
+        "Ogden, two regions": (
+            pt.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), **given),
+            pt.Ogden(C=(600.0, 300.0), alpha=(3.0, -5.0), **given),
+        ),
+    }
+
+
 def model(form: str, material: Any, nodes: int, jitter: float, within: Any = None) -> Any:
-    """Make a model of one form."""
+    """Make a model of one form; of a pair of materials, by region."""
     import palpate as pt
 
     if form == "membrane":
         cloud = pt.disc(0.005 * (nodes / 3.14) ** 0.5, 0.005)
         return pt.Membrane(cloud, material, 1e-3, prestretch=1.1, viscosity=1e-5)
     cloud = pt.box(((round(nodes ** (1 / 3)) - 1) * 0.005,) * 3, 0.005, jitter)
+    if isinstance(material, tuple):
+        near = cloud.points[:, 0] < cloud.points[:, 0].mean()
+        material = [material[0] if here else material[1] for here in near]
     return pt.FullModel(cloud, material, "x-", form=form, viscosity=5e-5, fibres=within)
 
 
@@ -75,6 +93,8 @@ def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeat
         if each.material.prony is not None:
             each.work.memory.interval[0] = 1e-5  # remembers every evaluation, as in a run
     if form == "energy":
+        asked = {name: pair for name, pair in regions().items() if not laws or name.split(",")[0] in laws}
+        models |= {name: model(form, pair, nodes, jitter) for name, pair in asked.items()}
         added = {name: law for name, law in fibres().items() if not laws or name.split()[0].strip(",") in laws}
         models |= {name: model(form, chosen["NeoHookean"], nodes, jitter, law) for name, law in added.items()}
     calls = []

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 
 import h5py
 import numpy as np
@@ -217,10 +218,33 @@ def test_laws_are_listed_for_people_and_for_machines(capsys):
     assert main(["laws"]) == 0
     text = capsys.readouterr().out
     assert main(["laws", "--json"]) == 0
-    laws = json.loads(capsys.readouterr().out)["laws"]
+    found = json.loads(capsys.readouterr().out)
+    laws, fibres, relaxation = found["laws"], found["fibre_laws"], found["relaxation"]
     assert len(laws) >= 11
-    for law in laws:
-        assert law["name"] in text
+    for law in (*laws, *fibres, relaxation):
+        assert f"\n{law['name']}\n" in text
         assert law["energy"] in text
         assert {"name", "unit", "range"} == set(law["parameters"][0])
+    for law in laws:
         getattr(pt, law["name"])(**law["example"], density=1000.0, poisson=0.4)
+    for law in fibres:
+        getattr(pt, law["name"])(**law["example"], directions=(1.0, 0.0, 0.0))
+    given = {"C1": 5e3, "density": 1000.0, "poisson": 0.4}
+    pt.NeoHookean(**given, prony=pt.Prony(**relaxation["example"]))
+    for form in found["volumetric"]:
+        assert f"U = {form['energy']}" in text
+        assert (pt.NeoHookean(**given, volumetric=form["name"]) == pt.NeoHookean(**given)) == form["default"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "low_open"), [("shares", "", True), ("times", "s", True), ("bulk_shares", "", False)]
+)
+def test_the_listed_ranges_of_a_relaxation_are_those_it_keeps(capsys, kind, name, low_open):
+    main(["laws", "--json"])
+    relaxation = json.loads(capsys.readouterr().out)["relaxation"]
+    entry = next(p for p in relaxation["parameters"] if p["name"] == kind)
+    assert entry == {"name": kind, "unit": name, "range": f"{'(' if low_open else '['}0, inf)"}
+    for value, allowed in ((-1e-9, False), (0.0, not low_open), (1e-9, True)):
+        numbers = {"shares": 0.5, "times": 0.1, "bulk_shares": 0.2, kind: value}
+        with nullcontext() if allowed else pytest.raises(pt.InputError, match=kind):
+            pt.Prony(**numbers)

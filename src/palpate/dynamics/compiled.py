@@ -12,13 +12,14 @@ import inspect
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from types import FunctionType
+from types import CellType, FunctionType
 from typing import Any
 
 from numba import njit
 from numba.core.caching import FunctionCache
+from numba.extending import register_jitable
 
-__all__ = ["kernel_njit", "law_digest", "law_njit", "named_for"]
+__all__ = ["inlined", "kernel_njit", "law_digest", "law_njit", "named_for"]
 
 
 class _DigestCache(FunctionCache):  # type: ignore[misc]
@@ -35,12 +36,14 @@ KERNELS = (
     "dynamics/fibres.py",
     "dynamics/kernels.py",
     "dynamics/lanes.py",
+    "dynamics/places.py",
     "dynamics/principal.py",
     "dynamics/principal_point.py",
     "dynamics/solid.py",
     "dynamics/solid_energy.py",
     "dynamics/relaxation.py",
     "dynamics/sheet.py",
+    "dynamics/sheet_beside.py",
     "dynamics/sheet_stretches.py",
     "dynamics/small_strain.py",
     "dynamics/stepping.py",
@@ -62,8 +65,15 @@ def law_digest(*what: object) -> str:
     """Digest of functions (by their source), other values (by their repr), and the sources of the kernels."""
     digest = hashlib.sha256(_kernel_sources())
     for item in what:
-        digest.update((inspect.getsource(item) if inspect.isfunction(item) else repr(item)).encode())
+        digest.update(_said(item).encode())
     return digest.hexdigest()
+
+
+def _said(item: object) -> str:
+    """Source of a function and of the functions that it closes over, or the repr of another value."""
+    if not inspect.isfunction(item):
+        return repr(item)
+    return inspect.getsource(item) + "".join(_said(cell.cell_contents) for cell in item.__closure__ or ())
 
 
 def named_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -78,6 +88,17 @@ def named_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
     copy.__qualname__ = f"{function.__qualname__}_{digest[:16]}"
     copy.__module__ = function.__module__
     return copy
+
+
+def inlined(digest: str, function: Callable[..., Any]) -> Any:
+    """Return a function of a law as compiled code can call it, with the functions that it closes over."""
+    cells = tuple(
+        CellType(inlined(digest, cell.cell_contents)) if inspect.isfunction(cell.cell_contents) else cell
+        for cell in function.__closure__ or ()
+    )
+    own = FunctionType(function.__code__, function.__globals__, function.__name__, function.__defaults__, cells)
+    own.__qualname__, own.__module__ = function.__qualname__, function.__module__
+    return register_jitable(named_for(digest, own))
 
 
 def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -17,6 +17,7 @@ from palpate.dynamics.lanes import lane_table, transposed
 from palpate.dynamics.loads import Drive, Load, drive
 from palpate.dynamics.model import State
 from palpate.dynamics.nodal import NodalModel
+from palpate.dynamics.places import EVERYWHERE, regions_of, spread
 from palpate.dynamics.relaxation import at_ease, recall, relaxation, remembered
 from palpate.dynamics.solid import Body, solid, workspace
 from palpate.dynamics.solid_energy import EnergyBody, energy_work, solid_energy
@@ -46,7 +47,10 @@ class FullModel(NodalModel):
     ----------
     cloud : Cloud
         In space (d = 3).
-    material : Material
+    material : Material, or mapping of str to Material, or sequence of n Materials
+        One for the body, or, in the energy form, materials of one law with other parameters by group (``""`` is
+        everywhere else) or by node. A node's share of the volume is of its own material: interfaces lie midway between
+        nodes.
     fixed : str or sequence of str
         Groups that are held (equation 5); none leaves the body free.
     viscosity : float, optional [s]
@@ -58,7 +62,7 @@ class FullModel(NodalModel):
         viscosity is needed, and bending is truer; a sampled reduced model is a part of the same sum.
     stiffness : mapping of str to float, or (n,) array, optional
         Of the energy form: how many times stiffer than the law the tissue of some groups, or of every node, is (a
-        tumour in a liver). A node's share of the volume is of its own stiffness: interfaces lie midway between nodes.
+        tumour in a liver).
     pressure : str
         Of the strong form. ``"split"``: the pressure is smoothed and differentiated by itself, which neither locks nor
         loses stability up to a Poisson's ratio of 0.499. ``"direct"``: everything is differentiated directly, for
@@ -86,7 +90,7 @@ class FullModel(NodalModel):
     def __init__(
         self,
         cloud: Cloud,
-        material: Material,
+        material: Material | Mapping[str, Material] | Sequence[Material],
         fixed: str | Sequence[str] = (),
         *,
         form: str = "strong",
@@ -100,7 +104,8 @@ class FullModel(NodalModel):
     ) -> None:
         if cloud.points.shape[1] != 3:
             raise InputError("FullModel needs a cloud in space; this one is plane")
-        if material.incompressible:
+        material, self.regions = regions_of(material, cloud)
+        if material.incompressible or (self.regions and any(each.incompressible for each in self.regions.materials)):
             raise InputError("FullModel needs a compressible material: poisson at most 0.499, not 0.5")
         if pressure not in ("split", "direct"):
             raise InputError(f"pressure = {pressure!r}: allowed are 'split' and 'direct'")
@@ -114,6 +119,8 @@ class FullModel(NodalModel):
         self._stiffness = _nodal_stiffness(cloud, stiffness)
         if len(self._stiffness) and form != "energy":
             raise InputError("a stiffness of its own at some nodes needs form='energy'")
+        if self.regions is not None and form != "energy":
+            raise InputError("other materials in other places need form='energy'")
         self.fibres = placed(fibres, material, form, cloud.points)
         self.form, self.pressure, self.conservative = form, pressure, form == "energy"
         # the cloud's boundary vectors are those of the half cell, c = 2, which the energy form has by itself
@@ -153,7 +160,7 @@ class FullModel(NodalModel):
         )  # fmt: skip
         longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
         work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
-        formulation = solid(type(material), self.pressure == "direct", material.volumetric)
+        formulation = solid(material.law, self.pressure == "direct", material.volumetric)
         self._compile(formulation, body, work, lanes)
 
     def _prepare_energy(self, smoother: Stencils) -> None:
@@ -182,15 +189,17 @@ class FullModel(NodalModel):
         body = EnergyBody(
             lanes, first_weights, miss_weights, carriers, back, -both.sum(axis=1),
             smooth_lanes, value, own, back_lanes, back_value,
-            material.coefficients, material.lame, HOURGLASS * material.shear_modulus / cloud.spacing**2,
-            relaxation(material), self._stiffness, laid_out(self.fibres, lanes.nodes),
+            material.coefficients if self.regions is None else spread(self.regions, lanes.nodes),
+            self.lame, HOURGLASS * material.shear_modulus / cloud.spacing**2,
+            relaxation(material), self._stiffnesses(), laid_out(self.fibres, lanes.nodes),
         )  # fmt: skip
         families = (lanes, smooth_lanes, back_lanes)
         longest = int(max(*(np.diff(family.start).max() for family in families), 4 * np.diff(carriers.start).max()))
         branches = len(body.relaxation.times)
         threads, form = numba.config.NUMBA_NUM_THREADS, material.volumetric
         work = energy_work(len(cloud), len(lanes.nodes), longest, threads, branches, form)
-        self._compile(solid_energy(type(material), form, fibre_points(self.fibres)), body, work, lanes)
+        varied = EVERYWHERE if self.regions is None else len(material.coefficients)
+        self._compile(solid_energy(material.law, form, fibre_points(self.fibres), varied), body, work, lanes)
 
     @property
     def weights(self) -> Floats:
@@ -214,6 +223,35 @@ class FullModel(NodalModel):
     def elastic_volumes(self) -> Floats:
         """Nodal volumes [m^3] times the nodes' own stiffness, by which energies count, shape (n,)."""
         return self.volumes * self._stiffness if len(self._stiffness) else self.volumes
+
+    @property
+    def firm_volumes(self) -> Floats:
+        """The same times the nodes' shear modulus over that of `material`, shape (n,)."""
+        return self.elastic_volumes if self.regions is None else self.elastic_volumes * self.regions.firmness
+
+    @property
+    def bulk_volumes(self) -> Floats:
+        """The same times the nodes' volumetric coefficient over `lame`, shape (n,)."""
+        regions = self.regions
+        return self.elastic_volumes if regions is None else self.elastic_volumes * regions.values("lame") / self.lame
+
+    @property
+    def lame(self) -> float:
+        """What the nodes' volumetric coefficients count in [Pa]: the material's, or the largest."""
+        return self.material.lame if self.regions is None else self.regions.lame
+
+    def moduli(self, name: str) -> Floats:
+        """Return a modulus of the material at every node, such as ``"shear_modulus"``, shape (n,)."""
+        if self.regions is None:
+            return np.full(len(self.cloud), float(getattr(self.material, name)))
+        return self.regions.values(name)
+
+    def _stiffnesses(self) -> Floats:
+        """Stiffness (n, 3) of the law, of what stencils miss and of the volume; empty where all are 1 everywhere."""
+        if self.regions is None and not len(self._stiffness):
+            return np.zeros((0, 3))
+        every = (self.elastic_volumes, self.firm_volumes, self.bulk_volumes)
+        return np.ascontiguousarray(np.stack(every, axis=1) / self.volumes[:, None])
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
         return self.stencils.gradient(displacements) + np.eye(3)
@@ -246,7 +284,7 @@ class FullModel(NodalModel):
 
     def shear_stress(self, F: Floats, nodes: Any = slice(None)) -> Floats:
         """Return the stress [Pa] without the pressure of the bulk term for deformation gradients (k, 3, 3) at nodes."""
-        stress = self.material.shear_stress(F)
+        stress = self.material.shear_stress(F) if self.regions is None else self.regions.at(nodes).shear_stress(F)
         return stress if self.fibres is None else stress + self.fibres.of(nodes).stress(F)
 
     def strain_energy(self, displacements: Floats) -> float:
@@ -258,17 +296,17 @@ class FullModel(NodalModel):
         """Energy [J/m^3] of the energy form at every node, shape (n,)."""
         self.force(displacements)
         F = self.deformation_gradient(displacements)
-        shear = self.material.shear_energy(F)
+        shear = (self.regions or self.material).shear_energy(F)
         if self.fibres is not None:
             shear += self.fibres.energy(F)
-        stiffness = self.elastic_volumes / self.volumes
-        misses = self.work.flux[:, 9:] / stiffness[:, None]
-        pressure = self.material.lame / 2 * self.work.smooth**2
-        density = np.asarray(shear + pressure + np.sum(misses**2, axis=1) / (2 * self.body.hourglass))
+        every = (self.elastic_volumes, self.firm_volumes, self.bulk_volumes)
+        law, firm, bulk = (volumes / self.volumes for volumes in every)
+        misses = np.sum(self.work.flux[:, 9:] ** 2, axis=1) / (2 * self.body.hourglass * firm)
+        density = np.asarray(law * shear + bulk * self.lame / 2 * self.work.smooth**2 + misses)
         if self.material.prony is not None:
             memory = self.work.memory
-            density += memory.energy.ravel()[self.slot] + self.material.lame * memory.volume_energy
-        return density * stiffness
+            density += firm * memory.energy.ravel()[self.slot] + bulk * self.lame * memory.volume_energy
+        return density
 
     def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
         return at_ease(self.work.memory, lambda: self.force(displacements)) if self.conservative else ()
@@ -281,8 +319,8 @@ class FullModel(NodalModel):
         if self.material.prony is None:
             return 0.0, ()
         memory = self.work.memory
-        lost = memory.lost.ravel()[self.slot] + self.material.lame * memory.volume_lost
-        return float(self.elastic_volumes @ lost), remembered(memory)
+        shear, volume = memory.lost.ravel()[self.slot], self.lame * memory.volume_lost
+        return float(self.firm_volumes @ shear + self.bulk_volumes @ volume), remembered(memory)
 
     def smoothed(self, values: Floats) -> Floats:
         """Return nodal values (n,) as the energy form smooths J - 1, or what its form has for it, to theta."""

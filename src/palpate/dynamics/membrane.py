@@ -9,22 +9,27 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.fibres import laid_out, placed
 from palpate.dynamics.lanes import Lanes, Weights, lane_table, transposed
 from palpate.dynamics.loads import Drive, Load, Traction, drive
 from palpate.dynamics.model import State
 from palpate.dynamics.nodal import NodalModel
-from palpate.dynamics.sheet import RADIUS, SheetBody, sheet, sheet_work
+from palpate.dynamics.relaxation import at_ease, recall, relaxation, remembered
+from palpate.dynamics.sheet import POINTS, RADIUS, SheetBody, sheet, sheet_work
+from palpate.dynamics.sheet_beside import ALONE, Beside, beside
 from palpate.dynamics.stability import StabilityReport, stable_step
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
 from palpate.meshfree.stencils import moving_least_squares
+from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 
 __all__ = ["Membrane", "load_areas"]
 
 Floats = NDArray[np.float64]
 
+FLAT = 1e-6  # how far the direction of a fibre may stand out of the plane
 TAUT = 1e-3  # extension at which the whole sheet answers, to find its highest frequency
 DAMPING = {"energy": 0.1, "strong": 0.5}  # default viscosity times the highest frequency
 NEIGHBOURS = {"energy": 14, "strong": 18}  # default; fewer do not hold the strong form, more soften the energy form
@@ -56,6 +61,9 @@ class Membrane(NodalModel):
         strong form.
     neighbours : int, optional
         Wished number of points in a stencil; by default 14, in the strong form 18.
+    fibres : FibreLaw, optional
+        What reinforces the sheet, in its plane; of the energy form, and of a sheet that is not relaxed: how fibres let
+        a sheet narrow before it wrinkles is not known here.
 
     Raises
     ------
@@ -79,17 +87,9 @@ class Membrane(NodalModel):
         form: str = "energy",
         viscosity: float | None = None,
         neighbours: int | None = None,
+        fibres: FibreLaw | None = None,
     ) -> None:
-        if cloud.points.shape[1] != 2:
-            raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
-        if not material.incompressible:
-            raise InputError(f"a membrane is incompressible: give its material poisson=0.5, not {material.poisson:g}")
-        if material.variables == "small strain":
-            raise InputError(
-                "a membrane needs a law of large strains; a linear elastic sheet has no forces out of plane"
-            )
-        if form not in DAMPING:
-            raise InputError(f"form = {form!r}: allowed are 'energy' and 'strong'")
+        self.fibres = _checked(cloud, material, form, relaxed, fibres)
         self.cloud, self.material = cloud, material
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
         self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
@@ -103,17 +103,24 @@ class Membrane(NodalModel):
         self._areas = cloud.volumes / self.prestretch**2
         body, longest = self._body()
         self._compile(
-            sheet(type(material), self.relaxed, form == "strong"),
+            sheet(type(material), self.relaxed, form == "strong", self._beside()),
             body,
-            sheet_work(len(cloud), len(body.lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS),
+            sheet_work(
+                len(cloud), len(body.lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS, len(body.relaxation.times)
+            ),
             body.lanes,
         )
+        self._at_ease(np.zeros((len(cloud), 3)))
         self._taut = self.highest_frequency(TAUT * self._flat(cloud.points), self.held)
         wanted = DAMPING[form] / self._taut if viscosity is None else viscosity
         used = number_in_range("viscosity", wanted, 0.0, unit="s")
         needed = 0.0 if self.conservative else np.nan
         step = stable_step(self._taut, used)
         self._examined(StabilityReport("the taut sheet", None, needed, used, self._taut, step))
+
+    def _beside(self) -> Beside:
+        """What is compiled beside the law."""
+        return beside(self.fibres, self.material.prony is not None, self.relaxed)
 
     def _body(self) -> tuple[SheetBody, int]:
         """Lay out the stencils; return them with the longest list of neighbours that a pass holds."""
@@ -134,6 +141,7 @@ class Membrane(NodalModel):
             lanes, first_weights, second_weights, carriers, back, own,
             np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
             RADIUS * np.sqrt(self._areas), self.material.coefficients, self.prestretch,
+            relaxation(self.material), laid_out(self.fibres, lanes.nodes),
         )  # fmt: skip
         return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(carriers.start).max(initial=0)))
 
@@ -157,12 +165,33 @@ class Membrane(NodalModel):
         self.force(displacements)
         return float(np.sum(self.volumes * self.work.energy))
 
+    def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
+        return at_ease(self.work.memory, lambda: self.force(displacements))
+
+    def _recall(self, state: State | None) -> None:
+        recall(self.work.memory, () if state is None else state.memory)
+        if state is None:
+            self._at_ease(np.zeros((len(self.cloud), 3)))
+
+    def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
+        if self.material.prony is None:
+            return 0.0, ()
+        lost = self.work.memory.lost
+        by_node = lost.reshape(-1, POINTS, lost.shape[1]).mean(axis=1).ravel()[self.slot]
+        return float(self.volumes @ by_node), remembered(self.work.memory)
+
     def stress(self, displacements: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 2), for displacements (n, 3) [m]."""
-        return self.stress_at(self.deformation_gradient(displacements))
+        """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 2), for displacements (n, 3) [m].
+
+        With fibres, or in tissue that relaxes, the mean over the six points about the node.
+        """
+        if self._beside() == ALONE:
+            return self.stress_at(self.deformation_gradient(displacements))
+        self.force(displacements)
+        return np.array(self.work.flux[:, :6].reshape(-1, 2, 3).transpose(0, 2, 1))
 
     def stress_at(self, F: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa], (..., 3, 2), for deformation gradients (..., 3, 2)."""
+        """Return the law's own first Piola-Kirchhoff stress [Pa], (..., 3, 2), for gradients (..., 3, 2)."""
         stretches, directions = _principal(F)
         tensions = self._nominal(stretches)
         scaled = np.divide(tensions, stretches, out=np.zeros_like(tensions), where=stretches > 0)
@@ -174,8 +203,11 @@ class Membrane(NodalModel):
 
     def principal_stress(self, displacements: Floats) -> Floats:
         """Return the Cauchy stresses [Pa] along the principal stretches, (n, 2), for displacements (n, 3) [m]."""
-        stretches = self.principal_stretches(displacements)
-        return np.asarray(self._nominal(stretches) * stretches)
+        F = self.deformation_gradient(displacements)
+        stretches, directions = _principal(F)
+        if self._beside() == ALONE:
+            return np.asarray(self._nominal(stretches) * stretches)
+        return np.asarray(np.sum((F @ directions) * (self.stress(displacements) @ directions), axis=1))
 
     def tension(self, displacements: Floats) -> NDArray[np.int8]:
         """Return 0 where the sheet is slack, 1 wrinkled, 2 taut, shape (n,), for displacements (n, 3) [m]."""
@@ -210,6 +242,30 @@ class Membrane(NodalModel):
         # a slack place has no frequency until it is taut, sooner than the next estimate
         frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
         return self._step(max(frequency, self._taut), drive)
+
+
+def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres: FibreLaw | None) -> FibreLaw | None:
+    """Refuse what is no membrane; return its fibres, with a direction for every node."""
+    if cloud.points.shape[1] != 2:
+        raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
+    if not isinstance(material, Material):
+        raise InputError(f"a membrane has one material everywhere, not {material!r}")
+    if not material.incompressible:
+        raise InputError(f"a membrane is incompressible: give its material poisson=0.5, not {material.poisson:g}")
+    if material.variables == "small strain":
+        raise InputError("a membrane needs a law of large strains; a linear elastic sheet has no forces out of plane")
+    if form not in DAMPING:
+        raise InputError(f"form = {form!r}: allowed are 'energy' and 'strong'")
+    if material.prony is not None and material.prony.bulk_shares:
+        raise InputError("a membrane keeps its volume: leave bulk_shares out of its Prony series")
+    if material.prony is not None and form != "energy":
+        raise InputError("tissue that relaxes (prony=) needs form='energy'")
+    placed_fibres = placed(fibres, material, form, cloud.points)
+    if placed_fibres is not None and relaxed:
+        raise InputError("a sheet with fibres carries compression: give it relaxed=False")
+    if placed_fibres is not None and np.abs(placed_fibres.directions[..., 2]).max() > FLAT:
+        raise InputError("directions of fibres must lie in the plane of the sheet: their third component is 0")
+    return placed_fibres
 
 
 def load_areas(cloud: Cloud, prestretch: float, load: Traction) -> Floats:

@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numba.extending import register_jitable
 
-from palpate.dynamics.compiled import law_njit, named_for
+from palpate.dynamics.compiled import inlined, law_njit
 from palpate.dynamics.principal import make_principal_stress, principal
 
 __all__ = ["make_principal_point"]
@@ -44,7 +43,7 @@ def make_principal_point(
     stress, density : functions
         Of F - I (nine numbers, row by row) and the coefficients: P, cof(F) and J - 1; and E [J/m^3] and J - 1.
     """
-    energy, first_of, second_of = (register_jitable(named_for(digest, f)) for f in (energy_of, law_first, law_second))
+    energy, first_of, second_of = (inlined(digest, f) for f in (energy_of, law_first, law_second))
     whole = make_principal_stress(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"})

@@ -27,15 +27,19 @@ from palpate.tissue.materials import Material
 __all__ = [
     "Memory",
     "Relaxation",
+    "after",
     "at_ease",
+    "even_change",
     "followed",
     "forget",
     "memory",
     "overstress",
     "overstress_alone",
+    "prepare",
     "recall",
     "relax_volume",
     "relaxation",
+    "remember",
     "remembered",
 ]
 
@@ -99,11 +103,10 @@ def relaxation(material: Material) -> Relaxation:
     series = material.prony
     if series is None:
         return Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))
-    bulk = np.array(series.bulk_shares or (0.0,) * len(series.times))
-    shares = np.array(series.shares)
-    return Relaxation(
-        shares * material.shear_modulus, bulk * material.bulk_modulus / material.lame, np.array(series.times)
-    )
+    moduli, times = np.array(series.shares) * material.shear_modulus, np.array(series.times)
+    if not series.bulk_shares:
+        return Relaxation(moduli, np.zeros(len(times)), times)
+    return Relaxation(moduli, np.array(series.bulk_shares) * material.bulk_modulus / material.lame, times)
 
 
 def memory(branches: int, blocks: int, volumes: int) -> Memory:
@@ -174,7 +177,7 @@ def remembered(of: Memory) -> tuple[Floats, ...]:
 
 
 @njit(cache=True)
-def _prepare(relaxation, memory):  # type: ignore[no-untyped-def]
+def prepare(relaxation, memory):  # type: ignore[no-untyped-def]
     """Write for every branch what is left of it after the interval, what of an even change is, and what both lose."""
     interval = memory.interval[0]
     for k in range(relaxation.times.shape[0]):
@@ -216,7 +219,7 @@ def _isochoric(c):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, forceinline=True)
-def _remember(relaxation, memory, b, v, C):  # type: ignore[no-untyped-def]
+def remember(relaxation, memory, b, v, C):  # type: ignore[no-untyped-def]
     """Bring the branches and the strain of one point up to date."""
     for k in range(relaxation.times.shape[0]):
         factors, lost = memory.factors[k], 0.0
@@ -227,6 +230,18 @@ def _remember(relaxation, memory, b, v, C):  # type: ignore[no-untyped-def]
         memory.lost[b, v] += 0.5 * relaxation.moduli[k] * lost
     for q in range(6):
         memory.strain[b, q, v] = C[q]
+
+
+@njit(cache=True, forceinline=True)
+def even_change(memory, b, k, q, v, now):  # type: ignore[no-untyped-def]
+    """Return component q of a point's branch k when its strain there has changed evenly over the interval."""
+    return memory.factors[k, 0] * memory.branches[b, k, q, v] + memory.factors[k, 1] * (now - memory.strain[b, q, v])
+
+
+@njit(cache=True)
+def after(work, interval):  # type: ignore[no-untyped-def]
+    """Let the next evaluation be remembered as that of an interval [s] later; with 0 none is."""
+    work.memory.interval[0] = interval
 
 
 @njit(cache=True, fastmath={"contract"})
@@ -248,7 +263,7 @@ def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyp
             stored += 0.25 * mu * (A0 * A0 + A1 * A1 + A2 * A2 + 2.0 * (A3 * A3 + A4 * A4 + A5 * A5))
         memory.energy[b, v] = stored
         if interval > 0.0:
-            _remember(relaxation, memory, b, v, C)
+            remember(relaxation, memory, b, v, C)
         trace = Q0 * C[0] + Q1 * C[1] + Q2 * C[2] + 2.0 * (Q3 * C[3] + Q4 * C[4] + Q5 * C[5])
         trace /= 3.0 * J
         for i in range(3):
@@ -261,7 +276,7 @@ def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyp
 @njit(cache=True)
 def overstress_alone(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
     """Do as `overstress` on one thread."""
-    _prepare(relaxation, memory)
+    prepare(relaxation, memory)
     for b in range(cofactor.shape[0]):
         _answer(relaxation, memory, cofactor, b, memory.interval[0])
 
@@ -285,7 +300,7 @@ def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
 
     `cofactor` is cof F, (b, 9, LANES), row by row.
     """
-    _prepare(relaxation, memory)
+    prepare(relaxation, memory)
     for b in prange(cofactor.shape[0]):
         _answer(relaxation, memory, cofactor, b, memory.interval[0])
 

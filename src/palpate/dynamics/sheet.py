@@ -22,12 +22,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import get_thread_id, njit, prange
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import kernel_njit, law_digest, law_njit, named_for
+from palpate.dynamics.compiled import inlined, kernel_njit, law_digest, law_njit
+from palpate.dynamics.fibres import Families
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
+from palpate.dynamics.relaxation import Memory, Relaxation, after, memory, prepare
+from palpate.dynamics.sheet_beside import ALONE, Beside, gathered
 from palpate.dynamics.sheet_stretches import make_principal_moduli, make_principal_strong
 from palpate.tissue.materials import Material
 
@@ -55,6 +57,8 @@ class SheetBody(NamedTuple):
     radius: NDArray[np.float64]  # (n,) of the points about a node [m]
     coefficients: tuple[float, ...]
     prestretch: float
+    relaxation: Relaxation
+    families: Families  # of fibres
 
 
 class SheetWork(NamedTuple):
@@ -65,9 +69,10 @@ class SheetWork(NamedTuple):
     cofactor: NDArray[np.float64]  # (b, 9, LANES): the last of every three is the deformed normal's component
     flux: NDArray[np.float64]  # (n, 15) stress and its first moments; in the strong form the force (n, 0:3)
     energy: NDArray[np.float64]  # (n,) [J/m^3]
+    memory: Memory  # of tissue that relaxes: of point q about the nodes of block b at POINTS b + q
 
 
-def sheet_work(nodes: int, blocks: int, longest: int, threads: int) -> SheetWork:
+def sheet_work(nodes: int, blocks: int, longest: int, threads: int, branches: int = 0) -> SheetWork:
     """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
     return SheetWork(
         np.zeros((threads, longest, 3, LANES)),
@@ -75,6 +80,7 @@ def sheet_work(nodes: int, blocks: int, longest: int, threads: int) -> SheetWork
         np.zeros((blocks, 9, LANES)),
         np.zeros((nodes, NUMBERS)),
         np.zeros(nodes),
+        memory(branches, POINTS * blocks, 0),
     )
 
 
@@ -132,7 +138,7 @@ def make_moduli(
     """
     if variables == "stretches":
         return make_principal_moduli(digest, energy_of, law_first, law_second, relaxed), None
-    energy, first_of, second_of = (register_jitable(named_for(digest, f)) for f in (energy_of, law_first, law_second))
+    energy, first_of, second_of = (inlined(digest, f) for f in (energy_of, law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
@@ -185,11 +191,12 @@ def make_moduli(
     return moduli, slopes
 
 
-def _make_energy_answer(digest: str, moduli: Any) -> Any:
+def _make_energy_answer(digest: str, moduli: Any, added: Any) -> Any:
     """Make the energy form's answer of one block: mean stress about a node, its moments with xi, the energy."""
+    more = added is not None
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
             total = 0.0
@@ -207,8 +214,11 @@ def _make_energy_answer(digest: str, moduli: Any) -> Any:
                 C11 = F01 * F01 + F11 * F11 + F21 * F21
                 C01 = F00 * F01 + F10 * F11 + F20 * F21
                 W, a, g = moduli(C00, C11, C01, coefficients)
-                total += W
                 l00, l01, l11 = (a + g * C11) / POINTS, -g * C01 / POINTS, (a + g * C00) / POINTS
+                if more:
+                    w, S00, S11, S01 = added(C00, C11, C01, b, POINTS * b + q, v, extras)
+                    W, l00, l01, l11 = W + w, l00 + S00 / POINTS, l01 + S01 / POINTS, l11 + S11 / POINTS
+                total += W
                 P00, P01 = F00 * l00 + F01 * l01, F00 * l01 + F01 * l11
                 P10, P11 = F10 * l00 + F11 * l01, F10 * l01 + F11 * l11
                 P20, P21 = F20 * l00 + F21 * l01, F20 * l01 + F21 * l11
@@ -237,7 +247,7 @@ def _make_strong_answer(digest: str, moduli: Any, slopes: Any) -> Any:
     """Make the strong form's answer of one block: Div P - P b from F and H."""
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
             C00, C11, C01, K00, K11, L00, L11, L01, M01 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -279,17 +289,17 @@ def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
     cofactor[b, 8, v] = F00 * F11 - F10 * F01
 
 
-def _make_answer(digest: str, law: type[Material], relaxed: bool, strong: bool) -> Any:
+def _make_answer(digest: str, law: type[Material], relaxed: bool, strong: bool, added: Any) -> Any:
     moduli, slopes = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
     if not strong:
-        return _make_energy_answer(digest, moduli)
+        return _make_energy_answer(digest, moduli, added)
     if law.variables == "stretches":
         return make_principal_strong(digest, law.first, law.second, moduli, relaxed, _normal)
     return _make_strong_answer(digest, moduli, slopes)
 
 
 @cache
-def sheet(law: type[Material], relaxed: bool, strong: bool) -> Formulation:
+def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALONE) -> Formulation:
     """Compile the passes of a membrane.
 
     Parameters
@@ -300,36 +310,45 @@ def sheet(law: type[Material], relaxed: bool, strong: bool) -> Formulation:
         Whether wrinkled and slack states carry no compression.
     strong : bool
         The strong form instead of the energy form.
+    added : Beside
+        Fibres and branches of tissue that relaxes, of the energy form.
     """
-    digest = law_digest("sheet", law.variables, law.energy, law.first, law.second, relaxed, strong)
-    answer = _make_answer(digest, law, relaxed, strong)
+    digest = law_digest("sheet", law.variables, law.energy, law.first, law.second, relaxed, strong, added.digest)
+    answer, more = _make_answer(digest, law, relaxed, strong, added.answer), added.answer is not None
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def each(  # type: ignore[no-untyped-def]
-        u, lanes, first, second, boundary, radius, coefficients, prestretch, fields, derivatives, cofactor, flux, energy
+        u, lanes, first, second, boundary, radius, coefficients, prestretch, extras, fields, derivatives,
+        cofactor, flux, energy,
     ):  # fmt: skip
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
-            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, cofactor, flux, energy)
+            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy)
 
     @law_njit(digest)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
+        if more:
+            prepare(body.relaxation, work.memory)
         each(u, body.lanes, body.first, body.second, body.boundary, body.radius, body.coefficients, body.prestretch,
+             gathered(body.families, body.relaxation, work.memory),
              work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest, parallel=True, fastmath={"contract"})
     def each_column(  # type: ignore[no-untyped-def]
-        columns, table, lanes, boundary, radius, coefficients, prestretch, derivatives, cofactor, flux, energy
+        columns, table, lanes, boundary, radius, coefficients, prestretch, extras, derivatives, cofactor, flux, energy,
     ):  # fmt: skip
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
-            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, cofactor, flux, energy)
+            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy)
 
     @law_njit(digest)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
+        if more:
+            prepare(body.relaxation, work.memory)
         each_column(columns, table, body.lanes, body.boundary, body.radius, body.coefficients, body.prestretch,
+                    gathered(body.families, body.relaxation, work.memory),
                     work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest)
@@ -340,4 +359,4 @@ def sheet(law: type[Material], relaxed: bool, strong: bool) -> Formulation:
             gather_fluxes(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
 
     project = None if strong else _project
-    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, project)
+    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, project, after)

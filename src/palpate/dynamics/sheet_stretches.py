@@ -14,20 +14,19 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numba.extending import register_jitable
 
-from palpate.dynamics.compiled import law_njit, named_for
+from palpate.dynamics.compiled import inlined, law_njit
 from palpate.dynamics.lanes import LANES
 from palpate.dynamics.principal import NEAR
 
-__all__ = ["make_principal_moduli", "make_principal_strong"]
+__all__ = ["axes", "make_principal_moduli", "make_principal_strong"]
 
 NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
 
 
 def make_principal_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> Any:
     """Make the function of C that gives energy, a and g, as `sheet` makes it for a law of the invariants."""
-    energy, first_of = (register_jitable(named_for(digest, f)) for f in (energy_of, law_first))
+    energy, first_of = (inlined(digest, f) for f in (energy_of, law_first))
     plane, _ = _make_slopes(digest, law_first, law_second)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -57,7 +56,7 @@ def make_principal_moduli(digest: str, energy_of: Any, law_first: Any, law_secon
 
 def _make_slopes(digest: str, law_first: Any, law_second: Any) -> tuple[Any, Any]:
     """Make the functions of a taut state's stretches, and of a wrinkled one's, that give the slopes of its stress."""
-    first_of, second_of = (register_jitable(named_for(digest, f)) for f in (law_first, law_second))
+    first_of, second_of = (inlined(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"})
     def plane(l1, l2, coefficients):  # type: ignore[no-untyped-def]
@@ -107,7 +106,7 @@ def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: 
         return s1, s2, s11, s22, s12, (s1 - s2) / (x1 - x2)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
             C00, C11, C01 = 0.0, 0.0, 0.0
@@ -116,7 +115,7 @@ def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: 
                 F1 = d[2 * c + 1, v] + (prestretch if c == 1 else 0.0)
                 C00, C11, C01 = C00 + F0 * F0, C11 + F1 * F1, C01 + F0 * F1
             energy[i] = moduli(C00, C11, C01, coefficients)[0]
-            x1, x2, p, q = _axes(C00, C11, C01)
+            x1, x2, p, q = axes(C00, C11, C01)
             s1, s2, s11, s22, s12, k = slopes(x1, x2, coefficients)
             b0, b1 = boundary[b, 0, v], boundary[b, 1, v]
             v1, v2 = -s1 * (p * b0 + q * b1), -s2 * (p * b1 - q * b0)
@@ -134,7 +133,7 @@ def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: 
 
 
 @njit(cache=True, forceinline=True)
-def _axes(C00, C11, C01):  # type: ignore[no-untyped-def]
+def axes(C00, C11, C01):  # type: ignore[no-untyped-def]
     """Eigenvalues of C, the larger first, and the direction (p, q) of the larger; the other's is (-q, p)."""
     mean, gap = 0.5 * (C00 + C11), 0.5 * (C00 - C11)
     reach = np.sqrt(gap * gap + C01 * C01)

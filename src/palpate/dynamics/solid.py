@@ -20,10 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import get_thread_id, njit, prange
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.compiled import inlined, law_digest, law_njit
 from palpate.dynamics.kernels import Formulation, combine, lift_passes, smooth_field, weights_address
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 from palpate.dynamics.principal import make_principal_response
@@ -120,7 +119,7 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, di
 
     `volume` is the compiled function of J - 1 that returns U'(J) and U''(J) over lame.
     """
-    first_of, second_of = (register_jitable(named_for(digest, f)) for f in (law_first, law_second))
+    first_of, second_of = (inlined(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
@@ -238,7 +237,7 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
     make = {
         "invariants": _make_response, "stretches": make_principal_response, "small strain": make_linear_response,
     }[law.variables]  # fmt: skip
-    volume = register_jitable(named_for(digest, pressure_of))
+    volume = inlined(digest, pressure_of)
     answer = make(digest, law.first, law.second, volume, direct)
 
     @law_njit(digest, parallel=True, fastmath={"contract"})

@@ -4,7 +4,8 @@ With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
     E(u) = sum over nodes of V k [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
 
-W_s holds the energy of fibres, if there are any (`palpate.tissue.fibres`); k is 1, or a node's own stiffness. theta is
+W_s holds the energy of fibres, if there are any (`palpate.tissue.fibres`); k is 1, or a node's own stiffness. The law's
+parameters, lame and s may differ from node to node (`palpate.dynamics.places`). theta is
 J - 1, or another form's measure g(J) (`palpate.tissue.volumetric`), smoothed over about 27 nodes such that its integral
 stays: the pressure lame theta, times g', neither locks nor oscillates, and a uniform one moves no node inside. e is
 what an evenly weighted quadratic fit misses of the node's own displacement. Gradients at nodes alone do not see the
@@ -23,15 +24,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import get_thread_id, njit, prange
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import kernel_njit, law_digest, law_njit, named_for
+from palpate.dynamics.compiled import inlined, kernel_njit, law_digest, law_njit
 from palpate.dynamics.fibres import BARE, Families, FibrePoints
 from palpate.dynamics.kernels import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
 from palpate.dynamics.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
+from palpate.dynamics.places import EVERYWHERE, parameters_at
 from palpate.dynamics.principal import make_principal_stress
-from palpate.dynamics.relaxation import Memory, Relaxation, memory, overstress, relax_volume
+from palpate.dynamics.relaxation import Memory, Relaxation, after, memory, overstress, relax_volume
 from palpate.dynamics.small_strain import make_linear_stress
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
@@ -55,11 +56,11 @@ class EnergyBody(NamedTuple):
     smoothing_own: NDArray[np.float64]  # (n,)
     transposed_smoothing: Lanes
     transposed_value: Weights
-    coefficients: tuple[float, ...]
+    coefficients: tuple[float, ...] | NDArray[np.float64]  # by lane where they differ
     lame: float
     hourglass: float  # s [Pa/m^2]
     relaxation: Relaxation
-    stiffness: NDArray[np.float64]  # (n,) k, empty where it is 1 everywhere
+    stiffness: NDArray[np.float64]  # (n, 3) of the law, of s and of lame, empty where all are 1 everywhere
     families: Families  # of fibres
 
 
@@ -75,7 +76,7 @@ class EnergyWork(NamedTuple):
     smooth: NDArray[np.float64]  # (n,) theta
     pressure: NDArray[np.float64]  # (n,) [Pa]
     memory: Memory  # of tissue that relaxes
-    scaled: NDArray[np.float64]  # (n,) theta times the stiffness
+    scaled: NDArray[np.float64]  # (n,) theta times its stiffness
 
 
 def energy_work(
@@ -113,16 +114,17 @@ def _add_pressure(lanes, cofactor, pressure, lame, flux):  # type: ignore[no-unt
 
 
 @njit(cache=True, parallel=True)
-def _add_overstress(lanes, stress, flux):  # type: ignore[no-untyped-def]
-    """Add the overstresses (b, 9, LANES) to the stresses."""
+def _add_overstress(lanes, stress, stiffness, flux):  # type: ignore[no-untyped-def]
+    """Add the overstresses (b, 9, LANES), which are as stiff as the law at rest, to the stresses."""
     for b in prange(lanes.nodes.shape[0]):
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
             if lane > 0 and i == lanes.nodes[b, lane - 1]:
                 break  # the last node of an unfilled block is repeated
+            firm = stiffness[i, 1] if stiffness.shape[0] > 0 else 1.0
             for c in range(3):
                 for d in range(3):
-                    flux[i, 3 * d + c] += stress[b, 3 * c + d, lane]
+                    flux[i, 3 * d + c] += firm * stress[b, 3 * c + d, lane]
 
 
 @njit(cache=True)
@@ -130,14 +132,8 @@ def _stiffen(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
     """Multiply what every node answers by its stiffness."""
     for i in range(stiffness.shape[0]):
         for q in range(NUMBERS):
-            flux[i, q] *= stiffness[i]
-        scaled[i] = stiffness[i] * theta[i]
-
-
-@njit(cache=True)
-def _after(work, interval):  # type: ignore[no-untyped-def]
-    """Let the next evaluation be remembered as that of an interval [s] later; with 0 none is."""
-    work.memory.interval[0] = interval
+            flux[i, q] *= stiffness[i, 0] if q < 9 else stiffness[i, 1]
+        scaled[i] = stiffness[i, 2] * theta[i]
 
 
 @kernel_njit()
@@ -149,12 +145,13 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
     effective = work.smooth
     if body.relaxation.times.shape[0] > 0:
         overstress(body.relaxation, work.memory, work.cofactor)
-        _add_overstress(body.lanes, work.memory.stress, work.flux)
         relax_volume(body.relaxation, work.memory, work.smooth)
         effective = work.memory.effective
     if body.stiffness.shape[0] > 0:
         _stiffen(body.stiffness, work.flux, effective, work.scaled)
         effective = work.scaled
+    if body.relaxation.times.shape[0] > 0:
+        _add_overstress(body.lanes, work.memory.stress, body.stiffness, work.flux)
     smooth_field(body.transposed_smoothing, body.transposed_value, body.smoothing_own, work.fields, work.derivatives,
             effective, work.pressure)  # fmt: skip
     for i in range(work.slope.shape[0]):
@@ -208,7 +205,7 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
         return make_principal_stress(digest, law_first)
     if variables == "small strain":
         return make_linear_stress(digest)
-    first_of = law_first if law_first.__closure__ else register_jitable(named_for(digest, law_first))
+    first_of = inlined(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
@@ -245,7 +242,9 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
 
 
 @cache
-def solid_energy(law: type[Material], volumetric: str = QUADRATIC, fibres: FibrePoints = BARE) -> Formulation:
+def solid_energy(
+    law: type[Material], volumetric: str = QUADRATIC, fibres: FibrePoints = BARE, varied: int = EVERYWHERE
+) -> Formulation:
     """Compile the passes of a solid.
 
     Parameters
@@ -255,18 +254,21 @@ def solid_energy(law: type[Material], volumetric: str = QUADRATIC, fibres: Fibre
     volumetric : str
         Form of U(J).
     fibres : FibrePoints
+    varied : int
+        Number of the law's parameters if they differ from node to node.
     """
     measure_of, curved = volumetric_form(volumetric).measure, volumetric != QUADRATIC
-    digest = law_digest("solid energy", law.variables, law.first, measure_of, fibres.digest)
-    stress, stressed = make_stress(digest, law.first, law.variables), fibres.stressed
-    measure = register_jitable(named_for(digest, measure_of))
+    digest = law_digest("solid energy", law.variables, law.first, measure_of, fibres.digest, varied)
+    stress, stressed, at = make_stress(digest, law.first, law.variables), fibres.stressed, parameters_at(varied)
+    measure = inlined(digest, measure_of)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def answer(b, nodes, d, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             P, c, volume = stress(
-                d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], coefficients
-            )
+                d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
+                at(coefficients, b, v),
+            )  # fmt: skip
             P = stressed(
                 P, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], b, v, families
             )
@@ -315,4 +317,4 @@ def solid_energy(law: type[Material], volumetric: str = QUADRATIC, fibres: Fibre
         _complete(body, work)
         gather_fluxes(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
 
-    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, _after)
+    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, after)

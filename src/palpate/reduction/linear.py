@@ -34,23 +34,24 @@ def rest_stiffness(body: FullModel) -> Any:
     """
     if not body.conservative:
         raise InputError("the strong form has no symmetric stiffness: make the model with form='energy'")
-    material, n = body.material, len(body.cloud)
-    volume = sparse.diags(body.elastic_volumes)
+    n = len(body.cloud)
     near, row = body.stencils.neighbours, body.stencils.row
     slopes = [_operator(near, body.stencils.first[row][:, :, d]) for d in range(3)]
     misses = _operator(near, body.stencils.value[row])
     assert body.smoothing is not None
     smooth = _operator(*body.smoothing) + sparse.identity(n)
     thetas = [smooth @ slope for slope in slopes]
-    shear = material.shear_modulus
-    second = material.shear_bulk_modulus - 2 / 3 * shear
-    common = shear * sum(slope.T @ volume @ slope for slope in slopes)
-    common = common + body.body.hourglass * misses.T @ volume @ misses
+    moduli, own = body.moduli("shear_modulus"), body.elastic_volumes
+    shear = sparse.diags(own * moduli)
+    second = sparse.diags(own * (body.moduli("shear_share") - 2 / 3 * moduli))
+    bulk = sparse.diags(own * body.moduli("lame"))
+    common = sum(slope.T @ shear @ slope for slope in slopes)
+    common = common + body.body.hourglass * misses.T @ sparse.diags(body.firm_volumes) @ misses
     blocks = [[None] * 3 for _ in range(3)]
     for c in range(3):
         for e in range(3):
-            block = shear * slopes[e].T @ volume @ slopes[c] + second * slopes[c].T @ volume @ slopes[e]
-            block = block + material.lame * thetas[c].T @ volume @ thetas[e]
+            block = slopes[e].T @ shear @ slopes[c] + slopes[c].T @ second @ slopes[e]
+            block = block + thetas[c].T @ bulk @ thetas[e]
             blocks[c][e] = block + common if c == e else block
     by_node = np.arange(3 * n).reshape(3, n).T.reshape(-1)
     matrix = sparse.bmat(blocks).tocsr()[by_node][:, by_node]

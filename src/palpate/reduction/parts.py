@@ -16,6 +16,7 @@ from palpate.reduction.points import Kinematics
 from palpate.reduction.samples import Samples, samples
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
+from palpate.tissue.regions import Regions
 
 __all__ = ["ReducedParts"]
 
@@ -71,6 +72,8 @@ class ReducedParts:
         With a direction for every node.
     dents : Dents, optional
         Compliance of the surface under tools, learnt from runs in which they touch the body.
+    regions : Regions, optional
+        Materials of the nodes where they are not all `material`.
     """
 
     cloud: Cloud
@@ -96,17 +99,19 @@ class ReducedParts:
     slack: float = 0.0
     fibres: FibreLaw | None = None
     dents: Dents | None = None
+    regions: Regions | None = None
 
     def samples(self, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool) -> Samples:
         """Lay the samples of some columns out."""
         rule = self.cubature
+        law = coefficients if self.regions is None else self.regions.at(rule.nodes)
         return samples(
             np.ascontiguousarray(self.gradients[:, which]), rule.weights, rule.pressure,
-            self.constant[np.ix_(which, which)], coefficients, np.float32 if single else np.float64,
+            self.constant[np.ix_(which, which)], law, np.float32 if single else np.float64,
             relaxation(self.material), self.fibres and self.fibres.of(rule.nodes),
         )  # fmt: skip
 
     def stress(self, F: Floats) -> Floats:
         """Return the first Piola-Kirchhoff stress [Pa] for deformation gradients (n, 3, 3) at the nodes."""
-        stress = self.material.stress(F) + (0.0 if self.fibres is None else self.fibres.stress(F))
+        stress = (self.regions or self.material).stress(F) + (0.0 if self.fibres is None else self.fibres.stress(F))
         return np.asarray(self.stiffness[:, None, None] * stress)

@@ -16,8 +16,9 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import law_digest, law_njit, named_for
+from palpate.dynamics.compiled import inlined, law_digest, law_njit
 from palpate.dynamics.fibres import BARE, FibrePoints, fibre_points
+from palpate.dynamics.places import EVERYWHERE, parameters_at
 from palpate.dynamics.principal_point import make_principal_point
 from palpate.dynamics.sheet import make_moduli
 from palpate.dynamics.solid_energy import make_stress
@@ -67,6 +68,8 @@ class PointLaw:
         is x itself.
     fibres : FibrePoints
         What fibres add to them.
+    varied : int
+        Number of the law's parameters if they differ from point to point.
     """
 
     digest: str
@@ -74,13 +77,22 @@ class PointLaw:
     density: Any
     measure: Any = None
     fibres: FibrePoints = BARE
+    varied: int = EVERYWHERE
+
+    @property
+    def at(self) -> Any:
+        """``at(coefficients, b, v)``: the law's parameters at a lane's point."""
+        return parameters_at(self.varied)
 
 
 def point_law(
-    material: Material, kinematics: Kinematics, fibres: FibreLaw | None = None
+    material: Material, kinematics: Kinematics, fibres: FibreLaw | None = None, varied: bool = False
 ) -> tuple[PointLaw, tuple[float, ...]]:
-    """Return the compiled law of a body's points, and its coefficients."""
+    """Return the compiled law of a body's points, and its coefficients; or of points whose parameters differ."""
     compiled, coefficients = _bare_law(material, kinematics)
+    if varied:
+        count = len(coefficients)
+        compiled = replace(compiled, digest=law_digest(compiled.digest, "varied", count), varied=count)
     if fibres is None:
         return compiled, coefficients
     added = fibre_points(fibres)
@@ -88,7 +100,7 @@ def point_law(
 
 
 def _bare_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
-    law = type(material)
+    law = type(material) if kinematics.sheet else material.law
     if kinematics.sheet:
         compiled = _sheet_point(law, kinematics.relaxed)
         return compiled, (kinematics.prestretch, *material.coefficients)
@@ -113,7 +125,7 @@ def _held(law: PointLaw, volumetric: str) -> PointLaw:
         return law
     measure_of = volumetric_form(volumetric).measure
     digest = law_digest(law.digest, measure_of)
-    whole = register_jitable(named_for(digest, measure_of))
+    whole = inlined(digest, measure_of)
 
     @law_njit(digest, cached=False)
     def measure(x):  # type: ignore[no-untyped-def]
@@ -127,7 +139,7 @@ def _held(law: PointLaw, volumetric: str) -> PointLaw:
 def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
     """Compile the points of a solid; where one is crushed or inside out, W_s goes on as a parabola in J."""
     digest = law_digest("solid point", energy_of, first_of, second_of)
-    energy_density, slopes, bends = (register_jitable(named_for(digest, f)) for f in (energy_of, first_of, second_of))
+    energy_density, slopes, bends = (inlined(digest, f) for f in (energy_of, first_of, second_of))
 
     @register_jitable
     def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]

@@ -28,7 +28,7 @@ from palpate.reduction.dents import Handling, dents_of, skin_of
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import RealtimeModel, realtime_model
 from palpate.reduction.points import point_law
-from palpate.reduction.samples import Samples, sampled_energy, scratch
+from palpate.reduction.samples import Samples, firm_weights, sampled_energy, scratch
 from palpate.reduction.stepping import newton, sampled_step
 from palpate.reduction.trust import distance, expected_error, imbalance
 from palpate.reduction.work import load_forces, load_work, pose_map
@@ -76,7 +76,8 @@ class ReducedModel(Model):
         self.fewest = 20 if step is None else 1  # the implicit step is the user's choice
         self.count = parts.modes + parts.lifted
         count = self.count
-        self._law, self._coefficients = point_law(parts.material, parts.kinematics, parts.fibres)
+        several = parts.regions is not None
+        self._law, self._coefficients = point_law(parts.material, parts.kinematics, parts.fibres, several)
         flat = parts.columns.reshape(len(parts.columns), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
@@ -273,7 +274,7 @@ class ReducedModel(Model):
             if taken < steps:
                 a[:] = np.nan
         if memory.branches.size:
-            lost += float(np.sum(self._samples.weights * memory.lost) + memory.volume_lost.sum())
+            lost += float(np.sum(firm_weights(self._samples) * memory.lost) + memory.volume_lost.sum())
         external, dissipated = state.external_work + work + tools, state.dissipated + lost
         return State(a, v, float(times[-2]), external, dissipated, remembered(memory), handling.after(state.touch))
 

@@ -27,11 +27,13 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.fibres import Families, laid_out
 from palpate.dynamics.lanes import LANES, column_sums, column_work
+from palpate.dynamics.places import spread
 from palpate.dynamics.relaxation import Memory, Relaxation, memory, overstress_alone, relax_volume
 from palpate.reduction.points import PointLaw
 from palpate.tissue.fibres import FibreLaw
+from palpate.tissue.regions import Regions
 
-__all__ = ["Samples", "Scratch", "sampled_energy", "samples", "scratch"]
+__all__ = ["Samples", "Scratch", "firm_weights", "sampled_energy", "samples", "scratch"]
 
 Floats = NDArray[np.float64]
 
@@ -51,8 +53,8 @@ class Samples(NamedTuple):
         Z, with the root of the bulk modulus in it.
     constant : (m, m) array
         H.
-    coefficients : tuple
-        Of the law.
+    coefficients : tuple, or (b, p + 1, LANES) array
+        Of the law; where they differ, by lane, the last the shear modulus at rest over the body's.
     relaxation : Relaxation
         Of tissue that relaxes.
     families : Families
@@ -63,7 +65,7 @@ class Samples(NamedTuple):
     weights: Floats
     pressure: Floats
     constant: Floats
-    coefficients: tuple[float, ...]
+    coefficients: tuple[float, ...] | Floats
     relaxation: Relaxation
     families: Families
 
@@ -86,7 +88,7 @@ def samples(
     weights: Floats,
     pressure: Floats,
     constant: Floats,
-    law: tuple[float, ...],
+    law: tuple[float, ...] | Regions,
     dtype: Any = np.float32,
     relaxation: Relaxation = EASY,
     fibres: FibreLaw | None = None,
@@ -100,8 +102,8 @@ def samples(
     weights : (s,) array [m^3]
     pressure : (k, s) array
     constant : (m, m) array
-    law : tuple
-        Coefficients.
+    law : tuple or Regions
+        Coefficients, or materials at the samples.
     dtype : type
         Of the table.
     relaxation : Relaxation
@@ -118,8 +120,9 @@ def samples(
 
     table = np.ascontiguousarray(lanes(gradients), dtype=dtype)
     places = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
+    own = spread(law, places) if isinstance(law, Regions) else law
     return Samples(
-        table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), law, relaxation,
+        table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), own, relaxation,
         laid_out(fibres, places),
     )  # fmt: skip
 
@@ -172,6 +175,11 @@ def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
         force[m] = -total
 
 
+def firm_weights(of: Samples) -> Floats:
+    """Return the weights [m^3] of the samples times their firmness, with which branches of a Prony series count."""
+    return of.weights if isinstance(of.coefficients, tuple) else of.weights * of.coefficients[:, -1]
+
+
 @njit(cache=True)
 def _in_branches(weights, memory):  # type: ignore[no-untyped-def]
     """Energy [J] stored in the branches of relaxing tissue, as last evaluated."""
@@ -203,7 +211,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
     digest = law_digest("sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
     measure_of, curved = law.measure, law.measure is not None
-    stressed, charged = law.fibres.stressed, law.fibres.charged
+    stressed, charged, at, varied = law.fibres.stressed, law.fibres.charged, law.at, law.varied
 
     @law_njit(digest)
     def measure(scratch):  # type: ignore[no-untyped-def]
@@ -220,7 +228,8 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for b in range(scratch.stress.shape[0]):
             for q in range(9):
                 for v in range(LANES):
-                    scratch.stress[b, q, v] += scratch.memory.stress[b, q, v]
+                    firm = samples.coefficients[b, varied, v] if varied else 1.0
+                    scratch.stress[b, q, v] += firm * scratch.memory.stress[b, q, v]
         relax_volume(samples.relaxation, scratch.memory, scratch.moments)
 
     @law_njit(digest, fastmath={"contract"})
@@ -231,7 +240,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
             for v in range(LANES):
                 stress, cofactor, volume = stress_of(
                     P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
-                    samples.coefficients,
+                    at(samples.coefficients, b, v),
                 )  # fmt: skip
                 stress = stressed(
                     stress, P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
@@ -267,7 +276,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
             for v in range(LANES):
                 density, scratch.dilatation[b, v] = density_of(
                     d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
-                    samples.coefficients,
+                    at(samples.coefficients, b, v),
                 )  # fmt: skip
                 density = charged(
                     density, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
@@ -280,7 +289,10 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
         if samples.relaxation.times.shape[0] > 0:
             force(columns, samples, scratch, scratch.spare)
-            total += _in_branches(samples.weights, scratch.memory)
+            if varied:
+                total += _in_branches(samples.weights * samples.coefficients[:, varied], scratch.memory)
+            else:
+                total += _in_branches(samples.weights, scratch.memory)
         for m in range(columns.shape[0]):
             for k in range(columns.shape[0]):
                 total += 0.5 * columns[m] * samples.constant[m, k] * columns[k]

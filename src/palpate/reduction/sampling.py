@@ -71,7 +71,7 @@ def differentiated(body: FullModel | Membrane, columns: Floats) -> Fields:
     gradients, misses = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
     for m, by_node in enumerate(_by_node(body, columns, 12)):
         gradients[:, m] = by_node[:, :9]
-        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.elastic_volumes), 3)
+        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.firm_volumes), 3)
     constant = np.asarray(misses @ misses.T, dtype=float) * body.body.hourglass
     return Fields(columns, gradients, constant, np.arange(n), body.elastic_volumes)
 
@@ -189,7 +189,7 @@ def pressure_moments(body: FullModel | Membrane, snapshots: Floats, pressures: i
     """Coefficients (k, n) of all nodes' J - 1, or g(J), in the moments: those of the main shapes of the pressures."""
     if isinstance(body, Membrane):  # its thickness follows: it has no pressure
         return np.zeros((0, len(body.cloud)))
-    roots, chosen = np.sqrt(body.elastic_volumes), snapshots[:: max(1, len(snapshots) // STATES)]
+    roots, chosen = np.sqrt(body.bulk_volumes), snapshots[:: max(1, len(snapshots) // STATES)]
     smooth = np.empty((len(chosen), len(roots)))
     for u, row in zip(chosen, smooth, strict=True):
         body.force(u)
@@ -198,22 +198,25 @@ def pressure_moments(body: FullModel | Membrane, snapshots: Floats, pressures: i
     smooth /= np.sqrt(np.maximum(sizes, SMALLEST * sizes.max()))[:, None]
     _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
     kept = min(pressures, int(np.sum(values > 1e-10 * values[0])))
-    return np.asarray(np.sqrt(body.material.lame) * body.smoothed_back(shapes[:kept] * roots))
+    return np.asarray(np.sqrt(body.lame) * body.smoothed_back(shapes[:kept] * roots))
 
 
 def compliance_root(body: FullModel | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
     """Return R with R^T R the compliance of the body at rest in the coordinates; of a membrane, when it is taut."""
     stiffness, own = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
-    shear = body.material.shear_modulus
-    second = 0.0 if isinstance(body, Membrane) else body.material.shear_bulk_modulus - 2 / 3 * shear
+    shear, second = np.full(len(body.cloud), body.material.shear_modulus), np.zeros(len(body.cloud))
+    if isinstance(body, FullModel):
+        shear = body.moduli("shear_modulus")
+        second = body.moduli("shear_share") - 2 / 3 * shear
     for start in range(0, len(own), BLOCK):
         block = own[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
-        roots = np.sqrt(fields.volumes[start : start + BLOCK])
+        roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK]), fields.nodes[start : start + BLOCK]
         # tension holds a sheet against every slope, not only against strain
         strain = 2 * block if isinstance(body, Membrane) else block + np.swapaxes(block, 2, 3)
         rows = (strain.reshape(-1, count, 9) * roots[:, None, None]).transpose(0, 2, 1).reshape(-1, count)
         slopes = np.trace(block, axis1=2, axis2=3) * roots[:, None]
-        stiffness += 0.5 * shear * rows.T @ rows + second * slopes.T @ slopes
+        stiffness += 0.5 * rows.T @ (np.repeat(shear[nodes], 9)[:, None] * rows)
+        stiffness += slopes.T @ (second[nodes, None] * slopes)
     if len(moments):
         slopes = moments @ (own[:, :, 0] + own[:, :, 4] + own[:, :, 8])
         stiffness += slopes.T @ slopes

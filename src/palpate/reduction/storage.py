@@ -28,7 +28,14 @@ from palpate.reduction.cubature import Cubature
 from palpate.reduction.dents import Dents
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
-from palpate.reduction.stored_material import described, described_fibres, fibres_of, material_of
+from palpate.reduction.stored_material import (
+    described,
+    described_fibres,
+    described_regions,
+    fibres_of,
+    material_of,
+    regions_of,
+)
 
 __all__ = ["load", "save"]
 
@@ -62,9 +69,12 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "dents/lengths": ("<f8", ("falls",)),
     "dents/compliances": ("<f8", ("falls",)),
 }
+PLACED: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "regions": ("<i8", ("nodes",))
+}  # where there are several materials
 NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/nodes", "dents/nodes")  # hold numbers of nodes
 ATTRIBUTES = {
-    "material": str, "parameters": str, "expression": str, "prony": str, "fibres": str,
+    "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
@@ -162,6 +172,7 @@ def _header(parts: ReducedParts) -> Header:
     return {
         **described(parts.material),
         "fibres": described_fibres(parts.fibres),
+        "regions": described_regions(parts.regions),
         "groups": list(parts.cloud.groups),
         "spacing": float(parts.cloud.spacing),
         "fixed": list(parts.fixed),
@@ -188,12 +199,13 @@ def _arrays(parts: ReducedParts) -> Arrays:
     listed: dict[str, Any] = {
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
+        "regions": None if parts.regions is None else parts.regions.which,
         "fibres/directions": np.zeros((0, len(parts.cloud), 3)) if parts.fibres is None else parts.fibres.directions,
         **{f"dents/{name}": getattr(parts.dents, name, ()) for name in ("nodes", "lengths", "compliances")},
     }
     return {
         name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
-        for name, (dtype, _) in LAYOUT.items()
+        for name, (dtype, _) in (LAYOUT if parts.regions is None else LAYOUT | PLACED).items()
     }
 
 
@@ -224,6 +236,7 @@ def _read(file: Any) -> tuple[Header, Arrays]:
     import h5py
 
     header = {name: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for name, v in file.attrs.items()}
+    header = {"regions": "[]"} | header  # one material, in files of before there could be others
     for name, kind in ATTRIBUTES.items():
         if not isinstance(header.get(name), kind):
             raise InputError(f"attribute {name} is {header.get(name)!r}, expected one of type {kind.__name__}")
@@ -235,7 +248,7 @@ def _read(file: Any) -> tuple[Header, Arrays]:
         "columns": coordinates + 3 * len(header["fixed"]) + integer_in_range("witnesses", header["witnesses"], 0),
     }
     arrays = {}
-    for name, (dtype, shape) in LAYOUT.items():
+    for name, (dtype, shape) in (LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED).items():
         data = file.get(name)
         if not isinstance(data, h5py.Dataset):
             raise InputError(f"dataset {name} is missing")
@@ -267,14 +280,17 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
     for name in (*header["fixed"], *header["driven"]):
         cloud.group(name)
     residual = number_in_range("residual", header["residual"], 0.0)
+    material = material_of(
+        header["material"],
+        _mapping("parameters", header["parameters"]),
+        header["expression"],
+        _mapping("prony", header["prony"]),
+    )
+    regions = regions_of(_json("regions", header["regions"]), own.get("regions", np.zeros(0, dtype=int)), material)
     return ReducedParts(
         cloud=cloud,
-        material=material_of(
-            header["material"],
-            _mapping("parameters", header["parameters"]),
-            header["expression"],
-            _mapping("prony", header["prony"]),
-        ),
+        material=material,
+        regions=regions,
         fixed=tuple(header["fixed"]),
         driven=tuple(header["driven"]),
         volumes=own["volumes"],
@@ -334,11 +350,15 @@ def _check_values(arrays: Arrays) -> None:
         raise InputError(f"dataset cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")
 
 
-def _mapping(name: str, text: str) -> dict[str, Any]:
+def _json(name: str, text: str) -> Any:
     try:
-        values = json.loads(text)
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"attribute {name} is not JSON ({error})") from error
+
+
+def _mapping(name: str, text: str) -> dict[str, Any]:
+    values = _json(name, text)
     if not isinstance(values, dict):
         raise InputError(f"attribute {name} is not a mapping")
     return values

@@ -13,11 +13,13 @@ from palpate.faults import InputError, number_in_range
 from palpate.tissue import own_law
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.fibres import FibreLaw, Fibres, Guccione, VolumeOnly
+from palpate.tissue.isochoric import COUPLED
 from palpate.tissue.materials import Material
 from palpate.tissue.prony import Prony
+from palpate.tissue.regions import Regions
 from palpate.tissue.volumetric import QUADRATIC
 
-__all__ = ["described", "described_fibres", "fibres_of", "material_of"]
+__all__ = ["described", "described_fibres", "described_regions", "fibres_of", "material_of", "regions_of"]
 
 KINDS = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
 FIBRES: dict[str, type[FibreLaw]] = {"Fibres": Fibres, "Guccione": Guccione}
@@ -39,6 +41,8 @@ def described(material: Material) -> dict[str, str]:
     parameters = {f.name: getattr(material, f.name) for f in fields(material) if f.name != "prony"}
     if material.volumetric == QUADRATIC:  # which a file means that says nothing
         del parameters["volumetric"]
+    if material.split == COUPLED:  # the same
+        del parameters["split"]
     if material.incompressible:  # no number says how stiff it is against a change of volume
         del parameters["bulk"]
     return {
@@ -60,9 +64,9 @@ def material_of(name: str, parameters: dict[str, Any], expression: str, prony: d
     if name != OWN and name not in KINDS:
         raise InputError(f"unknown material {name!r}: the laws are {', '.join(sorted(KINDS))}")
     law: Any = own_law.law_of(expression) if name == OWN else KINDS[name]
-    wanted = {field.name for field in fields(law)} - {"prony", "volumetric"}
+    wanted = {field.name for field in fields(law)} - {"prony", "volumetric", "split"}
     parameters = parameters.copy()
-    volumetric = parameters.pop("volumetric", QUADRATIC)
+    forms = {"volumetric": parameters.pop("volumetric", QUADRATIC), "split": parameters.pop("split", COUPLED)}
     if parameters.get("poisson") == 0.5:
         wanted.discard("bulk")
     if parameters.keys() != wanted:
@@ -74,8 +78,34 @@ def material_of(name: str, parameters: dict[str, Any], expression: str, prony: d
     if prony.keys() - {field.name for field in fields(Prony)}:
         raise InputError(f"attribute prony has {sorted(prony)}")
     given = {"prony": Prony(**{key: tuple(value) for key, value in prony.items()})} if prony else {}
-    material: Material = law(**values, **given, volumetric=volumetric)
+    material: Material = law(**values, **given, **forms)
     return material
+
+
+def described_regions(regions: Regions | None) -> str:
+    """Return the attribute that describes the materials of a body: the parameters of each; none if there is one."""
+    if regions is None:
+        return "[]"
+    return json.dumps([json.loads(described(material)["parameters"]) for material in regions.materials])
+
+
+def regions_of(said: Any, which: NDArray[np.int64], material: Material) -> Regions | None:
+    """Make the regions of nodes (n,) from what `described_regions` says of them, and the first of their materials.
+
+    Raises
+    ------
+    InputError
+        Parameters that the law does not have or that are out of range, or numbers of materials that do not exist.
+    """
+    if not isinstance(said, list) or not all(isinstance(each, dict) for each in said):
+        raise InputError("attribute regions is not a list of materials")
+    if not said:
+        return None
+    about = described(material)
+    made = [material_of(about["material"], each, about["expression"], json.loads(about["prony"])) for each in said]
+    if made[0] != material or not np.all((which >= 0) & (which < len(made))):
+        raise InputError("dataset regions does not belong to the materials of the attribute regions")
+    return Regions(tuple(made), which)
 
 
 def described_fibres(fibres: FibreLaw | None) -> str:

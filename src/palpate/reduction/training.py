@@ -131,6 +131,8 @@ def _check(full: FullModel | Membrane, runs: Sequence[Trajectory]) -> None:
         raise InputError("reduce needs at least one trajectory to learn from")
     if not isinstance(full, FullModel | Membrane):
         raise InputError(f"reduce needs a FullModel or a Membrane, not a {type(full).__name__}")
+    if isinstance(full, Membrane) and (full.fibres is not None or full.material.prony is not None):
+        raise InputError("a sampled membrane has no fibres and does not relax: reduce one without fibres= and prony=")
     for run in runs:
         if run.points.shape != full.cloud.points.shape or not np.allclose(run.points, full.cloud.points):
             raise InputError("a trajectory belongs to another cloud than the model")
@@ -186,6 +188,7 @@ def _trained(
         len(lifting), rule, gradients, fields.constant, chosen,
         _reach(chosen, mass / body.masses.sum(), [len(run.times) for run in runs], len(states)),
         len(watched), kinematics=_kinematics(body), fibres=body.fibres,
+        regions=body.regions if isinstance(body, FullModel) else None,
     )  # fmt: skip
     if len(watched):
         some = snapshots[np.linspace(0, len(states) - 1, len(chosen)).astype(int)]

@@ -1,4 +1,4 @@
-"""All laws, with what a list of them says."""
+"""All laws, of tissue, of its fibres and of its relaxation, with what a list of them says."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
+from palpate.tissue.fibres import FibreLaw, Fibres, Guccione
 from palpate.tissue.invariant_laws import ArrudaBoyce, Fung, Gent, StVenantKirchhoff, Yeoh
 from palpate.tissue.materials import Material, MooneyRivlin, NeoHookean
+from palpate.tissue.prony import Prony
 from palpate.tissue.small_strain import LinearElastic
 from palpate.tissue.stretch_laws import Exponential, Logarithmic, Ogden
 
-__all__ = ["LAWS", "Law", "Parameter"]
+__all__ = ["FIBRE_LAWS", "LAWS", "RELAXATION", "Entry", "Law", "Parameter"]
 
 
 @dataclass(frozen=True)
@@ -32,28 +34,24 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Law:
-    """What a list of laws says about one.
+class Entry:
+    """What a list says about a class with parameters.
 
     Parameters
     ----------
     kind : type
-        The material.
+        The material, the law of fibres, or the relaxation.
     formula : str
-        Its energy, but for the volumetric part U(J), with x = I1 - 3 - 2 ln J and
-        q(a) = l1^a + l2^a + l3^a - 3 - a ln J.
-    shear_modulus : str
-        At rest.
+        Its energy.
     reference : str
     example : dict
-        Parameters of a soft tissue with a shear modulus near 10 kPa, without density and Poisson's ratio.
+        Parameters of a soft tissue, without density and Poisson's ratio.
     note : str
         What its parameters obey beyond their ranges.
     """
 
-    kind: type[Material]
+    kind: type[Material] | type[FibreLaw] | type[Prony]
     formula: str
-    shear_modulus: str
     reference: str
     example: dict[str, Any]
     note: str = ""
@@ -65,9 +63,30 @@ class Law:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The law's own parameters, in order."""
+        """The class's own parameters with a range, in order."""
         own = (f for f in fields(self.kind) if f.metadata)
         return tuple(Parameter(f.name, f.metadata["unit"], _range(f.metadata)) for f in own)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law(Entry):
+    """What a list says about a law of isotropic tissue.
+
+    Parameters
+    ----------
+    kind : type
+        The material.
+    formula : str
+        Its energy, but for the volumetric part U(J), with x = I1 - 3 - 2 ln J and
+        q(a) = l1^a + l2^a + l3^a - 3 - a ln J.
+    shear_modulus : str
+        At rest; near 10 kPa with the parameters of the example.
+    reference, example, note
+        As for `Entry`.
+    """
+
+    kind: type[Material]
+    shear_modulus: str
 
 
 def _range(metadata: Any) -> str:
@@ -78,52 +97,101 @@ def _range(metadata: Any) -> str:
 
 LAWS: tuple[Law, ...] = (
     Law(
-        NeoHookean, "C1 x", "2 C1",
-        "Banihani, Rabczuk, Almomani, Math. Probl. Eng. 2013, equation (17)", {"C1": 5e3},
+        kind=NeoHookean, shear_modulus="2 C1",
+        formula="C1 x",
+        reference="Banihani, Rabczuk, Almomani, Math. Probl. Eng. 2013, equation (17)",
+        example={"C1": 5e3},
     ),
     Law(
-        MooneyRivlin, "C1/2 (I1 - 3) + C2/2 (I2 - 3) - (C1 + 2 C2) ln J", "C1 + C2",
-        "Mooney, J. Appl. Phys. 11, 582, 1940; equation (16)", {"C1": 8e3, "C2": 2e3},
+        kind=MooneyRivlin, shear_modulus="C1 + C2",
+        formula="C1/2 (I1 - 3) + C2/2 (I2 - 3) - (C1 + 2 C2) ln J",
+        reference="Mooney, J. Appl. Phys. 11, 582, 1940; equation (16)",
+        example={"C1": 8e3, "C2": 2e3},
     ),
     Law(
-        Ogden, "sum of C_i q(alpha_i)", "1/2 sum of C_i alpha_i^2",
-        "Ogden, Proc. R. Soc. A 326, 565, 1972; equation (14)", {"C": (800.0, 120.0), "alpha": (4.0, -7.5)},
-        "any number of terms; alpha_i is not zero",
+        kind=Ogden, shear_modulus="1/2 sum of C_i alpha_i^2",
+        formula="sum of C_i q(alpha_i)",
+        reference="Ogden, Proc. R. Soc. A 326, 565, 1972; equation (14)",
+        example={"C": (800.0, 120.0), "alpha": (4.0, -7.5)},
+        note="any number of terms; alpha_i is not zero",
     ),
     Law(
-        Exponential, "C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2)", "1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
-        "Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (18)",
-        {"C1": 2e3, "C2": 1.5, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5}, "alpha1 and alpha2 are not zero",
+        kind=Exponential, shear_modulus="1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
+        formula="C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2)",
+        reference="Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (18)",
+        example={"C1": 2e3, "C2": 1.5, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5},
+        note="alpha1 and alpha2 are not zero",
     ),
     Law(
-        Logarithmic, "-C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2)", "1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
-        "Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (19)",
-        {"C1": 10e3, "C2": 0.35, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5},
-        "alpha1 and alpha2 are not zero; from C2 q(alpha1) = 0.95 on continued by a parabola",
+        kind=Logarithmic, shear_modulus="1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
+        formula="-C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2)",
+        reference="Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (19)",
+        example={"C1": 10e3, "C2": 0.35, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5},
+        note="alpha1 and alpha2 are not zero; from C2 q(alpha1) = 0.95 on continued by a parabola",
     ),
     Law(
-        Yeoh, "C1 x + C2 x^2 + C3 x^3", "2 C1", "Yeoh, Rubber Chem. Technol. 63, 792, 1990",
-        {"C1": 5e3, "C2": 1e3, "C3": 200.0}, "C2 is more than -sqrt(3 C1 C3), or not negative",
+        kind=Yeoh, shear_modulus="2 C1",
+        formula="C1 x + C2 x^2 + C3 x^3",
+        reference="Yeoh, Rubber Chem. Technol. 63, 792, 1990",
+        example={"C1": 5e3, "C2": 1e3, "C3": 200.0},
+        note="C2 is more than -sqrt(3 C1 C3), or not negative",
     ),
     Law(
-        Gent, "-mu/2 Jm ln(1 - x/Jm)", "mu", "Gent, Rubber Chem. Technol. 69, 59, 1996", {"mu": 10e3, "Jm": 3.0},
-        "from x = 0.95 Jm on continued by a parabola",
+        kind=Gent, shear_modulus="mu",
+        formula="-mu/2 Jm ln(1 - x/Jm)",
+        reference="Gent, Rubber Chem. Technol. 69, 59, 1996",
+        example={"mu": 10e3, "Jm": 3.0},
+        note="from x = 0.95 Jm on continued by a parabola",
     ),
     Law(
-        ArrudaBoyce, "five terms of the eight chains' series in 3 + x", "mu (1 + 3/(5N) + 99/(175N^2) + ...)",
-        "Arruda, Boyce, J. Mech. Phys. Solids 41, 389, 1993", {"mu": 7.5e3, "N": 2.5},
+        kind=ArrudaBoyce, shear_modulus="mu (1 + 3/(5N) + 99/(175N^2) + ...)",
+        formula="five terms of the eight chains' series in 3 + x",
+        reference="Arruda, Boyce, J. Mech. Phys. Solids 41, 389, 1993",
+        example={"mu": 7.5e3, "N": 2.5},
     ),
     Law(
-        Fung, "mu/(2b) [exp(b x) - 1]", "mu",
-        "Fung, Am. J. Physiol. 213, 1532, 1967; Demiray, J. Biomech. 5, 309, 1972", {"mu": 10e3, "b": 0.6},
+        kind=Fung, shear_modulus="mu",
+        formula="mu/(2b) [exp(b x) - 1]",
+        reference="Fung, Am. J. Physiol. 213, 1532, 1967; Demiray, J. Biomech. 5, 309, 1972",
+        example={"mu": 10e3, "b": 0.6},
     ),
     Law(
-        StVenantKirchhoff, "mu tr E^2,  E = (C - I) / 2", "mu", "Holzapfel, Nonlinear Solid Mechanics, Wiley 2000",
-        {"mu": 10e3}, "softens in compression",
+        kind=StVenantKirchhoff, shear_modulus="mu",
+        formula="mu tr E^2,  E = (C - I) / 2",
+        reference="Holzapfel, Nonlinear Solid Mechanics, Wiley 2000",
+        example={"mu": 10e3},
+        note="softens in compression",
     ),
     Law(
-        LinearElastic, "mu e : e,  e = sym(F - I), with lame/2 (tr e)^2 for the bulk term", "mu",
-        "Landau, Lifshitz, Theory of Elasticity, section 4", {"mu": 10e3},
-        "small strains only, not objective; for solids by the full model, not for membranes",
+        kind=LinearElastic, shear_modulus="mu",
+        formula="mu e : e,  e = sym(F - I), with lame/2 (tr e)^2 for the bulk term",
+        reference="Landau, Lifshitz, Theory of Elasticity, section 4",
+        example={"mu": 10e3},
+        note="small strains only, not objective; for solids by the full model, not for membranes",
     ),
 )  # fmt: skip
+
+FIBRE_LAWS: tuple[Entry, ...] = (
+    Entry(
+        kind=Fibres,
+        formula="k1/(2 k2) [exp(k2 <E>^2) - 1],  E = dispersion (I1bar - 3) + (1 - 3 dispersion) (I4bar - 1)",
+        reference="Gasser, Ogden, Holzapfel, J. R. Soc. Interface 3, 15, 2006",
+        example={"k1": 20e3, "k2": 5.0, "dispersion": 0.1},
+        note="one or two families; <E> is E where it is positive, else 0: in tension only",
+    ),
+    Entry(
+        kind=Guccione,
+        formula="C/2 [exp(Q) - 1],  Q = bf E11^2 + bt (E22^2 + E33^2 + 2 E23^2) + 2 bfs (E12^2 + E13^2)",
+        reference="Guccione, McCulloch, Waldman, J. Biomech. Eng. 113, 42, 1991",
+        example={"C": 2e3, "bf": 8.0, "bt": 2.0, "bfs": 4.0},
+        note="one family, 1 along it; VolumeOnly(mu=...) is the material of tissue that has no other energy",
+    ),
+)
+
+RELAXATION = Entry(
+    kind=Prony,
+    formula="sum of shares_i mu/4 |A_i|^2,  dA_i/dt = dCbar/dt - A_i / times_i",
+    reference="Simo, Comput. Methods Appl. Mech. Eng. 60, 153, 1987; Holzapfel, Simo, Int. J. Solids Struct. 33, 1996",
+    example={"shares": (0.5, 0.3), "times": (0.02, 0.3)},
+    note="a share and a time for each branch; bulk_shares as many, or none",
+)

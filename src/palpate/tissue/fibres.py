@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.faults import InputError, first_few, number_in_range
-from palpate.tissue.materials import Material, parameter
+from palpate.tissue.materials import ShearLaw, parameter
 
 __all__ = ["LEAST", "FibreLaw", "Fibres", "Guccione", "VolumeOnly"]
 
@@ -261,7 +261,7 @@ class Guccione(FibreLaw):
 
 
 @dataclass(frozen=True, kw_only=True)
-class VolumeOnly(Material):
+class VolumeOnly(ShearLaw):
     """A material that resists a change of volume alone, W = bulk / 2 (J - 1)^2: the law of its fibres is the tissue's.
 
     Parameters
@@ -272,12 +272,6 @@ class VolumeOnly(Material):
     density, poisson, bulk
         As for `Material`.
     """
-
-    mu: float = parameter("Pa", above=0.0)
-
-    @property
-    def shear_modulus(self) -> float:
-        return self.mu
 
     @property
     def shear_bulk_modulus(self) -> float:

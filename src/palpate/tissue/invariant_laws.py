@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.faults import number_in_range
-from palpate.tissue.materials import Material, parameter
+from palpate.tissue.materials import Material, ShearLaw, parameter
 
 __all__ = ["ArrudaBoyce", "Fung", "Gent", "StVenantKirchhoff", "Yeoh"]
 
@@ -76,7 +76,7 @@ class Yeoh(Material):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gent(Material):
+class Gent(ShearLaw):
     """Gent's law of limited stretch (Rubber Chem. Technol. 69, 59, 1996).
 
     W = -mu/2 Jm ln(1 - x/Jm) + lame / 2 (J - 1)^2,  x = I1 - 3 - 2 ln J,  shear modulus mu.
@@ -94,16 +94,7 @@ class Gent(Material):
         As for `Material`.
     """
 
-    mu: float = parameter("Pa", above=0.0)
     Jm: float = parameter(above=0.0)
-
-    @property
-    def shear_modulus(self) -> float:
-        return self.mu
-
-    @property
-    def shear_bulk_modulus(self) -> float:
-        return 2 / 3 * self.mu
 
     @staticmethod
     def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
@@ -186,7 +177,7 @@ class ArrudaBoyce(Material):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fung(Material):
+class Fung(ShearLaw):
     """The isotropic exponential law of Fung and Demiray (Fung, Am. J. Physiol. 213, 1532, 1967; Demiray, J. Biomech. 5, 309, 1972).
 
     W = mu/(2b) [exp(b x) - 1] + lame / 2 (J - 1)^2,  x = I1 - 3 - 2 ln J,  shear modulus mu.
@@ -203,16 +194,7 @@ class Fung(Material):
         As for `Material`.
     """  # noqa: E501
 
-    mu: float = parameter("Pa", above=0.0)
     b: float = parameter(above=0.0)
-
-    @property
-    def shear_modulus(self) -> float:
-        return self.mu
-
-    @property
-    def shear_bulk_modulus(self) -> float:
-        return 2 / 3 * self.mu
 
     @staticmethod
     def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
@@ -237,7 +219,7 @@ class Fung(Material):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StVenantKirchhoff(Material):
+class StVenantKirchhoff(ShearLaw):
     """St. Venant and Kirchhoff's law: Hooke's, of Green's strain E = (C - I) / 2 (Holzapfel, Nonlinear Solid Mechanics, 2000).
 
     W = mu tr E^2 + lame / 2 (J - 1)^2,  tr E^2 = (I1^2 - 2 I2 - 2 I1 + 3) / 4,  shear modulus mu.
@@ -252,16 +234,6 @@ class StVenantKirchhoff(Material):
     density, poisson, bulk
         As for `Material`.
     """  # noqa: E501
-
-    mu: float = parameter("Pa", above=0.0)
-
-    @property
-    def shear_modulus(self) -> float:
-        return self.mu
-
-    @property
-    def shear_bulk_modulus(self) -> float:
-        return 2 / 3 * self.mu
 
     @staticmethod
     def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]

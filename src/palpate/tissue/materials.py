@@ -31,10 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.faults import InputError, number_in_range
+from palpate.tissue.isochoric import COUPLED, isochoric, known_split
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["Material", "MooneyRivlin", "NeoHookean", "parameter"]
+__all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw", "parameter"]
 
 MOST_POISSON = 0.499  # the stability of the split pressure is verified up to here
 
@@ -63,11 +64,15 @@ class Material(ABC):
     volumetric : str
         Form of the volumetric part U(J): ``"quadratic"`` lame / 2 (J - 1)^2, ``"logarithmic"`` lame / 2 (ln J)^2, or
         ``"mixed"`` lame / 4 (J^2 - 1 - 2 ln J). All have the same bulk modulus at rest.
+    split : str
+        ``"coupled"``: W_s as it is, which also resists a change of volume. ``"isochoric"``: W_s of J^(-2/3) C in the
+        place of C, so that U(J) alone holds the volume and `lame` is the bulk modulus (`palpate.tissue.isochoric`). In
+        an incompressible material, that of a membrane, the two are the same.
 
     Raises
     ------
     InputError
-        A parameter out of range, an unknown form, or both or neither of `poisson` and `bulk`.
+        A parameter out of range, an unknown form or split, or both or neither of `poisson` and `bulk`.
 
     Attributes
     ----------
@@ -83,6 +88,7 @@ class Material(ABC):
     bulk: float | None = None
     prony: Prony | None = None
     volumetric: str = QUADRATIC
+    split: str = COUPLED
 
     def __post_init__(self) -> None:
         if self.prony is not None and not isinstance(self.prony, Prony):
@@ -90,6 +96,8 @@ class Material(ABC):
         volumetric_form(self.volumetric)
         if self.volumetric != QUADRATIC and self.variables == "small strain":
             raise InputError(f"volumetric = {self.volumetric!r}: small strain has the quadratic form only")
+        if known_split(self.split) != COUPLED and self.variables == "small strain":
+            raise InputError(f"split = {self.split!r}: small strain has the coupled form only")
         number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
         self._check_parameters()
         mu = self.shear_modulus
@@ -127,7 +135,12 @@ class Material(ABC):
     @property
     @abstractmethod
     def shear_bulk_modulus(self) -> float:
-        """The shear part's own share of the bulk modulus at rest [Pa]."""
+        """The coupled shear part's own share of the bulk modulus at rest [Pa]."""
+
+    @property
+    def law(self) -> type[Material]:
+        """The law whose functions count: the material's own, or its isochoric twin."""
+        return type(self) if self.split == COUPLED else isochoric(type(self))
 
     @property
     def incompressible(self) -> bool:
@@ -143,7 +156,12 @@ class Material(ABC):
     @property
     def lame(self) -> float:
         """Coefficient of the volumetric part U(J) [Pa], its second derivative at rest."""
-        return self.bulk_modulus - self.shear_bulk_modulus
+        return self.bulk_modulus - self.shear_share
+
+    @property
+    def shear_share(self) -> float:
+        """What W_s has of the bulk modulus at rest [Pa]: `shear_bulk_modulus`, or nothing if it is isochoric."""
+        return self.shear_bulk_modulus if self.split == COUPLED else 0.0
 
     @property
     def coefficients(self) -> tuple[float, ...]:
@@ -172,22 +190,31 @@ class Material(ABC):
         measure, _ = volumetric_form(self.volumetric).measure(self._dilatation(F))
         return np.asarray(self.shear_energy(F) + self.lame / 2 * measure**2)
 
-    def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the part W_s [J/m^3] of the energy without the bulk term, for F of shape (..., 3, 3)."""
+    def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
+        """Return the part W_s [J/m^3] of the energy without the bulk term, for F of shape (..., 3, 3).
+
+        `coefficients`, arrays (...), take the place of the material's own.
+        """
         I1, I2, J = _invariants(F)
         J = np.where(J > 0, J, np.nan)  # a body turned inside out has no energy
-        return np.asarray(self.energy(I1, I2, J, self.coefficients))
+        return np.asarray(self.law.energy(I1, I2, J, coefficients or self.coefficients))
 
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the first Piola-Kirchhoff stress dW/dF [Pa], (..., 3, 3): the transpose of (21)."""
         self._refuse_incompressible()
-        slope, _ = volumetric_form(self.volumetric).pressure(self._dilatation(F))
-        return np.asarray(self.shear_stress(F) + (self.lame * slope)[..., None, None] * self.cofactor(F))
+        return np.asarray(
+            self.shear_stress(F) + (self.lame * self.pressure_slope(F))[..., None, None] * self.cofactor(F)
+        )
 
-    def shear_stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the part of the first Piola-Kirchhoff stress [Pa] that comes from W_s."""
+    def pressure_slope(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the pressure U'(J) over `lame`, shape (...), for F of shape (..., 3, 3)."""
+        return np.asarray(volumetric_form(self.volumetric).pressure(self._dilatation(F))[0])
+
+    def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
+        """Return the part of the first Piola-Kirchhoff stress [Pa] that comes from W_s, as `shear_energy` does it."""
         I1, I2, J = (i[..., None, None] for i in _invariants(F))
-        W1, W2, WJ = self.first(I1, I2, J, self.coefficients)
+        own = self.coefficients if coefficients is None else tuple(c[..., None, None] for c in coefficients)
+        W1, W2, WJ = self.law.first(I1, I2, J, own)
         C = np.swapaxes(F, -1, -2) @ F
         return np.asarray(2 * W1 * F + 2 * W2 * (I1 * F - F @ C) + WJ * self.cofactor(F))
 
@@ -201,6 +228,29 @@ class Material(ABC):
     def _refuse_incompressible(self) -> None:
         if self.incompressible:
             raise InputError("an incompressible material (poisson = 0.5) has no stress of F alone; a Membrane has")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShearLaw(Material):
+    """A law whose first parameter is its shear modulus at rest; its share in the bulk modulus is 2/3 of that.
+
+    Parameters
+    ----------
+    mu : float [Pa]
+        Positive.
+    density, poisson, bulk
+        As for `Material`.
+    """
+
+    mu: float = parameter("Pa", above=0.0)
+
+    @property
+    def shear_modulus(self) -> float:
+        return self.mu
+
+    @property
+    def shear_bulk_modulus(self) -> float:
+        return 2 / 3 * self.mu
 
 
 def _invariants(F: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from palpate.faults import InputError
 from palpate.tissue.ellipticity import material_stability
+from palpate.tissue.isochoric import COUPLED
 from palpate.tissue.materials import Material, parameter
 from palpate.tissue.prony import Prony
 from palpate.tissue.stretch_laws import StretchLaw
@@ -43,6 +44,7 @@ def Hyperelastic(
     prony: Prony | None = None,
     stable: tuple[float, float] | None = (0.8, 1.25),
     volumetric: str = QUADRATIC,
+    split: str = COUPLED,
     **parameters: float,
 ) -> Material:
     """Return the material of an energy that is written down.
@@ -55,7 +57,7 @@ def Hyperelastic(
         ``l1``, ``l2``, ``l3``. With + - * / **, exp, log, sqrt, sinh, cosh, tanh, atan, numbers, and parameters under
         any other names.
     density : float [kg/m^3]
-    poisson, bulk, prony, volumetric
+    poisson, bulk, prony, volumetric, split
         As for `palpate.Material`.
     stable : (float, float) or None
         Range of the principal stretches, around 1, in which the law must be strongly elliptic
@@ -91,7 +93,9 @@ def Hyperelastic(
             raise InputError(f"{name} = {parameters[name]!r} is no parameter of the energy; it has {names or 'none'}")
     law = law_of(energy)
     values: dict[str, Any] = dict(parameters)
-    material: Material = law(density=density, poisson=poisson, bulk=bulk, prony=prony, volumetric=volumetric, **values)
+    material: Material = law(
+        density=density, poisson=poisson, bulk=bulk, prony=prony, volumetric=volumetric, split=split, **values
+    )
     if stable is not None:
         material_stability(material, stable, VOLUMES).require()
     return material
@@ -258,9 +262,9 @@ def _check(self: Any) -> None:
     rest = (1.0, 1.0, 1.0) if stretches else (3.0, 3.0, 1.0)
     with np.errstate(all="ignore"):
         try:
-            numbers = [float(self.energy(*rest, self.coefficients))]
-            slopes = [float(s) for s in self.first(*rest, self.coefficients)]
-            numbers += [*slopes, *(float(s) for s in self.second(*rest, self.coefficients))]
+            numbers = [float(self.law.energy(*rest, self.coefficients))]
+            slopes = [float(s) for s in self.law.first(*rest, self.coefficients)]
+            numbers += [*slopes, *(float(s) for s in self.law.second(*rest, self.coefficients))]
         except (ZeroDivisionError, ValueError, OverflowError) as error:
             raise InputError(f"the energy {self.expression!r} is not finite at rest: {error}") from error
     if not np.isfinite(numbers).all():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,20 +44,18 @@ class Prony:
         A number out of range, or sequences of other lengths.
     """
 
-    shares: tuple[float, ...]
-    times: tuple[float, ...]
-    bulk_shares: tuple[float, ...] = field(default=())
+    shares: tuple[float, ...] = field(metadata={"unit": "", "low": 0.0, "high": np.inf, "open_low": True})
+    times: tuple[float, ...] = field(metadata={"unit": "s", "low": 0.0, "high": np.inf, "open_low": True})
+    bulk_shares: tuple[float, ...] = field(
+        default=(), metadata={"unit": "", "low": 0.0, "high": np.inf, "open_low": False}
+    )
 
     def __post_init__(self) -> None:
-        for name, low_open in (("shares", True), ("times", True), ("bulk_shares", False)):
-            given = getattr(self, name)
+        for each in fields(self):
+            given = getattr(self, each.name)
             listed: Sequence[float] = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
-            unit = "s" if name == "times" else ""
-            numbers = [
-                number_in_range(f"{name}[{i}]", value, 0.0, open_low=low_open, unit=unit)
-                for i, value in enumerate(listed)
-            ]
-            object.__setattr__(self, name, tuple(numbers))
+            numbers = [number_in_range(f"{each.name}[{i}]", x, **each.metadata) for i, x in enumerate(listed)]
+            object.__setattr__(self, each.name, tuple(numbers))
         if not self.shares or len(self.shares) != len(self.times):
             raise InputError(f"{len(self.shares)} shares and {len(self.times)} times: give as many, at least one")
         if self.bulk_shares and len(self.bulk_shares) != len(self.times):

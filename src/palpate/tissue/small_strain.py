@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.tissue.materials import Material, parameter
+from palpate.tissue.materials import ShearLaw
 
 __all__ = ["LinearElastic"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearElastic(Material):
+class LinearElastic(ShearLaw):
     """Small-strain linear elasticity (Landau, Lifshitz, Theory of Elasticity, section 4).
 
     W = mu e : e + lame / 2 (tr e)^2,  e = sym(F - I),  P = dW/dF = 2 mu e + lame tr e I.
@@ -32,16 +32,6 @@ class LinearElastic(Material):
 
     variables: ClassVar[str] = "small strain"
 
-    mu: float = parameter("Pa", above=0.0)
-
-    @property
-    def shear_modulus(self) -> float:
-        return self.mu
-
-    @property
-    def shear_bulk_modulus(self) -> float:
-        return 2 / 3 * self.mu
-
     @staticmethod
     def energy(square, trace, volume, c):  # type: ignore[no-untyped-def]
         """W_s of e : e; the other two are there for the signature."""
@@ -55,11 +45,13 @@ class LinearElastic(Material):
     def second(square, trace, volume, c):  # type: ignore[no-untyped-def]
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
-    def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(self.mu * np.sum(_strain(F) ** 2, axis=(-2, -1)))
+    def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
+        mu = (coefficients or self.coefficients)[0]
+        return np.asarray(mu * np.sum(_strain(F) ** 2, axis=(-2, -1)))
 
-    def shear_stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        return 2 * self.mu * _strain(F)
+    def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
+        mu = np.asarray((coefficients or self.coefficients)[0])
+        return np.asarray(2 * mu[..., None, None] * _strain(F))
 
     def cofactor(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.broadcast_to(np.eye(3), F.shape).copy()

@@ -24,7 +24,7 @@ Powers are exponentials of logarithms, which all terms of a law share: half as d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,15 +51,15 @@ class StretchLaw(Material):
     def shear_bulk_modulus(self) -> float:
         return 2 / 3 * self.shear_modulus
 
-    def shear_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
         l1, l2, l3 = np.moveaxis(np.linalg.svd(F, compute_uv=False), -1, 0)
         whole = np.where(np.linalg.det(F) > 0, 1.0, np.nan)  # a body turned inside out has no energy
-        return np.asarray(whole * self.energy(l1, l2, l3, self.coefficients))
+        return np.asarray(whole * self.law.energy(l1, l2, l3, coefficients or self.coefficients))
 
-    def shear_stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
         turned, stretches, directions = np.linalg.svd(F)
         l1, l2, l3 = np.moveaxis(stretches, -1, 0)
-        slopes = self.first(l1, l2, l3, self.coefficients)
+        slopes = self.law.first(l1, l2, l3, coefficients or self.coefficients)
         return np.asarray((turned * np.stack(np.broadcast_arrays(*slopes), axis=-1)[..., None, :]) @ directions)
 
 

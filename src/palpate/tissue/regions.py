@@ -1,0 +1,92 @@
+"""Tissue whose law has other parameters in other places: one law, a material for each kind of tissue."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.faults import InputError
+from palpate.tissue.materials import Material
+
+__all__ = ["Regions"]
+
+Floats = NDArray[np.float64]
+
+SHARED = {"split": "split", "volumetric": "volumetric form", "prony": "Prony series", "density": "density"}
+
+
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """Which of a few materials of one law lies at every node.
+
+    Parameters
+    ----------
+    materials : tuple of Material
+        The first is the one that moduli count in: see `ratios`.
+    which : (n,) int array
+
+    Raises
+    ------
+    InputError
+        Materials of different laws, or that differ in what a body has once: its density, volumetric form, split and
+        Prony series.
+    """
+
+    materials: tuple[Material, ...]
+    which: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        first = self.materials[0]
+        for other in self.materials[1:]:
+            if type(other) is not type(first):
+                raise InputError(
+                    f"a body has one law, with other parameters in other places; these are {type(first).__name__} and "
+                    f"{type(other).__name__}"
+                )
+            if len(other.coefficients) != len(first.coefficients):
+                raise InputError(f"the materials of a body need one number of terms of {type(first).__name__}")
+            for name, said in SHARED.items():
+                if getattr(other, name) != getattr(first, name):
+                    mine, its = getattr(first, name), getattr(other, name)
+                    raise InputError(f"the materials of a body need one {said}; these have {mine!r} and {its!r}")
+        if first.prony is not None and first.prony.bulk_shares:
+            raise InputError("a volume that relaxes (bulk_shares) needs the same material everywhere")
+
+    def at(self, nodes: Any) -> Self:
+        """Return the regions of some nodes."""
+        return replace(self, which=self.which[nodes])
+
+    def values(self, name: str) -> Floats:
+        """Return a number of every node's material, such as ``"lame"``, shape (n,)."""
+        return np.array([getattr(material, name) for material in self.materials], dtype=float)[self.which]
+
+    @property
+    def coefficients(self) -> Floats:
+        """The law's parameters at every node, (n, p)."""
+        return np.array([material.coefficients for material in self.materials], dtype=float)[self.which]
+
+    @property
+    def firmness(self) -> Floats:
+        """Shear modulus at rest over that of the first material, (n,): what branches of a Prony series count with."""
+        return self.values("shear_modulus") / self.materials[0].shear_modulus
+
+    @property
+    def lame(self) -> float:
+        """What the volumetric coefficients count in [Pa]: the largest."""
+        return max(material.lame for material in self.materials) or 1.0
+
+    def shear_energy(self, F: Floats) -> Floats:
+        """Return W_s [J/m^3] at the nodes, for F of shape (n, 3, 3)."""
+        return self.materials[0].shear_energy(F, tuple(self.coefficients.T))
+
+    def shear_stress(self, F: Floats) -> Floats:
+        """Return the shear part's first Piola-Kirchhoff stress [Pa] at the nodes, (n, 3, 3)."""
+        return self.materials[0].shear_stress(F, tuple(self.coefficients.T))
+
+    def stress(self, F: Floats) -> Floats:
+        """Return the first Piola-Kirchhoff stress [Pa] at the nodes, (n, 3, 3)."""
+        pressure = self.values("lame") * self.materials[0].pressure_slope(F)
+        return self.shear_stress(F) + pressure[:, None, None] * self.materials[0].cofactor(F)
