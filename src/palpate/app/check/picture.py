@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.figures import BLUE, ORANGE, figure, scale_bar
+from palpate.app.figures import BLUE, ORANGE, figure, heading, scale_bar
 from palpate.app.pictures import off_screen, surface
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.gate import nearest_spacing
@@ -20,7 +20,7 @@ __all__ = ["draw_cloud", "draw_surface"]
 Floats = NDArray[np.float64]
 
 TISSUE, FAULT = "#B4655A", "#0072B2"
-SIDES = {"From the front": (0.0, -1.0, 0.25), "From behind": (0.0, 1.0, 0.25), "From below": (0.0, -0.5, -1.0)}
+SIDES = {"Seen along +y": (0.0, -1.0, 0.25), "Seen along -y": (0.0, 1.0, 0.25), "Seen along +z": (0.0, -0.5, -1.0)}
 PIXELS = 900
 
 
@@ -35,7 +35,7 @@ def draw_surface(body: Surface, found: SurfaceReport, path: Path) -> None:
         for axes, (title, towards) in zip(drawn.subplots(1, 3), SIDES.items(), strict=True):
             _show(axes, shape, body.vertices, np.array(towards), title, places)
         names = ", ".join(problem.name for problem in found.problems)
-        drawn.suptitle(f"{body.name}: {names or 'nothing wrong'}" + (" (blue dots: where)" if len(places) else ""))
+        heading(drawn, f"{body.name}: {names or 'nothing wrong'}" + (" (blue dots: where)" if len(places) else ""))
 
 
 def draw_cloud(cloud: Cloud, path: Path) -> None:
