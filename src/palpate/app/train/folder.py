@@ -97,6 +97,11 @@ class Folder:
         """Name of a file that is being written; the token is like no other's."""
         return self.runs / f".{job.name}.{token}.partial"
 
+    def sweep(self, job: Job | None = None) -> None:
+        """Remove what workers that were stopped had begun: of one run, or of all."""
+        for partial in self.runs.glob(".*.partial" if job is None else f".{job.name}.*.partial"):
+            partial.unlink(missing_ok=True)
+
     def fault(self, job: Job) -> dict[str, Any] | None:
         """Return the record of a run that failed and would fail again."""
         try:
@@ -133,8 +138,7 @@ def opened(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
         _lock(lock, path)
         if not own.exists():
             write_json(own, dict(manifest))
-        for partial in folder.runs.glob(".*.partial"):  # of a campaign that was stopped
-            partial.unlink(missing_ok=True)
+        folder.sweep()
         yield folder
 
 

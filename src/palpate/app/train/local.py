@@ -52,6 +52,7 @@ def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) ->
                 except (EOFError, ConnectionError):
                     del busy[worker.pipe]
                     worker.process.join()
+                    folder.sweep(worker.job)
                     deaths[worker.job] += 1
                     if deaths[worker.job] < TRIES:
                         waiting.appendleft(worker.job)

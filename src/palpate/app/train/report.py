@@ -152,13 +152,14 @@ def _draw(folder: Folder, report: dict[str, Any], held: Sequence[str]) -> None:
             good = [(k, 100 * run[name]) for k, run in enumerate(found["runs"]) if not run["failed"]]
             paths.plot(*np.array(good).reshape(-1, 2).T, "o", ms=5, color=colour, label=name)
         paths.set(xlabel="held-out path", ylabel="error [%]", title="by path", xlim=(-0.5, len(held) - 0.5))
+        paths.xaxis.get_major_locator().set_params(integer=True)
         percent_axis(paths)
         if paths.has_data():
             paths.legend(fontsize=9)
         rows = found.get("trust") or []
         for name, colour in (("percentile_95", ORANGE), ("median", BLUE)):
             label = "95 % below" if name == "percentile_95" else name
-            points = [row["trust"] for row in rows], [100 * row[name] for row in rows]
+            points = [0.0, *(row["trust"] for row in rows)], [100 * row[name] for row in (*rows[:1], *rows)]
             trust.step(*points, where="pre", color=colour, label=label)
         trust.set(xlabel="trust number", ylabel="error of displacement [%]", title="by trust number")
         trust.set_ylim(bottom=0.0)
