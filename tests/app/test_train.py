@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from threading import Event, Thread
 
 import h5py
 import numpy as np
@@ -231,20 +232,23 @@ def cluster():
 
 
 def test_a_cluster_that_loses_a_worker_makes_the_same_runs(whole, tmp_path, cluster):
-    folder, lost = tmp_path / "cluster", []
+    folder, lost, stop = tmp_path / "cluster", [], Event()
     first = next(iter(cluster.workers.values()))
 
     def kill_one():
-        waited(lambda: list((folder / "runs").glob("train_*.h5")))
-        lost.append(first.pid)
-        os.kill(first.pid, signal.SIGKILL)
-
-    from threading import Thread
+        while not stop.wait(0.01):
+            if list((folder / "runs").glob("train_*.h5")):
+                lost.append(first.pid)
+                os.kill(first.pid, signal.SIGKILL)
+                return
 
     killer = Thread(target=kill_one)
     killer.start()
-    assert main(command(folder, "--cluster", cluster.scheduler_address)) == 0
-    killer.join()
+    try:
+        assert main(command(folder, "--cluster", cluster.scheduler_address)) == 0
+    finally:
+        stop.set()
+        killer.join()
     assert lost
     assert_same_runs(folder, whole)
     both = [pt.load(path / "model.rom").parts.columns for path in (folder, whole)]

@@ -49,7 +49,7 @@ def run_on_cluster(folder: Folder, jobs: Sequence[Job], address: str, console: C
         for job in jobs:
             key = f"palpate {place} {job.name}"
             waiting[client.submit(perform, place, dict(folder.manifest), tuple(job), key=key, pure=False)] = job
-        for future in as_completed(list(waiting)):
+        for future in as_completed(list(waiting), loop=client.loop):
             job = waiting.pop(future)
             yield _outcome(folder, job, future)
 

@@ -12,6 +12,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from threading import Thread
+from typing import Any
 
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.work import Outcome, Watch, perform, record_fault
@@ -19,6 +20,7 @@ from palpate.app.train.work import Outcome, Watch, perform, record_fault
 __all__ = ["run_here"]
 
 THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+AT, DONE, STOPPED, DIED = "at", "done", "stopped", "died"
 TRIES = 2  # of a run whose worker dies
 
 
@@ -27,6 +29,26 @@ class _Worker:
     process: BaseProcess
     pipe: Connection
     job: Job
+
+    def heard(self) -> tuple[str, Any]:
+        """Return what the process says, or that it died, with its exit code."""
+        try:
+            said: tuple[str, Any] = self.pipe.recv()
+            return said
+        except (EOFError, ConnectionError):
+            self.process.join()
+            return DIED, self.process.exitcode
+
+    def went_on(self, waiting: deque[Job]) -> bool:
+        """Give the process the next run, or let it end when there is none."""
+        job = waiting.popleft() if waiting else None
+        with suppress(BrokenPipeError):  # it died meanwhile: heard next
+            self.pipe.send(job)
+        if job is None:
+            self.process.join()
+            return False
+        self.job = job
+        return True
 
 
 def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -> Iterator[Outcome]:
@@ -39,42 +61,33 @@ def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) ->
     OSError
         A file could not be written.
     """
-    waiting, deaths, busy = deque(jobs), Counter[Job](), dict[Connection, _Worker]()
+    waiting, deaths, busy = deque(jobs), Counter[Job](), list[_Worker]()
     try:
         while waiting or busy:
             while waiting and len(busy) < workers:
-                worker = _started(folder, waiting.popleft())
-                busy[worker.pipe] = worker
-            for pipe in wait(list(busy)):
-                worker = busy[pipe]  # type: ignore[index]
-                try:
-                    kind, said = worker.pipe.recv()
-                except (EOFError, ConnectionError):
-                    del busy[worker.pipe]
-                    worker.process.join()
+                busy.append(_started(folder, waiting.popleft()))
+            ready = wait([worker.pipe for worker in busy])
+            for worker in [worker for worker in busy if worker.pipe in ready]:
+                kind, said = worker.heard()
+                if kind == AT:
+                    watch(worker.job, said)
+                elif kind == STOPPED:
+                    raise OSError(said)
+                elif kind == DONE:
+                    yield said
+                    if not worker.went_on(waiting):
+                        busy.remove(worker)
+                else:
+                    busy.remove(worker)
                     folder.sweep(worker.job)
                     deaths[worker.job] += 1
                     if deaths[worker.job] < TRIES:
                         waiting.appendleft(worker.job)
-                        continue
-                    reason = f"its process died {TRIES} times (exit code {worker.process.exitcode}); out of memory?"
-                    yield record_fault(folder, worker.job, reason, retry=True)
-                    continue
-                if kind == "at":
-                    watch(worker.job, said)
-                elif kind == "stopped":
-                    raise OSError(said)
-                else:
-                    yield said
-                    if waiting:
-                        worker.job = waiting.popleft()
-                        worker.pipe.send(worker.job)
                     else:
-                        del busy[worker.pipe]
-                        worker.pipe.send(None)
-                        worker.process.join()
+                        reason = f"its process died {TRIES} times (exit code {said}); out of memory?"
+                        yield record_fault(folder, worker.job, reason, retry=True)
     finally:
-        for worker in busy.values():
+        for worker in busy:
             worker.process.kill()
             worker.process.join()
 
@@ -113,11 +126,11 @@ def _serve(pipe: Connection, folder: Folder) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     while (job := pipe.recv()) is not None:
         try:
-            done = perform(str(folder.path), folder.manifest, job, lambda own, time: pipe.send(("at", time)))
+            done = perform(str(folder.path), folder.manifest, job, lambda own, time: pipe.send((AT, time)))
         except OSError as error:
-            pipe.send(("stopped", str(error)))
+            pipe.send((STOPPED, str(error)))
             return
-        pipe.send(("done", done))
+        pipe.send((DONE, done))
 
 
 def _end_with_parent() -> None:
