@@ -100,14 +100,16 @@ def measured(side: int, modes: int, method: str, files: list[Path]) -> dict[str,
     before, start = peak(), perf_counter()
     snapshots, values = Snapshots(files), None
     if method == "strain":
-        found = main_modes(model, snapshots, modes, SPARE)[:modes]
+        found, lost = main_modes(model, snapshots, modes, SPARE)
+        found = found[:modes]
     else:
         basis = pt.pod(files, model.volumes, modes=modes)
         found, values = basis.modes, basis.singular_values[:modes]
+        lost = float(np.sqrt(basis.dropped / (basis.dropped + np.sum(basis.singular_values**2))))
     entry = {
         "nodes": len(model.cloud), "snapshots": len(snapshots), "modes": modes, "method": method,
         "block": block_size(len(model.cloud)), "seconds": perf_counter() - start, "gigabytes_before": before,
-        "gigabytes": peak(), "bytes_of_files": sum(file.stat().st_size for file in files),
+        "gigabytes": peak(), "bytes_of_files": sum(file.stat().st_size for file in files), "lost": lost,
     }  # fmt: skip
     return entry | compared(model, len(snapshots), found, values, method)
 

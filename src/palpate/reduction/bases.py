@@ -27,8 +27,8 @@ def main_modes(
     modes: int,
     spare: int = 0,
     prepared: Callable[[Floats], Floats] | None = None,
-) -> Floats:
-    """Return modes (M, n, 3) that hold most of some snapshots (t, n, 3), orthonormal in the volumes.
+) -> tuple[Floats, float]:
+    """Return modes (M, n, 3) that hold most of some snapshots (t, n, 3), orthonormal in the volumes, and what was lost.
 
     Of a solid, the proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not
     only in displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so
@@ -36,7 +36,9 @@ def main_modes(
     snapshots count the same: waves begin small. Behind them come up to `spare` further ones, as many as there are.
 
     The snapshots are read twice, a block at a time (`palpate.reduction.incremental`), and `prepared`, where it is
-    given, of every block: modes are found in what it returns.
+    given, of every block: modes are found in what it returns. What was lost on the way is the root of the sum of
+    squares dropped over that of the snapshots, each as it counts; by so much at most do the modes miss more than the
+    best would.
 
     Raises
     ------
@@ -53,12 +55,13 @@ def main_modes(
     scale = np.maximum(sizes, SMALLEST * sizes.max()) ** (-1.0 if sheet else -0.5)
     parts = np.split(scale, range(size, len(own), size))
     scaled = (prepare(u) * part[:, None, None] for u, part in zip(own.blocks(size), parts, strict=True))
-    allowed = allowance(float(np.sum((sizes * scale) ** 2)), len(own), size)
-    found = decomposed(scaled, image, allowed, least=modes + spare)
+    squares = float(np.sum((sizes * scale) ** 2))
+    found = decomposed(scaled, image, allowance(squares, len(own), size), least=modes + spare)
     rank = int(np.sum(found.values**2 > NOISE * found.values[0] ** 2))
     if modes > rank:
         raise InputError(f"modes = {modes}: the {len(own)} snapshots hold only {rank} independent shapes")
-    return _orthonormal(body, found.shapes(min(modes + spare, rank)))
+    lost = float(np.sqrt(found.dropped / squares))
+    return _orthonormal(body, found.shapes(min(modes + spare, rank))), lost
 
 
 def _inner_product(body: FullModel | Membrane) -> Callable[[Floats], Floats]:

@@ -179,6 +179,7 @@ def _trained(
         "witnesses": columns.witnesses,
         "cubature_residual": rule.residual,
         "projection_error": missed,
+        "modes_error": columns.lost,
         "highest_frequency": model._highest(np.zeros(columns.count)),
         "training_runs": len(snapshots.lengths),
         "snapshots": len(snapshots),
@@ -198,12 +199,13 @@ class _Columns:
     count: int
     witnesses: int
     mass: Floats  # of the coordinates
+    lost: float  # when the modes were found
 
 
 def _columns(body: FullModel | Membrane, snapshots: Snapshots, size: int, wish: _Wish) -> _Columns:
     lifting, supports = lifting_columns(body, wish.tools), support_fields(body, wish.tools)
     rest = WithoutTools(body, lifting, wish.tools)
-    found = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else WITNESSES, rest)
+    found, lost = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else WITNESSES, rest)
     rest.check()
     shapes = joined(body, found[:size] if size else None, wish.enrichment)
     watched = apart(body, shapes, found[size:])
@@ -212,7 +214,7 @@ def _columns(body: FullModel | Membrane, snapshots: Snapshots, size: int, wish: 
     count = len(shapes) + len(lifting)
     flat = columns[:count].reshape(count, -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
-    return _Columns(differentiated(body, columns), len(shapes), count, len(watched), mass)
+    return _Columns(differentiated(body, columns), len(shapes), count, len(watched), mass, lost)
 
 
 def _states(body: FullModel | Membrane, columns: _Columns, snapshots: Snapshots) -> tuple[Floats, float]:
