@@ -11,9 +11,10 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.app.run.grasp import GROUP, Hand, grasp, train
+from palpate.app.run.grasp import train
 from palpate.app.run.realtime import FILES
 from palpate.scenes.beam import COARSEST, beam
+from palpate.scenes.grasp import GROUP, Hand, grasp
 
 RUN = ["run", "beam"]
 REALTIME = [*RUN, "--realtime", "--seconds", "0.5", "--rate", "200"]

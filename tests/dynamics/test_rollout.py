@@ -141,3 +141,13 @@ def test_no_bar_is_shown_where_nobody_watches(held, capfd):
     out, err = capfd.readouterr()
     assert out == ""
     assert err.strip() == ""
+
+
+def test_progress_is_told_at_every_snapshot(held):
+    told = []
+    run = pt.rollout(
+        held, [PULL], duration=1e-3, every=2.5e-4, start=0.1, progress=lambda *reached: told.append(reached)
+    )
+    times, walls = zip(*told, strict=True)
+    np.testing.assert_allclose(times, run.times[1:] - 0.1, atol=1e-12)
+    assert 0 < walls[0] < walls[-1] <= run.wall_seconds

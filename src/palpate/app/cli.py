@@ -47,7 +47,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     from palpate.faults import DivergenceError, FileFormatError, InputError
 
     try:
-        commands = {"reproduce": _reproduce, "run": _run, "bench": _bench, "laws": _laws, "fit": _fit, "check": _check}
+        commands = {
+            "reproduce": _reproduce, "run": _run, "train": _train, "fit": _fit, "check": _check, "bench": _bench,
+            "laws": _laws,
+        }  # fmt: skip
         return commands[command](options)
     except (InputError, FileFormatError, FileNotFoundError) as error:
         return _complain(str(error), BAD_INPUT)
@@ -98,6 +101,12 @@ def _check(options: dict[str, Any]) -> int:
     return check(**options)
 
 
+def _train(options: dict[str, Any]) -> int:
+    from palpate.app.train.command import train
+
+    return train(**options)
+
+
 def _complain(message: str, code: int) -> int:
     print(f"palpate: {' '.join(message.split())}", file=sys.stderr)
     return code
@@ -115,6 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_beam(examples)
     _add_membrane(examples)
     _add_run(commands)
+    _add_train(commands)
     _add_fit(commands)
     _add_check(commands)
     _add_bench(commands)
@@ -191,6 +201,27 @@ def _add_run(commands: Any) -> None:
     add("--seconds", type=float, metavar="S", help="in real time: length of the run [s], at most 600 (10)")
     add("--rate", type=float, metavar="HZ", help="in real time: steps a second, from 50 to 20000 (1000)")
     _add_results(beam, Path("out/run"))
+
+
+def _add_train(commands: Any) -> None:
+    train = commands.add_parser(
+        "train",
+        help="make many runs along random paths, and train a reduced model on all of them",
+        description="Run a scene's full model along random paths of its tools, each run into a file of its own, and "
+        "train a reduced model on them. What was stopped goes on where it was when the same command is given again. "
+        "See docs/training.md.",
+    )
+    add = train.add_argument
+    add("scene", metavar="SCENE", help="beam, or module:function of your own")
+    add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help="the scene's parameters")
+    add("--paths", type=int, default=64, metavar="K", help="runs to train on (64)")
+    add("--held-out", type=int, default=8, metavar="K", help="further runs, to measure errors on (8)")
+    add("--seed", type=int, default=0, metavar="K", help="of the paths (0)")
+    add("--modes", type=int, default=24, metavar="M", help="size of the reduced model (24)")
+    add("--workers", type=int, metavar="N", help="processes on this machine, one thread each (1)")
+    add("--cluster", metavar="ADDRESS", help="Dask scheduler, or its file, instead of processes here")
+    add("--folder", type=Path, default=Path("out/train"), metavar="DIR", help="where all goes (out/train)")
+    add("--json", action="store_true", dest="as_json", help="print the report as JSON instead of a table")
 
 
 def _add_fit(commands: Any) -> None:

@@ -13,12 +13,14 @@ from typing import Any
 
 from palpate.faults import InputError
 
-__all__ = ["check_folder", "check_space", "whole_file", "write_json"]
+__all__ = ["check_folder", "check_space", "settle", "whole_file", "write_json"]
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside `path`, of the same kind; give it the real name if all went well.
+
+    What has the real name is on the disk, whatever stops the process or the machine.
 
     Raises
     ------
@@ -28,12 +30,25 @@ def whole_file(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
         yield partial
-        os.replace(partial, path)
+        settle(partial, path)
     except OSError as error:
         why = error.strerror or error
         raise OSError(f"cannot write {path}: {why}; free some space or choose another folder") from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def settle(partial: Path, path: Path) -> None:
+    """Give a file that is written its name, once it is on the disk."""
+    with partial.open("rb+") as file:
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+    if os.name == "posix":  # elsewhere folders cannot be opened
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

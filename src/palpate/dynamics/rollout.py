@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -35,7 +36,7 @@ def rollout(
     velocity: Floats | None = None,
     step: float | None = None,
     file: str | Path | None = None,
-    progress: bool = True,
+    progress: bool | Callable[[float, float], None] = True,
 ) -> Trajectory:
     """Run a model and keep a snapshot at regular times.
 
@@ -54,8 +55,9 @@ def rollout(
         Time step. By default the stable step, which follows the state of the body.
     file : path, optional
         HDF5 file to stream the frames to; it keeps them if the run is stopped.
-    progress : bool
-        Whether to show a bar on standard error when that is a terminal.
+    progress : bool or function
+        Whether to show a bar on standard error when that is a terminal; or a function to call at every snapshot with
+        the simulated and the wall time [s] since the start.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def rollout(
     frames = round(duration / every)
     began, complete, steps = perf_counter(), False, 0
     try:
-        with progress_bar(model.name, duration, progress) as shown:
+        with nullcontext(progress) if callable(progress) else progress_bar(model.name, duration, progress) as shown:
             recorder.add(start, 0, model.outputs(state, drive))
             for frame in range(1, frames + 1):
                 for time in drive.stops(state.time, start + frame * every):

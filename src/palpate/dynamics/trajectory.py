@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.model import Outputs
 from palpate.faults import FileFormatError, InputError
 
-__all__ = ["Recorder", "Trajectory"]
+__all__ = ["Recorder", "StoredTrajectory", "Trajectory"]
 
 Floats = NDArray[np.float64]
 
@@ -135,26 +137,15 @@ class Trajectory:
         FileFormatError
             The file is truncated, corrupt, or not a trajectory.
         """
-        import h5py
-
-        path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"no trajectory file at {path}")
-        try:
-            with h5py.File(path, "r") as file:
-                if file.attrs.get("format") != FORMAT or file.attrs.get("version") != VERSION:
-                    raise FileFormatError(f"{path} is not a {FORMAT} of version {VERSION}")
-                frames = int(file.attrs["frames"])
-                data: dict[str, Any] = {n: file[n][:frames] for n in (*SERIES, "displacements", "velocities")}
-                data["reactions"] = {n: d[:frames] for n, d in file["reactions"].items()}
-                data["moments"] = {n: d[:frames] for n, d in file.get("moments", {}).items()}
-                touches = file["touches"][:] if "touches" in file else np.zeros((0, 5))
-                data["touches"] = touches[touches[:, 0] < frames]
-                data["points"] = file["points"][:]
-                for name in ("model", "wall_seconds", "viscosity", "complete"):
-                    data[name] = file.attrs[name]
-        except (OSError, KeyError, RuntimeError) as error:
-            raise FileFormatError(f"{path} is truncated or corrupt ({error}); run the simulation again") from error
+        with _opened(Path(path)) as file:
+            frames = int(file.attrs["frames"])
+            data: dict[str, Any] = {n: file[n][:frames] for n in (*SERIES, "displacements", "velocities")}
+            data["reactions"] = {n: d[:frames] for n, d in file["reactions"].items()}
+            data["moments"] = {n: d[:frames] for n, d in file.get("moments", {}).items()}
+            data["touches"] = _touches(file, frames)
+            data["points"] = file["points"][:]
+            for name in ("model", "wall_seconds", "viscosity", "complete"):
+                data[name] = file.attrs[name]
         n = len(data["points"])
         shapes = dict.fromkeys(("displacements", "velocities"), (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
         arrays: dict[str, tuple[Any, tuple[int, ...]]] = {name: (data[name], shape) for name, shape in shapes.items()}
@@ -167,6 +158,83 @@ class Trajectory:
                 raise FileFormatError(f"{path}: {name} is not finite or has shape {array.shape}, expected {shape}")
         data["complete"] = bool(data["complete"])
         return Trajectory(**data)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a trajectory's file to read; what goes wrong inside is said of the file."""
+    import h5py
+
+    if not path.is_file():
+        raise FileNotFoundError(f"no trajectory file at {path}")
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("format") != FORMAT or file.attrs.get("version") != VERSION:
+                raise FileFormatError(f"{path} is not a {FORMAT} of version {VERSION}")
+            yield file
+    except (OSError, KeyError, RuntimeError) as error:
+        raise FileFormatError(f"{path} is truncated or corrupt ({error}); run the simulation again") from error
+
+
+def _touches(file: Any, frames: int) -> Floats:
+    touches = file["touches"][:] if "touches" in file else np.zeros((0, 5))
+    return np.asarray(touches[touches[:, 0] < frames])
+
+
+class StoredTrajectory:
+    """A trajectory that stays in its file: frames of its displacements are read when they are asked for.
+
+    Parameters
+    ----------
+    path : path
+
+    Attributes
+    ----------
+    path : path
+    points : (n, d) array [m]
+    times : (f,) array [s]
+    displacements : Frames
+        Takes a number or a slice, as the (f, n, 3) array [m] would.
+    touches : (c, 5) array
+        As of `Trajectory`.
+
+    Raises
+    ------
+    FileNotFoundError, FileFormatError
+        As `Trajectory.load`; of a frame that cannot be read, when it is asked for.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        with _opened(self.path) as file:
+            frames = int(file.attrs["frames"])
+            self.points, self.times = file["points"][:], file["times"][:frames]
+            shape, self.touches = file["displacements"].shape[1:], _touches(file, frames)
+        if shape != (len(self.points), 3) or len(self.times) != frames:
+            raise FileFormatError(f"{self.path}: {frames} displacements of shape {shape}, {len(self.points)} points")
+        self.displacements = Frames(self.path, (frames, *shape))
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The displacements of a stored trajectory.
+
+    Parameters
+    ----------
+    path : path
+    shape : tuple
+        (f, n, 3).
+    """
+
+    path: Path
+    shape: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, which: int | slice) -> Floats:
+        with _opened(self.path) as file:
+            return np.asarray(file["displacements"][which])
 
 
 @dataclass
@@ -229,7 +297,10 @@ class Recorder:
             for name, value in values.items():
                 array = np.asarray(value, dtype=float)
                 if name not in self._file:
-                    self._file.create_dataset(name, (0, *array.shape), maxshape=(None, *array.shape), dtype="f8")
+                    chunks = (1, *array.shape) if array.ndim == 2 else True  # so that a frame lies in one piece
+                    self._file.create_dataset(
+                        name, (0, *array.shape), maxshape=(None, *array.shape), dtype="f8", chunks=chunks
+                    )
                 self._file[name].resize(len(self.times), axis=0)
                 self._file[name][-1] = array
             self._add_touches(frame.touches)

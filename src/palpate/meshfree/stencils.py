@@ -11,10 +11,12 @@ Nodes whose neighbours lie in the same arrangement (most nodes of a lattice) sha
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
@@ -70,6 +72,19 @@ class Stencils:
     def gradient(self, field: Floats) -> Floats:
         """Return the first derivatives of a nodal field of shape (n,) or (n, c), shape (n, d) or (n, c, d)."""
         return self._apply(self.first, self.own_first, field)
+
+    def products(self, volumes: Floats) -> Any:
+        """Return the sparse (n, n) matrix A with u . A v the sum over the nodes of V_I grad u . grad v."""
+        n = len(self.row)
+        nodes = np.concatenate([np.arange(n)[:, None], self.neighbours], axis=1)
+        weights = np.concatenate([self.own_first[self.row][:, None], self.first[self.row]], axis=1)
+        places = nodes.ravel(), np.arange(n + 1) * nodes.shape[1]
+        total = 0
+        for k in range(weights.shape[2]):
+            rooted = (weights[:, :, k] * np.sqrt(volumes)[:, None]).ravel()
+            derivative = csr_array((rooted, *places), shape=(n, n))
+            total = total + derivative.T @ derivative
+        return total
 
     def hessian(self, field: Floats) -> Floats:
         """Return the second derivatives of a nodal field, shape (n, d (d + 1) / 2) or (n, c, d (d + 1) / 2)."""

@@ -2,53 +2,82 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.membrane import Membrane
 from palpate.faults import InputError
+from palpate.reduction.incremental import allowance, block_size, decomposed
+from palpate.reduction.snapshots import Snapshots
 
 __all__ = ["joined", "main_modes"]
 
 Floats = NDArray[np.float64]
 
-MOST_SNAPSHOTS = 800  # that modes are found from
 SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
-SINGLE = 1e-10  # of the largest eigenvalue of products in single precision: what is below is noise
+NOISE = 1e-10  # of the largest eigenvalue: below it shapes are not told from noise
 
 
-def main_modes(body: FullModel | Membrane, snapshots: Floats, modes: int, spare: int = 0) -> Floats:
-    """Return modes (M, n, 3) that hold most of some snapshots (t, n, 3), orthonormal in the volumes.
+def main_modes(
+    body: FullModel | Membrane,
+    snapshots: Snapshots | Floats,
+    modes: int,
+    spare: int = 0,
+    prepared: Callable[[Floats], Floats] | None = None,
+) -> tuple[Floats, float]:
+    """Return modes (M, n, 3) that hold most of some snapshots (t, n, 3), orthonormal in the volumes, and what was lost.
 
     Of a solid, the proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not
     only in displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so
     that small motions are not lost beside large ones. Of a membrane, which is slack at first, that of u, and all
     snapshots count the same: waves begin small. Behind them come up to `spare` further ones, as many as there are.
 
+    The snapshots are read twice, a block at a time (`palpate.reduction.incremental`), and `prepared`, where it is
+    given, of every block: modes are found in what it returns. What was lost on the way is the root of the sum of
+    squares dropped over that of the snapshots, each as it counts; by so much at most do the modes miss more than the
+    best would.
+
     Raises
     ------
     InputError
         More modes than independent snapshots, or snapshots that are all zero or not finite.
     """
-    if not np.isfinite(snapshots).all():
-        raise InputError("snapshots are not finite")
-    chosen = snapshots[np.unique(np.linspace(0, len(snapshots) - 1, MOST_SNAPSHOTS).astype(int))]
-    sheet, roots = isinstance(body, Membrane), np.sqrt(body.volumes)
-    fields = (u if sheet else body.stencils.gradient(u).reshape(-1, 9) for u in chosen)
-    rows = np.array([(field * roots[:, None]).reshape(-1) for field in fields], dtype=np.float32)
-    gram = np.asarray(rows @ rows.T, dtype=float)
-    sizes = np.sqrt(np.diag(gram))
+    own = snapshots if isinstance(snapshots, Snapshots) else Snapshots(snapshots)
+    prepare = prepared or (lambda block: block)
+    sheet, image = isinstance(body, Membrane), _inner_product(body)
+    size = block_size(own.nodes)
+    sizes = np.concatenate([_sizes(prepare(block), image) for block in own.blocks(size)])
     if sizes.max() == 0:
         raise InputError("all snapshots are zero: there is nothing to find modes in")
     scale = np.maximum(sizes, SMALLEST * sizes.max()) ** (-1.0 if sheet else -0.5)
-    values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
-    rank = int(np.sum(values > SINGLE * values[-1]))
+    parts = np.split(scale, range(size, len(own), size))
+    scaled = (prepare(u) * part[:, None, None] for u, part in zip(own.blocks(size), parts, strict=True))
+    squares = float(np.sum((sizes * scale) ** 2))
+    found = decomposed(scaled, image, allowance(squares, len(own), size), least=modes + spare)
+    rank = int(np.sum(found.values**2 > NOISE * found.values[0] ** 2))
     if modes > rank:
-        raise InputError(f"modes = {modes}: the {len(chosen)} snapshots hold only {rank} independent shapes")
-    count = min(modes + spare, rank)
-    shapes = (vectors[:, ::-1][:, :count].T * scale) @ chosen.reshape(len(chosen), -1)
-    return _orthonormal(body, shapes.reshape(count, -1, 3))
+        raise InputError(f"modes = {modes}: the {len(own)} snapshots hold only {rank} independent shapes")
+    lost = float(np.sqrt(found.dropped / squares))
+    return _orthonormal(body, found.shapes(min(modes + spare, rank))), lost
+
+
+def _inner_product(body: FullModel | Membrane) -> Callable[[Floats], Floats]:
+    """Return A of the inner product u . A v of fields (b, n, 3): of du/dX, or of a membrane's u, over the volume."""
+    if isinstance(body, Membrane):
+        return lambda fields: fields * body.volumes[:, None]
+    matrix = body.stencils.products(body.volumes)
+
+    def image(fields: Floats) -> Floats:
+        return np.stack([matrix @ u for u in fields])
+
+    return image
+
+
+def _sizes(fields: Floats, image: Callable[[Floats], Floats]) -> Floats:
+    return np.sqrt(np.maximum(np.einsum("bnc,bnc->b", fields, image(fields)), 0.0))
 
 
 def _orthonormal(body: FullModel | Membrane, fields: Floats) -> Floats:

@@ -11,8 +11,8 @@ with c_e >= 0 (non-negative least squares), so that any set of nodes has a posit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from palpate.dynamics.model import Touch as TouchState
 from palpate.dynamics.tools import surface_nodes
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
+from palpate.reduction.snapshots import Snapshots
 from palpate.reduction.touch import Skin, Tools, Touch, skin, tools_of, touched
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def dents_of(dents: Dents, points: Floats, forces: Floats) -> Floats:
 
 
 def touch_of(run: Trajectory, frame: int, nodes: int) -> TouchState | None:
-    """Return what tools do in a frame of a run: their mean forces since the frame before; None where they do nothing."""
+    """Return what tools do in a frame of a run, their mean forces since the frame before; None where they do nothing."""
     rows = run.touches[run.touches[:, 0] == frame]
     if not len(rows):
         return None
@@ -143,15 +144,15 @@ def touch_of(run: Trajectory, frame: int, nodes: int) -> TouchState | None:
     return touch
 
 
-def fitted_dents(model: ReducedModel, runs: Sequence[Trajectory]) -> tuple[Dents, float]:
+def fitted_dents(model: ReducedModel, snapshots: Snapshots) -> tuple[Dents, float]:
     """Fit the compliance of the surface to runs in which tools touch the body.
 
     Parameters
     ----------
     model : ReducedModel
         Its compliance, if it has any, is not used.
-    runs : sequence of Trajectory
-        Of the full model.
+    snapshots : Snapshots
+        Runs of the full model.
 
     Returns
     -------
@@ -169,9 +170,9 @@ def fitted_dents(model: ReducedModel, runs: Sequence[Trajectory]) -> tuple[Dents
     nodes = np.setdiff1d(surface_nodes(cloud), held)
     lengths = cloud.spacing * np.array(LENGTHS)
     rows, wanted = [], []
-    total = sum(len(np.unique(run.touches[:, 0])) for run in runs)
+    total = sum(len(np.unique(run.touches[:, 0])) for run in snapshots.runs)
     every = max(1, total // FRAMES)
-    for run in runs:
+    for run in snapshots.runs:
         frames = np.unique(run.touches[:, 0].astype(int))[::every]
         if not len(frames):
             continue
@@ -196,13 +197,13 @@ def fitted_dents(model: ReducedModel, runs: Sequence[Trajectory]) -> tuple[Dents
     return dents, 1.0 - (residual / float(np.linalg.norm(target))) ** 2
 
 
-def _led(model: ReducedModel, run: Trajectory) -> Floats:
+def _led(model: ReducedModel, run: Any) -> Floats:
     """Return the coordinates (f, m) of the model led through a run by the forces on its nodes."""
     columns = model.parts.columns[: model.count]
     response = model._free
     coordinates, velocities = np.zeros(model.count), np.zeros(model.count)
     if len(run.times):
-        coordinates = model.projected(run.displacements[:1])[0]
+        coordinates = model.projected(run.displacements[0][None])[0]
     found, start = [coordinates.copy()], np.searchsorted(run.touches[:, 0], np.arange(len(run.times) + 1))
     frequency = model._highest(np.zeros(model.count))
     for frame in range(1, len(run.times)):

@@ -18,6 +18,7 @@ from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.sheet import COSINE, SINE
 from palpate.reduction.cubature import Cubature, non_negative, sketch, slopes_fit
 from palpate.reduction.points import measured
+from palpate.reduction.snapshots import Snapshots
 from palpate.tissue.materials import Material
 
 __all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiated", "pressure_moments"]
@@ -185,13 +186,13 @@ def _shear_work(body: FullModel | Membrane, fields: Fields, state: Floats) -> Fl
     return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
 
 
-def pressure_moments(body: FullModel | Membrane, snapshots: Floats, pressures: int) -> Floats:
+def pressure_moments(body: FullModel | Membrane, snapshots: Snapshots, pressures: int) -> Floats:
     """Coefficients (k, n) of all nodes' J - 1, or g(J), in the moments: those of the main shapes of the pressures."""
     if isinstance(body, Membrane):  # its thickness follows: it has no pressure
         return np.zeros((0, len(body.cloud)))
-    roots, chosen = np.sqrt(body.bulk_volumes), snapshots[:: max(1, len(snapshots) // STATES)]
+    roots, chosen = np.sqrt(body.bulk_volumes), np.arange(0, len(snapshots), max(1, len(snapshots) // STATES))
     smooth = np.empty((len(chosen), len(roots)))
-    for u, row in zip(chosen, smooth, strict=True):
+    for u, row in zip(snapshots.each(chosen), smooth, strict=True):
         body.force(u)
         row[:] = body.work.smooth * roots
     sizes = np.linalg.norm(smooth, axis=1)

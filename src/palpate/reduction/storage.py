@@ -72,7 +72,13 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
 PLACED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "regions": ("<i8", ("nodes",))
 }  # where there are several materials
-NODES = ("cloud/face_nodes", "cloud/group_nodes", "cloud/triangles", "cubature/nodes", "dents/nodes")  # hold numbers of nodes
+NODES = (
+    "cloud/face_nodes",
+    "cloud/group_nodes",
+    "cloud/triangles",
+    "cubature/nodes",
+    "dents/nodes",
+)  # hold numbers of nodes
 ATTRIBUTES = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "fixed": list, "driven": list,

@@ -6,8 +6,8 @@ of component mode synthesis (MacNeal, Computers & Structures 1, 1971). Here it i
     x_i = X_i + sum over columns of C_im a_m + sum over touched nodes of g(|X_i - X_j|) f_j,
 
 with the tools' forces f_j [N] on the nodes. A kernel that is a sum of falling exponentials (`palpate.reduction.dents`)
-makes a positive definite matrix of any set of nodes, so that the forces that keep all nodes out of all tools are unique.
-They are found by Gauss and Seidel's sweeps from those of the step before: each node in turn gets the normal force that
+makes a positive definite matrix of any set of nodes, so that the forces that keep all nodes out of all tools are
+unique. They are found by Gauss and Seidel's sweeps from those of the step before: each node in turn gets the normal force that
 puts it onto its tool, and the tangential one that stops its sliding, at most mu times the normal one (Coulomb).
 
 A step visits clusters of surface nodes, and the nodes of those near a tool: its time does not grow with the body.
@@ -118,11 +118,11 @@ def tools_of(contacts: Contacts, of: Skin) -> Tools:
 
 def touched(of: Skin, tools: int) -> Touch:
     """Allocate for a number of tools; none touches."""
-    most = tools * len(of.nodes)
+    most, by_tool = tools * len(of.nodes), (tools, len(of.nodes), 3)
+    modal, now, before, push = np.zeros((4, most, 3))
     return Touch(
-        np.zeros((tools, len(of.nodes), 3)), np.zeros((tools, len(of.nodes), 3)),
-        np.zeros(most, dtype=np.int64), np.zeros(most, dtype=np.int64), *(np.zeros((most, 3)) for _ in range(4)),
-        np.zeros(3), np.zeros((min(most, DENSE),) * 2), np.zeros(3, dtype=np.int64),
+        np.zeros(by_tool), np.zeros(by_tool), np.zeros(most, dtype=np.int64), np.zeros(most, dtype=np.int64),
+        modal, now, before, push, np.zeros(3), np.zeros((min(most, DENSE),) * 2), np.zeros(3, dtype=np.int64),
     )  # fmt: skip
 
 

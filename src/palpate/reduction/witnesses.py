@@ -15,6 +15,7 @@ each witness has a factor at every sampled node, fitted to the forces from all n
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -143,15 +144,16 @@ def _factors(
     return result
 
 
-def usual_imbalance(model: ReducedModel, body: FullModel | Membrane, displacements: Floats) -> float:
+def usual_imbalance(model: ReducedModel, body: FullModel | Membrane, displacements: Iterable[Floats]) -> float:
     """Return the imbalance [m] that the model has at most training states, as far as one can tell without the loads.
 
-    It is what the forces on the witnesses change by when displacements (t, n, 3) of the full body are projected on the
+    It is what the forces on the witnesses change by when displacements (n, 3) of the full body are projected on the
     coordinates: the loads are the same, and the difference of the accelerations is left out.
     """
     witnesses, found = model.parts.columns[len(model.parts.columns) - model.parts.witnesses :], []
     body._recall(None)
-    for u, state in zip(displacements, model.projected(displacements), strict=True):
+    for u in displacements:
+        state = model.projected(u[None])[0]
         whole = np.tensordot(witnesses, body.force(u) * body.volumes[:, None], 2)
         found.append(np.linalg.norm(whole - model.forces(state)[len(model.parts.columns) - len(witnesses) :]))
     usual = float(np.quantile(found, USUAL))

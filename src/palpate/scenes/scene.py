@@ -1,14 +1,16 @@
-"""What a scene returns."""
+"""What scenes return: one run, or as many as there are seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import Load
+from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.nodal import NodalModel
 
-__all__ = ["Scene"]
+__all__ = ["Scene", "TrainingScene"]
 
 
 @dataclass(frozen=True)
@@ -32,3 +34,31 @@ class Scene:
     every: float
     title: str
     parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class TrainingScene:
+    """A body with random paths of tools: what a training campaign runs.
+
+    Equal parameters make equal bodies, and equal seeds equal paths, in every process.
+
+    Parameters
+    ----------
+    model : FullModel or Membrane
+    path : function
+        Of a seed, an integer from 0, returns the loads of a run and its duration [s].
+    every : float [s]
+        Time between snapshots.
+    title : str
+    parameters : mapping of str to number or text
+        What the scene was made with, in SI units.
+    tools : tuple of str
+        Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `driven` of `palpate.reduce`.
+    """
+
+    model: FullModel | Membrane
+    path: Callable[[int], tuple[tuple[Load, ...], float]]
+    every: float
+    title: str
+    parameters: Mapping[str, float | int | str]
+    tools: tuple[str, ...] = ()

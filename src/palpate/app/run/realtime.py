@@ -14,7 +14,7 @@ import numpy as np
 from palpate.app.console import Console, count_nodes, print_json, print_plain, quantities_table
 from palpate.app.files import check_folder, check_space, write_json
 from palpate.app.report import finite, machine
-from palpate.app.run.grasp import Hand, grasp, train
+from palpate.app.run.grasp import train
 from palpate.app.study import ReproduceError
 from palpate.dynamics.progress import progress_bar
 from palpate.faults import integer_in_range, number_in_range
@@ -24,6 +24,7 @@ from palpate.realtime.statistics import Distribution, Statistics
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.storage import load
 from palpate.scenes.beam import COARSEST
+from palpate.scenes.grasp import Hand, grasp
 
 __all__ = ["FILES", "run_realtime"]
 

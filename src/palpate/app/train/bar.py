@@ -1,0 +1,60 @@
+"""Progress over all runs of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Self
+
+import rich.console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from palpate.app.console import Console
+from palpate.app.train.folder import Job
+from palpate.app.train.work import Outcome
+
+__all__ = ["Bar"]
+
+
+class Bar:
+    """A bar of the simulated time of all runs together where a person watches; a line for every run elsewhere.
+
+    Parameters
+    ----------
+    durations : mapping of Job to float [s]
+    console : Console
+    """
+
+    def __init__(self, durations: Mapping[Job, float], console: Console) -> None:
+        self._durations, self._console = dict(durations), console
+        self._reached, self._ended = dict.fromkeys(durations, 0.0), 0
+        own = rich.console.Console(stderr=True)
+        self._watched = own.is_terminal
+        columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.2f} / {task.total:.4g} s")
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=own, transient=True, disable=not self._watched)
+        self._task = self._bar.add_task("", total=sum(durations.values()))
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        self._show()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def at(self, job: Job, time: float) -> None:
+        """Take note of the time [s] that a run has reached."""
+        self._reached[job] = time
+        self._show()
+
+    def done(self, outcome: Outcome) -> None:
+        """Take note of what came of a run."""
+        job, self._ended = outcome["job"], self._ended + 1
+        self.at(job, self._durations[job])
+        if "failed" in outcome:
+            self._console.say(f"{job.name} failed: {outcome['failed']}")
+        elif not self._watched:
+            self._console.say(f"{job.name}: {outcome['seconds']:.3g} s, {self._ended} of {len(self._durations)} runs")
+
+    def _show(self) -> None:
+        label = f"{self._ended} of {len(self._durations)} runs"
+        self._bar.update(self._task, completed=sum(self._reached.values()), description=label)

@@ -1,0 +1,188 @@
+"""A campaign's folder: which runs there are to be, and which there are.
+
+``campaign.json`` says whose folder it is. ``runs/`` holds a file for every run that was finished, and for every one
+that failed a ``.failed.json`` with the reason and, as far as it came, a ``.failed.h5``. Every name there stands for a
+whole file. What is being written has a hidden name that ends in ``.partial``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from palpate import __version__
+from palpate.app.files import write_json
+from palpate.faults import FileFormatError, InputError
+from palpate.scenes.scene import TrainingScene
+
+__all__ = ["HELD_OUT", "MOST_PATHS", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "opened"]
+
+FORMAT, VERSION = "palpate campaign", 1
+TRAINED, HELD_OUT = "train", "held_out"
+STRIDE, MOST_PATHS = 1_000_000, 500_000  # seeds of a campaign, and of either kind of run in it
+
+
+class Job(NamedTuple):
+    """A run: what it is for, its number from 0, and the seed of its path."""
+
+    kind: str
+    number: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Name of its file, less the suffix."""
+        return f"{self.kind}_{self.number:06d}"
+
+
+def jobs(seed: int, paths: int, held_out: int) -> list[Job]:
+    """Return the runs of a campaign; those of one with more paths begin with them."""
+    first = seed * STRIDE
+    return [Job(TRAINED, k, first + k) for k in range(paths)] + [
+        Job(HELD_OUT, k, first + MOST_PATHS + k) for k in range(held_out)
+    ]
+
+
+def manifest_of(name: str, scene: TrainingScene, seed: int) -> dict[str, Any]:
+    """Return what tells one campaign's folder from another's."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "palpate": __version__,
+        "scene": name,
+        "parameters": dict(scene.parameters),
+        "seed": seed,
+        "every": scene.every,
+        "nodes": len(scene.model.cloud),
+    }
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder that belongs to a campaign.
+
+    Parameters
+    ----------
+    path : path
+    manifest : mapping
+        As `manifest_of` makes it.
+    """
+
+    path: Path
+    manifest: Mapping[str, Any]
+
+    @property
+    def runs(self) -> Path:
+        """Where the runs lie."""
+        return self.path / "runs"
+
+    def file(self, job: Job) -> Path:
+        """Trajectory of a run that was finished."""
+        return self.runs / f"{job.name}.h5"
+
+    def failed(self, job: Job) -> Path:
+        """What a run that failed had computed."""
+        return self.runs / f"{job.name}.failed.h5"
+
+    def reason(self, job: Job) -> Path:
+        """Why a run failed."""
+        return self.runs / f"{job.name}.failed.json"
+
+    def partial(self, job: Job, token: str) -> Path:
+        """Name of a file that is being written; the token is like no other's."""
+        return self.runs / f".{job.name}.{token}.partial"
+
+    def sweep(self, job: Job | None = None) -> None:
+        """Remove what workers that were stopped had begun: of one run, or of all."""
+        for partial in self.runs.glob(".*.partial" if job is None else f".{job.name}.*.partial"):
+            partial.unlink(missing_ok=True)
+
+    def fault(self, job: Job) -> dict[str, Any] | None:
+        """Return the record of a run that failed and would fail again."""
+        try:
+            record: dict[str, Any] = json.loads(self.reason(job).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        return None if record["retry"] else record
+
+    def left(self, wanted: Sequence[Job]) -> list[Job]:
+        """Return those of some runs that there is no result of."""
+        return [job for job in wanted if not self.file(job).exists() and self.fault(job) is None]
+
+    def check(self) -> None:
+        """Raise `InputError` unless the folder's own manifest is this one."""
+        _compare(self.path, _read(self.path / "campaign.json"), self.manifest)
+
+
+@contextmanager
+def opened(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
+    """Make a folder a campaign's own, or go on with one that is; nobody else can meanwhile.
+
+    Raises
+    ------
+    InputError
+        The folder is another campaign's, or of another version, or in use. Nothing in it was changed.
+    """
+    folder, own = Folder(path, manifest), path / "campaign.json"
+    if own.exists():
+        folder.check()
+    elif folder.runs.exists():
+        raise InputError(f"{path} holds runs, but no campaign.json that tells whose: choose another folder")
+    folder.runs.mkdir(parents=True, exist_ok=True)
+    with (path / ".lock").open("a") as lock:
+        _lock(lock, path)
+        if not own.exists():
+            write_json(own, dict(manifest))
+        folder.sweep()
+        yield folder
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"there is no {path}") from None
+    except ValueError as error:
+        raise FileFormatError(f"{path} is corrupt ({error}); choose another folder") from error
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        raise FileFormatError(f"{path} is no {FORMAT}; choose another folder")
+    return found
+
+
+def _compare(path: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    differing = [
+        f"{name} is {found.get(name)!r} there, {wanted.get(name)!r} here"
+        for name in dict.fromkeys((*wanted, *found))
+        if name != "parameters" and found.get(name) != wanted.get(name)
+    ]
+    there, here = found.get("parameters", {}), wanted["parameters"]
+    differing += [
+        f"{name} is {there.get(name)!r} there, {here.get(name)!r} here"
+        for name in dict.fromkeys((*here, *there))
+        if there.get(name) != here.get(name)
+    ]
+    if differing:
+        raise InputError(
+            f"{path} is the folder of another campaign: {'; '.join(differing)}. Choose another folder, or go on with "
+            "that campaign as it was begun; nothing was changed"
+        )
+
+
+def _lock(file: Any, path: Path) -> None:
+    """Lock a file for as long as it is open and this process lives."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        raise InputError(f"{path} is in use by a campaign that runs: wait for it, or choose another folder") from None

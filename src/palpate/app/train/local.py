@@ -1,0 +1,141 @@
+"""Workers on this machine: processes of one thread each."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from threading import Thread
+from typing import Any
+
+from palpate.app.train.folder import Folder, Job
+from palpate.app.train.work import Outcome, Watch, perform, record_fault
+
+__all__ = ["run_here"]
+
+THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+AT, DONE, STOPPED, DIED = "at", "done", "stopped", "died"
+TRIES = 2  # of a run whose worker dies
+
+
+@dataclass
+class _Worker:
+    process: BaseProcess
+    pipe: Connection
+    job: Job
+
+    def heard(self) -> tuple[str, Any]:
+        """Return what the process says, or that it died, with its exit code."""
+        try:
+            said: tuple[str, Any] = self.pipe.recv()
+            return said
+        except (EOFError, ConnectionError):
+            self.process.join()
+            return DIED, self.process.exitcode
+
+    def went_on(self, waiting: deque[Job]) -> bool:
+        """Give the process the next run, or let it end when there is none."""
+        job = waiting.popleft() if waiting else None
+        with suppress(BrokenPipeError):  # it died meanwhile: heard next
+            self.pipe.send(job)
+        if job is None:
+            self.process.join()
+            return False
+        self.job = job
+        return True
+
+
+def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -> Iterator[Outcome]:
+    """Make runs in processes of this machine; yield what came of each when it is done.
+
+    A process that dies is replaced, and its run tried once more.
+
+    Raises
+    ------
+    OSError
+        A file could not be written.
+    """
+    waiting, deaths, busy = deque(jobs), Counter[Job](), list[_Worker]()
+    try:
+        while waiting or busy:
+            while waiting and len(busy) < workers:
+                busy.append(_started(folder, waiting.popleft()))
+            ready = wait([worker.pipe for worker in busy])
+            for worker in [worker for worker in busy if worker.pipe in ready]:
+                kind, said = worker.heard()
+                if kind == AT:
+                    watch(worker.job, said)
+                elif kind == STOPPED:
+                    raise OSError(said)
+                elif kind == DONE:
+                    yield said
+                    if not worker.went_on(waiting):
+                        busy.remove(worker)
+                else:
+                    busy.remove(worker)
+                    folder.sweep(worker.job)
+                    deaths[worker.job] += 1
+                    if deaths[worker.job] < TRIES:
+                        waiting.appendleft(worker.job)
+                    else:
+                        reason = f"its process died {TRIES} times (exit code {said}); out of memory?"
+                        yield record_fault(folder, worker.job, reason, retry=True)
+    finally:
+        for worker in busy:
+            worker.process.kill()
+            worker.process.join()
+
+
+def _started(folder: Folder, job: Job) -> _Worker:
+    """Start a process and give it a first run."""
+    context = get_context("spawn")  # a fork would copy locks that other threads hold
+    own, other = context.Pipe()
+    process = context.Process(target=_serve, args=(other, folder), daemon=True)
+    with _one_thread():
+        process.start()
+    other.close()  # so that its end is seen here
+    with suppress(BrokenPipeError):  # it died already: seen when it is read
+        own.send(job)
+    return _Worker(process, own, job)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let processes that are started use one thread each."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _serve(pipe: Connection, folder: Folder) -> None:
+    """Make runs until told to stop."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    Thread(target=_end_with_parent, daemon=True).start()
+    while (job := pipe.recv()) is not None:
+        try:
+            done = perform(str(folder.path), folder.manifest, job, lambda own, time: pipe.send((AT, time)))
+        except OSError as error:
+            pipe.send((STOPPED, str(error)))
+            return
+        pipe.send((DONE, done))
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent does, however that ends."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

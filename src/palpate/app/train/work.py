@@ -1,0 +1,99 @@
+"""What a worker does, wherever it is: build the scene once, and make runs."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from threading import Lock
+from time import perf_counter
+from typing import Any
+from uuid import uuid4
+
+import numba
+
+from palpate.app.files import settle, write_json
+from palpate.app.train.folder import Folder, Job
+from palpate.dynamics.rollout import rollout
+from palpate.faults import DivergenceError, InputError
+from palpate.scenes.scene import TrainingScene
+from palpate.scenes.training import training_scene
+
+__all__ = ["Outcome", "Watch", "perform", "record_fault"]
+
+Outcome = dict[str, Any]  # "job", "seconds", and if it failed "failed" with the reason
+Watch = Callable[[Job, float], None]  # told of a run the simulated time it has reached [s]
+
+_one_at_a_time = Lock()  # a model is stepped in place
+
+
+@lru_cache(maxsize=1)
+def _scene(name: str, parameters: tuple[tuple[str, Any], ...]) -> TrainingScene:
+    return training_scene(name, dict(parameters))
+
+
+def perform(folder: str, manifest: Mapping[str, Any], job: tuple[str, int, int], watch: Watch | None = None) -> Outcome:
+    """Make a run and leave its file, or a record of why it failed, in the campaign's folder.
+
+    Parameters
+    ----------
+    folder : str
+    manifest : mapping
+        Of the campaign; the folder must hold the same.
+    job : Job
+    watch : function, optional
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    OSError
+        A file could not be written, or the folder is not the campaign's as seen from here.
+    """
+    own, place = Job(*job), Folder(Path(folder), manifest)
+    try:
+        place.check()
+    except InputError as error:
+        raise OSError(
+            f"worker on {platform.node()}: {error}; workers write to the folder, so all must see it"
+        ) from error
+    with _one_at_a_time:
+        threads = numba.get_num_threads()
+        numba.set_num_threads(1)  # as everywhere else
+        try:
+            scene = _scene(manifest["scene"], tuple(manifest["parameters"].items()))
+            return _run(place, scene, own, watch)
+        finally:
+            numba.set_num_threads(threads)
+
+
+def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> Outcome:
+    partial, began = place.partial(job, uuid4().hex), perf_counter()
+
+    def progress(time: float, _wall: float) -> None:
+        if watch is not None:
+            watch(job, time)
+
+    try:
+        loads, duration = scene.path(job.seed)
+        rollout(scene.model, loads, duration=duration, every=scene.every, file=partial, progress=progress)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+    except Exception as error:  # whatever it is: the other runs go on
+        if partial.exists():
+            settle(partial, place.failed(job))
+        told = str(error) if isinstance(error, DivergenceError | InputError) else f"{type(error).__name__}: {error}"
+        return record_fault(place, job, " ".join(told.split()), retry=False)
+    settle(partial, place.file(job))
+    place.reason(job).unlink(missing_ok=True)  # of a worker that died
+    return {"job": job, "seconds": perf_counter() - began}
+
+
+def record_fault(place: Folder, job: Job, reason: str, *, retry: bool) -> Outcome:
+    """Write down why a run failed, and whether to try it again when the campaign goes on."""
+    write_json(place.reason(job), {"seed": job.seed, "reason": reason, "retry": retry})
+    return {"job": job, "failed": reason}

@@ -1,0 +1,109 @@
+"""The paper's beam with a tool that grasps its free end, and random motions of the hand that holds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from palpate.dynamics.full import FullModel
+from palpate.dynamics.loads import Load, PrescribedMotion
+from palpate.faults import number_in_range
+from palpate.meshfree.cloud import Cloud, box
+from palpate.scenes.beam import COARSEST, FINEST, SIZE
+from palpate.scenes.scene import TrainingScene
+from palpate.tissue.materials import MooneyRivlin
+
+__all__ = ["GROUP", "Hand", "grasp", "grasped_beam"]
+
+Floats = NDArray[np.float64]
+
+GROUP = "x+"  # that the tool holds
+# of one swing, from and to: displacement along x, y, z [m], rotation vector [rad]
+SWING = np.array([(-0.001, 0.012), (-0.012, 0.012), (-0.012, 0.012), (-0.25, 0.25), (-0.15, 0.15), (-0.15, 0.15)])
+SWINGS = 3  # that a motion is made of
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A smooth random motion of the tool: swings out and back, one to three of them in a time, one after the other.
+
+    Parameters
+    ----------
+    seed : int
+    lasting : float [s]
+        Time after which the motion repeats itself; the tool then is at rest.
+    """
+
+    seed: int
+    lasting: float
+
+    @cached_property
+    def sizes(self) -> Floats:
+        """Displacement [m] and rotation vector [rad] of every swing, shape (SWINGS, 6)."""
+        low, high = SWING.T
+        return np.asarray(np.random.default_rng(self.seed).uniform(low, high, size=(SWINGS, 6)))
+
+    def pose(self, time: float) -> tuple[Floats, Rotation]:
+        """Return the displacement (3,) [m] of the tool's reference point and the rotation about it at a time [s]."""
+        shares = np.sin(np.pi * np.arange(1, SWINGS + 1) * time / self.lasting) ** 2
+        moved = shares @ self.sizes
+        return moved[:3], Rotation.from_rotvec(moved[3:])
+
+    def __call__(self, time: float) -> tuple[Floats, Floats]:
+        """Return the same as `palpate.DummyDevice` takes it: position [m] and quaternion, w x y z."""
+        moved, turned = self.pose(time)
+        return moved, np.roll(turned.as_quat(), 1)
+
+    def load(self, cloud: Cloud) -> PrescribedMotion:
+        """Return the motion as a load on the nodes that the tool holds."""
+        centre = cloud.points[cloud.group(GROUP)].mean(axis=0)
+
+        def displacement(points: Floats, time: float) -> Floats:
+            moved, turned = self.pose(time)
+            arms = points - centre
+            return np.asarray(moved + turned.apply(arms) - arms)
+
+        return PrescribedMotion(GROUP, displacement)
+
+
+def grasp(spacing: float = COARSEST, poisson: float = 0.45) -> FullModel:
+    """Return the beam of `palpate.scenes.beam.beam` in its energy form, whose free end a tool will hold."""
+    material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
+    return FullModel(box(SIZE, spacing=spacing), material, fixed="x-", form="energy")
+
+
+def grasped_beam(
+    spacing: float = COARSEST, poisson: float = 0.45, lasting: float = 0.4, every: float = 0.005
+) -> TrainingScene:
+    """Return the beam whose free end a tool moves along random smooth paths, out and back.
+
+    Parameters
+    ----------
+    spacing : float [m]
+        Distance between nodes, from 0.5 mm to a third of the thickness.
+    poisson : float
+        Poisson's ratio at rest, in [0, 0.499].
+    lasting : float [s]
+        Of a path, at most 10.
+    every : float [s]
+        Time between snapshots.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, by its name.
+    """
+    spacing = number_in_range("spacing", spacing, FINEST, COARSEST, unit="m")
+    lasting = number_in_range("lasting", lasting, 0.0, 10.0, open_low=True, unit="s")
+    every = number_in_range("every", every, 0.0, lasting, open_low=True, unit="s")
+    model = grasp(spacing, poisson)
+
+    def path(seed: int) -> tuple[tuple[Load, ...], float]:
+        return (Hand(seed, lasting).load(model.cloud),), lasting
+
+    parameters = {"spacing": spacing, "poisson": float(poisson), "lasting": lasting, "every": every}
+    return TrainingScene(model, path, every, "Beam grasped at its end", parameters, (GROUP,))

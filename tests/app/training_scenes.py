@@ -1,0 +1,37 @@
+"""A small scene for training campaigns, some of whose paths can be told to go wrong."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from palpate.dynamics.full import FullModel
+from palpate.dynamics.loads import PrescribedMotion
+from palpate.meshfree.cloud import box
+from palpate.scenes.scene import TrainingScene
+from palpate.tissue.materials import MooneyRivlin
+
+EVERY = 0.001
+
+
+def bar(lasting: float = 0.01, diverging: str = "", deadly: str = "") -> TrainingScene:
+    """Return a bar whose end is pulled about; at some seeds through the bar, at others the process ends."""
+    tissue = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
+    model = FullModel(box((0.03, 0.015, 0.015), 0.005), tissue, "x-", form="energy")
+
+    def path(seed: int) -> tuple[tuple[PrescribedMotion], float]:
+        aim = np.random.default_rng(seed).uniform(-0.003, 0.003, 3)
+        thrust = np.array([-0.4, 0.0, 0.0]) * (str(seed) in diverging.split(","))
+
+        def displacement(points: np.ndarray, time: float) -> np.ndarray:
+            if time > 0.5 * lasting and str(seed) in deadly.split(","):
+                os._exit(3)
+            share = time / lasting
+            moved = aim * np.sin(np.pi * share) ** 2 + thrust * max(0.0, share - 0.5)
+            return np.broadcast_to(moved, points.shape)
+
+        return (PrescribedMotion("x+", displacement),), lasting
+
+    parameters = {"lasting": lasting, "diverging": diverging, "deadly": deadly}
+    return TrainingScene(model, path, EVERY, "Bar", parameters, ("x+",))
