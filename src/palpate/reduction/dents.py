@@ -183,10 +183,12 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots) -> tuple[Dents, floa
             distances = cdist(cloud.points[nodes], cloud.points[on])
             near = distances.min(axis=1) < NEAR * cloud.spacing
             missed = run.displacements[frame] - np.tensordot(led[frame], model.parts.columns[: model.count], 1)
-            columns = [(np.exp(-distances[near] / length) @ forces).ravel() for length in lengths]
-            columns.append(((distances[near] == 0).astype(float) @ forces).ravel())
-            rows.append(np.column_stack(columns))
-            wanted.append(missed[nodes[near]].ravel())
+            fields = [np.exp(-distances[near] / length) @ forces for length in lengths]
+            fields.append((distances[near] == 0).astype(float) @ forces)
+            fields.append(missed[nodes[near]])
+            own = _without_affine(cloud.points[nodes[near]], np.stack(fields))
+            rows.append(own[:-1].reshape(len(fields) - 1, -1).T)
+            wanted.append(own[-1].ravel())
     if not rows:
         raise InputError("no tool touches the body in any of the runs: the surface's compliance cannot be learnt")
     matrix, target = np.concatenate(rows), np.concatenate(wanted)
@@ -195,6 +197,13 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots) -> tuple[Dents, floa
         found[1] = 1e-6 / max(float(np.abs(matrix[:, 1]).max()), 1e-300)  # the modes miss nothing: a micrometre
     dents = Dents(nodes, lengths[found[:-1] > 0], found[:-1][found[:-1] > 0], float(found[-1]))
     return dents, 1.0 - (residual / float(np.linalg.norm(target))) ** 2
+
+
+def _without_affine(points: Floats, fields: Floats) -> Floats:
+    """Return what affine fields leave of fields (f, k, 3) at points (k, 3): the dents, not where the modes are off."""
+    around = points - points.mean(axis=0)
+    basis = np.linalg.qr(np.column_stack([np.ones(len(points)), around / np.abs(around).max()]))[0]
+    return np.asarray(fields - np.einsum("kb,jb,fjc->fkc", basis, basis, fields))
 
 
 def _led(model: ReducedModel, run: Any) -> Floats:
