@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -73,6 +74,18 @@ def waited(condition, seconds=120.0):
         time.sleep(0.01)
 
 
+def children(pid):
+    path = Path(f"/proc/{pid}/task/{pid}/children")
+    return path.read_text().split() if path.exists() else []
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")")[-1].split()[0] not in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
 def test_a_campaign_leaves_its_runs_a_model_and_a_report(whole, assert_drawn):
     report = json.loads((whole / "report.json").read_text())
     assert sorted(path.name for path in (whole / "runs").iterdir()) == sorted(RUNS)
@@ -94,12 +107,6 @@ def test_a_campaign_leaves_its_runs_a_model_and_a_report(whole, assert_drawn):
     assert_drawn(whole / "errors.png")
 
 
-def test_one_worker_makes_the_same_runs_as_two(whole, tmp_path, capsys):
-    assert main(command(tmp_path / "one", "--json")) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "one" / "report.json").read_text())
-    assert_same_runs(tmp_path / "one", whole)
-
-
 @pytest.mark.skipif(os.name != "posix", reason="kills processes as POSIX does")
 def test_a_campaign_that_is_killed_goes_on_where_it_was(whole, tmp_path):
     folder = tmp_path / "killed"
@@ -110,10 +117,13 @@ def test_a_campaign_that_is_killed_goes_on_where_it_was(whole, tmp_path):
             waited(
                 lambda: (list(runs.glob("train_*.h5")) and list(runs.glob(".*.partial"))) or process.poll() is not None
             )
+            workers = children(process.pid)
         finally:
             process.send_signal(signal.SIGKILL)
             process.wait()
+    waited(lambda: not any(map(alive, workers)))  # none is left behind
     assert process.returncode == -signal.SIGKILL
+    assert workers or not Path("/proc").exists()
     before = {path.name: (path.stat().st_mtime_ns, path.stat().st_ino) for path in runs.glob("[!.]*")}
     assert 1 <= len(before) < len(RUNS)
     for name in before:
@@ -125,14 +135,28 @@ def test_a_campaign_that_is_killed_goes_on_where_it_was(whole, tmp_path):
         assert ((runs / name).stat().st_mtime_ns, (runs / name).stat().st_ino) == stamp
 
 
-def test_more_paths_go_on_from_fewer(whole, tmp_path):
+def test_one_worker_makes_the_same_runs_as_two_in_one_go_or_more(whole, tmp_path, capsys):
     folder = tmp_path / "grown"
     assert main(command(folder, "--paths", "1", "--held-out", "0")) == 0
     stamp = (folder / "runs" / RUNS[0]).stat().st_mtime_ns
     assert json.loads((folder / "report.json").read_text())["model"]["training_runs"] == 1
-    assert main(command(folder, "--workers", "2")) == 0
+    capsys.readouterr()
+    assert main(command(folder, "--json")) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((folder / "report.json").read_text())
     assert (folder / "runs" / RUNS[0]).stat().st_mtime_ns == stamp
     assert_same_runs(folder, whole)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="interrupts processes as POSIX does")
+def test_an_interrupt_keeps_what_is_done(tmp_path, capsys, monkeypatch):
+    def interrupted(self, outcome):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("palpate.app.train.bar.Bar.done", interrupted)
+    assert main(command(tmp_path / "interrupted")) == 130
+    assert "1 of 5 runs are kept; the same command goes on from there" in capsys.readouterr().err
+    assert (tmp_path / "interrupted" / "runs" / RUNS[0]).exists()
+    assert not multiprocessing.active_children()
 
 
 def test_runs_that_fail_are_recorded_and_the_others_go_on(tmp_path, capsys):

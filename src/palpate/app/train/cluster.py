@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ def check_dask() -> None:
         ) from error
 
 
-def run_on_cluster(folder: Folder, jobs: Sequence[Job], address: str, console: Console) -> Iterator[Outcome]:
+def run_on_cluster(folder: Folder, jobs: Sequence[Job], address: str, console: Console) -> Generator[Outcome]:
     """Make runs on the workers of a cluster; yield what came of each when it is done.
 
     The scheduler gives the runs of a worker that dies to others.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from pathlib import Path
 from time import perf_counter
 
@@ -14,6 +15,7 @@ from palpate.app.train.cluster import check_dask, run_on_cluster
 from palpate.app.train.folder import HELD_OUT, MOST_PATHS, TRAINED, Folder, Job, jobs, manifest_of, opened
 from palpate.app.train.local import run_here
 from palpate.app.train.report import MODEL, deliver
+from palpate.app.train.work import Outcome
 from palpate.faults import InputError, integer_in_range
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import reduce
@@ -136,11 +138,12 @@ def _run(
     try:
         with Bar(durations, console) as shown:
             if cluster is None:
-                outcomes = run_here(folder, left, workers, shown.at)
+                outcomes: Generator[Outcome] = run_here(folder, left, workers, shown.at)
             else:
                 outcomes = run_on_cluster(folder, left, cluster, console)
-            for outcome in outcomes:
-                shown.done(outcome)
+            with closing(outcomes):  # stops what still runs, however this ends
+                for outcome in outcomes:
+                    shown.done(outcome)
     except KeyboardInterrupt:
         done = len(wanted) - len(folder.left(wanted))
         raise KeyboardInterrupt(f"{done} of {len(wanted)} runs are kept; the same command goes on from there") from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
@@ -51,7 +51,7 @@ class _Worker:
         return True
 
 
-def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -> Iterator[Outcome]:
+def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -> Generator[Outcome]:
     """Make runs in processes of this machine; yield what came of each when it is done.
 
     A process that dies is replaced, and its run tried once more.
