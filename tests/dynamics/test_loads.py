@@ -46,7 +46,7 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
         (lambda: pt.Gravity((0, 0, np.inf)), "acceleration of Gravity is not finite"),
         (lambda: pt.PrescribedMotion("tip", (np.nan, 0, 0)), "PrescribedMotion of 'tip' is not finite"),
         (lambda: pt.PrescribedMotion("tip", lambda p, t: p * np.nan), "PrescribedMotion of 'tip' is not finite"),
-        (lambda: "push", "'push' is not a load: use Traction, Gravity or PrescribedMotion"),
+        (lambda: "push", "'push' is not a load: use Traction, Gravity, PrescribedMotion, "),
     ],
 )
 def test_a_load_that_cannot_be_is_refused_by_name(held, load, message):

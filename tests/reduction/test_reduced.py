@@ -239,6 +239,12 @@ def test_a_period_that_diverges_leaves_the_state(grasped):
     assert not v.any()
 
 
+@pytest.mark.parametrize("load", [pt.Contact(pt.Plane(), (0, 0, -1)), pt.Foundation("z-", 1e5)])
+def test_contact_and_foundations_are_refused(rom, load):
+    with pytest.raises(pt.InputError, match="knows no Contact and no Foundation yet: run the full model"):
+        rom.drive([load])
+
+
 def test_trust_is_small_in_training_and_large_far_from_it(body, runs, rom):
     drive = rom.drive(pull())
     inside = rom.trust(rom.state(drive, runs[3].displacements[20]), drive)

@@ -32,6 +32,7 @@ class _DigestCache(FunctionCache):  # type: ignore[misc]
 
 
 KERNELS = (
+    "dynamics/contact.py",
     "dynamics/fibres.py",
     "dynamics/kernels.py",
     "dynamics/lanes.py",

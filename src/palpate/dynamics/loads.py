@@ -1,4 +1,4 @@
-"""What holds and pushes a body: tractions, gravity, prescribed motions.
+"""What holds and pushes a body: tractions, gravity, prescribed motions, tools, foundations.
 
 A load says what happens in the user's words; `drive` gathers a list of loads into the arrays that the compiled time
 step reads, for a given cloud and support.
@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.contact import Contacts, contacts
+from palpate.dynamics.foundation import Foundation, foundation_areas
+from palpate.dynamics.tools import Contact, Grasp
 from palpate.faults import InputError, first_few
 from palpate.meshfree.cloud import Cloud
 
@@ -112,7 +116,7 @@ class PrescribedMotion:
         return np.asarray(times <= self.until * (1 + 1e-9))
 
 
-Load = Traction | Gravity | PrescribedMotion
+Load = Traction | Gravity | PrescribedMotion | Grasp | Contact | Foundation
 
 
 class Schedule(NamedTuple):
@@ -124,6 +128,8 @@ class Schedule(NamedTuple):
     pressure: Floats  # (s, groups) [Pa]
     motion: Floats  # (s, driven nodes, 3) [m]
     holds: NDArray[np.bool_]  # (s, driven nodes) whether the tool still holds them
+    poses: Floats  # (s, tools that may touch the body, 7) places [m] and quaternions
+    times: Floats  # (s,) [s]
 
 
 class Places(NamedTuple):
@@ -138,6 +144,9 @@ class Places(NamedTuple):
     pressure_node: NDArray[np.int64]
     pressure_area: Floats  # (k, 3) area vectors [m^2]
     driven: NDArray[np.int64]
+    foundation_node: NDArray[np.int64]
+    foundation_spring: Floats  # (k,) [N/m]
+    foundation_dashpot: Floats  # (k,) [N s/m]
 
 
 @dataclass(frozen=True)
@@ -156,6 +165,7 @@ class Drive:
     places: Places
     supports: dict[str, NDArray[np.int64]]
     points: Floats
+    contacts: Contacts
     motions: tuple[tuple[PrescribedMotion, slice], ...] = field(default=())
     partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)  # once computed
 
@@ -197,7 +207,16 @@ class Drive:
             np.stack(pressures, axis=1) if pressures else np.zeros((len(times), 0)),
             motion,
             holds,
+            np.stack([tool.poses(times) for tool in self.tools], axis=1)
+            if self.tools
+            else np.zeros((len(times), 0, 7)),
+            np.asarray(times, dtype=float),
         )
+
+    @cached_property
+    def tools(self) -> tuple[Contact, ...]:
+        """Return the tools that may touch the body."""
+        return tuple(load for load in self.loads if isinstance(load, Contact))
 
     def stops(self, start: float, end: float) -> list[float]:
         """Return the times [s] after `start` at which tools let go, and then `end`."""
@@ -286,6 +305,13 @@ def drive(
         An unknown group, a load on a fixed group, a moment on nodes in one line, two motions for one node, or no node
         that is free.
     """
+    loads = tuple(loads)
+    for load in loads:
+        cloud = load.marked(cloud) if isinstance(load, Grasp) else cloud
+    loads = tuple(
+        PrescribedMotion(load.name, load.displacement, load.until) if isinstance(load, Grasp) else load
+        for load in loads
+    )
     kind = np.full(len(cloud), FREE, dtype=np.uint8)
     supports = {}
     for name in fixed:
@@ -295,6 +321,8 @@ def drive(
     motions, count = [], 0
     forces: list[tuple[NDArray[np.int64], Floats, Floats]] = []
     pressures: list[tuple[NDArray[np.int64], Floats]] = []
+    foundations: list[tuple[NDArray[np.int64], Floats, Floats]] = []
+    held_until = np.where(kind == FIXED, np.inf, -np.inf)
     for load in loads:
         if isinstance(load, PrescribedMotion):
             nodes = cloud.group(load.group)
@@ -304,6 +332,7 @@ def drive(
                     f"PrescribedMotion on group {load.group!r}: its nodes {first_few(held)} are already fixed or driven"
                 )
             kind[nodes] = DRIVEN
+            held_until[nodes] = load.until * (1 + 1e-9)
             supports[load.group] = nodes
             driven.append(nodes)
             motions.append((load, slice(count, count + len(nodes))))
@@ -317,8 +346,13 @@ def drive(
                 forces.append((nodes, shares, _moment_shares(load, cloud.points[nodes], shares)))
             else:
                 pressures.append((nodes, areas))
-        elif not isinstance(load, Gravity):
-            raise InputError(f"{load!r} is not a load: use Traction, Gravity or PrescribedMotion")
+        elif isinstance(load, Foundation):
+            nodes, areas = cloud.group(load.group), foundation_areas(cloud, load)
+            foundations.append((nodes, load.stiffness * areas, load.damping * areas))
+        elif not isinstance(load, Gravity | Contact):
+            raise InputError(
+                f"{load!r} is not a load: use Traction, Gravity, PrescribedMotion, Grasp, Contact or Foundation"
+            )
     for load in loads:
         if isinstance(load, Traction) and np.all(kind[cloud.group(load.group)] != FREE):
             raise InputError(f"Traction on group {load.group!r}: all of it is fixed or driven; load another group")
@@ -336,5 +370,12 @@ def drive(
         np.concatenate([empty, *(n for n, _ in pressures)]),
         np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),
         np.concatenate([empty, *driven]),
+        np.concatenate([empty, *(n for n, _, _ in foundations)]),
+        np.concatenate([np.zeros(0), *(k for _, k, _ in foundations)]),
+        np.concatenate([np.zeros(0), *(d for _, _, d in foundations)]),
     )
-    return Drive(tuple(loads), places, supports, cloud.points, tuple(motions))
+    tools = [load for load in loads if isinstance(load, Contact)]
+    for tool in tools:
+        if tool.name in supports:
+            raise InputError(f"Contact {tool.name!r}: a support or a driven group has that name; choose another")
+    return Drive(loads, places, supports, cloud.points, contacts(tools, cloud, held_until), tuple(motions))

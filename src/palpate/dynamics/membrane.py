@@ -241,7 +241,7 @@ class Membrane(NodalModel):
     def stable_step(self, state: State, drive: Drive) -> float:
         # a slack place has no frequency until it is taut, sooner than the next estimate
         frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
-        return stable_step(max(frequency, self._taut), self.viscosity)
+        return self._step(max(frequency, self._taut), drive)
 
 
 def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres: FibreLaw | None) -> FibreLaw | None:

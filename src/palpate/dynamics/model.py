@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,18 @@ from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-__all__ = ["Model", "Nodes", "Outputs", "State"]
+__all__ = ["Model", "Nodes", "Outputs", "State", "Touch"]
 
 Floats = NDArray[np.float64]
 Nodes = NDArray[np.int64] | slice
+
+
+class Touch(NamedTuple):
+    """What tools that touch a body do to it."""
+
+    forces: Floats  # (n, 3) on the nodes, now [N]
+    impulses: Floats  # (tools, 6) impulse [N s] and its moment about the tool's origin [N m s], since then
+    since: float  # then [s]
 
 
 @dataclass(frozen=True)
@@ -30,9 +39,11 @@ class State:
         Nodal (n, 3) [m], [m/s] for a full model, of modes and lifting columns (M + l,) for a reduced one.
     time : float [s]
     external_work, dissipated : float [J]
-        Work of loads and tools, and work lost to viscosity and relaxation, since the run began.
+        Work of loads and tools, and work lost to viscosity, relaxation, friction and impact, since the run began.
     memory : tuple of arrays
         What relaxing tissue remembers; empty where it does not relax.
+    touch : Touch, optional
+        What tools do that touch the body; None where there are none.
     """
 
     coordinates: Floats
@@ -41,6 +52,7 @@ class State:
     external_work: float = 0.0
     dissipated: float = 0.0
     memory: tuple[Floats, ...] = ()
+    touch: Touch | None = None
 
 
 @dataclass(frozen=True)
@@ -51,8 +63,10 @@ class Outputs:
     ----------
     displacements, velocities : (n, 3) arrays [m], [m/s]
     reactions : mapping of group name to (3,) array [N]
-        Force of every support and tool on the body.
+        Force of every support and tool on the body; of a tool that touches it, the mean since the last frame.
     kinetic, strain, external, dissipated : float [J]
+    moments : mapping of tool name to (3,) array [N m]
+        Moment about its origin, on the body, of every tool that touches it, the mean since the last frame.
     """
 
     displacements: Floats
@@ -62,6 +76,7 @@ class Outputs:
     strain: float
     external: float
     dissipated: float
+    moments: dict[str, Floats] = field(default_factory=dict)
 
 
 class Model(ABC):

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.contact_state import check_apart, check_pierced, check_way, touched
 from palpate.dynamics.fibres import firm
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import Lanes
 from palpate.dynamics.loads import FIXED, FREE, Drive, Schedule
-from palpate.dynamics.model import Model, Nodes, Outputs, State
+from palpate.dynamics.model import Model, Nodes, Outputs, State, Touch
 from palpate.dynamics.reactions import evaluate, tool_power
 from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step
-from palpate.dynamics.stepping import full_step, surface_force
+from palpate.dynamics.stepping import foundation_force, full_step, surface_force
 from palpate.faults import InputError, number_in_range
 from palpate.tissue.fibres import FibreLaw
 
@@ -105,7 +106,9 @@ class NodalModel(Model):
         schedule = drive.schedule(np.array([time]))
         holds = schedule.holds[0]
         fields[0][drive.places.driven[holds]] = schedule.motion[0, holds]
-        return State(fields[0], fields[1], time, memory=self._at_ease(fields[0]))
+        check_apart(drive, schedule, fields[0], self.cloud.spacing)
+        touch = Touch(np.zeros_like(fields[0]), np.zeros((len(drive.tools), 6)), time) if drive.tools else None
+        return State(fields[0], fields[1], time, memory=self._at_ease(fields[0]), touch=touch)
 
     def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
         """Memory of a body that has long been where it is; nothing where it does not relax."""
@@ -117,7 +120,19 @@ class NodalModel(Model):
     def stable_step(self, state: State, drive: Drive) -> float:
         self._recall(state)
         frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
-        return stable_step(frequency, self.viscosity)
+        return self._step(frequency, drive)
+
+    def _step(self, frequency: float, drive: Drive) -> float:
+        """Stable step [s] of a body with a highest frequency [rad/s], with its foundations."""
+        places = drive.places
+        if not len(places.foundation_node):
+            return stable_step(frequency, self.viscosity)
+        response = self.half_cell / (self.volumes[places.foundation_node] * self.material.density)
+        count = len(self.cloud)
+        squares = np.bincount(places.foundation_node, places.foundation_spring * response, minlength=count).max()
+        rates = np.bincount(places.foundation_node, places.foundation_dashpot * response, minlength=count).max()
+        highest = float(np.sqrt(frequency**2 + squares))
+        return stable_step(highest, self.viscosity + rates / highest**2)
 
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
         number_in_range("step", step, 0.0, open_low=True, unit="s")
@@ -125,17 +140,21 @@ class NodalModel(Model):
         u, v = state.coordinates.copy(), state.velocities.copy()
         force, previous, surface, at = self._scratch
         schedule = drive.schedule(times)
+        check_way(drive, schedule, self.cloud.spacing)
+        drive.contacts.total[:] = 0.0
         surface[:] = 0.0  # of another run's loads
         self._recall(state)
         before = 0.0 if self.conservative else tool_power(self, state, drive)
         work, lost, tools = self._advance(
-            u, v, step, self.viscosity, self.fastest, self.body, self.work, drive.places, schedule, self.volumes,
-            self.material.density, self.slot, self.half_cell, force, previous,
-            surface, at,
+            u, v, step, self.viscosity, self.fastest, self.body, self.work, drive.places, drive.contacts, schedule,
+            self.volumes, self.weights * self.material.density, self.material.density, self.slot, self.half_cell,
+            force, previous, surface, at,
         )  # fmt: skip
+        check_pierced(drive, schedule, u, self.cloud.spacing)
         relaxed, memory = self._remembered()
         dissipated = state.dissipated + lost + relaxed
-        new = State(u, v, float(times[-1]), state.external_work + work, dissipated, memory)
+        touch = None if state.touch is None else touched(drive, state.touch, 0.5 * step)
+        new = State(u, v, float(times[-1]), state.external_work + work, dissipated, memory, touch)
         if not self.conservative:  # trapezium rule for the power of the tools
             tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
         return replace(new, external_work=new.external_work + tools)
@@ -144,10 +163,18 @@ class NodalModel(Model):
         """Energy [J] lost to relaxation since the last recall, and what the body remembers now."""
         return 0.0, ()
 
-    def tractions(self, drive: Drive, schedule: Schedule) -> Floats:
-        """Return tractions per nodal volume [N/m^3] at a schedule's first time, on the body as last evaluated."""
+    def tractions(self, drive: Drive, schedule: Schedule, state: State | None = None) -> Floats:
+        """Return tractions per nodal volume [N/m^3] at a schedule's first time, on the body as last evaluated.
+
+        With a state, those of foundations and of tools that touch the body, too.
+        """
         surface = np.zeros((len(self.cloud), 3))
         surface_force(drive.places, schedule, 0, self.volumes, self.slot, self.work.cofactor, surface)
+        if state is not None:
+            if len(drive.places.foundation_node):
+                foundation_force(drive.places, state.coordinates, state.velocities, self.volumes, surface)
+            if state.touch is not None:
+                surface += state.touch.forces / self.volumes[:, None]
         return surface
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
@@ -158,7 +185,7 @@ class NodalModel(Model):
         self._recall(state)
         schedule = drive.schedule(np.array([state.time]))
         force = self.force(state.coordinates + self.viscosity * state.velocities)
-        force += self.half_cell * self.tractions(drive, schedule)
+        force += self.half_cell * self.tractions(drive, schedule, state)
         acceleration = force / self.material.density + schedule.gravity[0]
         acceleration[drive.places.kind == FIXED] = 0.0
         holds, driven = schedule.holds[0], drive.places.driven
@@ -171,7 +198,7 @@ class NodalModel(Model):
         schedule = drive.schedule(np.array([state.time]))
         if drive.places.pressure_node.size:
             self.force(state.coordinates)  # the body that a pressure follows
-        surface = self.tractions(drive, schedule)
+        surface = self.tractions(drive, schedule, state)
         return surface * self.volumes[:, None] + self.masses[:, None] * schedule.gravity[0]
 
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from palpate.dynamics.loads import Drive
 from palpate.dynamics.model import Model, Outputs, State
 
-__all__ = ["evaluate", "partition", "reactions", "tool_power"]
+__all__ = ["evaluate", "partition", "reactions", "tool_power", "touching"]
 
 Floats = NDArray[np.float64]
 
@@ -63,15 +63,29 @@ def tool_power(model: Model, state: State, drive: Drive) -> float:
     return float(sum(forces[g] @ model.velocity(state, drive, drive.supports[g]).mean(axis=0) for g in groups))
 
 
+def touching(state: State, drive: Drive) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Return the mean force [N] on the body, and the moment [N m] about its origin, of every tool that may touch it.
+
+    The means are over the time since the last frame of a run, so that their sum times that time is the momentum given.
+    """
+    means = np.zeros((len(drive.tools), 6))
+    if state.touch is not None and state.time > state.touch.since:
+        means = state.touch.impulses / (state.time - state.touch.since)
+    names = [tool.name for tool in drive.tools]
+    return dict(zip(names, means[:, :3], strict=True)), dict(zip(names, means[:, 3:], strict=True))
+
+
 def evaluate(model: Model, state: State, drive: Drive) -> Outputs:
     """Return displacements, velocities, forces and energies at a state."""
     u, v = model.displacement(state, drive), model.velocity(state, drive)
+    forces, moments = touching(state, drive)
     return Outputs(
         u,
         v,
-        reactions(model, state, drive),
+        reactions(model, state, drive) | forces,
         float(0.5 * np.sum(model.masses[:, None] * v**2)),
         model.strain_energy(u),
         state.external_work,
         state.dissipated,
+        moments,
     )

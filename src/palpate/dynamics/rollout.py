@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -86,6 +87,9 @@ def rollout(
                 outputs = model.outputs(state, drive)
                 _check(model, state, drive, outputs, last)
                 recorder.add(state.time, steps, outputs)
+                if state.touch is not None:  # the next frame's means are of its own interval
+                    untouched = np.zeros_like(state.touch.impulses)
+                    state = replace(state, touch=state.touch._replace(impulses=untouched, since=state.time))
                 shown(state.time - start, perf_counter() - began)
         complete = True
     except DivergenceError as error:

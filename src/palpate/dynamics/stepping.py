@@ -18,11 +18,12 @@ import numpy as np
 from numba import njit
 
 from palpate.dynamics.compiled import law_njit
+from palpate.dynamics.contact import push
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import LANES
 from palpate.dynamics.loads import FIXED, FREE
 
-__all__ = ["full_step", "surface_force"]
+__all__ = ["foundation_force", "full_step", "surface_force"]
 
 
 @njit(cache=True)
@@ -32,6 +33,8 @@ def surface_force(places, schedule, s, volumes, slot, cofactor, surface):  # typ
         surface[places.force_node[k]] = 0.0
     for k in range(places.pressure_node.shape[0]):
         surface[places.pressure_node[k]] = 0.0
+    for k in range(places.foundation_node.shape[0]):
+        surface[places.foundation_node[k]] = 0.0
     for g in range(places.force_start.shape[0] - 1):
         for k in range(places.force_start[g], places.force_start[g + 1]):
             i = places.force_node[k]
@@ -49,6 +52,16 @@ def surface_force(places, schedule, s, volumes, slot, cofactor, surface):  # typ
                 for d in range(3):
                     area += cofactor[block, 3 * c + d, lane] * places.pressure_area[k, d]
                 surface[i, c] -= schedule.pressure[s, g] * area / volumes[i]
+
+
+@njit(cache=True)
+def foundation_force(places, u, velocity, volumes, surface):  # type: ignore[no-untyped-def]
+    """Add the forces of elastic foundations, as force per nodal volume [N/m^3], to `surface`."""
+    for k in range(places.foundation_node.shape[0]):
+        i = places.foundation_node[k]
+        for c in range(3):
+            pull = places.foundation_spring[k] * u[i, c] + places.foundation_dashpot[k] * velocity[i, c]
+            surface[i, c] -= pull / volumes[i]
 
 
 @njit(cache=True, forceinline=True)
@@ -130,10 +143,11 @@ def full_step(formulation: Formulation) -> Any:
     Returns
     -------
     function
-        ``advance(u, velocity, step, beta, fastest, body, work, places, schedule, volumes, density, slot, half_cell,
-        force, previous, surface, at)`` advances `u` and `velocity` (n, 3) in place by as many steps as the schedule has
-        times less one, and returns the work [J] of tractions and gravity, the energy [J] lost to viscosity, and the
-        work [J] of the nodal forces that drive nodes.
+        ``advance(u, velocity, step, beta, fastest, body, work, places, contacts, schedule, volumes, mass, density,
+        slot, half_cell, force, previous, surface, at)`` advances `u` and `velocity` (n, 3) in place by as many steps as
+        the schedule has times less one, and returns the work [J] of tractions, gravity and the tools that touch the
+        body, the energy [J] lost to viscosity, friction and impact, and the work [J] of the nodal forces that drive
+        nodes.
     """
     force_of, after = internal_force(formulation), formulation.after
 
@@ -147,8 +161,10 @@ def full_step(formulation: Formulation) -> Any:
         body,
         work,
         places,
+        contacts,
         schedule,
         volumes,
+        mass,
         density,
         slot,
         half_cell,
@@ -158,7 +174,7 @@ def full_step(formulation: Formulation) -> Any:
         at,
     ):
         total, lost, tools = 0.0, 0.0, 0.0
-        steps = schedule.motion.shape[0] - 1
+        steps, touched = schedule.motion.shape[0] - 1, contacts.kind.shape[0] > 0
         for s in range(steps + 1):
             for i in range(u.shape[0]):
                 for c in range(3):
@@ -170,10 +186,17 @@ def full_step(formulation: Formulation) -> Any:
             if s > 0:
                 lost += change
             surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
+            foundation_force(places, u, velocity, volumes, surface)
             kick = 0.5 * step if s in (0, steps) else step
             gravity, target = schedule.gravity[s], schedule.motion[min(s + 1, steps)]
             holds = schedule.holds[min(s + 1, steps)]
             total += _kick(places, holds, force, surface, gravity, half_cell, volumes, density, kick, velocity)
+            if touched:
+                works = push(
+                    contacts, schedule.poses, s, schedule.times[min(s + 1, steps)], step, kick, u, velocity, mass,
+                    force, surface, gravity, half_cell, volumes, density,
+                )  # fmt: skip
+                total, lost = total + works[0] + works[2], lost + works[1]
             if s == steps:
                 break
             tools += _drive(

@@ -34,7 +34,7 @@ class Trajectory:
     times : (f,) array [s]
     displacements, velocities : (f, n, 3) arrays [m], [m/s]
     reactions : mapping of group name to (f, 3) array [N]
-        Force of every support and tool on the body.
+        Force of every support and tool on the body; of a tool that touches it, the mean since the frame before.
     kinetic, strain, external, dissipated : (f,) arrays [J]
         Energies; `external` is the work of loads and tools, `dissipated` what viscosity took.
     steps : (f,) array
@@ -46,6 +46,8 @@ class Trajectory:
     viscosity : float [s]
     complete : bool
         False if the run stopped before its end.
+    moments : mapping of tool name to (f, 3) array [N m]
+        Moment about its origin, on the body, of every tool that touches it, the mean since the frame before.
     """
 
     model: str
@@ -62,6 +64,7 @@ class Trajectory:
     wall_seconds: float = 0.0
     viscosity: float = 0.0
     complete: bool = True
+    moments: dict[str, Floats] = field(default_factory=dict)
 
     @property
     def balance(self) -> Floats:
@@ -89,9 +92,9 @@ class Trajectory:
             first, second = getattr(self, name), getattr(other, name)
             since = first[-1] - second[0] if name in ("external", "dissipated", "steps") else 0.0
             joined[name] = np.concatenate([first, second[1:] + since])
-        joined["reactions"] = {
-            name: np.concatenate([force, other.reactions[name][1:]]) for name, force in self.reactions.items()
-        }
+        for name in ("reactions", "moments"):
+            first, second = getattr(self, name), getattr(other, name)
+            joined[name] = {of: np.concatenate([values, second[of][1:]]) for of, values in first.items()}
         seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
@@ -110,9 +113,10 @@ class Trajectory:
             raise
 
     def _outputs(self, k: int) -> Outputs:
-        energies = (float(e[k]) for e in (self.kinetic, self.strain, self.external, self.dissipated))
+        energies = {name: float(getattr(self, name)[k]) for name in ("kinetic", "strain", "external", "dissipated")}
         forces = {name: force[k] for name, force in self.reactions.items()}
-        return Outputs(self.displacements[k], self.velocities[k], forces, *energies)
+        moments = {name: moment[k] for name, moment in self.moments.items()}
+        return Outputs(self.displacements[k], self.velocities[k], forces, **energies, moments=moments)
 
     @staticmethod
     def load(path: str | Path) -> Trajectory:
@@ -137,6 +141,7 @@ class Trajectory:
                 frames = int(file.attrs["frames"])
                 data: dict[str, Any] = {n: file[n][:frames] for n in (*SERIES, "displacements", "velocities")}
                 data["reactions"] = {n: d[:frames] for n, d in file["reactions"].items()}
+                data["moments"] = {n: d[:frames] for n, d in file.get("moments", {}).items()}
                 data["points"] = file["points"][:]
                 for name in ("model", "wall_seconds", "viscosity", "complete"):
                     data[name] = file.attrs[name]
@@ -146,6 +151,7 @@ class Trajectory:
         shapes = dict.fromkeys(("displacements", "velocities"), (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
         arrays: dict[str, tuple[Any, tuple[int, ...]]] = {name: (data[name], shape) for name, shape in shapes.items()}
         arrays |= {f"reactions/{name}": (force, (frames, 3)) for name, force in data["reactions"].items()}
+        arrays |= {f"moments/{name}": (moment, (frames, 3)) for name, moment in data["moments"].items()}
         arrays["points"] = data["points"], (n, data["points"].shape[-1])
         for name, (array, shape) in arrays.items():
             if array.shape != shape or not np.isfinite(array).all():
@@ -201,6 +207,7 @@ class Recorder:
             "times": time, "steps": steps, "kinetic": frame.kinetic, "strain": frame.strain,
             "external": frame.external, "dissipated": frame.dissipated, "displacements": frame.displacements,
             "velocities": frame.velocities, **{f"reactions/{name}": f for name, f in frame.reactions.items()},
+            **{f"moments/{name}": m for name, m in frame.moments.items()},
         }  # fmt: skip
         needed = sum(np.asarray(value).nbytes for value in values.values())
         free = shutil.disk_usage(Path(self.path or ".").absolute().parent).free
@@ -238,11 +245,13 @@ class Recorder:
 
     def trajectory(self, wall_seconds: float, complete: bool) -> Trajectory:
         """Return what was collected."""
-        kept = [f.name for f in fields(Outputs) if f.name != "reactions"]
+        kept = [f.name for f in fields(Outputs) if f.name not in ("reactions", "moments")]
         series = {name: np.array([getattr(o, name) for o in self.frames]) for name in kept}
         names = self.frames[0].reactions if self.frames else {}
+        touching = self.frames[0].moments if self.frames else {}
         return Trajectory(
             model=self.model, times=np.array(self.times), steps=np.array(self.steps, dtype=float), points=self.points,
             reactions={name: np.array([o.reactions[name] for o in self.frames]) for name in names},
+            moments={name: np.array([o.moments[name] for o in self.frames]) for name in touching},
             wall_seconds=wall_seconds, viscosity=self.viscosity, complete=complete, **series,
         )  # fmt: skip

@@ -112,6 +112,28 @@ class Cloud:
             )
         return replace(self, groups={**self.groups, name: nodes})
 
+    def with_group(self, name: str, nodes: Sequence[int] | Ints | NDArray[np.bool_]) -> Cloud:
+        """Return a copy with one more group of nodes, given by their numbers or by a mask (n,).
+
+        `palpate.in_box`, `palpate.near_plane` and `palpate.painted` find such nodes.
+
+        Raises
+        ------
+        InputError
+            The name is taken, there is no node, or a number or a mask that is none of this cloud.
+        """
+        if name in self.groups:
+            raise InputError(f"group {name!r} exists already: choose another name")
+        given = np.asarray(nodes)
+        if given.dtype == bool and given.shape == (len(self),):
+            given = np.flatnonzero(given)
+        whole = given.ndim == 1 and given.size > 0 and np.issubdtype(given.dtype, np.integer)
+        if not whole or given.min() < 0 or given.max() >= len(self):
+            raise InputError(
+                f"group {name!r} needs numbers of nodes from 0 to {len(self) - 1}, or a mask of {len(self)}"
+            )
+        return replace(self, groups={**self.groups, name: np.unique(given).astype(np.int64)})
+
     def boundary_vectors(self) -> Floats:
         """Return sum over a node's faces of (area / volume) times normal, shape (n, d) [1/m].
 

@@ -86,6 +86,8 @@ class ProjectedModel(Model):
 
     def drive(self, loads: Sequence[Load]) -> Drive:
         drive = self.full.drive(loads)
+        if drive.tools or len(drive.places.foundation_node):
+            raise InputError("a projected model knows no Contact and no Foundation: run the full model with them")
         if len(drive.places.driven) and not len(self.lifting):
             raise InputError(
                 "this reduced model was trained without a prescribed motion; train it with one on "

@@ -137,6 +137,8 @@ class ReducedModel(Model):
         ready = drive(self.cloud, self.fixed, loads, areas)
         if len(ready.places.pressure_node):
             raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
+        if ready.tools or len(ready.places.foundation_node):
+            raise InputError("a reduced model knows no Contact and no Foundation yet: run the full model with them")
         held = {motion.group for motion, _ in ready.motions}
         if held != set(self.parts.driven):
             wanted = ", ".join(map(repr, self.parts.driven)) or "no group"

@@ -1,0 +1,33 @@
+"""Painted meshes from files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import pyvista
+
+import palpate as pt
+
+
+@pytest.mark.parametrize("suffix", [".vtp", ".vtk"])
+def test_what_was_painted_is_found_on_the_body(tmp_path, small_cloud, suffix):
+    mesh = pyvista.Box((0, 0.015, 0, 0.015, 0, 0.015), level=5).clean()
+    mesh["ligament"] = (mesh.points[:, 2] < 1e-6).astype(float)
+    mesh.save(tmp_path / f"painted{suffix}")
+    points, values = pt.read_painted(tmp_path / f"painted{suffix}", "ligament")
+    assert np.array_equal(pt.painted(small_cloud, points, values), small_cloud.group("z-"))
+
+
+def test_files_that_are_not_painted_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no painted mesh"):
+        pt.read_painted(tmp_path / "none.ply", "ligament")
+    (tmp_path / "text.txt").write_text("0 0 0")
+    with pytest.raises(pt.FileFormatError, match="a painted mesh is one of"):
+        pt.read_painted(tmp_path / "text.txt", "ligament")
+    mesh = pyvista.Box().clean()
+    mesh["arrows"] = mesh.points
+    mesh.save(tmp_path / "mesh.vtp")
+    with pytest.raises(pt.InputError, match="no field 'ligament' on its points, but 'arrows'"):
+        pt.read_painted(tmp_path / "mesh.vtp", "ligament")
+    with pytest.raises(pt.InputError, match="is no scalar"):
+        pt.read_painted(tmp_path / "mesh.vtp", "arrows")
