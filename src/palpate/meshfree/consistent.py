@@ -80,7 +80,8 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
             worst = int(np.argmax(left)) if left.max() > TOLERANCE else int(node[np.argmax(changed)])
             raise CloudError(
                 f"the cloud is too irregular for consistent derivatives near node {worst} at {points[worst]} m "
-                f"(weights change by {changed.max():.2g} / h, {left.max():.1g} is left): spread the points there"
+                f"(weights change by {changed.max():.2g} / h, {left.max():.1g} is left): spread the points there",
+                [worst],
             )
     result = np.zeros((*near.shape, d))
     result[present] = weights / spacing
