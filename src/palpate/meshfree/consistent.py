@@ -23,7 +23,7 @@ __all__ = ["consistent_gradient"]
 Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
-MOST_CHANGE = 0.6  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form
+MOST_CHANGE = 0.8  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form (0.77 ran stably)
 
 
 def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, boundary: Floats) -> Floats:
