@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 __all__ = [
     "CloudError",
     "DivergenceError",
@@ -23,7 +25,17 @@ class InputError(ValueError):
 
 
 class CloudError(InputError):
-    """A cloud of points cannot carry moving least squares."""
+    """A cloud of points cannot carry moving least squares.
+
+    Attributes
+    ----------
+    nodes : (k,) int array
+        Where; empty if that is not known.
+    """
+
+    def __init__(self, message: str, nodes: Any = ()) -> None:
+        super().__init__(message)
+        self.nodes = np.array(nodes, dtype=np.int64)
 
 
 class FileFormatError(InputError):

@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from palpate.faults import DivergenceError, FileFormatError, InputError
 
     try:
-        commands = {"reproduce": _reproduce, "run": _run, "bench": _bench, "laws": _laws, "fit": _fit}
+        commands = {"reproduce": _reproduce, "run": _run, "bench": _bench, "laws": _laws, "fit": _fit, "check": _check}
         return commands[command](options)
     except (InputError, FileFormatError, FileNotFoundError) as error:
         return _complain(str(error), BAD_INPUT)
@@ -92,6 +92,12 @@ def _fit(options: dict[str, Any]) -> int:
     return fit_law(**options)
 
 
+def _check(options: dict[str, Any]) -> int:
+    from palpate.app.check.command import check
+
+    return check(**options)
+
+
 def _complain(message: str, code: int) -> int:
     print(f"palpate: {' '.join(message.split())}", file=sys.stderr)
     return code
@@ -110,6 +116,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_membrane(examples)
     _add_run(commands)
     _add_fit(commands)
+    _add_check(commands)
     _add_bench(commands)
     _add_laws(commands)
     return parser
@@ -205,6 +212,23 @@ def _add_fit(commands: Any) -> None:
     add("--poisson", type=float, default=0.5, metavar="NU", help="0.5 (as it is) or at most 0.499")
     add("--density", type=float, default=1060.0, metavar="RHO", help="of the material [kg/m^3] (1060)")
     _add_results(fit, Path("out/fit"))
+
+
+def _add_check(commands: Any) -> None:
+    check = commands.add_parser(
+        "check",
+        help="examine an organ's surface and fill it with nodes",
+        description="Read a closed surface (STL, OBJ, PLY, OFF, GLB, VTK), say what is wrong with it, fill it with "
+        "nodes if nothing is, and leave a report with pictures in a folder. See docs/organs.md.",
+    )
+    add = check.add_argument
+    add("file", type=Path, metavar="FILE", help="the surface")
+    add("--spacing", type=float, metavar="M", help="distance between nodes [m] (one that gives some 4,000)")
+    add("--part", metavar="NAME", help="which part of a file of several")
+    add("--units", choices=("m", "cm", "mm", "in"), help="of the file (guessed, with a warning)")
+    add("--repair", action="store_true", help="close small holes, turn triangles, smooth folds, drop specks")
+    add("--seed", type=int, default=0, metavar="K", help="of the nodes' places (0)")
+    _add_results(check, Path("out/check"))
 
 
 def _add_bench(commands: Any) -> None:

@@ -153,7 +153,8 @@ def moving_least_squares(
     if few.size:
         raise CloudError(
             f"nodes {first_few(few)} have {count[few].min()} neighbours; a fit of order {order} in {d}D needs at least "
-            f"{needed}: use more points, more neighbours or a larger radius"
+            f"{needed}: use more points, more neighbours or a larger radius",
+            few,
         )
     near, row, sample = _arrangements(points, near)
     offsets = points[near[sample]] - points[sample][:, None, :]
@@ -165,7 +166,8 @@ def moving_least_squares(
         raise CloudError(
             f"moment matrices of nodes {first_few(bad)} are ill-conditioned (node {bad[0]} at "
             f"{points[bad[0]]}: condition {worst:.1e}, allowed {WORST_CONDITION:.0e}): their neighbours lie in "
-            f"(nearly) one plane or line; use more neighbours or spread the points"
+            f"(nearly) one plane or line; use more neighbours or spread the points",
+            bad,
         )
     return Stencils(
         near.astype(np.int32), row.astype(np.int32),
@@ -197,7 +199,8 @@ def _refuse_duplicates(points: Floats, tree: cKDTree) -> None:
         raise CloudError(
             f"nodes {first_few(close)} are duplicates or nearly so: node {i} at {points[i]} is {distance[i, 1]:.3g} m "
             f"from node {other[i].max() if other[i].min() == i else other[i].min()}, others keep {typical:.3g} m; "
-            f"remove one of each pair"
+            f"remove one of each pair",
+            close,
         )
 
 

@@ -1,0 +1,1 @@
+"""``palpate check``: whether a surface can be filled, and how good its cloud is."""

@@ -1,0 +1,193 @@
+"""``palpate check``: what is wrong with a surface, and the cloud that fills it."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from palpate.app.check.picture import draw_cloud, draw_surface
+from palpate.app.console import Console, print_json, print_plain, quantities_table
+from palpate.app.files import check_folder, whole_file, write_json
+from palpate.app.pictures import DrawingError, check_drawing
+from palpate.app.report import finite, machine
+from palpate.faults import InputError
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.filling import fill
+from palpate.meshfree.gate import nearest_spacing
+from palpate.meshfree.surface_checks import SurfaceReport, check_surface
+from palpate.meshfree.surface_files import read_surface
+from palpate.meshfree.surfaces import Surface
+
+__all__ = ["FILES", "check"]
+
+FILES = ("report.json", "report.md", "surface.png", "cloud.png")
+NODES = 4000  # about, where no spacing is given
+
+
+def check(
+    *,
+    file: Path,
+    spacing: float | None = None,
+    part: str | None = None,
+    units: str | None = None,
+    repair: bool = False,
+    seed: int = 0,
+    out: Path,
+    as_json: bool = False,
+) -> int:
+    """Examine a surface, fill it if it can be, and leave a report with pictures in a folder.
+
+    Parameters
+    ----------
+    file : path
+        A surface, as for `palpate.read_surface`.
+    spacing : float, optional [m]
+        Between nodes; by default one that gives some 4,000.
+    part, units, repair, seed
+        As for `palpate.fill`.
+    out : path
+        Folder; made if it does not exist.
+    as_json : bool
+        Print the report as JSON instead of tables.
+
+    Returns
+    -------
+    int
+        0 if the surface was filled, 1 if it cannot be.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a parameter is out of range.
+    FileNotFoundError
+        There is no such file.
+    """
+    check_folder(out)
+    surface = read_surface(file, part=part, units=units, mend=repair)
+    console = Console()
+    with console.status("examining the surface"):
+        found = check_surface(surface)
+    if spacing is None:
+        spacing = float(f"{1.2 * np.cbrt(abs(surface.volume) / NODES):.2g}")
+    report: dict[str, Any] = {
+        "title": f"Check of {surface.name}",
+        "file": str(file),
+        "repaired": repair,
+        "surface": _surface_entry(surface, found),
+        "machine": machine(),
+    }
+    cloud = _filled(surface, found, spacing, seed, report, console)
+    out.mkdir(parents=True, exist_ok=True)
+    for name in FILES:
+        (out / name).unlink(missing_ok=True)
+    try:
+        check_drawing()
+        draw_surface(surface, found, out / "surface.png")
+        if cloud is not None:
+            draw_cloud(cloud, out / "cloud.png")
+    except DrawingError as error:
+        console.say(f"no pictures: {error}")
+    _deliver(finite(report), out, as_json)
+    return 0 if cloud is not None else 1
+
+
+def _filled(
+    surface: Surface, found: SurfaceReport, spacing: float, seed: int, report: dict[str, Any], console: Console
+) -> Cloud | None:
+    """The cloud, noted in the report; nothing where the surface cannot be filled, and the report says why."""
+    if found.errors:
+        return None
+    with console.status("filling it (the first time on a machine compiles: half a minute)"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the report has them
+        begin = perf_counter()
+        try:
+            cloud = fill(surface, spacing, seed=seed)
+        except InputError as error:
+            report["refused"] = " ".join(str(error).split())
+            return None
+    report["cloud"] = _cloud_entry(cloud) | {"seconds": perf_counter() - begin}
+    return cloud
+
+
+def _surface_entry(surface: Surface, found: SurfaceReport) -> dict[str, Any]:
+    return {
+        "vertices": found.vertices,
+        "triangles": found.triangles,
+        "parts": found.components,
+        "euler_number": found.euler,
+        "area": found.area,
+        "volume": found.volume,
+        "extents": found.extents,
+        "warnings": list(surface.warnings),
+        "problems": [
+            {"kind": problem.kind, "name": problem.name, "what": problem.what, "places": len(problem.points)}
+            for problem in found.problems
+        ],
+    }
+
+
+def _cloud_entry(cloud: Cloud) -> dict[str, Any]:
+    distance = nearest_spacing(cloud.points) / cloud.spacing
+    on, inside = cloud.group("surface"), cloud.group("inside")
+    return {
+        "spacing": cloud.spacing,
+        "nodes": len(cloud),
+        "surface_nodes": len(on),
+        "triangles": len(cloud.triangles),
+        "volume": float(cloud.volumes.sum()),
+        "nearest_neighbour_over_spacing": {
+            "surface": np.percentile(distance[on], [0, 5, 50, 95, 100]).tolist(),
+            "inside": np.percentile(distance[inside], [0, 5, 50, 95, 100]).tolist(),
+        },
+    }
+
+
+def _rows(report: dict[str, Any]) -> dict[str, str]:
+    own = report["surface"]
+    rows = {
+        "vertices, triangles": f"{own['vertices']}, {own['triangles']}",
+        "parts, Euler number": f"{own['parts']}, {own['euler_number']}",
+        "size": " x ".join(f"{1e3 * x:.1f}" for x in own["extents"]) + " mm",
+        "area, volume": f"{1e4 * own['area']:.4g} cm^2, {1e3 * own['volume']:.4g} litres",
+    }
+    if "cloud" in report:
+        cloud = report["cloud"]
+        spread = cloud["nearest_neighbour_over_spacing"]
+        rows["spacing"] = f"{1e3 * cloud['spacing']:.3g} mm"
+        rows["nodes"] = f"{cloud['nodes']}, {cloud['surface_nodes']} of them on the surface"
+        for where, values in spread.items():
+            rows[f"nearest neighbour, {where}"] = (
+                f"{values[0]:.2f} to {values[-1]:.2f} spacings, median {values[2]:.2f}"
+            )
+        rows["filled in"] = f"{cloud['seconds']:.2f} s"
+    return rows
+
+
+def _remarks(report: dict[str, Any]) -> list[str]:
+    remarks = [f"{each['name']}: {each['what']}" for each in report["surface"]["problems"]]
+    remarks += [f"note: {each}" for each in report["surface"]["warnings"]]
+    if "refused" in report:
+        remarks.append(f"refused: {report['refused']}")
+    return remarks or ["nothing is wrong with the surface"]
+
+
+def _deliver(report: dict[str, Any], out: Path, as_json: bool) -> None:
+    write_json(out / "report.json", report)
+    rows, remarks = _rows(report), _remarks(report)
+    lines = [f"# {report['title']}", "", "| quantity | value |", "|---|---|"]
+    lines += [f"| {name} | {value} |" for name, value in rows.items()]
+    lines += ["", *(f"- {remark}" for remark in remarks), ""]
+    for name in ("surface.png", "cloud.png"):
+        if (out / name).is_file():
+            lines += [f"![{Path(name).stem}]({name})", ""]
+    with whole_file(out / "report.md") as partial:
+        partial.write_text("\n".join(lines), encoding="utf-8")
+    if as_json:
+        print_json(report)
+    else:
+        table = quantities_table(report["title"], ["value"], {name: [value] for name, value in rows.items()})
+        print_plain([table, *remarks], out, [name for name in FILES if (out / name).is_file()])

@@ -1,0 +1,105 @@
+"""Pictures of a surface with its faults, and of the cloud inside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.figures import BLUE, ORANGE, figure, heading, scale_bar
+from palpate.app.pictures import off_screen, surface
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.gate import nearest_spacing
+from palpate.meshfree.surface_checks import SurfaceReport
+from palpate.meshfree.surfaces import Surface
+
+__all__ = ["draw_cloud", "draw_surface"]
+
+Floats = NDArray[np.float64]
+
+TISSUE, FAULT = "#B4655A", "#0072B2"
+SIDES = {"Seen along +y": (0.0, -1.0, 0.25), "Seen along -y": (0.0, 1.0, 0.25), "Seen along +z": (0.0, -0.5, -1.0)}
+PIXELS = 900
+
+
+def draw_surface(body: Surface, found: SurfaceReport, path: Path) -> None:
+    """Draw a surface from three sides into a PNG file, with the places of its problems as dots."""
+    import pyvista
+
+    triangles = np.column_stack([np.full(len(body.triangles), 3), body.triangles]).ravel()
+    shape: Any = pyvista.PolyData(body.vertices, triangles)
+    places = np.concatenate([problem.points for problem in found.problems] or [np.zeros((0, 3))])
+    with figure(path, (11.0, 4.2)) as drawn:
+        for axes, (title, towards) in zip(drawn.subplots(1, 3), SIDES.items(), strict=True):
+            _show(axes, shape, body.vertices, np.array(towards), title, places)
+        names = ", ".join(problem.name for problem in found.problems)
+        heading(drawn, f"{body.name}: {names or 'nothing wrong'}" + (" (blue dots: where)" if len(places) else ""))
+
+
+def draw_cloud(cloud: Cloud, path: Path) -> None:
+    """Draw a cloud's surface, a cut through it and the distances between its nodes into a PNG file."""
+    shape = surface(cloud, cloud.points)
+    with figure(path, (11.0, 7.6)) as drawn:
+        axes = drawn.subplots(2, 2)
+        sides = list(SIDES.items())
+        _show(axes[0, 0], shape, cloud.points, np.array(sides[0][1]), f"Surface, {sides[0][0].lower()}", edges=True)
+        _show(axes[0, 1], shape, cloud.points, np.array(sides[2][1]), f"Surface, {sides[2][0].lower()}", edges=True)
+        _cut(axes[1, 0], cloud)
+        _histogram(axes[1, 1], cloud)
+
+
+def _show(
+    axes: Any,
+    shape: Any,
+    points: Floats,
+    towards: Floats,
+    title: str,
+    places: Floats | None = None,
+    edges: bool = False,
+) -> None:
+    """Draw a body seen from a side, with a scale bar."""
+    towards = towards / np.linalg.norm(towards)
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    up = np.cross(towards, right)
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    width, height = (2.1 * np.abs((points - middle) @ axis).max() for axis in (right, up))
+    with off_screen(width, height, middle, towards, PIXELS) as plotter:
+        plotter.add_mesh(shape, color=TISSUE, smooth_shading=not edges, show_edges=edges, edge_color="#5A2F28")
+        if places is not None and len(places):
+            import pyvista
+
+            dots = pyvista.PolyData(places + 0.5 * width * towards)
+            plotter.add_mesh(dots, color=FAULT, point_size=12, render_points_as_spheres=True)
+        plotter.reset_camera_clipping_range()
+        image = np.asarray(plotter.screenshot(return_img=True))
+    half = 0.5e3 * width, 0.5e3 * height
+    axes.imshow(image, extent=(-half[0], half[0], -half[1], half[1]), interpolation="antialiased")
+    axes.set_axis_off()
+    axes.set_title(title)
+    scale_bar(axes, -half[0], half[0], -0.95 * half[1])
+
+
+def _cut(axes: Any, cloud: Cloud) -> None:
+    """Nodes within half a spacing of a plane through the middle, across the shortest side of the body."""
+    across = int(np.argmin(np.ptp(cloud.points, axis=0)))
+    middle = (cloud.volumes @ cloud.points) / cloud.volumes.sum()
+    a, b = (k for k in range(3) if k != across)
+    near = np.abs(cloud.points[:, across] - middle[across]) < 0.5 * cloud.spacing
+    on = np.isin(np.arange(len(cloud)), cloud.group("surface"))
+    for mask, colour, name in ((near & ~on, BLUE, "inside"), (near & on, ORANGE, "surface")):
+        axes.plot(*(1e3 * cloud.points[mask][:, (a, b)].T), ".", color=colour, label=name)
+    axes.set_aspect("equal")
+    axes.set(xlabel=f"{'xyz'[a]} [mm]", ylabel=f"{'xyz'[b]} [mm]", title="Nodes in a slice one spacing thick")
+    axes.legend(loc="best")
+
+
+def _histogram(axes: Any, cloud: Cloud) -> None:
+    distance = nearest_spacing(cloud.points) / cloud.spacing
+    bins = np.linspace(0.3, 1.4, 56)
+    for name, colour in (("inside", BLUE), ("surface", ORANGE)):
+        axes.hist(distance[cloud.group(name)], bins, color=colour, alpha=0.8, label=name)
+    axes.set(xlabel="distance to the nearest node [spacings]", ylabel="nodes", title="How evenly the nodes lie")
+    axes.legend()

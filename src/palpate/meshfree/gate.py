@@ -1,0 +1,37 @@
+"""Whether a cloud can carry the stencils and derivatives of a solid, and where it cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from palpate.faults import CloudError
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.stencils import moving_least_squares
+
+__all__ = ["faulty_nodes", "nearest_spacing"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def nearest_spacing(points: Floats) -> Floats:
+    """Return every node's distance to its nearest neighbour [m], shape (n,)."""
+    return np.asarray(cKDTree(points).query(points, k=2, workers=-1)[0][:, 1])
+
+
+def faulty_nodes(cloud: Cloud, neighbours: int = 42) -> tuple[Ints, str]:
+    """Return nodes that keep a cloud from carrying a solid's stencils, and why; none if all is well.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    neighbours : int
+        As for `palpate.FullModel`.
+    """
+    try:
+        moving_least_squares(cloud.points, order=2, neighbours=neighbours)
+    except CloudError as error:
+        return error.nodes, "the stencils fail"
+    return np.zeros(0, dtype=np.int64), ""

@@ -1,0 +1,220 @@
+"""Nodes inside a closed surface: a lattice or scattered, kept off the surface, and relaxed until evenly spaced.
+
+A cloud whose interior nodes come nearer to the surface than 0.6 spacings, or whose nodes have gaps and pairs, carries
+modes that grow. Short-range repulsion removes both: every node moves away from those nearer than 1.15 spacings, a
+little, some sixty times; a node that comes too near to the surface is put back to the least depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from palpate.meshfree.crossings import column_crossings
+from palpate.meshfree.refining import poisson_discs
+
+__all__ = ["Inside", "lattice_inside", "relaxed", "scattered_inside", "shares"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+DEPTH = 0.65  # least, of an interior node, in spacings
+SWEEPS, LISTED = 60, 6  # of repulsion; sweeps between new lists of neighbours
+REACH, STRENGTH = 1.15, 0.25  # of repulsion in spacings; largest move a sweep for one neighbour, in spacings
+NEAR = 20  # neighbours in a list
+FINE = 0.16  # distance of the samples that share out the volume, in spacings
+SHIFT = np.array([0.5 * (np.sqrt(5) - 1), np.sqrt(2) - 1, np.sqrt(3) - 1])  # keeps lines off vertices
+
+
+@dataclass(frozen=True)
+class Inside:
+    """A closed refined surface, ready to be asked how deep a point lies.
+
+    Parameters
+    ----------
+    vertices, triangles : (v, 3), (t, 3) arrays
+    tree : cKDTree
+        Of the vertices.
+    """
+
+    vertices: Floats
+    triangles: Ints
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, vertices: Floats, triangles: Ints) -> Inside:
+        """Make the surface ready."""
+        return cls(vertices, triangles, cKDTree(vertices))
+
+    def depth(self, points: Floats, most: float) -> tuple[Floats, Floats]:
+        """Return the distance of points inside to the nearest vertex [m] and the direction from there: (k,), (k, 3).
+
+        Farther than `most` [m] the distance is infinite and the direction zero.
+        """
+        distance, nearest = self.tree.query(points, distance_upper_bound=most, workers=-1)
+        near = np.isfinite(distance)
+        away = np.zeros_like(points)
+        away[near] = (points[near] - self.vertices[nearest[near]]) / np.maximum(distance[near], 1e-300)[:, None]
+        return distance, away
+
+
+def _columns(inside: Inside, step: float, offset: Floats) -> tuple[Floats, Ints, Floats]:
+    """Vertical lines through the body: their (x, y), and where they enter and leave."""
+    low, high = inside.vertices.min(axis=0)[:2], inside.vertices.max(axis=0)[:2]
+    first = low + step * (offset[:2] - 1)
+    shape = np.ceil((high - first) / step).astype(int) + 1
+    start, height = column_crossings(inside.vertices, inside.triangles, first, step, (int(shape[0]), int(shape[1])))
+    i, j = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
+    return first + step * np.column_stack([i, j]), start, height
+
+
+def lattice_inside(inside: Inside, step: float, offset: Floats) -> Floats:
+    """Return the points of a cubic lattice that lie inside, shape (k, 3) [m]."""
+    places, start, height = _columns(inside, step, offset)
+    pairs = height.reshape(-1, 2)
+    column = np.repeat(np.arange(len(places)), np.diff(start) // 2)
+    bottom = inside.vertices[:, 2].min() + step * (offset[2] - 1)
+    first, last = np.ceil((pairs[:, 0] - bottom) / step), np.floor((pairs[:, 1] - bottom) / step)
+    count = np.maximum(last - first + 1, 0).astype(int)
+    before = np.concatenate([[0], np.cumsum(count)[:-1]])
+    rank = np.arange(count.sum()) - np.repeat(before, count)
+    z = bottom + step * (np.repeat(first, count) + rank)
+    return np.column_stack([np.repeat(places[column], count, axis=0), z])
+
+
+def body_centred(inside: Inside, spacing: float) -> Floats:
+    """Return the points inside of a body-centred cubic lattice with one point in every spacing cubed."""
+    step = 2 ** (1 / 3) * spacing
+    return np.concatenate([lattice_inside(inside, step, SHIFT), lattice_inside(inside, step, (SHIFT + 0.5) % 1.0)])
+
+
+def cubic(inside: Inside, spacing: float) -> Floats:
+    """Return the points inside of a cubic lattice."""
+    return lattice_inside(inside, spacing, SHIFT)
+
+
+def scattered_inside(inside: Inside, least: float, spacing, seed: int) -> Floats:  # type: ignore[no-untyped-def]
+    """Return random points inside that keep 0.85 of their spacing, a function of points (k, 3): Poisson discs."""
+    random = np.random.default_rng(seed)
+    points = lattice_inside(inside, 0.3 * least, SHIFT)
+    points = points + 0.15 * least * random.uniform(-1, 1, points.shape)
+    return points[poisson_discs(points, 0.85 * spacing(points), random.permutation(len(points)))]
+
+
+def relaxed(
+    inner: Floats, outer: Floats, inner_spacing: Floats, outer_spacing: Floats, inside: Inside, sweeps: int = SWEEPS
+) -> Floats:
+    """Return interior nodes moved apart from each other and from those of the surface, which stay.
+
+    Parameters
+    ----------
+    inner, outer : (n, 3), (s, 3) arrays [m]
+        Nodes inside and on the surface.
+    inner_spacing, outer_spacing : (n,), (s,) arrays [m]
+        Wished at each.
+    inside : Inside
+    sweeps : int
+    """
+    points = np.concatenate([inner, outer])
+    spacing = np.concatenate([inner_spacing, outer_spacing])
+    n = len(inner)
+    if n == 0:
+        return inner
+    for _ in range(max(1, sweeps // LISTED)):
+        _, near = cKDTree(points).query(points[:n], k=min(NEAR, len(points)), workers=-1)
+        depth, away = inside.depth(points[:n], 1.5 * float(inner_spacing.max()))
+        _repel(points, spacing, near[:, 1:], depth, away, LISTED)
+    return points[:n]
+
+
+@njit(cache=True)
+def _repel(points, spacing, near, depth, away, sweeps):  # type: ignore[no-untyped-def]
+    n = len(near)
+    origin = points[:n].copy()
+    move = np.zeros((n, 3))
+    for _ in range(sweeps):
+        for i in range(n):
+            for a in range(3):
+                move[i, a] = 0.0
+            for j in near[i]:
+                x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+                r = np.sqrt(x * x + y * y + z * z)
+                reach = REACH * 0.5 * (spacing[i] + spacing[j])
+                if r >= reach or r == 0.0:
+                    continue
+                push = STRENGTH * spacing[i] * (1.0 - r / reach) / r
+                move[i, 0] += push * x
+                move[i, 1] += push * y
+                move[i, 2] += push * z
+        for i in range(n):
+            below = depth[i]
+            for a in range(3):
+                points[i, a] += move[i, a]
+                below += (points[i, a] - origin[i, a]) * away[i, a]
+            lift = DEPTH * spacing[i] - below
+            if lift > 0.0:
+                for a in range(3):
+                    points[i, a] += lift * away[i, a]
+
+
+def shares(points: Floats, inside: Inside, spacing: float) -> Floats:
+    """Return the volume [m^3] of the body that is nearest to each point, by fine samples along vertical lines.
+
+    Each line's part inside the body is cut into equal pieces, so that the samples' volumes add up to the body's but
+    for what the lines' own distance misses of it.
+    """
+    step = FINE * spacing
+    places, start, height = _columns(inside, step, SHIFT)
+    low = points.min(axis=0)
+    cell = spacing
+    span = np.floor((points.max(axis=0) - low) / cell).astype(np.int64) + 1
+    place = np.floor((points - low) / cell).astype(np.int64)
+    key = (place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2]
+    order = np.argsort(key, kind="stable")
+    first = np.searchsorted(key[order], np.arange(np.prod(span) + 1))
+    return _share(points[order], order, first, span, low, cell, places, start, height, step)
+
+
+@njit(cache=True)
+def _share(points, order, first, span, low, cell, places, start, height, step):  # type: ignore[no-untyped-def]
+    result = np.zeros(len(points))
+    for line in range(len(places)):
+        x, y = places[line]
+        for c in range(start[line], start[line + 1], 2):
+            length = height[c + 1] - height[c]
+            pieces = int(np.ceil(length / step))
+            if pieces == 0:
+                continue
+            for p in range(pieces):
+                z = height[c] + (p + 0.5) * length / pieces
+                i = _nearest(points, first, span, low, cell, x, y, z)
+                result[order[i]] += step * step * length / pieces
+    return result
+
+
+@njit(cache=True)
+def _nearest(points, first, span, low, cell, x, y, z):  # type: ignore[no-untyped-def]
+    """Number of the point nearest to (x, y, z), in rings of cells around it."""
+    i, j, k = int(np.floor((x - low[0]) / cell)), int(np.floor((y - low[1]) / cell)), int(np.floor((z - low[2]) / cell))
+    best, least = -1, np.inf
+    ring = 1
+    most = max(span[0], span[1], span[2]) + 1
+    while ring <= most:
+        for a in range(max(i - ring, 0), min(i + ring, span[0] - 1) + 1):
+            for b in range(max(j - ring, 0), min(j + ring, span[1] - 1) + 1):
+                low_c, high_c = max(k - ring, 0), min(k + ring, span[2] - 1)
+                if low_c > high_c:
+                    continue
+                row = (a * span[1] + b) * span[2]
+                for p in range(first[row + low_c], first[row + high_c + 1]):
+                    d = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
+                    if d < least:
+                        best, least = p, d
+        if best >= 0 and least <= (ring * cell) ** 2:
+            break
+        ring += 1
+    return best

@@ -1,0 +1,320 @@
+"""Evenly spaced nodes on a closed surface, the triangles between them, and what of the surface each stands for.
+
+The surface is refined until its edges are short, and its vertices are gathered into clusters, one for every node, by
+moving vertices between clusters as long as the sum of squared distances to the clusters' centroids falls: a centroidal
+Voronoi diagram on the surface (Valette and Chassery, Computer Graphics Forum 23, 2004). A cluster's centroid, put back
+on the surface, is the node; its area vector is the sum of its vertices'; three clusters that meet make a triangle.
+So areas add up to the surface's, area vectors to nothing, and the triangles are closed as the surface is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from palpate.faults import CloudError
+from palpate.meshfree.refining import poisson_discs
+
+__all__ = ["SurfaceNodes", "spread", "vertex_vectors"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SWEEPS = 60  # of moving vertices between clusters, at most
+ROUNDS = 12  # of mending clusters that are no discs
+
+
+@dataclass(frozen=True)
+class SurfaceNodes:
+    """Nodes on a surface.
+
+    Parameters
+    ----------
+    points : (s, 3) array [m]
+    vectors : (s, 3) array [m^2]
+        Area vectors; they sum to zero.
+    areas : (s,) array [m^2]
+        They sum to the area of the surface.
+    triangles : (t, 3) array
+    """
+
+    points: Floats
+    vectors: Floats
+    areas: Floats
+    triangles: Ints
+
+
+def vertex_vectors(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
+    """Return a third of the area vectors, and of the areas, of the triangles at each vertex: (v, 3), (v,) [m^2]."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    vectors: Floats = np.cross(b - a, c - a) / 6
+    sizes, n = np.linalg.norm(vectors, axis=1), len(vertices)
+    corner = triangles.ravel()
+    own = _sums(corner, np.repeat(vectors, 3, axis=0), n)
+    return own, _sums(corner, np.repeat(sizes, 3)[:, None], n)[:, 0]
+
+
+def spread(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> SurfaceNodes:
+    """Spread nodes over a refined closed surface, and join them with triangles.
+
+    Parameters
+    ----------
+    vertices, triangles : (v, 3), (t, 3) arrays
+        Refined to about a third of the spacing.
+    spacing : (v,) array [m]
+        Wished distance between nodes at each vertex.
+    seed : int
+
+    Raises
+    ------
+    CloudError
+        The triangles are not closed: the surface has parts that are much thinner than the spacing.
+    """
+    vectors, areas = vertex_vectors(vertices, triangles)
+    weights = areas / spacing**4  # a centroidal diagram has sizes as the weight's density to the power -1/4
+    start, near = _neighbours(triangles, len(vertices))
+    order = np.random.default_rng(seed).permutation(len(vertices))
+    chosen = poisson_discs(vertices, 0.78 * spacing, order)
+    label = np.full(len(vertices), -1)
+    label[chosen] = np.arange(len(chosen))
+    label = _grown(vertices, label, start, near)
+    edges = np.column_stack([np.repeat(np.arange(len(vertices)), np.diff(start)), near])
+    edges = edges[edges[:, 0] < edges[:, 1]]
+    count = int(label.max()) + 1
+    for k in range(ROUNDS):
+        # balancing anew may enclose another cluster in a spike: in the end faults are only merged with their neighbours
+        label = _balanced(vertices, weights, edges, label, count, SWEEPS if k < ROUNDS // 4 else 0)
+        label = _joined(vertices, label, count, edges, start, near)
+        label, count = _mended(triangles, label)
+        coarse = _dual(triangles, label)
+        if _closed_manifold(coarse, count):
+            break
+        label, count = _without_faults(coarse, label, count, vertices, start, near)
+    else:
+        raise CloudError(
+            "the surface nodes could not be joined by closed triangles: parts of the surface are much thinner than "
+            "the spacing; use a smaller one"
+        )
+    sizes = _sums(label, areas[:, None], count)
+    centroids = _sums(label, areas[:, None] * vertices, count) / sizes
+    points = _on_surface(vertices, triangles, start, label, centroids)
+    return SurfaceNodes(points, _sums(label, vectors, count), sizes[:, 0], coarse)
+
+
+def _sums(label: Ints, values: Floats, count: int) -> Floats:
+    """Sums (count, c) of values (k, c) with the same label."""
+    columns = [np.bincount(label, values[:, k], count).astype(float) for k in range(values.shape[1])]
+    return np.stack(columns, axis=1)
+
+
+def _neighbours(triangles: Ints, n: int) -> tuple[Ints, Ints]:
+    """Neighbours of every vertex, as one array with starts."""
+    a, b, c = triangles.T
+    graph = sparse.csr_matrix(
+        (np.ones(6 * len(a), dtype=np.int8), (np.concatenate([a, b, b, c, c, a]), np.concatenate([b, a, c, b, a, c]))),
+        (n, n),
+    )
+    graph.sort_indices()
+    return graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
+
+
+@njit(cache=True)
+def _grown(vertices, label, start, near):  # type: ignore[no-untyped-def]
+    """Give every vertex the label of the labelled one that it is nearest to along edges."""
+    n = len(label)
+    label = label.copy()
+    distance = np.full(n, np.inf)
+    queue = np.empty(n, dtype=np.int64)
+    waiting = np.zeros(n, dtype=np.bool_)
+    head, size = 0, 0
+    for v in range(n):
+        if label[v] >= 0:
+            distance[v] = 0.0
+            queue[size] = v
+            waiting[v] = True
+            size += 1
+    while size > 0:  # Bellman and Ford's, with a queue around which vertices go until nothing gets shorter
+        v = queue[head]
+        head = (head + 1) % n
+        size -= 1
+        waiting[v] = False
+        for e in range(start[v], start[v + 1]):
+            w = near[e]
+            length = 0.0
+            for a in range(3):
+                length += (vertices[v, a] - vertices[w, a]) ** 2
+            length = distance[v] + np.sqrt(length)
+            if length < distance[w]:
+                distance[w] = length
+                label[w] = label[v]
+                if not waiting[w]:
+                    queue[(head + size) % n] = w
+                    size += 1
+                    waiting[w] = True
+    return label
+
+
+@njit(cache=True)
+def _balanced(vertices, weights, edges, label, count, sweeps):  # type: ignore[no-untyped-def]
+    """Move vertices between touching clusters as long as the sum of squared distances to centroids falls."""
+    label = label.copy()
+    mass, moment, members = np.zeros(count), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
+    for v in range(len(label)):
+        c = label[v]
+        mass[c] += weights[v]
+        members[c] += 1
+        for a in range(3):
+            moment[c, a] += weights[v] * vertices[v, a]
+    for _ in range(sweeps):
+        moves = 0
+        for e in range(len(edges)):
+            for side in range(2):
+                v, w = edges[e, side], edges[e, 1 - side]
+                own, other = label[v], label[w]
+                if own == other or members[own] == 1:
+                    continue
+                before, after = 0.0, 0.0
+                m = weights[v]
+                for a in range(3):
+                    x = m * vertices[v, a]
+                    before += moment[own, a] ** 2 / mass[own] + moment[other, a] ** 2 / mass[other]
+                    after += (moment[own, a] - x) ** 2 / (mass[own] - m) + (moment[other, a] + x) ** 2 / (
+                        mass[other] + m
+                    )
+                if after <= before * (1.0 + 1e-12):
+                    continue
+                label[v] = other
+                moves += 1
+                mass[own] -= m
+                mass[other] += m
+                members[own] -= 1
+                members[other] += 1
+                for a in range(3):
+                    x = m * vertices[v, a]
+                    moment[own, a] -= x
+                    moment[other, a] += x
+        if moves * 2000 < len(label):
+            break
+    return label
+
+
+def _joined(vertices: Floats, label: Ints, count: int, edges: Ints, start: Ints, near: Ints) -> Ints:
+    """Clusters of one piece: of each the largest piece stays, the rest goes to whoever is near."""
+    same = label[edges[:, 0]] == label[edges[:, 1]]
+    n = len(label)
+    graph = sparse.coo_matrix((np.ones(same.sum()), edges[same].T), (n, n))
+    _, piece = connected_components(graph, directed=False)
+    sizes = np.bincount(piece)
+    owner = np.zeros(len(sizes), dtype=np.int64)
+    owner[piece] = label
+    order = np.lexsort((np.arange(len(sizes)), -sizes, owner))
+    first = order[np.unique(owner[order], return_index=True)[1]]
+    kept = np.zeros(len(sizes), dtype=bool)
+    kept[first] = True
+    if kept.all():
+        return label
+    return _grown(vertices, np.where(kept[piece], label, -1), start, near)
+
+
+def _mended(triangles: Ints, label: Ints) -> tuple[Ints, int]:
+    """Labels without gaps in their numbers."""
+    used, label = np.unique(label, return_inverse=True)
+    return label.ravel(), len(used)
+
+
+def _dual(triangles: Ints, label: Ints) -> Ints:
+    """A triangle for every three clusters that meet; pairs of opposite ones cancel."""
+    corners = label[triangles]
+    a, b, c = corners.T
+    corners = corners[(a != b) & (b != c) & (c != a)]
+    turn = np.argmin(corners, axis=1)
+    return np.take_along_axis(corners, (np.arange(3) + turn[:, None]) % 3, axis=1)
+
+
+def _faulty(coarse: Ints, count: int) -> Ints:
+    """Nodes at which triangles are not a closed, simple surface."""
+    edges = np.concatenate([coarse[:, [0, 1]], coarse[:, [1, 2]], coarse[:, [2, 0]]])
+    key, back = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]
+    once, times = np.unique(key, return_counts=True)
+    place = np.minimum(np.searchsorted(once, back), len(once) - 1)
+    bad = (once[place] != back) | (times[np.searchsorted(once, key)] > 1)
+    valence = np.bincount(coarse.ravel(), minlength=count)
+    return np.union1d(edges[bad].ravel(), np.flatnonzero(valence < 3))
+
+
+def _closed_manifold(coarse: Ints, count: int) -> bool:
+    return len(_faulty(coarse, count)) == 0
+
+
+def _without_faults(
+    coarse: Ints, label: Ints, count: int, vertices: Floats, start: Ints, near: Ints
+) -> tuple[Ints, int]:
+    """Give up one cluster at every fault, the smallest; its neighbours take its vertices."""
+    faulty = _faulty(coarse, count)
+    sizes = np.bincount(label, minlength=count)
+    dropped = np.zeros(count, dtype=bool)
+    touched = np.zeros(count, dtype=bool)
+    for node in faulty[np.argsort(sizes[faulty], kind="stable")]:
+        if not touched[node]:
+            dropped[node] = True
+            touched[coarse[(coarse == node).any(axis=1)].ravel()] = True
+            touched[node] = True
+    return _mended(coarse, _grown(vertices, np.where(dropped[label], -1, label), start, near))
+
+
+def _on_surface(vertices: Floats, triangles: Ints, start: Ints, label: Ints, centroids: Floats) -> Floats:
+    """The point nearest to each centroid on the triangles about the nearest vertex of its cluster."""
+    order = np.argsort(label, kind="stable")
+    begin = np.searchsorted(label[order], np.arange(len(centroids) + 1))
+    distance = np.linalg.norm(vertices - centroids[label], axis=1)
+    best = np.lexsort((distance, label))[begin[:-1]]
+    corner = np.argsort(triangles.ravel(), kind="stable")
+    first = np.searchsorted(triangles.ravel()[corner], np.arange(len(vertices) + 1))
+    return _nearest_points(vertices, triangles, corner // 3, first, best, centroids)
+
+
+@njit(cache=True)
+def _nearest_points(vertices, triangles, around, first, best, wished):  # type: ignore[no-untyped-def]
+    result = np.empty_like(wished)
+    for k in range(len(wished)):
+        least = np.inf
+        for e in range(first[best[k]], first[best[k] + 1]):
+            t = triangles[around[e]]
+            point = nearest_in_triangle(vertices[t[0]], vertices[t[1]], vertices[t[2]], wished[k])
+            distance = np.sum((point - wished[k]) ** 2)
+            if distance < least:
+                least = distance
+                result[k] = point
+    return result
+
+
+@njit(cache=True)
+def nearest_in_triangle(a, b, c, p):  # type: ignore[no-untyped-def]
+    """The point of a triangle nearest to p (Ericson, Real-Time Collision Detection, 2005, section 5.1.5)."""
+    ab, ac, ap = b - a, c - a, p - a
+    d1, d2 = np.sum(ab * ap), np.sum(ac * ap)
+    if d1 <= 0.0 and d2 <= 0.0:
+        return a.copy()
+    bp = p - b
+    d3, d4 = np.sum(ab * bp), np.sum(ac * bp)
+    if d3 >= 0.0 and d4 <= d3:
+        return b.copy()
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        return a + ab * (d1 / (d1 - d3))
+    cp = p - c
+    d5, d6 = np.sum(ab * cp), np.sum(ac * cp)
+    if d6 >= 0.0 and d5 <= d6:
+        return c.copy()
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        return a + ac * (d2 / (d2 - d6))
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)))
+    return a + ab * (vb / (va + vb + vc)) + ac * (vc / (va + vb + vc))

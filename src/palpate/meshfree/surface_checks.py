@@ -1,0 +1,226 @@
+"""What may be wrong with a surface: holes, folds, several parts, hollowness, scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from palpate.meshfree.crossings import self_intersections
+from palpate.meshfree.surfaces import Surface, components, halves, part_of, rims
+
+__all__ = ["Problem", "SurfaceReport", "check_surface"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Kind = Literal["error", "note"]
+
+PLAUSIBLE = (2e-6, 2e-2)  # [m^3] of an organ
+HOLLOW = (
+    0.05  # mean thickness 2 V / A over the cube root of V: 0.33 of a cube, 0.12 of a plate 20 times as wide as thick
+)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something about a surface that a person should know.
+
+    Parameters
+    ----------
+    kind : str
+        ``"error"``: it cannot be filled so; ``"note"``: it can.
+    what : str
+        What is wrong, and what to do.
+    points : (k, 3) array [m]
+        Where.
+    name : str
+        One word for it.
+    """
+
+    kind: Kind
+    name: str
+    what: str
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+@dataclass(frozen=True)
+class SurfaceReport:
+    """What `check_surface` found.
+
+    Parameters
+    ----------
+    vertices, triangles, components : int
+    euler : int
+        Euler number: 2 for a ball, 0 with a handle.
+    area, volume : float [m^2], [m^3]
+    extents : tuple of float [m]
+    problems : tuple of Problem
+    """
+
+    vertices: int
+    triangles: int
+    components: int
+    euler: int
+    area: float
+    volume: float
+    extents: tuple[float, float, float]
+    problems: tuple[Problem, ...]
+
+    @property
+    def errors(self) -> tuple[Problem, ...]:
+        """Problems for which it cannot be filled."""
+        return tuple(problem for problem in self.problems if problem.kind == "error")
+
+
+def check_surface(surface: Surface) -> SurfaceReport:
+    """Look for all that keeps a welded surface from being filled: holes, folds, several parts, hollowness, scale."""
+    edges, _ = halves(surface.triangles)
+    undirected, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+    turns = np.zeros(len(undirected), dtype=int)
+    np.add.at(turns, inverse.ravel(), np.where(edges[:, 0] < edges[:, 1], 1, -1))
+    middles = surface.vertices[undirected].mean(axis=1)
+    label = components(surface)
+    parts = int(label.max()) + 1
+    problems = [
+        *_open_problems(surface, undirected, count, turns, middles),
+        *_pinched(surface),
+    ]
+    if not problems:
+        problems += _whole_problems(surface, label)
+    crossing = self_intersections(surface.vertices, surface.triangles)
+    if len(crossing):
+        where = surface.vertices[surface.triangles[crossing]].mean(axis=(1, 2))
+        problems.append(
+            Problem(
+                "error", "self-intersecting",
+                f"{len(crossing)} pairs of triangles pass through each other (first: triangles {crossing[0, 0]} and "
+                f"{crossing[0, 1]} near {_place(where[0])}): repair smooths small folds",
+                where,
+            )
+        )  # fmt: skip
+    problems += _scale_problems(surface)
+    return SurfaceReport(
+        len(surface.vertices), len(surface.triangles), parts,
+        len(surface.vertices) - len(undirected) + len(surface.triangles),
+        surface.area, surface.volume,
+        tuple(np.ptp(surface.vertices, axis=0).tolist()), tuple(problems),
+    )  # fmt: skip
+
+
+def _place(point: Floats) -> str:
+    return f"({', '.join(f'{x:.4g}' for x in point)}) m"
+
+
+def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, middles: Floats) -> list[Problem]:
+    """Edges of one triangle, of more than two, and of two that do not agree about the outside."""
+    found = []
+    single, many = count == 1, count > 2
+    if single.any():
+        loops = rims(surface.triangles)
+        sizes = ", ".join(str(len(loop)) for loop in sorted(loops, key=len, reverse=True)[:6]) or "tangled"
+        found.append(
+            Problem(
+                "error", "open",
+                f"the surface is open: {int(single.sum())} edges bound a hole (holes of {sizes} edges; the first near "
+                f"{_place(middles[single][0])}); repair closes small holes",
+                middles[single],
+            )
+        )  # fmt: skip
+    if many.any():
+        found.append(
+            Problem(
+                "error", "branching",
+                f"{int(many.sum())} edges belong to more than two triangles (first near {_place(middles[many][0])}): "
+                f"inner walls or doubled faces must be removed first",
+                middles[many],
+            )
+        )  # fmt: skip
+    wrong = (count == 2) & (turns != 0)
+    if wrong.any():
+        found.append(
+            Problem(
+                "error", "mixed orientation",
+                f"{int(wrong.sum())} edges lie between triangles that disagree about the outside (first near "
+                f"{_place(middles[wrong][0])}); repair turns them",
+                middles[wrong],
+            )
+        )  # fmt: skip
+    return found
+
+
+def _pinched(surface: Surface) -> list[Problem]:
+    """Vertices where two sheets touch in a single point."""
+    corners = surface.triangles.ravel()
+    t = len(surface.triangles)
+    # corners of one vertex in triangles that share an edge there hang together
+    number = np.arange(3 * t).reshape(t, 3)
+    pairs = []
+    for k in range(3):
+        ahead, behind = (k + 1) % 3, (k + 2) % 3
+        pairs.append((surface.triangles[:, k], surface.triangles[:, ahead], number[:, k]))
+        pairs.append((surface.triangles[:, k], surface.triangles[:, behind], number[:, k]))
+    centre, other, corner = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    order = np.lexsort((other, centre))
+    centre, other, corner = centre[order], other[order], corner[order]
+    same = (centre[1:] == centre[:-1]) & (other[1:] == other[:-1])
+    graph = sparse.coo_matrix((np.ones(same.sum()), (corner[:-1][same], corner[1:][same])), (3 * t, 3 * t))
+    _, fan = connected_components(graph, directed=False)
+    owner = np.zeros(fan.max() + 1, dtype=np.int64)
+    owner[fan] = corners
+    fans = np.bincount(owner, minlength=len(surface.vertices))
+    bad = np.flatnonzero(fans > 1)
+    if not bad.size:
+        return []
+    return [
+        Problem(
+            "error", "pinched",
+            f"at {len(bad)} vertices the surface touches itself in a point (first: vertex {bad[0]} at "
+            f"{_place(surface.vertices[bad[0]])}): separate the sheets there",
+            surface.vertices[bad],
+        )
+    ]  # fmt: skip
+
+
+def _whole_problems(surface: Surface, label: Ints) -> list[Problem]:
+    """What can only be said of a closed surface: parts, orientation, hollowness."""
+    found = []
+    volumes = [part_of(surface, label == k).volume for k in range(int(label.max()) + 1)]
+    if len(volumes) > 1:
+        litres = ", ".join(f"{1e3 * v:.3g}" for v in sorted(volumes, key=abs, reverse=True)[:6])
+        kind = "with cavities inside" if min(volumes) < 0 < max(volumes) else "side by side or inside each other"
+        found.append(
+            Problem(
+                "error", "several parts",
+                f"the surface has {len(volumes)} parts of {litres} litres, {kind}: one solid body is needed; keep the "
+                f"outer one, or fill each by itself (repair drops parts below a thousandth of the whole)",
+                np.array([part_of(surface, label == k).vertices.mean(axis=0) for k in range(len(volumes))]),
+            )
+        )  # fmt: skip
+    elif surface.volume < 0:
+        found.append(
+            Problem("error", "inside out", "the surface is inside out: its triangles face inwards; repair turns them")
+        )
+    volume = abs(surface.volume)
+    thickness = 2 * volume / surface.area
+    if thickness < HOLLOW * np.cbrt(volume):
+        found.append(
+            Problem(
+                "error", "hollow",
+                f"the surface is a hollow shell, watertight as it is: it encloses {1e3 * volume:.3g} litres with "
+                f"{1e4 * surface.area:.3g} cm^2, a wall {1e3 * thickness:.2g} mm thick on average; a solid organ has "
+                f"one outer surface: remove the inner one",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _scale_problems(surface: Surface) -> list[Problem]:
+    volume = abs(surface.volume)
+    if PLAUSIBLE[0] <= volume <= PLAUSIBLE[1]:
+        return []
+    what = f"its volume of {1e3 * volume:.3g} litres is not that of an organ: are the units right?"
+    return [Problem("note", "scale", what)]

@@ -1,0 +1,92 @@
+"""Repairs of a surface that leave its shape alone: small holes, triangles that face the wrong way, specks, folds."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from palpate.meshfree.crossings import self_intersections
+from palpate.meshfree.surfaces import Surface, components, halves, part_of, rims, welded
+
+__all__ = ["repair"]
+
+Ints = NDArray[np.int64]
+
+WIDEST_HOLE = 0.6  # length of a rim over pi times the diagonal of the body, of a hole that is closed
+SMOOTHINGS = 30  # of folds, at most
+
+
+def repair(surface: Surface) -> Surface:
+    """Return a welded surface with small holes closed, triangles turned outwards, specks dropped and folds smoothed.
+
+    A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than 0.6 pi times
+    the diagonal of the body. Where triangles pass through each other, their corners are moved towards the mean of
+    their neighbours until they do not, or for 30 rounds. Specks are parts of less than a thousandth of the volume.
+    What cannot be repaired is left for `check_surface` to name.
+    """
+    surface = welded(surface)
+    label = components(surface)
+    if label.max() > 0:
+        volumes = np.array([abs(part_of(surface, label == k).volume) for k in range(int(label.max()) + 1)])
+        keep = np.flatnonzero(volumes > 1e-3 * volumes.sum())
+        surface = part_of(surface, np.isin(label, keep)) if len(keep) else surface
+    surface = Surface(surface.vertices, _turned(surface.triangles), surface.name, surface.warnings)
+    surface = _with_holes_closed(surface)
+    if surface.volume < 0:
+        surface = Surface(surface.vertices, surface.triangles[:, ::-1], surface.name, surface.warnings)
+    return _unfolded(surface)
+
+
+def _unfolded(surface: Surface) -> Surface:
+    """The surface smoothed where it passes through itself."""
+    vertices, n = surface.vertices.copy(), len(surface.vertices)
+    edges, _ = halves(surface.triangles)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    near = sparse.csr_matrix((np.ones(len(both)), both.T), (n, n))
+    near.data[:] = 1.0
+    near = sparse.diags(1.0 / near.sum(axis=1).A1) @ near
+    for _ in range(SMOOTHINGS):
+        crossing = self_intersections(vertices, surface.triangles)
+        if not len(crossing):
+            break
+        corners = np.unique(surface.triangles[crossing])
+        vertices[corners] = 0.5 * vertices[corners] + 0.5 * (near[corners] @ vertices)
+    return Surface(vertices, surface.triangles, surface.name, surface.warnings)
+
+
+def _turned(triangles: Ints) -> Ints:
+    """Triangles of each part turned so that neighbours agree, breadth first across edges of two triangles."""
+    edges, owner = halves(triangles)
+    _, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+    inverse = inverse.ravel()
+    order = np.argsort(inverse, kind="stable")
+    order = order[count[inverse[order]] == 2].reshape(-1, 2)
+    left, right = owner[order].T
+    disagree = (edges[order[:, 0]] == edges[order[:, 1]]).all(axis=1)
+    t = len(triangles)
+    # a triangle and its turned twin: agreeing neighbours join like with like
+    a = np.where(disagree, right + t, right)
+    b = np.where(disagree, right, right + t)
+    rows, columns = np.concatenate([left, left + t]), np.concatenate([a, b])
+    _, side = connected_components(sparse.coo_matrix((np.ones(len(rows)), (rows, columns)), (2 * t, 2 * t)), False)
+    turned = side[:t] > side[t:]  # labels ascend: the part's first triangle counts as right as it is
+    result = triangles.copy()
+    result[turned] = result[turned][:, ::-1]
+    return result
+
+
+def _with_holes_closed(surface: Surface) -> Surface:
+    vertices, triangles = [surface.vertices], [surface.triangles]
+    n = len(surface.vertices)
+    for loop in rims(surface.triangles):
+        rim = surface.vertices[loop]
+        length = np.linalg.norm(rim - np.roll(rim, -1, axis=0), axis=1).sum()
+        if length > np.pi * WIDEST_HOLE * surface.size:
+            continue
+        vertices.append(rim.mean(axis=0, keepdims=True))
+        ahead = np.roll(loop, -1)
+        triangles.append(np.column_stack([ahead, loop, np.full(len(loop), n)]))
+        n += 1
+    return Surface(np.concatenate(vertices), np.concatenate(triangles), surface.name, surface.warnings)
