@@ -3,7 +3,7 @@
 A few nodes in the middle of one side move 20 mm inwards in 0.2 s, stay until 0.4 s and are let go; the opposite side
 is held. After the release nothing does work on the body, so its energy, kinetic and strain, must not grow.
 
-    python validation/organs.py [--nodes 3000 10000] [--poisson 0.45 0.49] [--form energy] [--only NAME] [--data FOLDER]
+    python validation/organs.py [--nodes 3000 10000] [--poisson 0.45 0.49] [--form energy] [--only NAME] [--table]
 
 Results are added to docs/validation/organs.json, one case a line; docs/organs.md has the table.
 """
@@ -116,8 +116,12 @@ def main() -> None:
     parser.add_argument("--form", nargs="+", default=["energy"])
     parser.add_argument("--only", nargs="+", default=list(SURFACES))
     parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--table", action="store_true", help="only print the table of all results")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "validation" / "organs.json")
     options = parser.parse_args()
+    if options.table:
+        print(table(json.loads(options.out.read_text())["cases"]))
+        return
     for nodes in options.nodes:
         for form in options.form:
             for poisson in options.poisson:
@@ -125,6 +129,22 @@ def main() -> None:
                     entry = run(name, nodes, poisson, form, options.data)
                     add(options.out, entry | {"wished_nodes": nodes})
                     print(json.dumps(entry), flush=True)
+
+
+def table(cases: list[dict[str, Any]]) -> str:
+    """Return the results as a table in Markdown."""
+    lines = ["| surface | nodes | spacing | Poisson's ratio | stable | energy: release, most after, end | balance |"]
+    lines.append("|---|---|---|---|---|---|---|")
+    for case in sorted(cases, key=lambda case: (case["surface"], case["wished_nodes"], case["poisson"])):
+        row = f"| {case['surface']} | {case['nodes']} | {1e3 * case['spacing']:.3g} mm | {case['poisson']} | "
+        if "energy_at_release" in case:
+            energies = (1e3 * case[f"energy_{when}"] for when in ("at_release", "most_after", "at_end"))
+            row += f"{'yes' if case['stable'] else 'no'} | {', '.join(f'{e:.3f}' for e in energies)} mJ | "
+            row += f"{case['balance']:.2%} |"
+        else:
+            row += f"no: {case['why']} | | |"
+        lines.append(row)
+    return "\n".join(lines)
 
 
 def add(path: Path, entry: dict[str, Any]) -> None:
