@@ -135,7 +135,7 @@ def dents_of(dents: Dents, points: Floats, forces: Floats) -> Floats:
 
 
 def touch_of(run: Trajectory, frame: int, nodes: int) -> TouchState | None:
-    """Return what tools do in a frame of a run, their mean forces since the frame before; None where they do nothing."""
+    """Return the mean forces of tools in a frame of a run since the frame before; None where they do nothing."""
     rows = run.touches[run.touches[:, 0] == frame]
     if not len(rows):
         return None

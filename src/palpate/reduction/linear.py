@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.interpolate import RBFInterpolator
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from palpate.dynamics.full import FullModel
 from palpate.faults import InputError, integer_in_range
 
-__all__ = ["modal_derivatives", "rest_stiffness", "tool_responses", "vibration_modes"]
+__all__ = ["carried_modes", "modal_derivatives", "rest_stiffness", "tool_responses", "vibration_modes"]
 
 Floats = NDArray[np.float64]
 
+CARRIED = 40  # coarse nodes that a mode is carried over from
 AMPLITUDE = 0.02  # of the spacing: displacements for second differences
 
 
@@ -113,6 +115,26 @@ def vibration_modes(body: FullModel, count: int, held: Sequence[str] = ()) -> tu
     fields = modes.reshape(count, -1, 3)
     fields /= np.linalg.norm(fields, axis=2).max(axis=1)[:, None, None]
     return fields, np.sqrt(values[order])
+
+
+def carried_modes(coarse: FullModel, body: FullModel, count: int) -> Floats:
+    """Return the slowest vibrations of a coarser model of the same body at a body's nodes, shape (count, n, 3).
+
+    They are carried over by thin-plate splines over the nearest nodes, and are zero at the body's supports. Their
+    largest displacement is about 1 m.
+
+    Raises
+    ------
+    InputError
+        As `vibration_modes`.
+    """
+    shapes = vibration_modes(coarse, count)[0].transpose(1, 0, 2).reshape(len(coarse.cloud), -1)
+    near = min(CARRIED, len(coarse.cloud))
+    fields = RBFInterpolator(coarse.cloud.points, shapes, neighbors=near)(body.cloud.points)
+    fields = fields.reshape(len(body.cloud), count, 3).transpose(1, 0, 2)
+    for group in body.fixed:
+        fields[:, body.cloud.group(group)] = 0.0
+    return np.ascontiguousarray(fields)
 
 
 def tool_responses(body: FullModel, fields: Floats, held: Sequence[str]) -> Floats:

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.fibres import firm
-from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
-from palpate.dynamics.membrane import load_areas
+from palpate.dynamics.loads import Drive, Load
 from palpate.dynamics.model import Model, Nodes, Outputs, State, Touch
 from palpate.dynamics.reactions import touching
 from palpate.dynamics.relaxation import at_ease, recall, remembered
@@ -25,6 +24,7 @@ from palpate.dynamics.stability import stable_step
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.dents import Handling, dents_of, skin_of
+from palpate.reduction.loading import lifted, ready_drive
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import RealtimeModel, realtime_model
 from palpate.reduction.points import point_law
@@ -41,7 +41,6 @@ MOVED = 0.1  # of the largest displacement seen: how far the state goes before t
 CONVERGED = 1e-7  # of the spacing: largest displacement that a Newton iteration may still change
 DIFFERENCE = 1e-5  # of the spacing: displacements for tangents by differences
 NEIGHBOURS = {2: 14, 3: 42}  # of the stencils of a sheet and of a solid
-MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
 class ReducedModel(Model):
@@ -137,28 +136,7 @@ class ReducedModel(Model):
     # loads
 
     def drive(self, loads: Sequence[Load]) -> Drive:
-        about = self.parts.kinematics
-        areas = partial(load_areas, self.cloud, about.prestretch) if about.sheet else None
-        ready = drive(self.cloud, self.fixed, loads, areas)
-        if len(ready.places.pressure_node):
-            raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
-        if len(ready.places.foundation_node):
-            raise InputError("a reduced model knows no Foundation yet: run the full model with it")
-        if ready.tools and (self.parts.dents is None or self.step is not None):
-            raise InputError(
-                "tools touch a reduced model that is stepped explicitly and was trained on runs in which they do: "
-                "train it with a Contact, and leave its step out"
-            )
-        held = {motion.group for motion, _ in ready.motions}
-        if held != set(self.parts.driven):
-            wanted = ", ".join(map(repr, self.parts.driven)) or "no group"
-            raise InputError(
-                f"this reduced model was trained with {wanted} driven, not with {sorted(held) or 'none'}: "
-                "give it those motions, or train it with these"
-            )
-        if len({motion.until for motion, _ in ready.motions}) > 1:
-            raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
-        return ready
+        return ready_drive(self.parts, loads, implicit=self.step is not None)
 
     def _loads(self, ready: Drive, times: Floats) -> Floats:
         """Generalised forces (t, all) of tractions and gravity at some times."""
@@ -175,21 +153,7 @@ class ReducedModel(Model):
         return self._handled
 
     def _lifted(self, ready: Drive, times: Floats) -> Floats:
-        """Coordinates (t, l) of the lifting columns at some times."""
-        if not self.parts.lifted:
-            return np.zeros((len(times), 0))
-        order = np.argsort(ready.places.driven)
-        motion = ready.schedule(times).motion[:, order].reshape(len(times), -1)
-        nodes = np.flatnonzero(ready.places.kind == DRIVEN)
-        span = self.parts.columns[self.parts.modes : self.count, nodes].reshape(self.parts.lifted, -1)
-        coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
-        missed = np.abs(coordinates @ span - motion).max()
-        if missed > MISSED * max(float(np.abs(motion).max()), 1e-3 * self.cloud.spacing):
-            raise InputError(
-                f"the prescribed motion is not one this reduced model knows: {missed:.3g} m of it is missed at "
-                f"t = {times[0]:.4g} s; it can only be moved and turned as a rigid tool"
-            )
-        return np.asarray(coordinates)
+        return lifted(self.parts, ready, times)
 
     @staticmethod
     def _holds(ready: Drive, times: Floats) -> NDArray[np.bool_]:

@@ -7,8 +7,9 @@ of component mode synthesis (MacNeal, Computers & Structures 1, 1971). Here it i
 
 with the tools' forces f_j [N] on the nodes. A kernel that is a sum of falling exponentials (`palpate.reduction.dents`)
 makes a positive definite matrix of any set of nodes, so that the forces that keep all nodes out of all tools are
-unique. They are found by Gauss and Seidel's sweeps from those of the step before: each node in turn gets the normal force that
-puts it onto its tool, and the tangential one that stops its sliding, at most mu times the normal one (Coulomb).
+unique. They are found by Gauss and Seidel's sweeps from those of the step before: each node in turn gets the normal
+force that puts it onto its tool, and the tangential one that stops its sliding, at most mu times the normal one
+(Coulomb).
 
 A step visits clusters of surface nodes, and the nodes of those near a tool: its time does not grow with the body.
 """

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import Load
 from palpate.dynamics.membrane import Membrane
@@ -54,6 +57,10 @@ class TrainingScene:
         What the scene was made with, in SI units.
     tools : tuple of str
         Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `driven` of `palpate.reduce`.
+    shapes : function, optional
+        Of a number, returns so many displacement fields (m, n, 3) that stand for modes. Where tools touch a body
+        anywhere, modes of the runs are dents where those runs had them; smooth fields leave all dents to the surface's
+        own compliance (`palpate.reduction.dents`).
     """
 
     model: FullModel | Membrane
@@ -62,3 +69,4 @@ class TrainingScene:
     title: str
     parameters: Mapping[str, float | int | str]
     tools: tuple[str, ...] = ()
+    shapes: Callable[[int], NDArray[np.float64]] | None = None

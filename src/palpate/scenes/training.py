@@ -9,11 +9,12 @@ from typing import Any
 
 from palpate.faults import InputError
 from palpate.scenes.grasp import grasped_beam
+from palpate.scenes.liver import pressed_liver
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["TRAINING", "training_scene", "typed"]
 
-TRAINING: dict[str, Callable[..., TrainingScene]] = {"beam": grasped_beam}
+TRAINING: dict[str, Callable[..., TrainingScene]] = {"beam": grasped_beam, "liver": pressed_liver}
 
 
 def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:

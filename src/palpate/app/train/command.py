@@ -158,7 +158,9 @@ def _reduced(folder: Folder, scene: TrainingScene, wanted: Sequence[Job], modes:
         reason = (folder.fault(wanted[0]) or {}).get("reason", "see its worker")
         raise ReproduceError(f"no training run was finished; the first: {reason}; {folder.runs} holds what they did")
     console.say(f"training {modes} modes on {len(learned)} runs, trying them on {len(tried)} others ...")
-    model = reduce(scene.model, learned, modes=modes, driven=scene.tools, held_out=tried)
+    smooth = None if scene.shapes is None else scene.shapes(modes)
+    own = modes if smooth is None else 0
+    model = reduce(scene.model, learned, modes=own, enrichment=smooth, driven=scene.tools, held_out=tried)
     with whole_file(folder.path / MODEL) as partial:
         model.save(partial)
     return model

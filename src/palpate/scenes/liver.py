@@ -1,0 +1,115 @@
+"""A liver that a ball presses, slides over and leaves again, anywhere on its free surface."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from palpate.dynamics.full import FullModel
+from palpate.dynamics.loads import Load
+from palpate.dynamics.tools import Contact, Sphere
+from palpate.faults import InputError, number_in_range
+from palpate.meshfree.attachment import near_plane
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.filling import fill
+from palpate.reduction.linear import carried_modes
+from palpate.scenes.organ import liver_surface
+from palpate.scenes.scene import TrainingScene
+from palpate.tissue.materials import NeoHookean
+
+__all__ = ["pressed_liver"]
+
+Floats = NDArray[np.float64]
+
+SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007
+DENSITY = 1060.0  # [kg/m^3]
+BED = 0.07  # [m] of the back that is held: the bare area, by which a liver grows to the diaphragm
+MARGIN = 0.02  # [m] that presses keep from it
+COARSE = 0.012  # [m] spacing of the coarse liver whose vibrations stand for modes
+CLEARANCE = 0.003  # [m] between ball and body before and after
+SLIDE = 0.02  # [m] longest
+SHALLOWEST = 0.3  # of the depth
+EVERY = 0.01  # [s]
+TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)  # [s] away, near, pressed, slid, near, away
+TRIES = 1000  # random presses until one is found that the rest of the body does not hinder
+
+
+def pressed_liver(
+    spacing: float = 0.0045, poisson: float = 0.45, radius: float = 0.015, depth: float = 0.02, friction: float = 0.2
+) -> TrainingScene:
+    """Return the generated liver (`palpate.liver_surface`) with random presses of a ball.
+
+    Neo-Hookean with the mean shear modulus of healthy livers, 2.2 kPa; the back is held. A press comes along the normal
+    of a random place, goes in by 0.3 to 1 times `depth`, slides up to 20 mm along the surface, and leaves.
+
+    Parameters
+    ----------
+    spacing : float [m]
+        Distance between nodes, 2 to 12 mm; 4.5 mm are about 20,000 nodes.
+    poisson : float
+        Poisson's ratio at rest, in [0, 0.49].
+    radius : float [m]
+        Of the ball; at least 2.5 spacings, so that nodes stand for the surface under it.
+    depth : float [m]
+        Of the deepest press, up to 40 mm.
+    friction : float
+        Coulomb's coefficient.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, by its name.
+    """
+    spacing = number_in_range("spacing", spacing, 0.002, 0.012, unit="m")
+    poisson = number_in_range("poisson", poisson, 0.0, 0.49)
+    radius = number_in_range("radius", radius, 2.5 * spacing, 0.1, unit="m")
+    depth = number_in_range("depth", depth, 0.0, 0.04, open_low=True, unit="m")
+    friction = number_in_range("friction", friction, 0.0, 2.0)
+    model = _model(spacing, poisson)
+    presses = Presses(model.cloud, radius, depth, friction)
+    parameters = {"spacing": spacing, "poisson": poisson, "radius": radius, "depth": depth, "friction": friction}
+    return TrainingScene(
+        model, presses, EVERY, "Liver pressed by a ball", parameters,
+        shapes=lambda count: carried_modes(_model(max(COARSE, spacing), poisson), model, count),
+    )  # fmt: skip
+
+
+def _model(spacing: float, poisson: float) -> FullModel:
+    cloud = fill(liver_surface(), spacing)
+    back = cloud.points[:, 1].max()
+    cloud = cloud.with_group("back", near_plane(cloud, (0.0, back - BED, 0.0), (0.0, -1.0, 0.0)))
+    material = NeoHookean(C1=SHEAR_MODULUS / 2, density=DENSITY, poisson=poisson)
+    return FullModel(cloud, material, "back", form="energy")
+
+
+class Presses:
+    """Random presses of a ball on the free surface of a body; equal seeds give equal presses."""
+
+    def __init__(self, cloud: Cloud, radius: float, depth: float, friction: float) -> None:
+        self.cloud, self.radius, self.depth, self.friction = cloud, radius, depth, friction
+        self.normals = np.zeros_like(cloud.points)
+        self.normals[cloud.face_nodes] = cloud.face_normals
+        held = cloud.points[cloud.group("back"), 1].min()
+        self.free = np.unique(cloud.face_nodes)
+        self.free = self.free[cloud.points[self.free, 1] < held - MARGIN]
+
+    def __call__(self, seed: int) -> tuple[tuple[Load, ...], float]:
+        """Return the loads of a press, and how long it takes [s]."""
+        random, points = np.random.default_rng(seed), self.cloud.points
+        for _ in range(TRIES):
+            first = random.choice(self.free)
+            deep = random.uniform(SHALLOWEST, 1.0) * self.depth
+            aim = points[first] + random.uniform(-SLIDE, SLIDE, 3) / np.sqrt(3)
+            last = self.free[np.argmin(np.linalg.norm(points[self.free] - aim, axis=1))]
+            near, far = self.radius + CLEARANCE, self.radius + 2 * CLEARANCE
+            heights = ((first, far), (first, near), (first, self.radius - deep), (last, self.radius - deep),
+                       (last, near), (last, far))  # fmt: skip
+            places = np.array([points[node] + height * self.normals[node] for node, height in heights])
+            ends = np.linalg.norm(points[:, None] - places[None, [0, 1, 4, 5]], axis=2).min(axis=0)
+            turned = float(self.normals[first] @ self.normals[last])
+            if ends.min() > self.radius and turned > 0.5:
+                path = PchipInterpolator(TIMES, places)
+                motion = lambda time, path=path: path(np.clip(time, TIMES[0], TIMES[-1]))  # noqa: E731
+                return (Contact(Sphere(self.radius), motion, friction=self.friction),), TIMES[-1]
+        raise InputError(f"a ball of radius {self.radius:g} m finds no place on this body: use a smaller one")

@@ -1,0 +1,200 @@
+"""Tools on reduced models: the forces that keep a compliant surface out of them, and runs beside the full model's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.dynamics.contact import gap
+from palpate.reduction.dents import Dents, dents_of
+from palpate.reduction.touch import Tools, settle, skin, touched
+
+SPACING, RADIUS = 0.002, 0.008
+SIZE, BALL = (0.06, 0.06, 0.03), 0.015
+
+
+def flat_skin():
+    x, y = np.meshgrid(SPACING * np.arange(-6, 7), SPACING * np.arange(-6, 7), indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    distances = np.linspace(0.0, 0.05, 500)
+    columns = np.random.default_rng(0).standard_normal((3, len(points), 3))
+    return skin(np.arange(len(points)), points, columns, 0.01 * np.exp(-distances / 0.004), distances[1], 0.015)
+
+
+def ball(of, friction=0.0, tools=1):
+    frames = np.zeros((tools, 2, 3, 4))
+    frames[:, :, :, :3] = np.eye(3)
+    return Tools(
+        np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction), frames,
+        np.zeros(3), np.zeros((tools, 6)), np.zeros((len(of.nodes), 3)),
+    )  # fmt: skip
+
+
+def moved(tools, before, after):
+    tools.frames[0, 0, :, 3], tools.frames[0, 1, :, 3] = before, after
+
+
+def gaps(touch, tools):
+    count = touch.numbers[0]
+    return np.array(
+        [gap(0, tools.sizes[t], tools.frames[t, 1], *touch.now[e]) for e, t in enumerate(touch.tool[:count])]
+    )
+
+
+def test_no_node_stays_inside_and_no_force_pulls():
+    of = flat_skin()
+    touch, tools = touched(of, 1), ball(of)
+    moved(tools, (0, 0, RADIUS), (0.0005, 0, RADIUS - 0.002))
+    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+    found, forces = gaps(touch, tools), touch.push[: touch.numbers[0]]
+    assert touch.numbers[0] > 20
+    assert found[:, 0].min() > -2e-3 * 0.002
+    along = np.sum(forces * found[:, 1:], axis=1)
+    assert along.min() >= 0
+    assert along.max() > 0
+    np.testing.assert_allclose(forces, along[:, None] * found[:, 1:], atol=2e-3 * along.max())  # no friction
+    on = along > 1e-3 * along.max()
+    np.testing.assert_allclose(found[on, 0], 0.0, atol=2e-3 * 0.002)  # where it is pushed it touches
+
+
+def test_what_the_tool_gets_is_what_the_nodes_and_coordinates_get():
+    of = flat_skin()
+    touch, tools = touched(of, 1), ball(of, friction=0.4)
+    moved(tools, (0, 0, RADIUS), (0.001, 0.0004, RADIUS - 0.002))
+    step = 1e-3
+    work, lost = settle(of, touch, tools, np.zeros(3), np.zeros(3), step)
+    forces, places = touch.force[0], touch.place[0]
+    np.testing.assert_allclose(tools.impulses[0, :3], step * forces.sum(axis=0), rtol=1e-12)
+    on = forces.any(axis=1)
+    arms = places[on] - tools.frames[0, 1, :, 3]
+    np.testing.assert_allclose(
+        tools.impulses[0, 3:], step * np.cross(arms, forces[on]).sum(axis=0), rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_allclose(tools.load, np.einsum("kcm,kc->m", of.columns, forces), rtol=1e-6)
+    np.testing.assert_allclose(tools.given, step * forces)
+    assert 0 <= lost < work
+
+
+def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
+    of = flat_skin()
+    touch, tools = touched(of, 1), ball(of, friction=0.3)
+    place = np.array([0.0, 0.0, RADIUS])
+    for way in [np.array([0, 0, -0.00025])] * 8 + [np.array([0.0002, 0, 0])] * 30:
+        moved(tools, place, place + way)
+        settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+        place = place + way
+        found, forces = gaps(touch, tools), touch.push[: touch.numbers[0]]
+        along = np.sum(forces * found[:, 1:], axis=1)
+        across = np.linalg.norm(forces - along[:, None] * found[:, 1:], axis=1)
+        assert np.all(across <= 0.3 * along + 2e-3 * along.max())
+    np.testing.assert_allclose(across.sum(), 0.3 * along.sum(), rtol=0.05)
+
+
+def test_two_tools_and_none():
+    of = flat_skin()
+    touch, tools = touched(of, 2), ball(of, tools=2)
+    for t, x in enumerate((-0.006, 0.006)):
+        tools.frames[t, :, :, 3] = (x, 0, RADIUS - 0.001)
+    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+    np.testing.assert_allclose(tools.impulses[0, 2], tools.impulses[1, 2], rtol=2e-3)  # alike
+    tools.frames[:, :, 2, 3] += 1.0
+    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+    assert not touch.force.any()
+    assert not tools.load.any()
+
+
+def test_dents_are_the_kernel_times_the_forces():
+    points = np.random.default_rng(1).random((30, 3))
+    dents = Dents(np.arange(5, 30), np.array([0.1, 0.4]), np.array([2.0, 3.0]), 1.0)
+    forces = np.zeros((30, 3))
+    forces[[7, 20]] = [[1.0, 0.0, 2.0], [0.0, -1.0, 0.5]]
+    found = dents_of(dents, points, forces)
+    far = np.linalg.norm(points[7] - points[20])
+    g = 2 * np.exp(-far / 0.1) + 3 * np.exp(-far / 0.4)
+    np.testing.assert_allclose(found[7], 6.0 * forces[7] + g * forces[20])
+    assert not found[:5].any()
+
+
+# runs
+
+
+def press(x, y, depth=0.004):
+    def motion(time):
+        share = np.sin(np.pi * min(time / 0.16, 1.0)) ** 2
+        return x, y, SIZE[2] + BALL + 0.001 - share * (depth + 0.001)
+
+    return [pt.Contact(pt.Sphere(BALL), motion)]
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """A block, runs of presses, and a model trained on all but the last."""
+    cloud = pt.box(SIZE, spacing=0.006)
+    body = pt.FullModel(cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", viscosity=1e-4)
+    places = [(0.021, 0.027), (0.039, 0.033), (0.030, 0.040), (0.024, 0.038)]
+    runs = [pt.rollout(body, press(*place), duration=0.2, every=0.005) for place in places]
+    model = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0])
+    return body, runs, model
+
+
+def test_runs_tell_which_nodes_tools_touched(pressed, tmp_path):
+    _, (run, *_), _ = pressed
+    pushes = np.zeros((len(run.times), 3))
+    np.add.at(pushes, run.touches[:, 0].astype(int), run.touches[:, 2:])
+    np.testing.assert_allclose(pushes, run.reactions["tool"], atol=1e-9)
+    run.save(tmp_path / "run.h5")
+    np.testing.assert_array_equal(pt.Trajectory.load(tmp_path / "run.h5").touches, run.touches)
+
+
+def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
+    body, runs, model = pressed
+    own = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
+    mine, full = own.reactions["tool"][:, 2], runs[-1].reactions["tool"][:, 2]
+    peak = np.abs(full).max()
+    assert np.abs(mine - full).max() < 0.15 * peak
+    on = np.abs(full) > 0.1 * peak
+    assert np.median(np.abs(mine[on] / full[on] - 1)) < 0.1
+    top = body.cloud.group("z+")
+    missed = np.linalg.norm(own.displacements[:, top] - runs[-1].displacements[:, top], axis=2)
+    assert np.quantile(missed, 0.95) < 0.07 * 0.004
+    assert not own.reactions["tool"][-1].any()  # it has left
+    assert np.abs(own.balance).max() < 0.05 * own.external.max()
+
+
+def test_the_surface_of_its_own_is_needed(pressed):
+    """What the modes alone, without the surface's compliance, make of it: a far too large force."""
+    _body, runs, model = pressed
+    from dataclasses import replace
+
+    stiff = pt.ReducedModel(replace(model.parts, dents=model.parts.dents._replace(
+        compliances=1e-3 * model.parts.dents.compliances, own=1e-3 * model.parts.dents.own + 1e-6)))  # fmt: skip
+    own = pt.rollout(stiff, press(0.024, 0.038), duration=0.2, every=0.005)
+    assert np.abs(own.reactions["tool"]).max() > 1.3 * np.abs(runs[-1].reactions["tool"]).max()
+
+
+def test_saved_and_loaded_it_runs_the_same(pressed, tmp_path):
+    _, _, model = pressed
+    model.save(tmp_path / "block.rom")
+    first, second = (
+        pt.rollout(m, press(0.024, 0.038), duration=0.08, every=0.01) for m in (model, pt.load(tmp_path / "block.rom"))
+    )
+    np.testing.assert_array_equal(first.displacements, second.displacements)
+    np.testing.assert_array_equal(first.reactions["tool"], second.reactions["tool"])
+
+
+def test_what_cannot_be_touched_is_refused(pressed):
+    body, runs, model = pressed
+    with pytest.raises(pt.InputError, match="inside the body"):
+        pt.rollout(model, [pt.Contact(pt.Sphere(BALL), (0.03, 0.03, SIZE[2]))], duration=0.01, every=0.01)
+    with pytest.raises(pt.InputError, match="stepped explicitly"):
+        pt.rollout(model.with_step(1e-3), press(0.03, 0.03), duration=0.01, every=0.01)
+    bare = pt.reduce(body, [run_without(runs[0])], modes=4)
+    with pytest.raises(pt.InputError, match="train it with a Contact"):
+        pt.rollout(bare, press(0.03, 0.03), duration=0.01, every=0.01)
+
+
+def run_without(run):
+    from dataclasses import replace
+
+    return replace(run, touches=np.zeros((0, 5)))
