@@ -91,7 +91,8 @@ def skin(nodes: Ints, points: Floats, columns: Floats, kernel: Floats, interval:
     return Skin(
         np.asarray(nodes)[order], np.ascontiguousarray(points),
         np.ascontiguousarray(columns[:, order].transpose(1, 2, 0), dtype=np.float32),
-        start, np.array(leader), np.array(extent), np.ascontiguousarray(kernel), interval, own,
+        start, np.array(leader, dtype=np.int64), np.array(extent, dtype=float),
+        np.ascontiguousarray(kernel), interval, own,
     )  # fmt: skip
 
 
@@ -106,7 +107,7 @@ def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
         axis = int(np.argmax(np.ptp(points[part], axis=0)))
         ordered = part[np.argsort(points[part, axis], kind="stable")]
         parts += [ordered[len(part) // 2 :], ordered[: len(part) // 2]]
-    return np.concatenate(done), np.cumsum([len(part) for part in done])
+    return np.concatenate(done), np.cumsum([len(part) for part in done], dtype=np.int64)
 
 
 def tools_of(contacts: Contacts, of: Skin) -> Tools:
