@@ -27,7 +27,7 @@ def ball(of, friction=0.0, tools=1):
     frames[:, :, :, :3] = np.eye(3)
     return Tools(
         np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction), frames,
-        np.zeros(3), np.zeros((tools, 6)), np.zeros((len(of.nodes), 3)),
+        np.zeros(3), np.zeros((tools, 6)), np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
     )  # fmt: skip
 
 
@@ -198,3 +198,50 @@ def run_without(run):
     from dataclasses import replace
 
     return replace(run, touches=np.zeros((0, 5)))
+
+
+def test_the_engine_feels_what_a_run_feels(pressed):
+    """Periods of the engine's compiled step beside `rollout`: the same ball, the same way, the same force."""
+    _, _, model = pressed
+    depth, rate, home = 0.004, 1000, (0.024, 0.038, SIZE[2] + BALL + 0.001)
+    slow = pt.Contact(pt.Sphere(BALL), lambda time: (*home[:2], home[2] - (depth + 0.001) * min(time / 0.1, 1.0)))
+    run = pt.rollout(model, [slow], duration=0.2, every=0.01)
+    ready = model.realtime(contact=pt.Contact(pt.Sphere(BALL), home))
+    q, v, report = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(20)
+    felt, moments = [], []
+    for k in range(200):
+        target = np.zeros(12)
+        target[2] = -(depth + 0.001) * min((k + 1) / rate / 0.1, 1.0)
+        ready.advance(ready.data, q, v, ready.tool @ target, 1.0 / rate, report)
+        assert report[0] == 0.0
+        felt.append(report[8:11].copy())
+        moments.append(report[11:20].reshape(3, 3).copy())
+    means = np.array(felt).reshape(20, 10, 3).mean(axis=1)
+    peak = np.abs(run.reactions["tool"]).max()
+    np.testing.assert_allclose(means, run.reactions["tool"][1:], atol=0.03 * peak)
+    # of G on R = 1 the moment is the sum over j of R_j x G_j
+    last = np.mean([np.cross(np.eye(3), g.T).sum(axis=0) for g in moments[-10:]], axis=0)
+    np.testing.assert_allclose(last, run.moments["tool"][-1], atol=0.03 * peak * BALL)
+
+
+def test_an_engine_presses_and_lets_go(pressed):
+    _, _, model = pressed
+    home = (0.03, 0.03, SIZE[2] + BALL + 0.001)
+    with pt.Engine(model.realtime(contact=pt.Contact(pt.Sphere(BALL), home)), on_distrust="warn") as engine:
+        engine.set_pose((0.0, 0.0, -0.004))
+        import time
+        import warnings
+
+        def waited(what):
+            for _ in range(300):
+                time.sleep(0.02)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    force = engine.read().force
+                if what(force):
+                    return force
+            return force
+
+        assert waited(lambda force: force[2] > 0.01)[2] > 0.01  # the body pushes the tool up
+        engine.set_pose((0.0, 0.0, 0.001))
+        assert np.abs(waited(lambda force: not np.abs(force).any())).max() == 0.0

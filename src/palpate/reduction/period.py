@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.relaxation import forget
+from palpate.dynamics.tools import Contact
 from palpate.faults import InputError
+from palpate.reduction.dents import Handling
 from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import Samples, Scratch, sampled_energy, scratch
 from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, newton, sampled_step
+from palpate.reduction.touch import Skin, Tools, Touch, aim, dent_energy, press, tools_of, touched
 
 if TYPE_CHECKING:
     from palpate.reduction.reduced import ReducedModel
@@ -62,6 +65,10 @@ class PeriodData(NamedTuple):
         Frequency [rad/s] at rest and now; next column of the tangent.
     path, holds, nothing : (s + 3, l), (s,), (s, m) arrays
         Of the implicit steps of a period: the tool's path, that it holds, and no loads.
+    skin, touch, tools : tuples
+        Of a tool that touches the body (`palpate.reduction.touch`); none where it holds a group.
+    home : (3,) array [m]
+        Where that tool stands when its pose is none.
     """
 
     modes: int
@@ -89,6 +96,10 @@ class PeriodData(NamedTuple):
     path: Floats
     holds: NDArray[np.bool_]
     nothing: Floats
+    skin: Skin
+    touch: Touch
+    tools: Tools
+    home: Floats
 
 
 class RealtimeModel(NamedTuple):
@@ -181,7 +192,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         stable = SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency
         steps = min(MOST_SUBSTEPS, int(np.ceil(period / stable)))
         step = period / steps
-        for _ in range(steps):
+        for s in range(steps):
             for m in range(count):
                 at[m] = q[m] + data.beta * v[m]
             clock = data.scratch.memory.interval
@@ -199,6 +210,9 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 for m in range(modes):
                     value += data.mass[j, m] * rate[m]
                 report[8 + j - modes] += value / steps
+            if data.tools.kind.shape[0] > 0:
+                press(data.skin, data.touch, data.tools, q, v, data.held, at, step, period,
+                      (s + 1.0) / steps, report)  # fmt: skip
             for m in range(modes):
                 q[m] += step * v[m]
             for j in range(modes, count):
@@ -272,8 +286,10 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         report[:] = 0.0
         kept[:] = q
         before[:] = v
-        if not q.any() and not v.any():  # at rest: begun, or begun again
+        still = not q.any() and not v.any()
+        if still:  # at rest: begun, or begun again
             forget(data.scratch.memory)
+            data.touch.force[:] = 0.0
         follow(data, q)
         change = data.vectors[4]  # of the velocities, at the start of the period
         for j in range(modes, count):
@@ -290,6 +306,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for j in range(modes, count):
             for k in range(count):
                 report[8 + j - modes] += data.mass[j, k] * change[k] / period
+        aim(data.tools, data.home, target, still)
         if data.step > 0.0:
             steps = max(1, int(np.round(period / data.step)))
             taken = implicit(
@@ -312,7 +329,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for m in range(count):
             for k in range(count):
                 report[3] += 0.5 * v[m] * data.mass[m, k] * v[k]
-        report[4] = energy(q, data.samples, data.scratch)
+        report[4] = energy(q, data.samples, data.scratch) + dent_energy(data.touch)
         if not np.isfinite(report[4]):
             q[:] = kept
             v[:] = before
@@ -340,13 +357,19 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
     return advance, stiffness
 
 
-def realtime_model(model: ReducedModel, longest: float) -> RealtimeModel:
+def realtime_model(model: ReducedModel, longest: float, contact: Contact | None) -> RealtimeModel:
     """Make what `ReducedModel.realtime` returns."""
     parts, count = model.parts, model.count
-    if len(parts.driven) != 1:
+    handling = None if contact is None else Handling(model._skin, model.drive([contact]))
+    if contact is None and len(parts.driven) != 1:
         raise InputError(
-            f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP'"
+            f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP', "
+            "or give it a tool to touch it with"
         )
+    home, tools, touch = np.zeros(3), tools_of(None, model._skin), touched(model._skin, 0)
+    if handling is not None:
+        handling.begun(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
+        home, tools, touch = handling.drive.schedule(np.zeros(1)).poses[0, 0, :3], handling.tools, handling.touch
     root = np.linalg.cholesky(model.mass / model.masses.sum()).T
     which = np.r_[:count, len(parts.columns) - parts.witnesses : len(parts.columns)]
     watched = model.sampled(which)
@@ -356,11 +379,14 @@ def realtime_model(model: ReducedModel, longest: float) -> RealtimeModel:
     data = PeriodData(
         parts.modes, model.viscosity, model.step or 0.0, model.tolerance, model.mass, model._held,
         model._differences, model._samples, own, newton(count),
-        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, parts.leeway,
+        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, np.inf if contact else parts.leeway,
         watched, scratch(watched, own.memory),
         model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
         model.stiffness(np.zeros(count)), np.zeros((count, count)), np.array([frequency, frequency, 0.0]),
         np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
+        model._skin, touch, tools, home,
     )  # fmt: skip
     advance, stiffness = period_functions(model._law, model.single)
-    return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.driven[0]))
+    if contact is None:
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.driven[0]))
+    return RealtimeModel(advance, None, data, np.zeros(count), np.eye(12))

@@ -21,6 +21,7 @@ from palpate.dynamics.model import Model, Nodes, Outputs, State, Touch
 from palpate.dynamics.reactions import touching
 from palpate.dynamics.relaxation import at_ease, recall, remembered
 from palpate.dynamics.stability import stable_step
+from palpate.dynamics.tools import Contact
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.dents import Handling, dents_of, skin_of
@@ -147,13 +148,9 @@ class ReducedModel(Model):
         return np.asarray(np.hstack(values) @ self._loaded[1])
 
     def _handling(self, ready: Drive) -> Handling:
-        """Tools that touch the body, made ready once for a drive."""
         if self._handled is None or self._handled.drive is not ready:
             self._handled = Handling(self._skin, ready)
         return self._handled
-
-    def _lifted(self, ready: Drive, times: Floats) -> Floats:
-        return lifted(self.parts, ready, times)
 
     @staticmethod
     def _holds(ready: Drive, times: Floats) -> NDArray[np.bool_]:
@@ -176,9 +173,9 @@ class ReducedModel(Model):
         coordinates, velocities = np.array(known)
         modes = slice(self.parts.modes)
         if self._holds(drive, np.array([time]))[0]:
-            lifted = self._lifted(drive, np.array([time]))[0]
-            rates = drive.rates(lambda times: self._lifted(drive, times), time)[0]
-            for moment, own in ((coordinates, lifted), (velocities, rates)):
+            held = lifted(self.parts, drive, np.array([time]))[0]
+            rates = drive.rates(lambda times: lifted(self.parts, drive, times), time)[0]
+            for moment, own in ((coordinates, held), (velocities, rates)):
                 moment[modes] = self._held @ (moment[modes] - self.mass[modes, self.parts.modes :] @ own)
                 moment[self.parts.modes :] = own
         else:
@@ -223,8 +220,8 @@ class ReducedModel(Model):
             loads = np.ascontiguousarray(self._loads(drive, times[1:-1])[:, :count])
             fastest = self.parts.fastest / self.sizes[self.parts.modes :]
             work, lost, tools = self._explicit(
-                a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, fastest, loads,
-                self.mass, self._held, self._free, self._samples, self._scratch, self._newton,
+                a, v, lifted(self.parts, drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, fastest,
+                loads, self.mass, self._held, self._free, self._samples, self._scratch, self._newton,
                 handling.poses(times[1:-1], state.touch, self.cloud.spacing), self._skin, handling.touch,
                 handling.tools,
             )  # fmt: skip
@@ -232,7 +229,7 @@ class ReducedModel(Model):
             middles = times[1:-2] + 0.5 * step
             loads = np.ascontiguousarray(self._loads(drive, middles)[:, :count])
             work, lost, tools, taken = self._implicit(
-                a, v, self._lifted(drive, times), self._holds(drive, times[2:-1]), step, self.viscosity, loads,
+                a, v, lifted(self.parts, drive, times), self._holds(drive, times[2:-1]), step, self.viscosity, loads,
                 self.mass, self._differences, self.tolerance, self._samples, self._scratch, self._newton,
             )  # fmt: skip
             if taken < steps:
@@ -268,7 +265,7 @@ class ReducedModel(Model):
             forces += np.tensordot(self.parts.columns, state.touch.forces, 2)
         modes = slice(self.parts.modes)
         if self._holds(drive, np.array([state.time]))[0]:
-            bend = drive.rates(lambda times: self._lifted(drive, times), state.time)[1]
+            bend = drive.rates(lambda times: lifted(self.parts, drive, times), state.time)[1]
             own = self._held @ (forces[modes] - self.mass[modes, self.parts.modes :] @ bend)
             return np.concatenate([own, bend]), forces
         return self._free @ forces[: self.count], forces
@@ -378,20 +375,23 @@ class ReducedModel(Model):
         """Return this model stepped by the energy-conserving implicit rule of a step [s], or explicitly (None)."""
         return ReducedModel(self.parts, step=step, single=self.single)
 
-    def realtime(self, longest: float = 0.02) -> RealtimeModel:
-        """Return this model as `palpate.Engine` takes it, with one tool that holds the driven group.
+    def realtime(self, longest: float = 0.02, contact: Contact | None = None) -> RealtimeModel:
+        """Return this model as `palpate.Engine` takes it, with one tool that holds the driven group, or touches it.
 
         Parameters
         ----------
         longest : float [s]
             Longest period that will be asked for.
+        contact : Contact, optional
+            The tool that touches the body; its place at time 0 is where the engine's pose counts from. The trust number
+            then is the distance from training alone, and the contact stiffness is not told.
 
         Raises
         ------
         InputError
-            The model was not trained with exactly one driven group.
+            The model was not trained with exactly one driven group, or with tools that touch it.
         """
-        return realtime_model(self, longest)
+        return realtime_model(self, longest, contact)
 
     def save(self, path: str | Path) -> None:
         """Write everything to one file, whole or not at all (`palpate.load` reads it)."""

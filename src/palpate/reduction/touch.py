@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled import kernel_njit
 from palpate.dynamics.contact import Contacts, gap, material_velocity
 
-__all__ = ["Skin", "Tools", "Touch", "settle", "skin", "tools_of", "touched"]
+__all__ = ["Skin", "Tools", "Touch", "aim", "dent_energy", "press", "settle", "skin", "tools_of", "touched"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -61,6 +61,7 @@ class Tools(NamedTuple):
     load: Floats  # (m,) forces on the coordinates
     impulses: Floats  # (t, 6) [N s] and moments about the origins [N m s] on the body, added up
     given: Floats  # (k, 3) impulses [N s] on the nodes, added up
+    way: Floats  # (2, 3, 4) in real time: a tool's frames before and after a period
 
 
 class Touch(NamedTuple):
@@ -110,11 +111,13 @@ def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
     return np.concatenate(done), np.cumsum([len(part) for part in done], dtype=np.int64)
 
 
-def tools_of(contacts: Contacts, of: Skin) -> Tools:
-    """Make tools ready that a full model would know as `contacts`."""
+def tools_of(contacts: Contacts | None, of: Skin) -> Tools:
+    """Make tools ready that a full model would know as `contacts`; None for no tool."""
+    kind = np.zeros(0, dtype=np.int64) if contacts is None else contacts.kind
+    sizes, friction = (np.zeros((0, 3)), np.zeros(0)) if contacts is None else (contacts.sizes, contacts.friction)
     return Tools(
-        contacts.kind, contacts.sizes, contacts.friction, np.zeros((len(contacts.kind), 2, 3, 4)),
-        np.zeros(of.columns.shape[2]), np.zeros((len(contacts.kind), 6)), np.zeros((len(of.nodes), 3)),
+        kind, sizes, friction, np.zeros((len(kind), 2, 3, 4)), np.zeros(of.columns.shape[2]),
+        np.zeros((len(kind), 6)), np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
     )  # fmt: skip
 
 
@@ -306,3 +309,58 @@ def _keep(skin, touch, tools, step):  # type: ignore[no-untyped-def]
                 for m in range(tools.load.shape[0]):
                     tools.load[m] += skin.columns[i, d, m] * push[d]
     return work, lost
+
+
+@njit(cache=True)
+def aim(tools, home, target, still):  # type: ignore[no-untyped-def]
+    """Let a tool go, in a period, to a pose as `palpate.realtime` has it: displacement and R - I, (12,)."""
+    if tools.kind.shape[0] == 0:
+        return
+    there = True
+    for i in range(12):
+        there = there and target[i] == 0.0
+    for i in range(3):
+        for j in range(3):
+            tools.way[1, i, j] = target[3 + 3 * i + j] + (1.0 if i == j else 0.0)
+        tools.way[1, i, 3] = home[i] + target[i]
+        for j in range(4):
+            if still and there:  # begun, or begun again
+                tools.frames[0, 1, i, j] = tools.way[1, i, j]
+            tools.way[0, i, j] = tools.frames[0, 1, i, j]
+
+
+@kernel_njit()
+def press(skin, touch, tools, q, v, response, at, step, period, share, report):  # type: ignore[no-untyped-def]
+    """Let the tool push a body in a step [s] that ends at a share of the tool's way in a period [s].
+
+    The velocities v (m,) change; the report's entries from the ninth on get the means of the forces that are conjugate
+    to the tool's displacement and to the entries of its rotation R: for those G = S R, S the moment's cross product.
+    """
+    for i in range(3):
+        for j in range(4):
+            tools.frames[0, 0, i, j] = tools.frames[0, 1, i, j]
+            tools.frames[0, 1, i, j] = tools.way[0, i, j] + share * (tools.way[1, i, j] - tools.way[0, i, j])
+    for m in range(q.shape[0]):
+        at[m] = q[m] + step * v[m]
+    tools.impulses[:] = 0.0
+    settle(skin, touch, tools, at, v, step)
+    for m in range(q.shape[0]):
+        for k in range(q.shape[0]):
+            v[m] += step * response[m, k] * tools.load[k]
+    for i in range(3):
+        k, m = (i + 1) % 3, (i + 2) % 3
+        report[8 + i] += tools.impulses[0, i] / period
+        half = 0.5 * tools.impulses[0, 3 + i] / period
+        for j in range(3):
+            report[11 + 3 * m + j] += half * tools.frames[0, 1, k, j]
+            report[11 + 3 * k + j] -= half * tools.frames[0, 1, m, j]
+
+
+@njit(cache=True)
+def dent_energy(touch):  # type: ignore[no-untyped-def]
+    """Return the energy [J] of the surface's own compliance."""
+    total = 0.0
+    for e in range(touch.numbers[0]):
+        for d in range(3):
+            total += 0.5 * touch.push[e, d] * (touch.now[e, d] - touch.modal[e, d])
+    return total
