@@ -6,8 +6,8 @@ of component mode synthesis (MacNeal, Computers & Structures 1, 1971). Here it i
     x_i = X_i + sum over columns of C_im a_m + sum over touched nodes of g(|X_i - X_j|) f_j,
 
 with the tools' forces f_j [N] on the nodes. A kernel that is a sum of falling exponentials (`palpate.reduction.dents`)
-makes a positive definite matrix of any set of nodes, so that the forces that keep all nodes out of all tools are
-unique. They are found by Gauss and Seidel's sweeps from those of the step before: each node in turn gets the normal
+makes a positive definite matrix of any set of nodes, so that without friction one set of forces keeps all nodes out of
+all tools. They are found by Gauss and Seidel's sweeps from those of the step before: each node in turn gets the normal
 force that puts it onto its tool, and the tangential one that stops its sliding, at most mu times the normal one
 (Coulomb).
 
