@@ -13,6 +13,7 @@ import pytest
 import palpate as pt
 from palpate.reduction import storage
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.dents import Dents
 from palpate.reduction.reduced import ReducedModel, ReducedParts
 
 
@@ -66,7 +67,9 @@ def trained(bar, tissue, push):
     slanted = pt.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(0.6, 0.8, 0.0))
     full = pt.FullModel(bar, tissue, fixed="x-", form="energy", fibres=slanted)
     run = pt.rollout(full, push, duration=0.01, every=0.0005)
-    return pt.reduce(full, run, modes=4, driven="tip", held_out=[(push, run)])
+    model = pt.reduce(full, run, modes=4, driven="tip", held_out=[(push, run)])
+    dents = Dents(np.unique(bar.face_nodes), np.array([0.004, 0.01]), np.array([0.02, 0.003]), 0.01)  # made up
+    return pt.ReducedModel(replace(model.parts, dents=dents))
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +217,7 @@ def test_twenty_thousand_nodes_with_64_modes_take_less_than_20_megabytes(tissue,
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (4, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (5, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["columns"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.parts.cubature.weights)
@@ -251,8 +254,8 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_another_version_is_refused_whatever_follows(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 4", b"version 3", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 3, and version 4 is the one that is"):
+    path.write_bytes(saved.read_bytes().replace(b"version 5", b"version 4", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 4, and version 5 is the one that is"):
         pt.load(path)
 
 
