@@ -345,10 +345,10 @@ def test_arguments_out_of_range_are_refused_by_name(small_cloud, tissue, argumen
         energy_form(small_cloud, tissue, **arguments)
 
 
-@pytest.mark.parametrize("form", ["energy", "strong"])
-def test_a_uniform_pressure_is_recovered_as_it_is(form):
+@pytest.mark.parametrize("options", [{"form": "energy"}, {"form": "strong"}, {"pressure": "direct"}])
+def test_a_uniform_pressure_is_recovered_as_it_is(options):
     cloud = CLOUDS["jitter"]
-    body = pt.FullModel(cloud, silicone(0.49), "x-", form=form)
+    body = pt.FullModel(cloud, silicone(0.3), "x-", **options)
     grown = 1e-3 * cloud.points
     expected = body.material.lame * (1.001**3 - 1)
     np.testing.assert_allclose(body.recovered_pressure(grown), expected, rtol=1e-6)
@@ -362,3 +362,12 @@ def test_a_recovered_pressure_hardly_alternates():
     fitted = body._recovery.fit(np.column_stack([board, slope]))
     assert np.abs(fitted[:, 0]).max() < 0.25
     np.testing.assert_allclose(fitted[:, 1], slope, atol=1e-9)
+
+
+def test_the_pressure_of_a_region_is_recovered_with_its_own_modulus():
+    cloud, soft, firm = CLOUDS["lattice"], silicone(0.3), silicone(0.45)
+    body = pt.FullModel(cloud, {"": soft, "x+": firm}, form="energy")
+    found = body.recovered_pressure(1e-3 * cloud.points)
+    away = cloud.points[:, 0] < SIDE
+    np.testing.assert_allclose(found[away], soft.lame * (1.001**3 - 1), rtol=1e-6)
+    assert found[cloud.group("x+")].min() > 1.5 * found[away].max()

@@ -13,8 +13,8 @@ import pytest
 import palpate as pt
 from palpate.reduction import storage
 from palpate.reduction.cubature import Cubature
-from palpate.reduction.dents import Dents
 from palpate.reduction.reduced import ReducedModel, ReducedParts
+from palpate.reduction.touch import Dents
 
 
 def flat(parts):

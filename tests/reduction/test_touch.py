@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import palpate as pt
 from palpate.dynamics.contact import gap
-from palpate.reduction.dents import Dents, dents_of
-from palpate.reduction.touch import Tools, settle, skin, touched
+from palpate.reduction.dents import dents_of
+from palpate.reduction.touch import Dents, Tools, settle, skin, touched
 
 SPACING, RADIUS = 0.002, 0.008
 SIZE, BALL = (0.06, 0.06, 0.03), 0.015
@@ -165,8 +167,6 @@ def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
 def test_the_surface_of_its_own_is_needed(pressed):
     """What the modes alone, without the surface's compliance, make of it: a far too large force."""
     _body, runs, model = pressed
-    from dataclasses import replace
-
     stiff = pt.ReducedModel(replace(model.parts, dents=model.parts.dents._replace(
         compliances=1e-3 * model.parts.dents.compliances, own=1e-3 * model.parts.dents.own + 1e-6)))  # fmt: skip
     own = pt.rollout(stiff, press(0.024, 0.038), duration=0.2, every=0.005)
@@ -192,11 +192,12 @@ def test_what_cannot_be_touched_is_refused(pressed):
     bare = pt.reduce(body, [run_without(runs[0])], modes=4)
     with pytest.raises(pt.InputError, match="train it with a Contact"):
         pt.rollout(bare, press(0.03, 0.03), duration=0.01, every=0.01)
+    held = pt.ReducedModel(replace(model.parts, driven=("z+",)))
+    with pytest.raises(pt.InputError, match="nor reduced models that tools hold"):
+        pt.rollout(held, press(0.03, 0.03), duration=0.01, every=0.01)
 
 
 def run_without(run):
-    from dataclasses import replace
-
     return replace(run, touches=np.zeros((0, 5)))
 
 

@@ -275,7 +275,10 @@ class FullModel(NodalModel):
         Positive where the volume has grown. Figures are in docs/incompressibility.md.
         """
         self.force(displacements)
-        acting = self.material.lame * self.work.pressure if self.conservative else self.work.smooth
+        if self.conservative:
+            acting = self.lame * self.work.pressure
+        else:
+            acting = self.work.smooth if self.pressure == "split" else self.work.pressure
         return self._recovery.fit(acting)
 
     @cached_property

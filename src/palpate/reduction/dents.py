@@ -12,7 +12,7 @@ with c_e >= 0 (non-negative least squares), so that any set of nodes has a posit
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +26,13 @@ from palpate.dynamics.tools import surface_nodes
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.reduction.snapshots import Snapshots
-from palpate.reduction.touch import Skin, Tools, Touch, skin, tools_of, touched
+from palpate.reduction.touch import Dents, Skin, Tools, Touch, skin, tools_of, touched
 
 if TYPE_CHECKING:
     from palpate.reduction.parts import ReducedParts
     from palpate.reduction.reduced import ReducedModel
 
-__all__ = ["Dents", "Handling", "dents_of", "fitted_dents", "skin_of", "touch_of"]
+__all__ = ["Handling", "dents_of", "fitted_dents", "skin_of", "touch_of"]
 
 Floats = NDArray[np.float64]
 
@@ -40,30 +40,6 @@ LENGTHS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # of the exponentials, in spacings
 TABLE = 1024  # distances at which the kernel is kept
 FRAMES = 400  # of the runs, at which the compliance is fitted
 NEAR = 5.0  # spacings from a touched node to which it is fitted
-
-
-class Dents(NamedTuple):
-    """The compliance of a body's surface beside its modes.
-
-    Parameters
-    ----------
-    nodes : (k,) int array
-        Nodes that tools may touch.
-    lengths, compliances : (e,) arrays [m], [m/N]
-        Of the exponentials.
-    own : float [m/N]
-        More compliance of a node under its own force.
-    """
-
-    nodes: NDArray[np.int64]
-    lengths: Floats
-    compliances: Floats
-    own: float
-
-    def kernel(self, distances: Floats) -> Floats:
-        """Return g [m/N] at some distances [m]; at 0 with the node's own."""
-        falling = np.exp(-distances[..., None] / self.lengths) @ self.compliances
-        return np.asarray(falling + np.where(distances == 0, self.own, 0.0))
 
 
 def skin_of(parts: ReducedParts) -> Skin:
@@ -108,7 +84,7 @@ class Handling:
             return np.zeros((0, 0, 7))
         schedule = self.drive.schedule(times)
         check_way(self.drive, schedule, spacing)
-        self.touch.force[:], self.touch.place[:] = before.pushes, before.places
+        self.touch.force[:], self.touch.place[:], self.touch.busy[:] = before.pushes, before.places, True
         self.tools.impulses[:], self.tools.given[:] = 0.0, 0.0
         return schedule.poses
 
@@ -163,7 +139,7 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots) -> tuple[Dents, floa
     Raises
     ------
     InputError
-        No tool touches the body in any run.
+        No tool touches the body in any run, or the modes miss nothing that a compliance could give.
     """
     cloud = model.cloud
     held = np.concatenate([np.zeros(0, dtype=np.int64), *(cloud.group(name) for name in model.fixed)])
@@ -194,7 +170,10 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots) -> tuple[Dents, floa
     matrix, target = np.concatenate(rows), np.concatenate(wanted)
     found, residual = nnls(matrix, target)
     if not found.any():
-        found[1] = 1e-6 / max(float(np.abs(matrix[:, 1]).max()), 1e-300)  # the modes miss nothing: a micrometre
+        raise InputError(
+            "what the modes miss under tools is no dent: give reduce smooth modes (enrichment=vibration_modes(...)), "
+            "which do not hold the dents of the training runs"
+        )
     dents = Dents(nodes, lengths[found[:-1] > 0], found[:-1][found[:-1] > 0], float(found[-1]))
     return dents, 1.0 - (residual / float(np.linalg.norm(target))) ** 2
 
@@ -208,21 +187,14 @@ def _without_affine(points: Floats, fields: Floats) -> Floats:
 
 def _led(model: ReducedModel, run: Any) -> Floats:
     """Return the coordinates (f, m) of the model led through a run by the forces on its nodes."""
-    columns = model.parts.columns[: model.count]
-    response = model._free
-    coordinates, velocities = np.zeros(model.count), np.zeros(model.count)
-    if len(run.times):
-        coordinates = model.projected(run.displacements[0][None])[0]
-    found, start = [coordinates.copy()], np.searchsorted(run.touches[:, 0], np.arange(len(run.times) + 1))
-    frequency = model._highest(np.zeros(model.count))
+    drive, columns = model.drive(()), model.parts.columns[: model.count]
+    state = model.state(drive, run.displacements[0], time=float(run.times[0]))
+    found, start = [state.coordinates], np.searchsorted(run.touches[:, 0], np.arange(len(run.times) + 1))
     for frame in range(1, len(run.times)):
         touches = run.touches[start[frame] : start[frame + 1]]
-        load = np.einsum("mkc,kc->m", columns[:, touches[:, 1].astype(int)], touches[:, 2:])
-        interval = float(run.times[frame] - run.times[frame - 1])
-        steps = max(4, int(np.ceil(interval * frequency)))
-        for _ in range(steps):
-            force = model.force(coordinates + model.viscosity * velocities) + load
-            velocities = velocities + interval / steps * (response @ force)
-            coordinates = coordinates + interval / steps * velocities
-        found.append(coordinates.copy())
+        forces = np.einsum("mkc,kc->m", columns[:, touches[:, 1].astype(int)], touches[:, 2:])
+        interval = float(run.times[frame] - state.time)
+        steps = int(np.ceil(interval / min(model.stable_step(state, drive), interval / model.fewest) * (1 - 1e-9)))
+        state = model.advance(state, drive, interval / steps, steps, forces)
+        found.append(state.coordinates)
     return np.array(found)

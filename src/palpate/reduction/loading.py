@@ -35,6 +35,10 @@ def ready_drive(parts: ReducedParts, loads: Sequence[Load], *, implicit: bool) -
         raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
     if len(ready.places.foundation_node):
         raise InputError("a reduced model knows no Foundation yet: run the full model with it")
+    if ready.tools and (parts.driven or about.sheet):
+        raise InputError(
+            "tools do not touch reduced membranes, nor reduced models that tools hold (driven): run the full model"
+        )
     if ready.tools and (parts.dents is None or implicit):
         raise InputError(
             "tools touch a reduced model that is stepped explicitly and was trained on runs in which they do: "

@@ -95,8 +95,7 @@ class ReducedModel(Model):
         self._loaded: tuple[Drive, Floats] | None = None
         self._skin = skin_of(parts)
         self._handled: Handling | None = None
-        self._result, self._everything = np.zeros(count), np.zeros(len(flat))
-        self._frequency, self._reach = 0.0, 0.0
+        self._result, self._everything, self._frequency, self._reach = np.zeros(count), np.zeros(len(flat)), 0.0, 0.0
         self._frequency_at: Floats | None = None
 
     @property
@@ -211,13 +210,14 @@ class ReducedModel(Model):
         squares = np.sort(np.linalg.eigvals(self._held @ (0.5 * (tangent + tangent.T))).real)
         return np.sqrt(np.where(squares >= 0, squares, np.nan))
 
-    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+    def advance(self, state: State, drive: Drive, step: float, steps: int, beside: Floats | float = 0.0) -> State:
+        """Advance by some steps; explicit ones take forces (m + l,) on the coordinates beside those of the drive."""
         a, v, count, memory = state.coordinates.copy(), state.velocities.copy(), self.count, self._scratch.memory
         recall(memory, state.memory)
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         handling = self._handling(drive)
         if self.step is None:
-            loads = np.ascontiguousarray(self._loads(drive, times[1:-1])[:, :count])
+            loads = np.ascontiguousarray(self._loads(drive, times[1:-1])[:, :count] + beside)
             fastest = self.parts.fastest / self.sizes[self.parts.modes :]
             work, lost, tools = self._explicit(
                 a, v, lifted(self.parts, drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, fastest,
@@ -345,7 +345,8 @@ class ReducedModel(Model):
         return np.tensordot(self._rates(state, drive)[0], self.parts.columns[: self.count], 1)
 
     def external_force(self, state: State, drive: Drive) -> Floats:
-        return load_forces(drive.places, drive.schedule(np.array([state.time])), self.masses)
+        forces = load_forces(drive.places, drive.schedule(np.array([state.time])), self.masses)
+        return forces if state.touch is None else forces + state.touch.forces
 
     def nodal_force(self, displacements: Floats) -> Floats:
         raise InputError("a reduced model has no forces at nodes; ask the full model")
@@ -383,8 +384,7 @@ class ReducedModel(Model):
         longest : float [s]
             Longest period that will be asked for.
         contact : Contact, optional
-            The tool that touches the body; its place at time 0 is where the engine's pose counts from. The trust number
-            then is the distance from training alone, and the contact stiffness is not told.
+            The tool that touches the body, from its place at time 0. Trust then is the distance from training alone.
 
         Raises
         ------

@@ -25,7 +25,6 @@ import numpy as np
 from palpate.faults import FileFormatError, InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.cubature import Cubature
-from palpate.reduction.dents import Dents
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
 from palpate.reduction.stored_material import (
@@ -36,6 +35,7 @@ from palpate.reduction.stored_material import (
     material_of,
     regions_of,
 )
+from palpate.reduction.touch import Dents
 
 __all__ = ["load", "save"]
 

@@ -11,7 +11,7 @@ all tools. They are found by Gauss and Seidel's sweeps from those of the step be
 force that puts it onto its tool, and the tangential one that stops its sliding, at most mu times the normal one
 (Coulomb).
 
-A step visits clusters of surface nodes, and the nodes of those near a tool: its time does not grow with the body.
+A step asks one node of every cluster of surface nodes how far it is, and visits the nodes of the clusters near a tool.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled import kernel_njit
 from palpate.dynamics.contact import Contacts, gap, material_velocity
 
-__all__ = ["Skin", "Tools", "Touch", "aim", "dent_energy", "press", "settle", "skin", "tools_of", "touched"]
+__all__ = ["Dents", "Skin", "Tools", "Touch", "aim", "dent_energy", "press", "settle", "skin", "tools_of", "touched"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -35,6 +35,30 @@ CLUSTER = 32  # surface nodes in a cluster, about
 STRETCH = 1.5  # by which a cluster may grow
 SWEEPS, ENOUGH = 60, 1e-4  # most sweeps; of the deepest dent: change of a place in a sweep that ends them
 DENSE = 512  # touched nodes up to which the kernel between them is kept as a matrix
+
+
+class Dents(NamedTuple):
+    """The compliance of a body's surface beside its modes.
+
+    Parameters
+    ----------
+    nodes : (k,) int array
+        Nodes that tools may touch.
+    lengths, compliances : (e,) arrays [m], [m/N]
+        Of the exponentials.
+    own : float [m/N]
+        More compliance of a node under its own force.
+    """
+
+    nodes: NDArray[np.int64]
+    lengths: Floats
+    compliances: Floats
+    own: float
+
+    def kernel(self, distances: Floats) -> Floats:
+        """Return g [m/N] at some distances [m]; at 0 with the node's own."""
+        falling = np.exp(-distances[..., None] / self.lengths) @ self.compliances
+        return np.asarray(falling + np.where(distances == 0, self.own, 0.0))
 
 
 class Skin(NamedTuple):
@@ -69,6 +93,7 @@ class Touch(NamedTuple):
 
     force: Floats  # (t, k, 3) [N]
     place: Floats  # (t, k, 3) [m], of the nodes that are touched
+    busy: NDArray[np.bool_]  # (t, c) clusters that were near the tool in the last step
     node: Ints  # (e,) touched: place in the skin, of each pair of a node and a tool
     tool: Ints  # (e,)
     modal: Floats  # (e, 3) [m]
@@ -126,7 +151,8 @@ def touched(of: Skin, tools: int) -> Touch:
     most, by_tool = tools * len(of.nodes), (tools, len(of.nodes), 3)
     modal, now, before, push = np.zeros((4, most, 3))
     return Touch(
-        np.zeros(by_tool), np.zeros(by_tool), np.zeros(most, dtype=np.int64), np.zeros(most, dtype=np.int64),
+        np.zeros(by_tool), np.zeros(by_tool), np.ones((tools, len(of.leader)), dtype=np.bool_),
+        np.zeros(most, dtype=np.int64), np.zeros(most, dtype=np.int64),
         modal, now, before, push, np.zeros(3), np.zeros((min(most, DENSE),) * 2), np.zeros(3, dtype=np.int64),
     )  # fmt: skip
 
@@ -167,6 +193,9 @@ def _find(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
             _modal(skin, i, a, out)
             x, y, z = skin.points[i, 0] + out[0], skin.points[i, 1] + out[1], skin.points[i, 2] + out[2]
             far = gap(kind, sizes, frame, x, y, z)[0] > STRETCH * skin.extent[c]
+            if far and not touch.busy[t, c]:
+                continue
+            touch.busy[t, c] = not far
             for i in range(skin.start[c], skin.start[c + 1]):
                 inside = False
                 if not far:

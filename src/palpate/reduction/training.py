@@ -189,7 +189,7 @@ def _trained(
         "seed": wish.seed,
         "training_seconds": perf_counter() - start,
     }
-    if snapshots.touched:
+    if snapshots.touched and not wish.tools and isinstance(body, FullModel):
         dents, report["dents_explained"] = fitted_dents(model, snapshots)
         model = ReducedModel(replace(model.parts, dents=dents))
     model.parts.report.update(report)

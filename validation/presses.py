@@ -1,0 +1,86 @@
+"""Reduced livers under a ball against the full model's held-out presses: force on the tool, places of the surface.
+
+    palpate train liver --set spacing=0.008 radius=0.02 --paths 14 --held-out 4 --modes 60 --folder out/liver
+    python validation/presses.py out/liver                       the campaign's own model
+    python validation/presses.py out/liver --shapes 100          other models from the same runs ...
+    python validation/presses.py out/liver --cubature 0.01
+    python validation/presses.py out/liver --shapes 0 --modes 40  ... with modes of the runs in place of smooth ones
+
+It adds a row a press to docs/validation/presses.json. Force: difference of the two forces over the full one of the
+moment, in frames with at least a tenth of its largest, median and 95th percentile. Surface: distance of the two places
+of a node that is not held over the largest displacement, 95th percentile over nodes and those frames, and over those
+frames of the farthest node.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+import palpate as pt
+from palpate.app.train.folder import HELD_OUT, jobs
+from palpate.dynamics.tools import surface_nodes
+from palpate.scenes.training import training_scene
+
+OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "presses.json"
+MOST = 1000  # runs of either kind that are looked for
+LEAST = 0.1  # of the largest force: frames that count
+
+
+def compared(scene, model: pt.ReducedModel, seed: int, full: pt.Trajectory) -> dict[str, float]:
+    """Run a press on the reduced model, and return how it differs from the full one."""
+    loads, duration = scene.path(seed)
+    own = pt.rollout(model, loads, duration=duration, every=scene.every, progress=False)
+    cloud = scene.model.cloud
+    held = np.concatenate([cloud.group(name) for name in scene.model.fixed])
+    free = np.setdiff1d(surface_nodes(cloud), held)
+    mine, theirs = own.reactions["tool"], full.reactions["tool"]
+    size = np.linalg.norm(theirs, axis=1)
+    counted = size > LEAST * size.max()
+    force = np.linalg.norm(mine - theirs, axis=1)[counted] / size[counted]
+    reach = np.linalg.norm(full.displacements[:, free], axis=2).max()
+    apart = np.linalg.norm(own.displacements[:, free] - full.displacements[:, free], axis=2)[counted] / reach
+    return {
+        "seed": seed, "force": float(np.median(force)), "force_95": float(np.quantile(force, 0.95)),
+        "surface_95": float(np.quantile(apart, 0.95)), "farthest_95": float(np.quantile(apart.max(axis=1), 0.95)),
+        "largest": [float(np.linalg.norm(mine, axis=1).max()), float(size.max())],
+        "seconds_a_second": own.wall_seconds / duration,
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--shapes", type=int, help="smooth shapes of another model")
+    parser.add_argument("--modes", type=int, default=0, help="modes of the runs of another model")
+    parser.add_argument("--cubature", type=float)
+    args = parser.parse_args()
+    manifest = json.loads((args.folder / "campaign.json").read_text())
+    scene = training_scene(manifest["scene"], manifest["parameters"])
+    found = [(job, args.folder / "runs" / f"{job.name}.h5") for job in jobs(manifest["seed"], MOST, MOST)]
+    found = [(job, path) for job, path in found if path.exists()]
+    model = pt.load(args.folder / "model.rom")
+    if args.shapes is not None or args.modes or args.cubature is not None:
+        shapes = model.parts.modes if args.shapes is None else args.shapes
+        model = pt.reduce(
+            scene.model, [path for job, path in found if job.kind != HELD_OUT], modes=args.modes,
+            enrichment=scene.shapes(shapes) if shapes else None, cubature=args.cubature or 1e-3,
+        )  # fmt: skip
+    about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}
+    known = ("modes", "nodes", "nodes_full", "training_runs", "dents_explained")
+    about |= {f"model_{name}": model.report[name] for name in known}
+    rows = [compared(scene, model, job.seed, pt.Trajectory.load(path)) for job, path in found if job.kind == HELD_OUT]
+    print(about)
+    for row in rows:
+        print({name: np.round(value, 3).tolist() for name, value in row.items()})
+    print("means", {name: float(np.round(np.mean([row[name] for row in rows]), 3)) for name in list(rows[0])[1:5]})
+    kept = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
+    kept = [entry for entry in kept if entry["about"] != about]
+    OUTPUT.write_text(json.dumps([*kept, {"about": about, "presses": rows}], indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
