@@ -1,10 +1,10 @@
 """Reduced livers under a ball against the full model's held-out presses: force on the tool, places of the surface.
 
-    palpate train liver --set spacing=0.008 radius=0.02 --paths 14 --held-out 4 --modes 60 --folder out/liver
-    python validation/presses.py out/liver                       the campaign's own model
-    python validation/presses.py out/liver --shapes 100          other models from the same runs ...
-    python validation/presses.py out/liver --cubature 0.01
-    python validation/presses.py out/liver --shapes 0 --modes 40  ... with modes of the runs in place of smooth ones
+    palpate train liver --set spacing=0.008 radius=0.02 --paths 14 --held-out 4 --modes 60 --cubature 1e-3
+    python validation/presses.py out/train                       the campaign's own model
+    python validation/presses.py out/train --shapes 100          other models from the same runs ...
+    python validation/presses.py out/train --cubature 0.01
+    python validation/presses.py out/train --shapes 0 --modes 40  ... with modes of the runs in place of smooth ones
 
 It adds a row a press to docs/validation/presses.json. Force: difference of the two forces over the full one of the
 moment, in frames with at least a tenth of its largest, median and 95th percentile. Surface: distance of the two places

@@ -235,6 +235,7 @@ def test_runs_of_nobody_are_refused(tmp_path, assert_refused):
         (["train", "beam", "--set", "spacing=1"], "spacing = 1.0 is out of range"),
         (["train", "beam", "--paths", "0"], "paths = 0 is out of range"),
         (["train", "beam", "--workers", "0"], "workers = 0 is out of range"),
+        (["train", "beam", "--cubature", "2"], "cubature = 2.0 is out of range"),
     ],
 )
 def test_bad_options_are_refused(tmp_path, assert_refused, argv, part):

@@ -212,12 +212,19 @@ def _add_train(commands: Any) -> None:
         "See docs/training.md.",
     )
     add = train.add_argument
-    add("scene", metavar="SCENE", help="beam, or module:function of your own")
+    add("scene", metavar="SCENE", help="beam, liver, or module:function of your own")
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help="the scene's parameters")
     add("--paths", type=int, default=64, metavar="K", help="runs to train on (64)")
     add("--held-out", type=int, default=8, metavar="K", help="further runs, to measure errors on (8)")
     add("--seed", type=int, default=0, metavar="K", help="of the paths (0)")
     add("--modes", type=int, default=24, metavar="M", help="size of the reduced model (24)")
+    add(
+        "--cubature",
+        type=float,
+        metavar="TOLERANCE",
+        help="what the forces at the sampled nodes may miss of the whole ones in training, relative: the larger, the "
+        "fewer nodes and the faster steps; 0 takes every node (liver 0.01, others 0.001)",
+    )
     add("--workers", type=int, metavar="N", help="processes on this machine, one thread each (1)")
     add("--cluster", metavar="ADDRESS", help="Dask scheduler, or its file, instead of processes here")
     add("--folder", type=Path, default=Path("out/train"), metavar="DIR", help="where all goes (out/train)")

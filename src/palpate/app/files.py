@@ -57,8 +57,14 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
         partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def check_folder(folder: Path) -> None:
+def check_folder(folder: Path, name: str = "out") -> None:
     """Check that files can be written into a folder that exists or can be made; leave nothing behind.
+
+    Parameters
+    ----------
+    folder : path
+    name : str
+        Of the option that gave it.
 
     Raises
     ------
@@ -67,17 +73,26 @@ def check_folder(folder: Path) -> None:
     """
     existing = _existing(folder)
     if not existing.is_dir():
-        raise InputError(f"out = {str(folder)!r}: {existing} is not a folder; allowed is a folder that can be written")
+        raise InputError(
+            f"{name} = {str(folder)!r}: {existing} is not a folder; allowed is a folder that can be written"
+        )
     try:
         with TemporaryDirectory(prefix=".palpate-", dir=existing) as probe:
             (Path(probe) / "probe").write_bytes(bytes(4096))
     except OSError as error:
         why = (error.strerror or str(error)).lower()
-        raise InputError(f"out = {str(folder)!r}: {existing} cannot be written ({why}); choose another") from error
+        raise InputError(f"{name} = {str(folder)!r}: {existing} cannot be written ({why}); choose another") from error
 
 
-def check_space(folder: Path, needed: int) -> None:
+def check_space(folder: Path, needed: int, name: str = "out") -> None:
     """Check that the disk of a folder, which exists or can be made, has room for a number of bytes.
+
+    Parameters
+    ----------
+    folder : path
+    needed : int
+    name : str
+        Of the option that gave the folder.
 
     Raises
     ------
@@ -87,7 +102,7 @@ def check_space(folder: Path, needed: int) -> None:
     free = shutil.disk_usage(_existing(folder)).free
     if free < needed:
         need, has = needed / 1e6, free / 1e6
-        raise InputError(f"out = {str(folder)!r}: this run writes about {need:.0f} MB, {has:.0f} MB are free")
+        raise InputError(f"{name} = {str(folder)!r}: this run writes about {need:.0f} MB, {has:.0f} MB are free")
 
 
 def _existing(folder: Path) -> Path:

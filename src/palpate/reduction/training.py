@@ -180,6 +180,7 @@ def _trained(
         "nodes": len(rule.nodes),
         "pressure_modes": len(rule.pressure),
         "witnesses": columns.witnesses,
+        "cubature": wish.cubature,
         "cubature_residual": rule.residual,
         "projection_error": missed,
         "modes_error": columns.lost,

@@ -61,6 +61,8 @@ class TrainingScene:
         Of a number, returns so many displacement fields (m, n, 3) that stand for modes. Where tools touch a body
         anywhere, modes of the runs are dents where those runs had them; smooth fields leave all dents to the surface's
         own compliance (`palpate.reduction.dents`).
+    cubature : float
+        As of `palpate.reduce`: what the sampled forces may miss of the whole ones.
     """
 
     model: FullModel | Membrane
@@ -70,3 +72,4 @@ class TrainingScene:
     parameters: Mapping[str, float | int | str]
     tools: tuple[str, ...] = ()
     shapes: Callable[[int], NDArray[np.float64]] | None = None
+    cubature: float = 1e-3

@@ -12,13 +12,14 @@ from palpate.app.console import count_nodes, percent, print_json, print_plain, q
 from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, percent_axis
 from palpate.app.files import whole_file, write_json
 from palpate.app.report import finite, machine
+from palpate.app.train.campaign import MODEL
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.reduction.reduced import ReducedModel
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["FILES", "MODEL", "deliver"]
+__all__ = ["FILES", "deliver"]
 
-MODEL, FIGURE = "model.rom", "errors.png"
+FIGURE = "errors.png"
 FILES = (MODEL, "report.json", "report.md", FIGURE, "campaign.json", "runs")
 KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
@@ -107,7 +108,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
         "runs on disk": f"{sizes['run_bytes'] / 1e6:.1f} MB",
         "snapshots trained on": str(model["snapshots"]),
         "modes": str(model["modes"]),
-        "nodes sampled": str(model["nodes"]),
+        "nodes sampled; what they may miss of the forces": f"{model['nodes']}; {model['cubature']:.2g}",
         "projection error": percent(model["projection_error"]),
         "time to train and try the model": f"{report['seconds']['training']:.4g} s",
         "model on disk": f"{sizes['model_bytes'] / 1e6:.2f} MB",

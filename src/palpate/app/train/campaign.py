@@ -1,0 +1,116 @@
+"""The two halves of a campaign: the runs that are not there yet, and the model of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from contextlib import closing
+
+from palpate.app.console import Console, count_nodes
+from palpate.app.files import check_space, whole_file
+from palpate.app.study import ReproduceError
+from palpate.app.train.bar import Bar
+from palpate.app.train.cluster import run_on_cluster
+from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
+from palpate.app.train.local import run_here
+from palpate.app.train.work import Outcome
+from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.training import reduce
+from palpate.scenes.scene import TrainingScene
+
+__all__ = ["MODEL", "make_model", "make_runs"]
+
+MODEL = "model.rom"
+
+
+def make_runs(
+    folder: Folder,
+    scene: TrainingScene,
+    wanted: Sequence[Job],
+    console: Console,
+    workers: int = 1,
+    cluster: str | None = None,
+) -> None:
+    """Make what runs are left, and say how they go.
+
+    Raises
+    ------
+    InputError
+        The disk has no room for them, or no cluster answers.
+    OSError
+        A file could not be written.
+    """
+    left = folder.left(wanted)
+    paths = {job: scene.path(job.seed)[1] for job in left}
+    frames = sum(round(duration / scene.every) + 1 for duration in paths.values())
+    check_space(folder.path, frames * len(scene.model.cloud) * 6 * 8, "folder")
+    there = len(wanted) - len(left)
+    where = f"the cluster at {cluster}" if cluster else f"{workers} process{'es' if workers > 1 else ''}"
+    console.say(
+        f"{scene.title}: {count_nodes(len(scene.model.cloud))}, {len(wanted)} runs"
+        + (f", {there} of them done before" if there else "")
+        + (f"; {len(left)} on {where} ..." if left else "")
+    )
+    if not left:
+        return
+    try:
+        with Bar(paths, console) as shown:
+            if cluster is None:
+                outcomes: Generator[Outcome] = run_here(folder, left, workers, shown.at)
+            else:
+                outcomes = run_on_cluster(folder, left, cluster, console)
+            with closing(outcomes):  # stops what still runs, however this ends
+                for outcome in outcomes:
+                    shown.done(outcome)
+    except KeyboardInterrupt:
+        done = len(wanted) - len(folder.left(wanted))
+        raise KeyboardInterrupt(f"{done} of {len(wanted)} runs are kept; the same command goes on from there") from None
+
+
+def make_model(
+    folder: Folder,
+    scene: TrainingScene,
+    wanted: Sequence[Job],
+    console: Console,
+    modes: int,
+    cubature: float | None = None,
+) -> ReducedModel:
+    """Train on the runs that were finished, read from their files, and keep the model in the folder.
+
+    Its report says under ``"scene"`` what it was trained for.
+
+    Parameters
+    ----------
+    folder : Folder
+    scene : TrainingScene
+    wanted : sequence of Job
+    console : Console
+    modes : int
+    cubature : float, optional
+        As for `palpate.reduce`; by default the scene's.
+
+    Raises
+    ------
+    ReproduceError
+        No training run was finished.
+    InputError
+        As `palpate.reduce`.
+    OSError
+        A file could not be read or written.
+    """
+    done = [job for job in wanted if folder.file(job).exists()]
+    learned = [folder.file(job) for job in done if job.kind == TRAINED]
+    tried = [(scene.path(job.seed)[0], folder.file(job)) for job in done if job.kind == HELD_OUT]
+    if not learned:
+        reason = (folder.fault(wanted[0]) or {}).get("reason", "see its worker")
+        raise ReproduceError(f"no training run was finished; the first: {reason}; {folder.runs} holds what they did")
+    share = scene.cubature if cubature is None else cubature
+    with console.status(f"training {modes} modes on {len(learned)} runs, trying them on {len(tried)} others"):
+        smooth = None if scene.shapes is None else scene.shapes(modes)
+        own = modes if smooth is None else 0
+        model = reduce(
+            scene.model, learned, modes=own, enrichment=smooth, driven=scene.tools, held_out=tried, cubature=share
+        )
+    model.report["scene"] = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
+    with whole_file(folder.path / MODEL) as partial:
+        model.save(partial)
+    return model
