@@ -71,10 +71,14 @@ def _reproduce(options: dict[str, Any]) -> int:
 
 
 def _run(options: dict[str, Any]) -> int:
-    from palpate.app.run.command import run_beam
+    if options.pop("scene") == "beam":
+        from palpate.app.run.command import run_beam
 
-    del options["scene"]
-    return run_beam(**options)
+        return run_beam(**options)
+    from palpate.app.run.liver import run_liver
+
+    del options["realtime"]
+    return run_liver(**options)
 
 
 def _bench(options: dict[str, Any]) -> int:
@@ -184,6 +188,11 @@ def _add_results(parser: argparse.ArgumentParser, out: Path) -> None:
 def _add_run(commands: Any) -> None:
     run = commands.add_parser("run", help="run a scene, once or in real time")
     scenes = run.add_subparsers(dest="scene", required=True, metavar="SCENE")
+    _add_run_beam(scenes)
+    _add_run_liver(scenes)
+
+
+def _add_run_beam(scenes: Any) -> None:
     beam = scenes.add_parser(
         "beam",
         help="the paper's beam, pulled; or in real time, grasped by a tool",
@@ -198,9 +207,29 @@ def _add_run(commands: Any) -> None:
     add("--modes", type=int, metavar="M", help="size of the reduced model (none; in real time 24)")
     add("--model", type=Path, metavar="FILE", help="in real time: reduced model to load, not to train")
     add("--realtime", action="store_true", help="step at a fixed rate against a tool")
-    add("--seconds", type=float, metavar="S", help="in real time: length of the run [s], at most 600 (10)")
-    add("--rate", type=float, metavar="HZ", help="in real time: steps a second, from 50 to 20000 (1000)")
+    _add_rate(beam, "in real time: ")
     _add_results(beam, Path("out/run"))
+
+
+def _add_run_liver(scenes: Any) -> None:
+    liver = scenes.add_parser(
+        "liver",
+        help="a liver that a ball presses, in real time",
+        description="Step a reduced model of a liver at a fixed rate while a ball presses it, slides and leaves, again "
+        "and again, and report how the rate was kept and the force on the ball. Without --model a small model is "
+        "trained at first use, in some minutes, and kept in the user's cache; what was stopped goes on.",
+    )
+    add = liver.add_argument
+    add("--realtime", action="store_true", required=True, help="step at a fixed rate against the ball")
+    add("--model", type=Path, metavar="FILE", help="reduced model to load: model.rom of palpate train liver")
+    _add_rate(liver, "")
+    _add_results(liver, Path("out/run"))
+
+
+def _add_rate(parser: argparse.ArgumentParser, when: str) -> None:
+    add = parser.add_argument
+    add("--seconds", type=float, metavar="S", help=f"{when}length of the run [s], at most 600 (10)")
+    add("--rate", type=float, metavar="HZ", help=f"{when}steps a second, from 50 to 20000 (1000)")
 
 
 def _add_train(commands: Any) -> None:

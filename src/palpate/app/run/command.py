@@ -12,7 +12,7 @@ import numpy as np
 from palpate.app.console import Console, count_nodes, percent, print_json, print_plain, quantities_table
 from palpate.app.files import write_json
 from palpate.app.report import finite, machine
-from palpate.app.run.realtime import run_realtime
+from palpate.app.run.grasp import run_grasp
 from palpate.app.study import ReproduceError, prepare
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.model import Model
@@ -34,7 +34,7 @@ ONLY_REALTIME = ("seconds", "rate", "model")
 
 
 def run_beam(*, realtime: bool = False, **options: Any) -> int:
-    """Run the beam as the command line says: see `run_once` and `palpate.app.run.realtime.run_realtime`.
+    """Run the beam as the command line says: see `run_once` and `palpate.app.run.grasp.run_grasp`.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def run_beam(*, realtime: bool = False, **options: Any) -> int:
     for name in OF_A_MODEL:
         if "model" in given and name in given:
             raise InputError(f"{name} = {given[name]}: a model from a file has its own; leave that or the file out")
-    return run_realtime(**given) if realtime else run_once(**given)
+    return run_grasp(**given) if realtime else run_once(**given)
 
 
 def run_once(

@@ -1,38 +1,34 @@
-"""``palpate run beam --realtime``: a grasped beam stepped at a fixed rate, and how the rate was kept."""
+"""A model stepped at a fixed rate while a tool moves, and how the rate was kept: ``palpate run ... --realtime``."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from palpate.app.console import Console, count_nodes, print_json, print_plain, quantities_table
+from palpate.app.console import Console, percent, print_json, print_plain, quantities_table
 from palpate.app.files import check_folder, check_space, write_json
 from palpate.app.report import finite, machine
-from palpate.app.run.grasp import train
 from palpate.app.study import ReproduceError
 from palpate.dynamics.progress import progress_bar
-from palpate.faults import integer_in_range, number_in_range
+from palpate.dynamics.tools import Contact
+from palpate.faults import number_in_range
 from palpate.realtime.device import DummyDevice
 from palpate.realtime.engine import Engine
 from palpate.realtime.statistics import Distribution, Statistics
 from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.storage import load
-from palpate.scenes.beam import COARSEST
-from palpate.scenes.grasp import Hand, grasp
 
-__all__ = ["FILES", "run_realtime"]
+__all__ = ["FILES", "Poses", "run_realtime"]
+
+Poses = Callable[[float], Any]  # at times [s], as `palpate.DummyDevice` takes them
 
 BLACK_BOX = "black_box.h5"
 FILES = ("report.json", BLACK_BOX)
 LONGEST, SLOWEST, FASTEST = 600.0, 50.0, 20_000.0  # [s], [Hz]: what the engine's black box and periods allow
-MOST_MODES = 96
-SEED, LASTING = 1000, 3.0  # of the hand's motion, which was not trained on, [s]
 BINS = 20  # of the engine's histogram in one line of the printed one: half a decade
 BAR = 24  # characters of the longest line
 ROW = 1000  # bytes of a period in the black box, at most
@@ -40,31 +36,29 @@ SHOWN = 0.1  # [s] between two updates of the progress bar
 
 
 def run_realtime(
+    made: Callable[[Console], tuple[ReducedModel, Poses, Contact | None]],
     *,
+    title: str,
+    about: Mapping[str, Any],
     seconds: float = 10.0,
     rate: float = 1000.0,
-    modes: int = 24,
-    spacing: float = COARSEST,
-    poisson: float = 0.45,
-    model: Path | None = None,
     out: Path,
     as_json: bool = False,
 ) -> int:
-    """Train or load a reduced beam, let a hand move its free end for some seconds, and report how the rate was kept.
+    """Step a model at a fixed rate for some seconds while a hand moves its tool, and report how the rate was kept.
 
     Parameters
     ----------
+    made : function
+        Called once all else is checked; returns the model, the hand, and the tool that touches the body: None for one
+        that holds the model's driven group.
+    title : str
+    about : mapping
+        More of the report's parameters.
     seconds : float [s]
         Up to 600.
     rate : float [Hz]
         From 50 to 20000.
-    modes : int
-        Of the model that is trained.
-    spacing : float [m]
-    poisson : float
-        As for `palpate.scenes.beam.beam`; 0.45 takes larger steps than the paper's 0.49.
-    model : path, optional
-        File of a reduced model to take instead, of which one group is driven.
     out : path
     as_json : bool
         As for `palpate.app.beam.reproduce.reproduce_beam`.
@@ -76,8 +70,8 @@ def run_realtime(
 
     Raises
     ------
-    InputError, FileFormatError
-        A parameter out of range; a file that holds no reduced model that a tool holds.
+    InputError
+        A parameter out of range, or a model that takes no such tool.
     ReproduceError
         The state ran away; the black box is kept.
     OSError
@@ -85,16 +79,18 @@ def run_realtime(
     """
     seconds = number_in_range("seconds", seconds, 0.0, LONGEST, open_low=True, unit="s")
     rate = number_in_range("rate", rate, SLOWEST, FASTEST, unit="Hz")
-    modes = integer_in_range("modes", modes, 1, MOST_MODES)
     check_folder(out)
     check_space(out, round(seconds * rate * ROW))
     console = Console()
-    body = load(model) if model is not None else _train(spacing, poisson, modes, console)
-    out.mkdir(parents=True, exist_ok=True)
-    statistics = _stepped(body, seconds, rate, out / BLACK_BOX, console)
+    body, hand, contact = made(console)
+    with console.status("making the engine ready (the first run on a machine compiles it: about a minute)"):
+        ready = body.realtime(contact=contact)
+        out.mkdir(parents=True, exist_ok=True)
+        engine = Engine(ready, rate, history=seconds, black_box=out / BLACK_BOX)
+    statistics = _stepped(engine, hand, seconds, out / BLACK_BOX, console)
     report = {
-        "title": f"Beam in real time, {rate:g} Hz",
-        "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, "file": model and str(model)},
+        "title": f"{title}, {rate:g} Hz",
+        "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, **about},
         "material": asdict(body.material),
         "machine": machine(),
         "model": body.report,
@@ -110,30 +106,14 @@ def run_realtime(
     return 0
 
 
-def _train(spacing: float, poisson: float, modes: int, console: Console) -> ReducedModel:
-    start = perf_counter()
-    with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
-        full = grasp(spacing, poisson)
-    console.say(f"training {modes} modes on short runs of {len(full.cloud)} nodes whose end a tool moves ...")
-    body = train(full, modes)
-    error = body.report["held_out"]["mean"]
-    console.say(
-        f"trained in {perf_counter() - start:.3g} s, {count_nodes(body.report['nodes'])} sampled; on motions not "
-        f"trained on displacements err by {error['displacement']:.2%}, reaction forces by {error['reaction']:.2%}"
-    )
-    return body
-
-
-def _stepped(body: ReducedModel, seconds: float, rate: float, black_box: Path, console: Console) -> Statistics:
-    """Step a model while a hand moves its tool; leave the black box, and return how the rate was kept."""
-    with console.status("making the engine ready"):
-        engine = Engine(body.realtime(), rate, history=seconds, black_box=black_box)
-    console.say(f"{rate:g} Hz for {seconds:g} s ...")
+def _stepped(engine: Engine, hand: Poses, seconds: float, black_box: Path, console: Console) -> Statistics:
+    """Let an engine step while a hand moves its tool; leave the black box, and return how the rate was kept."""
+    console.say(f"{1 / engine.period:g} Hz for {seconds:g} s ...")
     with warnings.catch_warnings(), progress_bar("real time", seconds, True) as shown:
         warnings.simplefilter("ignore", RuntimeWarning)  # about trust: the report tells it
         try:
             with engine:
-                DummyDevice(_watched(Hand(SEED, LASTING), shown)).drive(engine, seconds)
+                DummyDevice(_watched(hand, shown)).drive(engine, seconds)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("in real time") from None
     if engine.state == "ran away":
@@ -142,7 +122,7 @@ def _stepped(body: ReducedModel, seconds: float, rate: float, black_box: Path, c
     return engine.statistics()
 
 
-def _watched(hand: Hand, shown: Callable[[float, float], None]) -> Callable[[float], Any]:
+def _watched(hand: Poses, shown: Callable[[float, float], None]) -> Poses:
     """Return the hand's path, which tells now and then how far it is."""
     last = 0.0
 
@@ -216,9 +196,12 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Any]:
         "trust number, median; largest (above 1: not trained on)": (
             f"{felt['median_trust']:.2f}; {felt['largest_trust']:.2f}"
         ),
-        "share of periods above 1": f"{felt['untrained_share']:.2%}",
+        "share of periods above 1": percent(felt["untrained_share"]),
         "displacement error of held-out runs at the largest, median; 95 %": _expected(felt["expected_error"]),
     }
+    if "held_out" in report["model"]:
+        error = report["model"]["held_out"]["mean"]["reaction"]
+        single["error of reaction forces on held-out runs, mean"] = "-" if error is None else percent(error)
     return [
         quantities_table(title, ["computing (the model)", "lateness (the scheduler)"], rows),
         quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
