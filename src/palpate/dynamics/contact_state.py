@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.contact import gaps
+from palpate.dynamics.contact import gaps, patch_places
 from palpate.dynamics.loads import Drive, Schedule
 from palpate.dynamics.model import Touch
-from palpate.dynamics.tools import PLANE
+from palpate.dynamics.tools import HELD, PLANE
 from palpate.faults import DivergenceError, InputError, first_few
 
 __all__ = ["check_apart", "check_pierced", "check_way", "touched", "untouched"]
 
 Floats = NDArray[np.float64]
 
-INSIDE = 1e-3  # of the spacing: how far inside a tool a node may be when a run begins
-PIERCED = 0.05  # of the spacing: how far inside a tool a node of the body's inside may come
+INSIDE = 1e-2  # of the spacing: how far inside a tool a node may be when a run begins
+PIERCED = 0.5  # of a tool's force: more of it on nodes of the body's inside, and it is no longer on the surface
+SUNK = 0.5  # of the spacing: how far inside a tool a node of the surface may be, whose patch keeps out
 WAY = 0.5  # of a tool's radius: how far it may move in a step
 
 
@@ -28,9 +29,13 @@ def check_apart(drive: Drive, schedule: Schedule, displacements: Floats, spacing
     InputError
         Names the tool, the nodes and the depth.
     """
-    contacts, depth = drive.contacts, np.zeros(len(displacements))
+    if not drive.tools:
+        return
+    contacts, depth, places = drive.contacts, np.zeros(len(displacements)), np.zeros((len(displacements), 3))
+    patch_places(contacts, np.ascontiguousarray(displacements), places)
     for t, tool in enumerate(drive.tools):
-        places = contacts.points + displacements
+        if tool.tool.kind == HELD:
+            continue
         gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], places, depth)
         free = schedule.times[0] > contacts.held_until
         if tool.group is not None:  # others may be inside by intention
@@ -65,25 +70,35 @@ def check_way(drive: Drive, schedule: Schedule, spacing: float) -> None:
             )
 
 
-def check_pierced(drive: Drive, schedule: Schedule, displacements: Floats, spacing: float) -> None:
+def check_pierced(
+    drive: Drive, schedule: Schedule, displacements: Floats, surface: NDArray[np.int64], spacing: float
+) -> None:
     """Refuse tools that have slipped in between the nodes of the surface by a schedule's last time.
+
+    A tool that presses deep meets nodes below a stretched surface too; one that is through meets mostly them, or has
+    nodes of the surface far inside it, though the patches about them are not.
 
     Raises
     ------
     DivergenceError
-        Names the tool, the time and a node of the body's inside that is inside it.
+        Names the tool, the time and a node.
     """
     contacts, depth = drive.contacts, np.zeros(len(displacements))
     for t, tool in enumerate(drive.tools):
         if tool.group is not None:
             continue
+        own = slice(contacts.start[t], contacts.start[t + 1])
+        nodes, sizes = contacts.nodes[own], np.linalg.norm(contacts.pushes[own, :3], axis=1)
+        below = ~np.isin(nodes, surface)
         gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], contacts.points + displacements, depth)
-        depth[contacts.nodes[contacts.start[t] : contacts.start[t + 1]]] = 0.0
-        worst = int(np.argmin(depth))
-        if depth[worst] < -PIERCED * spacing and schedule.times[-1] > contacts.held_until[worst]:
+        depth[schedule.times[-1] <= contacts.held_until] = 0.0
+        deepest = int(np.argmin(depth))
+        through = sizes[below].sum() > PIERCED * sizes.sum()
+        if through or depth[deepest] < -SUNK * spacing:
+            node = nodes[below][np.argmax(sizes[below])] if through else deepest
             raise DivergenceError(
                 f"Contact {tool.name!r} slipped in between the nodes of the surface by t = {schedule.times[-1]:.4g} s: "
-                f"node {worst} is {-depth[worst]:.3g} m inside it. Use a larger tool, a finer spacing, or press less"
+                f"node {node} is beside or inside it. Use a larger tool, a finer spacing, or press less"
             )
 
 
@@ -95,8 +110,6 @@ def untouched(tools: int, nodes: int, time: float, surface: int = 0) -> Touch:
 
 def touched(drive: Drive, before: Touch, last: float) -> Touch:
     """Return what the tools do after a call of some steps, the last kick of which took a time `last` [s]."""
-    forces, contacts = np.zeros_like(before.forces), drive.contacts
-    nodes = contacts.nodes
-    forces[nodes] = contacts.impulse[nodes] / last
+    contacts = drive.contacts
     impulses, given = before.impulses + contacts.total, before.given + contacts.given
-    return before._replace(forces=forces, impulses=impulses, given=given)
+    return before._replace(forces=contacts.impulse / last, impulses=impulses, given=given)

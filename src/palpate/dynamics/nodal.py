@@ -17,6 +17,7 @@ from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.reactions import evaluate, tool_power
 from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step
 from palpate.dynamics.stepping import foundation_force, full_step, surface_force
+from palpate.dynamics.tools import surface_nodes
 from palpate.faults import InputError, number_in_range
 from palpate.tissue.fibres import FibreLaw
 
@@ -150,7 +151,8 @@ class NodalModel(Model):
             self.volumes, self.weights * self.material.density, self.material.density, self.slot, self.half_cell,
             force, previous, surface, at,
         )  # fmt: skip
-        check_pierced(drive, schedule, u, self.cloud.spacing)
+        if drive.tools:
+            check_pierced(drive, schedule, u, surface_nodes(self.cloud), self.cloud.spacing)
         relaxed, memory = self._remembered()
         dissipated = state.dissipated + lost + relaxed
         touch = None if state.touch is None else touched(drive, state.touch, 0.5 * step)

@@ -19,12 +19,25 @@ from scipy.spatial.transform import Rotation, Slerp
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["Capsule", "Contact", "Grasp", "Motion", "Plane", "Punch", "Sphere", "Tool", "poses", "surface_nodes"]
+__all__ = [
+    "HELD",
+    "Capsule",
+    "Contact",
+    "Forceps",
+    "Grasp",
+    "Motion",
+    "Plane",
+    "Punch",
+    "Sphere",
+    "Tool",
+    "poses",
+    "surface_nodes",
+]
 
 Floats = NDArray[np.float64]
 Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
-CAPSULE, PLANE, PUNCH = 0, 1, 2
+CAPSULE, PLANE, PUNCH, HELD = 0, 1, 2, 3
 ROUNDING = 0.05  # of a punch's edge, in its radii
 
 
@@ -126,7 +139,29 @@ class Punch:
         return float(self.radius), 0.0, ROUNDING * self.radius if self.rounding is None else float(self.rounding)
 
 
-Tool = Sphere | Capsule | Plane | Punch
+@dataclass(frozen=True)
+class Forceps:
+    """What a `Grasp` is on a reduced model: a tool that holds the surface nodes within a radius of a point at rest.
+
+    Parameters
+    ----------
+    radius : float [m]
+    point : (3,) sequence [m]
+    until : float [s]
+    """
+
+    radius: float
+    point: Sequence[float]
+    until: float
+    kind: ClassVar[int] = HELD
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """What it reaches [m]: a radius."""
+        return float(self.radius), 0.0, 0.0
+
+
+Tool = Sphere | Capsule | Plane | Punch | Forceps
 
 
 @dataclass(frozen=True)
@@ -164,7 +199,7 @@ class Contact:
     group: str | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.tool, Sphere | Capsule | Plane | Punch):
+        if not isinstance(self.tool, Tool):
             raise InputError(f"Contact {self.name!r}: {self.tool!r} is no tool; use Sphere, Capsule, Plane or Punch")
         number_in_range(f"friction of Contact {self.name!r}", self.friction, 0.0)
 
