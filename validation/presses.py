@@ -23,6 +23,7 @@ import numpy as np
 import palpate as pt
 from palpate.app.train.folder import HELD_OUT, jobs
 from palpate.dynamics.tools import surface_nodes
+from palpate.reduction.linear import carried_modes
 from palpate.scenes.training import training_scene
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "presses.json"
@@ -65,9 +66,10 @@ def main() -> None:
     model = pt.load(args.folder / "model.rom")
     if args.shapes is not None or args.modes or args.cubature is not None:
         shapes = model.parts.modes if args.shapes is None else args.shapes
+        coarse = scene.coarse()
         model = pt.reduce(
-            scene.model, [path for job, path in found if job.kind != HELD_OUT], modes=args.modes,
-            enrichment=scene.shapes(shapes) if shapes else None, cubature=args.cubature or 1e-3,
+            scene.model, [path for job, path in found if job.kind != HELD_OUT], modes=args.modes, coarse=coarse,
+            enrichment=carried_modes(coarse, scene.model, shapes) if shapes else None, cubature=args.cubature or 1e-3,
         )  # fmt: skip
     about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}
     known = ("modes", "nodes", "nodes_full", "training_runs", "dents_explained")

@@ -12,9 +12,9 @@ import pytest
 
 import palpate as pt
 from palpate.reduction import storage
+from palpate.reduction.compliance import Dents
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.reduced import ReducedModel, ReducedParts
-from palpate.reduction.touch import Dents
 
 
 def flat(parts):
@@ -68,7 +68,12 @@ def trained(bar, tissue, push):
     full = pt.FullModel(bar, tissue, fixed="x-", form="energy", fibres=slanted)
     run = pt.rollout(full, push, duration=0.01, every=0.0005)
     model = pt.reduce(full, run, modes=4, driven="tip", held_out=[(push, run)])
-    dents = Dents(np.unique(bar.face_nodes), np.array([0.004, 0.01]), np.array([0.02, 0.003]), 0.01)  # made up
+    touched, made_up = np.unique(bar.face_nodes), np.random.default_rng(0)
+    dents = Dents(
+        touched, np.array([0.004, 0.01]), np.array([0.02, 0.003]), 0.01, made_up.integers(0, 4, (len(touched), 2)),
+        np.full((len(touched), 2), 0.5), np.eye(12, dtype=np.float32),
+        made_up.integers(0, len(touched), (len(touched), 3)), np.full((len(touched), 3), 1 / 3), np.array([0.2, 1.5]),
+    )  # fmt: skip
     return pt.ReducedModel(replace(model.parts, dents=dents))
 
 

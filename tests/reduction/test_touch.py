@@ -9,8 +9,9 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.contact import gap
-from palpate.reduction.dents import dents_of
-from palpate.reduction.touch import Dents, Tools, settle, skin, touched
+from palpate.reduction.compliance import NO_DENTS, dents_of
+from palpate.reduction.skin import Tools, skin, touched
+from palpate.reduction.touch import settle
 
 SPACING, RADIUS = 0.002, 0.008
 SIZE, BALL = (0.06, 0.06, 0.03), 0.015
@@ -19,17 +20,26 @@ SIZE, BALL = (0.06, 0.06, 0.03), 0.015
 def flat_skin():
     x, y = np.meshgrid(SPACING * np.arange(-6, 7), SPACING * np.arange(-6, 7), indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    distances = np.linspace(0.0, 0.05, 500)
     columns = np.random.default_rng(0).standard_normal((3, len(points), 3))
-    return skin(np.arange(len(points)), points, columns, 0.01 * np.exp(-distances / 0.004), distances[1], 0.015)
+    return skin(falling(np.arange(len(points)), [0.004], [0.01], 0.005), points, columns)
+
+
+def falling(nodes, lengths, compliances, own):
+    """A compliance of exponentials alone."""
+    return NO_DENTS._replace(
+        nodes=nodes, lengths=np.array(lengths), compliances=np.array(compliances), own=own,
+        carriers=np.zeros((len(nodes), 0), dtype=np.int64), weights=np.zeros((len(nodes), 0)),
+        patches=np.arange(len(nodes))[:, None], shares=np.ones((len(nodes), 1)),
+    )  # fmt: skip
 
 
 def ball(of, friction=0.0, tools=1):
     frames = np.zeros((tools, 2, 3, 4))
     frames[:, :, :, :3] = np.eye(3)
     return Tools(
-        np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction), frames,
-        np.zeros(3), np.zeros((tools, 6)), np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
+        np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction),
+        np.zeros((tools, 3)), frames, np.zeros(3), np.zeros((tools, 6)),
+        np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
     )  # fmt: skip
 
 
@@ -108,14 +118,15 @@ def test_two_tools_and_none():
 
 def test_dents_are_the_kernel_times_the_forces():
     points = np.random.default_rng(1).random((30, 3))
-    dents = Dents(np.arange(5, 30), np.array([0.1, 0.4]), np.array([2.0, 3.0]), 1.0)
+    dents = falling(np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
     forces = np.zeros((30, 3))
     forces[[7, 20]] = [[1.0, 0.0, 2.0], [0.0, -1.0, 0.5]]
-    found = dents_of(dents, points, forces)
+    found, energy = dents_of(dents, points, forces[None, 5:], [False])
     far = np.linalg.norm(points[7] - points[20])
     g = 2 * np.exp(-far / 0.1) + 3 * np.exp(-far / 0.4)
     np.testing.assert_allclose(found[7], 6.0 * forces[7] + g * forces[20])
     assert not found[:5].any()
+    assert energy == pytest.approx(0.5 * np.sum(found * forces))
 
 
 # runs
@@ -167,8 +178,7 @@ def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
 def test_the_surface_of_its_own_is_needed(pressed):
     """What the modes alone, without the surface's compliance, make of it: a far too large force."""
     _body, runs, model = pressed
-    stiff = pt.ReducedModel(replace(model.parts, dents=model.parts.dents._replace(
-        compliances=1e-3 * model.parts.dents.compliances, own=1e-3 * model.parts.dents.own + 1e-6)))  # fmt: skip
+    stiff = pt.ReducedModel(replace(model.parts, dents=model.parts.dents.scaled(1e-3)))
     own = pt.rollout(stiff, press(0.024, 0.038), duration=0.2, every=0.005)
     assert np.abs(own.reactions["tool"]).max() > 1.3 * np.abs(runs[-1].reactions["tool"]).max()
 
@@ -223,6 +233,82 @@ def test_the_engine_feels_what_a_run_feels(pressed):
     # of G on R = 1 the moment is the sum over j of R_j x G_j
     last = np.mean([np.cross(np.eye(3), g.T).sum(axis=0) for g in moments[-10:]], axis=0)
     np.testing.assert_allclose(last, run.moments["tool"][-1], atol=0.03 * peak * BALL)
+
+
+def grasped(lift=0.003, until=np.inf):
+    """Forceps that lift and turn a place of the top."""
+
+    def motion(time):
+        share = np.sin(np.pi / 2 * min(time / 0.08, 1.0)) ** 2
+        return (0.024, 0.038, SIZE[2] + share * lift), (0.0, 0.0, 0.3 * share)
+
+    return [pt.Grasp((0.024, 0.038, SIZE[2]), 0.010, motion, until=until)]
+
+
+def test_a_grasp_anywhere_pulls_as_the_full_models(pressed):
+    body, _, model = pressed
+    full, own = (pt.rollout(m, grasped(), duration=0.2, every=0.01) for m in (body, model))
+    late = full.times > 0.05
+    theirs, mine = full.reactions["grasp"][late, 2], own.reactions["grasp"][late, 2]
+    assert theirs.min() > 0
+    np.testing.assert_allclose(mine, theirs, rtol=0.15)
+    held = grasped()[0].marked(body.cloud).group("grasp")
+    wanted = grasped()[0].displacement(body.cloud.points[held], 0.2)
+    np.testing.assert_allclose(own.displacements[-1, held], wanted, atol=1e-2 * 0.003)
+    top = body.cloud.group("z+")
+    missed = np.linalg.norm(own.displacements - full.displacements, axis=2)[late][:, top]
+    assert np.quantile(missed, 0.95) < 0.07 * 0.003
+
+
+def test_a_grasp_lets_go_and_stands_beside_a_ball(pressed):
+    _, _, model = pressed
+    loads = [*grasped(until=0.1), replace(press(0.042, 0.02)[0], name="ball")]
+    run = pt.rollout(model, loads, duration=0.2, every=0.01)
+    after = run.times > 0.115
+    assert not run.reactions["grasp"][after].any()
+    assert run.reactions["grasp"][run.times < 0.095][-1, 2] > 0
+    assert run.reactions["ball"][:, 2].min() < 0
+    pushes = np.zeros((len(run.times), 3))
+    np.add.at(pushes, run.touches[:, 0].astype(int), run.touches[:, 2:5])
+    np.testing.assert_allclose(pushes, run.reactions["grasp"] + run.reactions["ball"], atol=1e-9)
+
+
+def test_a_grasp_of_what_is_fixed_or_of_nothing_is_refused(pressed):
+    _, _, model = pressed
+    with pytest.raises(pt.InputError, match="are fixed"):
+        pt.rollout(model, [pt.Grasp((0.0, 0.0, 0.0), 0.01, (0.0, 0.0, 0.0))], duration=0.01, every=0.01)
+    with pytest.raises(pt.InputError, match="'z\\+' is a group of the body"):
+        pt.rollout(model, [replace(grasped()[0], name="z+")], duration=0.01, every=0.01)
+    with pytest.raises(pt.InputError, match="holds no node"):
+        pt.rollout(model, [pt.Grasp((0.03, 0.03, 0.05), 0.001, (0.03, 0.03, 0.05))], duration=0.01, every=0.01)
+
+
+def test_the_stiffness_is_what_a_slow_hand_feels(pressed):
+    _, _, model = pressed
+    home = np.array((0.024, 0.038, SIZE[2] + BALL + 0.001))
+    ready = model.realtime(contact=pt.Contact(pt.Sphere(BALL), home))
+    q, v, report = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(20)
+
+    def settled(place, periods):
+        for _ in range(periods):
+            ready.advance(ready.data, q, v, np.concatenate([place, np.zeros(9)]), 1e-3, report)
+        return report[8:11].copy()
+
+    for depth in np.linspace(0.0, 0.004, 60):
+        settled((0.0, 0.0, -depth), 1)
+    settled((0.0, 0.0, -0.004), 400)
+    found = np.zeros((12, 12))
+    ready.stiffness(ready.data, q, found)
+    known = found.copy()
+    by = 2e-4
+    wanted = (settled((0.0, 0.0, -0.004 - by), 400) - settled((0.0, 0.0, -0.004 + by), 400)) / (-2 * by)
+    assert found[2, 2] == pytest.approx(wanted[2], rel=0.1)
+    np.testing.assert_allclose(found[:2, 2], wanted[:2], atol=0.1 * wanted[2])
+    ready.stiffness(ready.data, q, found)
+    assert (found != known).any(axis=0).sum() <= 1  # a column a call
+    settled((0.0, 0.0, 0.0), 50)
+    ready.stiffness(ready.data, q, found)
+    assert not found.any()
 
 
 def test_an_engine_presses_and_lets_go(pressed):

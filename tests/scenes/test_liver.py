@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.reduction.linear import carried_modes
 from palpate.scenes.liver import pressed_liver
 from palpate.scenes.training import training_scene
 
@@ -39,11 +40,13 @@ def test_the_full_model_takes_a_press(scene):
 
 
 def test_shapes_are_held_at_the_back_and_orthogonal_enough(scene):
-    shapes = scene.shapes(6)
-    cloud = scene.model.cloud
+    assert scene.coarse() is scene.model  # coarse enough itself
+    finer = pressed_liver(spacing=0.010, radius=0.03).model
+    shapes = carried_modes(scene.coarse(), finer, 6)
+    cloud = finer.cloud
     assert shapes.shape == (6, len(cloud), 3)
     assert not shapes[:, cloud.group("back")].any()
-    flat = shapes.reshape(6, -1) * np.sqrt(np.repeat(scene.model.masses, 3))
+    flat = shapes.reshape(6, -1) * np.sqrt(np.repeat(finer.masses, 3))
     gram = flat @ flat.T
     sizes = np.sqrt(np.diag(gram))
     assert np.abs(gram / sizes / sizes[:, None] - np.eye(6)).max() < 0.05

@@ -33,6 +33,7 @@ class _DigestCache(FunctionCache):  # type: ignore[misc]
 
 KERNELS = (
     "dynamics/contact.py",
+    "dynamics/contact_step.py",
     "dynamics/fibres.py",
     "dynamics/kernels.py",
     "dynamics/lanes.py",
@@ -47,6 +48,8 @@ KERNELS = (
     "dynamics/sheet_stretches.py",
     "dynamics/small_strain.py",
     "dynamics/stepping.py",
+    "reduction/compliance.py",
+    "reduction/contact_stiffness.py",
     "reduction/projection.py",
     "reduction/points.py",
     "reduction/samples.py",

@@ -121,14 +121,17 @@ def carried_modes(coarse: FullModel, body: FullModel, count: int) -> Floats:
     """Return the slowest vibrations of a coarser model of the same body at a body's nodes, shape (count, n, 3).
 
     They are carried over by thin-plate splines over the nearest nodes, and are zero at the body's supports. Their
-    largest displacement is about 1 m.
+    largest displacement is about 1 m. The coarser model may be the body itself.
 
     Raises
     ------
     InputError
         As `vibration_modes`.
     """
-    shapes = vibration_modes(coarse, count)[0].transpose(1, 0, 2).reshape(len(coarse.cloud), -1)
+    shapes = vibration_modes(coarse, count)[0]
+    if coarse is body:
+        return shapes
+    shapes = shapes.transpose(1, 0, 2).reshape(len(coarse.cloud), -1)
     near = min(CARRIED, len(coarse.cloud))
     fields = RBFInterpolator(coarse.cloud.points, shapes, neighbors=near)(body.cloud.points)
     fields = fields.reshape(len(body.cloud), count, 3).transpose(1, 0, 2)

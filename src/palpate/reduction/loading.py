@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.loads import DRIVEN, Drive, Load, drive
 from palpate.dynamics.membrane import load_areas
+from palpate.dynamics.tools import Contact, Forceps, Grasp
 from palpate.faults import InputError
 from palpate.reduction.parts import ReducedParts
 
@@ -29,6 +30,9 @@ def ready_drive(parts: ReducedParts, loads: Sequence[Load], *, implicit: bool) -
         Loads that it does not know, or was not trained with.
     """
     about = parts.kinematics
+    loads = [
+        _forceps(parts, load) if isinstance(load, Grasp) and load.name not in parts.driven else load for load in loads
+    ]
     areas = partial(load_areas, parts.cloud, about.prestretch) if about.sheet else None
     ready = drive(parts.cloud, parts.fixed, loads, areas)
     if len(ready.places.pressure_node):
@@ -54,6 +58,17 @@ def ready_drive(parts: ReducedParts, loads: Sequence[Load], *, implicit: bool) -
     if len({motion.until for motion, _ in ready.motions}) > 1:
         raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
     return ready
+
+
+def _forceps(parts: ReducedParts, grasp: Grasp) -> Contact:
+    """Return a grasp as the tool that it is on the surface of a reduced model."""
+    if grasp.name in parts.cloud.groups:
+        raise InputError(f"Grasp {grasp.name!r}: {grasp.name!r} is a group of the body; give the grasp another name")
+    held = np.concatenate([np.zeros(0, dtype=np.int64), *(parts.cloud.group(name) for name in parts.fixed)])
+    nodes = grasp.marked(parts.cloud).group(grasp.name)
+    if np.isin(nodes, held).any():
+        raise InputError(f"Grasp {grasp.name!r}: some nodes within {grasp.radius:g} m of it are fixed; hold others")
+    return Contact(Forceps(grasp.radius, grasp.point, grasp.until), grasp.motion, name=grasp.name)
 
 
 def lifted(parts: ReducedParts, ready: Drive, times: Floats) -> Floats:

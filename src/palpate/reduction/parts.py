@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.relaxation import relaxation
 from palpate.meshfree.cloud import Cloud
+from palpate.reduction.compliance import Dents
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.points import Kinematics
 from palpate.reduction.samples import Samples, samples
-from palpate.reduction.touch import Dents
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 from palpate.tissue.regions import Regions

@@ -24,6 +24,7 @@ import numpy as np
 
 from palpate.faults import FileFormatError, InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
+from palpate.reduction.compliance import NO_DENTS, Dents
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
@@ -35,14 +36,13 @@ from palpate.reduction.stored_material import (
     material_of,
     regions_of,
 )
-from palpate.reduction.touch import Dents
 
 __all__ = ["load", "save"]
 
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION, SEAL = "palpate reduced model", 5, 512
+FORMAT, VERSION, SEAL = "palpate reduced model", 6, 512
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 # One line a dataset: its type, and its shape in sizes that all datasets share.
@@ -68,7 +68,14 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "dents/nodes": ("<i8", ("touched",)),
     "dents/lengths": ("<f8", ("falls",)),
     "dents/compliances": ("<f8", ("falls",)),
+    "dents/carriers": ("<i8", ("touched", "carried")),
+    "dents/weights": ("<f8", ("touched", "carried")),
+    "dents/flexibility": ("<f4", ("carriers", "carriers")),
+    "dents/patches": ("<i8", ("touched", "patched")),
+    "dents/shares": ("<f8", ("touched", "patched")),
+    "dents/hardening": ("<f8", (2,)),
 }
+DENTS = tuple(name.removeprefix("dents/") for name in LAYOUT if name.startswith("dents/"))
 PLACED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "regions": ("<i8", ("nodes",))
 }  # where there are several materials
@@ -202,12 +209,13 @@ def _header(parts: ReducedParts) -> Header:
 
 def _arrays(parts: ReducedParts) -> Arrays:
     groups = list(parts.cloud.groups.values())
+    dents = parts.dents or NO_DENTS
     listed: dict[str, Any] = {
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
         "regions": None if parts.regions is None else parts.regions.which,
         "fibres/directions": np.zeros((0, len(parts.cloud), 3)) if parts.fibres is None else parts.fibres.directions,
-        **{f"dents/{name}": getattr(parts.dents, name, ()) for name in ("nodes", "lengths", "compliances")},
+        **{f"dents/{name}": getattr(dents, name) for name in DENTS},
     }
     return {
         name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
@@ -325,12 +333,21 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
 
 def _dents(arrays: Arrays, own: float) -> Dents | None:
     """Make the compliance of the surface; none where no nodes may be touched."""
-    dents = Dents(arrays["dents/nodes"], arrays["dents/lengths"], arrays["dents/compliances"], own)
+    dents = Dents(**{name: arrays[f"dents/{name}"] for name in DENTS}, own=own)
     if not len(dents.nodes):
         return None
-    if not (np.all(dents.lengths > 0) and np.all(dents.compliances >= 0) and own + dents.compliances.sum() > 0):
-        raise InputError("datasets dents/lengths and dents/compliances hold no positive compliance")
-    return dents
+    diagonal = np.diagonal(dents.flexibility)
+    if not (np.all(dents.lengths > 0) and np.all(dents.compliances >= 0) and np.all(diagonal >= 0)):
+        raise InputError("datasets dents/lengths, compliances and flexibility hold a compliance that is not positive")
+    if not own + dents.compliances.sum() + diagonal.sum() > 0:
+        raise InputError("datasets dents/compliances and flexibility hold no compliance")
+    if not np.all((dents.carriers >= 0) & (3 * dents.carriers + 2 < len(diagonal))):
+        raise InputError(f"dataset dents/carriers names rows outside the {len(diagonal)} of dents/flexibility")
+    if not np.all((dents.patches >= 0) & (dents.patches < len(dents.nodes))):
+        raise InputError(f"dataset dents/patches names rows outside the {len(dents.nodes)} of dents/nodes")
+    if not (dents.hardening[0] >= 0 and dents.hardening[1] > 0):
+        raise InputError("dataset dents/hardening holds no exponent of at least 0 and positive force")
+    return dents._replace(flexibility=dents.flexibility.astype(np.float32))
 
 
 def _rule(header: Header) -> Header:

@@ -1,160 +1,32 @@
-"""Contact of a reduced body with rigid tools, compiled: the surface's own compliance, and Coulomb's law on it.
+"""Contact of a reduced body with rigid tools, compiled: Coulomb's law on a surface with a compliance of its own.
 
-Few modes cannot dent a body under a small tool. What they leave is nearly static and local: the *residual flexibility*
-of component mode synthesis (MacNeal, Computers & Structures 1, 1971). Here it is one kernel for the whole surface,
+Few modes cannot dent a body under a small tool. What they leave is nearly static and local, a compliance of the surface
+beside the modes (`palpate.reduction.compliance`): touched nodes are at
 
-    x_i = X_i + sum over columns of C_im a_m + sum over touched nodes of g(|X_i - X_j|) f_j,
+    x_i = X_i + sum over columns of C_im a_m + sum over touched nodes of G_ij f_j,
 
-with the tools' forces f_j [N] on the nodes. A kernel that is a sum of falling exponentials (`palpate.reduction.dents`)
-makes a positive definite matrix of any set of nodes, so that without friction one set of forces keeps all nodes out of
-all tools. They are found by Gauss and Seidel's sweeps from those of the step before: each node in turn gets the normal
-force that puts it onto its tool, and the tangential one that stops its sliding, at most mu times the normal one
-(Coulomb).
+with the tools' forces f_j [N] on the nodes. G is positive definite, so that without friction one set of forces keeps
+all nodes out of all tools. They are found by Gauss and Seidel's sweeps from those of the step before: each node in turn
+gets the normal force that puts it onto its tool, and the tangential one that stops its sliding, at most mu times the
+normal one (Coulomb).
 
 A step asks one node of every cluster of surface nodes how far it is, and visits the nodes of the clusters near a tool.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import kernel_njit
-from palpate.dynamics.contact import Contacts, gap, material_velocity
+from palpate.dynamics.contact import gap, material_velocity
+from palpate.dynamics.tools import HELD
+from palpate.reduction.compliance import pair, refresh, softness, stored
 
-__all__ = ["Dents", "Skin", "Tools", "Touch", "aim", "dent_energy", "press", "settle", "skin", "tools_of", "touched"]
+__all__ = ["aim", "dent_energy", "press", "relax", "settle"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-CLUSTER = 32  # surface nodes in a cluster, about
 STRETCH = 1.5  # by which a cluster may grow
-SWEEPS, ENOUGH = 60, 1e-4  # most sweeps; of the deepest dent: change of a place in a sweep that ends them
-DENSE = 512  # touched nodes up to which the kernel between them is kept as a matrix
-
-
-class Dents(NamedTuple):
-    """The compliance of a body's surface beside its modes.
-
-    Parameters
-    ----------
-    nodes : (k,) int array
-        Nodes that tools may touch.
-    lengths, compliances : (e,) arrays [m], [m/N]
-        Of the exponentials.
-    own : float [m/N]
-        More compliance of a node under its own force.
-    """
-
-    nodes: NDArray[np.int64]
-    lengths: Floats
-    compliances: Floats
-    own: float
-
-    def kernel(self, distances: Floats) -> Floats:
-        """Return g [m/N] at some distances [m]; at 0 with the node's own."""
-        falling = np.exp(-distances[..., None] / self.lengths) @ self.compliances
-        return np.asarray(falling + np.where(distances == 0, self.own, 0.0))
-
-
-class Skin(NamedTuple):
-    """The part of a reduced body that tools touch."""
-
-    nodes: Ints  # (k,) surface nodes, by cluster
-    points: Floats  # (k, 3) reference places [m]
-    columns: NDArray[np.float32]  # (k, 3, m) their displacements by unit coordinates
-    start: Ints  # (c + 1,) of the clusters
-    leader: Ints  # (c,) a node in the middle of each
-    extent: Floats  # (c,) how far from it others are at rest [m]
-    kernel: Floats  # (t,) g at even distances [m/N]
-    interval: float  # between them [m]
-    own: float  # g of a node's own force [m/N]
-
-
-class Tools(NamedTuple):
-    """Rigid tools, and what they do."""
-
-    kind: Ints  # (t,) of their shapes
-    sizes: Floats  # (t, 3) [m]
-    friction: Floats  # (t,)
-    frames: Floats  # (t, 2, 3, 4) rotations and places [m] before and after a step
-    load: Floats  # (m,) forces on the coordinates
-    impulses: Floats  # (t, 6) [N s] and moments about the origins [N m s] on the body, added up
-    given: Floats  # (k, 3) impulses [N s] on the nodes, added up
-    way: Floats  # (2, 3, 4) in real time: a tool's frames before and after a period
-
-
-class Touch(NamedTuple):
-    """What one step hands to the next, and scratch."""
-
-    force: Floats  # (t, k, 3) [N]
-    place: Floats  # (t, k, 3) [m], of the nodes that are touched
-    busy: NDArray[np.bool_]  # (t, c) clusters that were near the tool in the last step
-    node: Ints  # (e,) touched: place in the skin, of each pair of a node and a tool
-    tool: Ints  # (e,)
-    modal: Floats  # (e, 3) [m]
-    now: Floats  # (e, 3) [m]
-    before: Floats  # (e, 3) [m]
-    push: Floats  # (e, 3) [N]
-    wide: Floats  # (3,)
-    near: Floats  # (DENSE, DENSE) kernel [m/N]
-    numbers: Ints  # (3,) pairs now, sweeps of the last step, steps whose sweeps did not end
-
-
-def skin(nodes: Ints, points: Floats, columns: Floats, kernel: Floats, interval: float, own: float) -> Skin:
-    """Lay out surface nodes (k,) at points (k, 3) with columns (m, k, 3) in clusters."""
-    order, start = _clusters(points, CLUSTER)
-    points, leader, extent = points[order], [], []
-    for begin, end in pairwise(start):
-        own_points = points[begin:end]
-        middle = int(np.argmin(np.linalg.norm(own_points - own_points.mean(axis=0), axis=1)))
-        leader.append(begin + middle)
-        extent.append(np.linalg.norm(own_points - own_points[middle], axis=1).max())
-    return Skin(
-        np.asarray(nodes)[order], np.ascontiguousarray(points),
-        np.ascontiguousarray(columns[:, order].transpose(1, 2, 0), dtype=np.float32),
-        start, np.array(leader, dtype=np.int64), np.array(extent, dtype=float),
-        np.ascontiguousarray(kernel), interval, own,
-    )  # fmt: skip
-
-
-def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
-    """Halve a set of points across its longest extent until no part has more than `size`."""
-    parts, done = [np.arange(len(points))] if len(points) else [], [np.zeros(0, dtype=np.int64)]
-    while parts:
-        part = parts.pop()
-        if len(part) <= size:
-            done.append(part)
-            continue
-        axis = int(np.argmax(np.ptp(points[part], axis=0)))
-        ordered = part[np.argsort(points[part, axis], kind="stable")]
-        parts += [ordered[len(part) // 2 :], ordered[: len(part) // 2]]
-    return np.concatenate(done), np.cumsum([len(part) for part in done], dtype=np.int64)
-
-
-def tools_of(contacts: Contacts | None, of: Skin) -> Tools:
-    """Make tools ready that a full model would know as `contacts`; None for no tool."""
-    kind = np.zeros(0, dtype=np.int64) if contacts is None else contacts.kind
-    sizes, friction = (np.zeros((0, 3)), np.zeros(0)) if contacts is None else (contacts.sizes, contacts.friction)
-    return Tools(
-        kind, sizes, friction, np.zeros((len(kind), 2, 3, 4)), np.zeros(of.columns.shape[2]),
-        np.zeros((len(kind), 6)), np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
-    )  # fmt: skip
-
-
-def touched(of: Skin, tools: int) -> Touch:
-    """Allocate for a number of tools; none touches."""
-    most, by_tool = tools * len(of.nodes), (tools, len(of.nodes), 3)
-    modal, now, before, push = np.zeros((4, most, 3))
-    return Touch(
-        np.zeros(by_tool), np.zeros(by_tool), np.ones((tools, len(of.leader)), dtype=np.bool_),
-        np.zeros(most, dtype=np.int64), np.zeros(most, dtype=np.int64),
-        modal, now, before, push, np.zeros(3), np.zeros((min(most, DENSE),) * 2), np.zeros(3, dtype=np.int64),
-    )  # fmt: skip
+SWEEPS, ENOUGH = 60, 1e-3  # most sweeps; of the deepest dent: change of a place in a sweep that ends them
 
 
 @njit(cache=True, fastmath={"contract"})
@@ -168,18 +40,61 @@ def _modal(skin, i, coordinates, out):  # type: ignore[no-untyped-def]
     out[0], out[1], out[2] = x, y, z
 
 
-@njit(cache=True, fastmath={"contract"})
-def _kernel(skin, i, j):  # type: ignore[no-untyped-def]
-    if i == j:
-        return skin.own
-    x = skin.points[i, 0] - skin.points[j, 0]
-    y = skin.points[i, 1] - skin.points[j, 1]
-    z = skin.points[i, 2] - skin.points[j, 2]
-    at = np.sqrt(x * x + y * y + z * z) / skin.interval
-    k = int(at)
-    if k + 1 >= skin.kernel.shape[0]:
-        return 0.0
-    return skin.kernel[k] + (at - k) * (skin.kernel[k + 1] - skin.kernel[k])
+@njit(cache=True)
+def _list(skin, touch, tools, t, i, x, y, z, v, step, count):  # type: ignore[no-untyped-def]
+    """List a node that the coordinates put at a place; return how many are listed."""
+    new, out = True, touch.wide
+    for d in range(3):
+        new = new and touch.force[t, i, d] == 0.0
+    touch.node[count], touch.tool[count] = i, t
+    touch.point[count] = i + skin.points.shape[0] if tools.kind[t] == HELD else i
+    touch.modal[count, 0], touch.modal[count, 1], touch.modal[count, 2] = x, y, z
+    if new:
+        _modal(skin, i, v, out)
+    for d in range(3):
+        touch.push[count, d] = touch.force[t, i, d]
+        touch.before[count, d] = touch.modal[count, d] - step * out[d] if new else touch.place[t, i, d]
+    return count + 1
+
+
+@njit(cache=True)
+def _held_at(skin, tools, t, i):  # type: ignore[no-untyped-def]
+    """Return where forceps hold a node."""
+    frame, origin = tools.frames[t, 1], tools.origins[t]
+    x, y, z = skin.points[i, 0] - origin[0], skin.points[i, 1] - origin[1], skin.points[i, 2] - origin[2]
+    return (
+        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z + frame[0, 3],
+        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z + frame[1, 3],
+        frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z + frame[2, 3],
+    )
+
+
+@njit(cache=True)
+def _hold(skin, touch, tools, t, a, v, step, count):  # type: ignore[no-untyped-def]
+    """List the nodes that forceps hold; return how many are listed, and how far the farthest must be moved [m]."""
+    origin, reach, farthest, out = tools.origins[t], tools.sizes[t, 0] * (1.0 + 1e-9), 0.0, touch.wide
+    open_ = not tools.frames[t, 1, 0, 3] < np.inf  # a pose that is no number lets go
+    for c in range(skin.leader.shape[0]):
+        i, square = skin.leader[c], 0.0
+        for d in range(3):
+            square += (skin.points[i, d] - origin[d]) ** 2
+        if np.sqrt(square) > reach + skin.extent[c]:
+            continue
+        for i in range(skin.start[c], skin.start[c + 1]):
+            square = 0.0
+            for d in range(3):
+                square += (skin.points[i, d] - origin[d]) ** 2
+            if square > reach * reach:
+                continue
+            if open_:
+                touch.force[t, i, :] = 0.0
+                continue
+            _modal(skin, i, a, out)
+            x, y, z = skin.points[i, 0] + out[0], skin.points[i, 1] + out[1], skin.points[i, 2] + out[2]
+            tx, ty, tz = _held_at(skin, tools, t, i)
+            farthest = max(farthest, abs(x - tx), abs(y - ty), abs(z - tz))
+            count = _list(skin, touch, tools, t, i, x, y, z, v, step, count)
+    return count, farthest
 
 
 @njit(cache=True)
@@ -188,6 +103,10 @@ def _find(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
     count, deepest, depth, out = 0, 0.0, 0.0, touch.wide
     for t in range(tools.kind.shape[0]):
         kind, sizes, frame = tools.kind[t], tools.sizes[t], tools.frames[t, 1]
+        if kind == HELD:
+            count, depth = _hold(skin, touch, tools, t, a, v, step, count)
+            deepest = max(deepest, depth)
+            continue
         for c in range(skin.leader.shape[0]):
             i = skin.leader[c]
             _modal(skin, i, a, out)
@@ -207,47 +126,72 @@ def _find(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
                     touch.force[t, i, :] = 0.0
                     continue
                 deepest = max(deepest, depth)
-                new = True
-                for d in range(3):
-                    new = new and touch.force[t, i, d] == 0.0
-                touch.node[count], touch.tool[count] = i, t
-                touch.modal[count, 0], touch.modal[count, 1], touch.modal[count, 2] = x, y, z
-                if new:
-                    _modal(skin, i, v, out)
-                for d in range(3):
-                    touch.push[count, d] = touch.force[t, i, d]
-                    touch.before[count, d] = touch.modal[count, d] - step * out[d] if new else touch.place[t, i, d]
-                count += 1
+                count = _list(skin, touch, tools, t, i, x, y, z, v, step, count)
     touch.numbers[0] = count
     return deepest
 
 
 @njit(cache=True, fastmath={"contract"})
-def _spread(skin, touch, e, x, y, z):  # type: ignore[no-untyped-def]
+def _spread(skin, touch, kept, e, x, y, z):  # type: ignore[no-untyped-def]
     """Move all touched nodes by what a change of one force does."""
-    count = touch.numbers[0]
-    if count <= touch.near.shape[0]:
-        for f in range(count):
-            g = touch.near[e, f]
-            touch.now[f, 0] += g * x
-            touch.now[f, 1] += g * y
-            touch.now[f, 2] += g * z
-    else:
-        for f in range(count):
-            g = _kernel(skin, touch.node[e], touch.node[f])
-            touch.now[f, 0] += g * x
-            touch.now[f, 1] += g * y
-            touch.now[f, 2] += g * z
+    i, h, now, node = touch.point[e], touch.soft[touch.tool[e]], touch.now, touch.point
+    x, y, z = h * x, h * y, h * z
+    if not kept:
+        block = touch.near.block
+        for f in range(touch.numbers[0]):
+            pair(skin.compliance, node[f], i, block)
+            for d in range(3):
+                now[f, d] += block[d, 0] * x + block[d, 1] * y + block[d, 2] * z
+        return
+    matrix, slot = touch.near.matrix, touch.near.slot
+    s = slot[i]  # its row lies together; the matrix is symmetric
+    for f in range(touch.numbers[0]):
+        r = slot[node[f]]
+        for d in range(3):
+            now[f, d] += matrix[s, r, 0, d] * x + matrix[s, r, 1, d] * y + matrix[s, r, 2, d] * z
 
 
 @njit(cache=True)
-def _relax(skin, touch, tools, step, e):  # type: ignore[no-untyped-def]
+def _own(skin, touch, kept, e, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """Return a touched node's own compliance along a normal, and at least its largest across it [m/N]."""
+    own, matrix, i, h = touch.near.block, touch.near.matrix, touch.point[e], touch.soft[touch.tool[e]]
+    if kept:
+        s = touch.near.slot[i]
+        for c in range(3):
+            for d in range(3):
+                own[c, d] = matrix[s, s, c, d]
+    else:
+        pair(skin.compliance, i, i, own)
+    along = nx * (own[0, 0] * nx + 2 * own[0, 1] * ny) + ny * (own[1, 1] * ny + 2 * own[1, 2] * nz)
+    along = h * (along + nz * (own[2, 2] * nz + 2 * own[0, 2] * nx))
+    return along, h * (own[0, 0] + own[1, 1] + own[2, 2]) - along
+
+
+@njit(cache=True)
+def _give(skin, touch, kept, e, fx, fy, fz):  # type: ignore[no-untyped-def]
+    """Give a node a force, and move all; return the largest change of a component [N]."""
+    push = touch.push
+    x, y, z = fx - push[e, 0], fy - push[e, 1], fz - push[e, 2]
+    push[e, 0], push[e, 1], push[e, 2] = fx, fy, fz
+    if x != 0.0 or y != 0.0 or z != 0.0:
+        _spread(skin, touch, kept, e, x, y, z)
+    return max(abs(x), abs(y), abs(z))
+
+
+@njit(cache=True)
+def relax(skin, touch, tools, kept, step, e):  # type: ignore[no-untyped-def]
     """Give one node the force that its tool asks for; return how far that moves it [m]."""
     t = touch.tool[e]
     x, y, z = touch.now[e, 0], touch.now[e, 1], touch.now[e, 2]
-    g, nx, ny, nz = gap(tools.kind[t], tools.sizes[t], tools.frames[t, 1], x, y, z)
     px, py, pz = touch.push[e, 0], touch.push[e, 1], touch.push[e, 2]
-    normal = px * nx + py * ny + pz * nz - g / skin.own
+    if tools.kind[t] == HELD:
+        tx, ty, tz = _held_at(skin, tools, t, touch.node[e])
+        most = sum(_own(skin, touch, kept, e, 1.0, 0.0, 0.0))
+        fx, fy, fz = px - (x - tx) / most, py - (y - ty) / most, pz - (z - tz) / most
+        return _give(skin, touch, kept, e, fx, fy, fz) * most
+    g, nx, ny, nz = gap(tools.kind[t], tools.sizes[t], tools.frames[t, 1], x, y, z)
+    along, across = _own(skin, touch, kept, e, nx, ny, nz)
+    normal = px * nx + py * ny + pz * nz - g / along
     if normal <= 0.0:
         fx, fy, fz = 0.0, 0.0, 0.0
     elif tools.friction[t] == 0.0:
@@ -255,19 +199,26 @@ def _relax(skin, touch, tools, step, e):  # type: ignore[no-untyped-def]
     else:
         tx, ty, tz = material_velocity(tools.frames[t, 0], tools.frames[t, 1], step, x - g * nx, y - g * ny, z - g * nz)
         # the tangential force that ends the sliding of this step
-        fx = px - (x - touch.before[e, 0] - step * tx) / skin.own
-        fy = py - (y - touch.before[e, 1] - step * ty) / skin.own
-        fz = pz - (z - touch.before[e, 2] - step * tz) / skin.own
-        along = fx * nx + fy * ny + fz * nz
-        fx, fy, fz = fx - along * nx, fy - along * ny, fz - along * nz
+        fx = px - (x - touch.before[e, 0] - step * tx) / across
+        fy = py - (y - touch.before[e, 1] - step * ty) / across
+        fz = pz - (z - touch.before[e, 2] - step * tz) / across
+        inward = fx * nx + fy * ny + fz * nz
+        fx, fy, fz = fx - inward * nx, fy - inward * ny, fz - inward * nz
         size, most = np.sqrt(fx * fx + fy * fy + fz * fz), tools.friction[t] * normal
         share = most / size if size > most else 1.0
         fx, fy, fz = share * fx + normal * nx, share * fy + normal * ny, share * fz + normal * nz
-    touch.push[e, 0], touch.push[e, 1], touch.push[e, 2] = fx, fy, fz
-    fx, fy, fz = fx - px, fy - py, fz - pz
-    if fx != 0.0 or fy != 0.0 or fz != 0.0:
-        _spread(skin, touch, e, fx, fy, fz)
-    return skin.own * max(abs(fx), abs(fy), abs(fz))
+    return _give(skin, touch, kept, e, fx, fy, fz) * max(along, across)
+
+
+@njit(cache=True)
+def _harden(skin, touch):  # type: ignore[no-untyped-def]
+    """Tell how soft the surface is under each tool, by the forces of the step before."""
+    for t in range(touch.soft.shape[0]):
+        x, y, z = 0.0, 0.0, 0.0
+        for e in range(touch.numbers[0]):
+            if touch.tool[e] == t:
+                x, y, z = x + touch.push[e, 0], y + touch.push[e, 1], z + touch.push[e, 2]
+        touch.soft[t] = softness(skin.compliance.hardening, np.sqrt(x * x + y * y + z * z))
 
 
 @kernel_njit()
@@ -292,23 +243,20 @@ def settle(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
     touch.numbers[1] = 0
     if count == 0:
         return 0.0, 0.0
-    if count <= touch.near.shape[0]:
-        for e in range(count):
-            for f in range(e + 1):
-                touch.near[e, f] = _kernel(skin, touch.node[e], touch.node[f])
-                touch.near[f, e] = touch.near[e, f]
+    kept = refresh(skin.compliance, touch.near, touch.point, count)
+    _harden(skin, touch)
     for e in range(count):
         for d in range(3):
             touch.now[e, d] = touch.modal[e, d]
     for e in range(count):
         x, y, z = touch.push[e, 0], touch.push[e, 1], touch.push[e, 2]
         if x != 0.0 or y != 0.0 or z != 0.0:
-            _spread(skin, touch, e, x, y, z)
+            _spread(skin, touch, kept, e, x, y, z)
     largest = 0.0
     for sweep in range(SWEEPS):
         largest = 0.0
         for e in range(count):
-            largest = max(largest, _relax(skin, touch, tools, step, e))
+            largest = max(largest, relax(skin, touch, tools, kept, step, e))
         touch.numbers[1] = sweep + 1
         if largest < ENOUGH * deepest:
             break
@@ -386,10 +334,16 @@ def press(skin, touch, tools, q, v, response, at, step, period, share, report): 
 
 
 @njit(cache=True)
-def dent_energy(touch):  # type: ignore[no-untyped-def]
+def dent_energy(skin, touch):  # type: ignore[no-untyped-def]
     """Return the energy [J] of the surface's own compliance."""
-    total = 0.0
-    for e in range(touch.numbers[0]):
-        for d in range(3):
-            total += 0.5 * touch.push[e, d] * (touch.now[e, d] - touch.modal[e, d])
+    total, hardening = 0.0, skin.compliance.hardening
+    for t in range(touch.soft.shape[0]):
+        x, y, z, half = 0.0, 0.0, 0.0, 0.0
+        for e in range(touch.numbers[0]):
+            if touch.tool[e] != t:
+                continue
+            x, y, z = x + touch.push[e, 0], y + touch.push[e, 1], z + touch.push[e, 2]
+            for d in range(3):
+                half += 0.5 * touch.push[e, d] * (touch.now[e, d] - touch.modal[e, d])
+        total += stored(hardening, np.sqrt(x * x + y * y + z * z)) * half
     return total

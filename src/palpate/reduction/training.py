@@ -51,6 +51,7 @@ def reduce(
     enrichment: Floats | None = None,
     cubature: float = 1e-3,
     pressures: int | None = None,
+    coarse: FullModel | None = None,
     seed: int = 0,
 ) -> ReducedModel:
     """Train a reduced model on runs of a full one: modes, sampled nodes and weights, errors and trust.
@@ -82,6 +83,9 @@ def reduce(
     pressures : int, optional
         Number of pressure modes; by default a quarter of the modes, which errs least on motions not trained on. For
         one trained motion and few modes, as many as modes are better.
+    coarse : FullModel, optional
+        A coarser model of the same body, of at most 5,000 nodes, whose statics tell how its surface gives way under
+        tools that touch it in the runs; by default the body itself, if it has no more nodes than that.
     seed : int
         Of random combinations where the training data are many.
 
@@ -108,7 +112,9 @@ def reduce(
         _check(full, [run.points if isinstance(run, Trajectory) else StoredTrajectory(run).points])
     share = number_in_range("cubature", cubature, 0.0, 1.0)
     body = full if full.conservative else _energy_form(full)
-    wish = _Wish((driven,) if isinstance(driven, str) else tuple(driven), held_out, enrichment, share, pressures, seed)
+    wish = _Wish(
+        (driven,) if isinstance(driven, str) else tuple(driven), held_out, enrichment, share, pressures, seed, coarse
+    )
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
         return _trained(full, body, snapshots, count, wish)
@@ -141,6 +147,7 @@ class _Wish:
     cubature: float
     pressures: int | None
     seed: int
+    coarse: FullModel | None
 
 
 def _check(full: FullModel | Membrane, points: Sequence[Floats]) -> None:
@@ -191,7 +198,7 @@ def _trained(
         "training_seconds": perf_counter() - start,
     }
     if snapshots.touched and not wish.tools and isinstance(body, FullModel):
-        dents, report["dents_explained"] = fitted_dents(model, snapshots)
+        dents, report["dents_explained"] = fitted_dents(model, snapshots, wish.coarse or body)
         model = ReducedModel(replace(model.parts, dents=dents))
     model.parts.report.update(report)
     return _tried(model, wish.held_out) if wish.held_out else model

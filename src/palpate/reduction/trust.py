@@ -71,7 +71,8 @@ def tried_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, fu
     """Say of every frame of a reduced model's run how far it was from training, and from the full run."""
     drive, mass = model.drive(loads), model.masses / model.masses.sum()
     touches = [touch_of(own, k, len(model.cloud)) for k in range(len(own.times))]
-    dents = np.array([model.dented(touch) for touch in touches])
+    none = np.zeros((1, len(model.cloud), 3))
+    dents = np.array([model.dented(none if touch is None else touch.forces[None], [True])[0] for touch in touches])
     coordinates, velocities = model.projected(own.displacements - dents), model.projected(own.velocities)
     states: list[State] = []
     for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):

@@ -12,7 +12,6 @@ from palpate.faults import InputError, number_in_range
 from palpate.meshfree.attachment import near_plane
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
-from palpate.reduction.linear import carried_modes
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.scene import TrainingScene
 from palpate.tissue.materials import NeoHookean
@@ -25,7 +24,7 @@ SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al.
 DENSITY = 1060.0  # [kg/m^3]
 BED = 0.07  # [m] of the back that is held: the bare area, by which a liver grows to the diaphragm
 MARGIN = 0.02  # [m] that presses keep from it
-COARSE = 0.012  # [m] spacing of the coarse liver whose vibrations stand for modes
+COARSE = 0.008  # [m] spacing of the coarse liver whose vibrations and statics are those of finer ones
 CLEARANCE = 0.003  # [m] between ball and body before and after
 SLIDE = 0.02  # [m] longest
 SHALLOWEST = 0.3  # of the depth
@@ -71,7 +70,7 @@ def pressed_liver(
     parameters = {"spacing": spacing, "poisson": poisson, "radius": radius, "depth": depth, "friction": friction}
     return TrainingScene(
         model, presses, EVERY, "Liver pressed by a ball", parameters,
-        shapes=lambda count: carried_modes(_model(max(COARSE, spacing), poisson), model, count), cubature=CUBATURE,
+        coarse=lambda: model if spacing >= COARSE else _model(COARSE, poisson), cubature=CUBATURE,
     )  # fmt: skip
 
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import Load
 from palpate.dynamics.membrane import Membrane
@@ -57,10 +54,10 @@ class TrainingScene:
         What the scene was made with, in SI units.
     tools : tuple of str
         Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `driven` of `palpate.reduce`.
-    shapes : function, optional
-        Of a number, returns so many displacement fields (m, n, 3) that stand for modes. Where tools touch a body
-        anywhere, modes of the runs are dents where those runs had them; smooth fields leave all dents to the surface's
-        own compliance (`palpate.reduction.dents`).
+    coarse : function, optional
+        Returns a model of the same body of at most 5,000 nodes, in its energy form. Where tools touch a body anywhere,
+        modes of the runs are dents where those runs had them: the vibrations of this model stand for modes, and its
+        statics tell what they leave of dents (`palpate.reduction.flexibility`).
     cubature : float
         As of `palpate.reduce`: what the sampled forces may miss of the whole ones.
     """
@@ -71,5 +68,5 @@ class TrainingScene:
     title: str
     parameters: Mapping[str, float | int | str]
     tools: tuple[str, ...] = ()
-    shapes: Callable[[int], NDArray[np.float64]] | None = None
+    coarse: Callable[[], FullModel] | None = None
     cubature: float = 1e-3

@@ -13,6 +13,8 @@ from palpate.app.train.cluster import run_on_cluster
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.app.train.local import run_here
 from palpate.app.train.work import Outcome
+from palpate.dynamics.full import FullModel
+from palpate.reduction.linear import carried_modes
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import reduce
 from palpate.scenes.scene import TrainingScene
@@ -105,11 +107,14 @@ def make_model(
         raise ReproduceError(f"no training run was finished; the first: {reason}; {folder.runs} holds what they did")
     share = scene.cubature if cubature is None else cubature
     with console.status(f"training {modes} modes on {len(learned)} runs, trying them on {len(tried)} others"):
-        smooth = None if scene.shapes is None else scene.shapes(modes)
-        own = modes if smooth is None else 0
+        coarse = smooth = None
+        if scene.coarse is not None and isinstance(scene.model, FullModel):
+            coarse = scene.coarse()
+            smooth = carried_modes(coarse, scene.model, modes)
         model = reduce(
-            scene.model, learned, modes=own, enrichment=smooth, driven=scene.tools, held_out=tried, cubature=share
-        )
+            scene.model, learned, modes=modes if smooth is None else 0, enrichment=smooth, driven=scene.tools,
+            held_out=tried, cubature=share, coarse=coarse,
+        )  # fmt: skip
     model.report["scene"] = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
     with whole_file(folder.path / MODEL) as partial:
         model.save(partial)
