@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.relaxation import forget
-from palpate.dynamics.tools import Contact
+from palpate.dynamics.tools import Contact, Grasp
 from palpate.faults import InputError
+from palpate.reduction.contact_stiffness import contact_stiffness
 from palpate.reduction.dents import Handling
 from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import Samples, Scratch, sampled_energy, scratch
+from palpate.reduction.skin import Skin, Tools, Touch, tools_of, touched
 from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, newton, sampled_step
-from palpate.reduction.touch import Skin, Tools, Touch, aim, dent_energy, press, tools_of, touched
+from palpate.reduction.touch import aim, dent_energy, press
 
 if TYPE_CHECKING:
     from palpate.reduction.reduced import ReducedModel
@@ -329,7 +331,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for m in range(count):
             for k in range(count):
                 report[3] += 0.5 * v[m] * data.mass[m, k] * v[k]
-        report[4] = energy(q, data.samples, data.scratch) + dent_energy(data.touch)
+        report[4] = energy(q, data.samples, data.scratch) + dent_energy(data.skin, data.touch)
         if not np.isfinite(report[4]):
             q[:] = kept
             v[:] = before
@@ -357,7 +359,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
     return advance, stiffness
 
 
-def realtime_model(model: ReducedModel, longest: float, contact: Contact | None) -> RealtimeModel:
+def realtime_model(model: ReducedModel, longest: float, contact: Contact | Grasp | None) -> RealtimeModel:
     """Make what `ReducedModel.realtime` returns."""
     parts, count = model.parts, model.count
     handling = None if contact is None else Handling(model._skin, model.drive([contact]))
@@ -389,4 +391,4 @@ def realtime_model(model: ReducedModel, longest: float, contact: Contact | None)
     advance, stiffness = period_functions(model._law, model.single)
     if contact is None:
         return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.driven[0]))
-    return RealtimeModel(advance, None, data, np.zeros(count), np.eye(12))
+    return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12))

@@ -21,10 +21,11 @@ from palpate.dynamics.model import Model, Nodes, Outputs, State, Touch
 from palpate.dynamics.reactions import touching
 from palpate.dynamics.relaxation import at_ease, recall, remembered
 from palpate.dynamics.stability import stable_step
-from palpate.dynamics.tools import Contact
+from palpate.dynamics.tools import HELD, Contact, Grasp
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
-from palpate.reduction.dents import Handling, dents_of, skin_of
+from palpate.reduction.compliance import dents_of
+from palpate.reduction.dents import Handling, skin_of
 from palpate.reduction.loading import lifted, ready_drive
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import RealtimeModel, realtime_model
@@ -244,13 +245,22 @@ class ReducedModel(Model):
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes, rebuilt only there."""
         moved = np.tensordot(state.coordinates, self.parts.columns[: self.count, nodes], 1)
-        return moved if state.touch is None else moved + self.dented(state.touch)[nodes]
+        return moved if state.touch is None else moved + self._dented(state.touch, drive)[0][nodes]
 
-    def dented(self, touch: Touch | None) -> Floats:
-        """Return the displacements (n, 3) [m] that tools add to those of the coordinates."""
-        if touch is None or self.parts.dents is None:
-            return np.zeros((len(self.cloud), 3))
-        return dents_of(self.parts.dents, self.cloud.points, touch.forces)
+    def dented(self, forces: Floats, held: Sequence[bool]) -> tuple[Floats, float]:
+        """Return displacements (n, 3) [m] and energy [J] beside the modes' by tools' forces (tools, n, 3) on patches.
+
+        Those of tools that are `held` act on nodes.
+        """
+        if self.parts.dents is None:
+            return np.zeros((len(self.cloud), 3)), 0.0
+        return dents_of(self.parts.dents, self.cloud.points, forces[:, self.parts.dents.nodes], held)
+
+    def _dented(self, touch: Touch | None, drive: Drive) -> tuple[Floats, float]:
+        pushes = np.zeros((0 if touch is None else len(touch.pushes), len(self.cloud), 3))
+        if touch is not None:
+            pushes[:, self._skin.nodes] = touch.pushes
+        return self.dented(pushes, [tool.tool.kind == HELD for tool in drive.tools][: len(pushes)])
 
     def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
@@ -297,13 +307,13 @@ class ReducedModel(Model):
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
         forces, moments, touches = touching(state, drive)
-        dented = 0.0 if state.touch is None else 0.5 * float(np.sum(state.touch.forces * self.dented(state.touch)))
+        dented, stored = self._dented(state.touch, drive)
         return Outputs(
-            self.displacement(state, drive),
+            np.tensordot(state.coordinates, self.parts.columns[: self.count], 1) + dented,
             self.velocity(state, drive),
             self.reactions(state, drive) | forces,
             float(0.5 * state.velocities @ self.mass @ state.velocities),
-            self.energy(state.coordinates) + dented,
+            self.energy(state.coordinates) + stored,
             state.external_work,
             state.dissipated,
             moments,
@@ -376,14 +386,14 @@ class ReducedModel(Model):
         """Return this model stepped by the energy-conserving implicit rule of a step [s], or explicitly (None)."""
         return ReducedModel(self.parts, step=step, single=self.single)
 
-    def realtime(self, longest: float = 0.02, contact: Contact | None = None) -> RealtimeModel:
+    def realtime(self, longest: float = 0.02, contact: Contact | Grasp | None = None) -> RealtimeModel:
         """Return this model as `palpate.Engine` takes it, with one tool that holds the driven group, or touches it.
 
         Parameters
         ----------
         longest : float [s]
             Longest period that will be asked for.
-        contact : Contact, optional
+        contact : Contact or Grasp, optional
             The tool that touches the body, from its place at time 0. Trust then is the distance from training alone.
 
         Raises
