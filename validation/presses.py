@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import palpate as pt
+from palpate.app.train.campaign import PRESSED
 from palpate.app.train.folder import HELD_OUT, jobs
 from palpate.dynamics.tools import surface_nodes
 from palpate.reduction.linear import carried_modes
@@ -67,8 +68,10 @@ def main() -> None:
     if args.shapes is not None or args.modes or args.cubature is not None:
         shapes = model.parts.modes if args.shapes is None else args.shapes
         coarse = scene.coarse()
+        trained = [(job, path) for job, path in found if job.kind != HELD_OUT]
         model = pt.reduce(
-            scene.model, [path for job, path in found if job.kind != HELD_OUT], modes=args.modes, coarse=coarse,
+            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse,
+            pressed=[(scene.path(job.seed)[0], path) for job, path in trained[:PRESSED]],
             enrichment=carried_modes(coarse, scene.model, shapes) if shapes else None, cubature=args.cubature or 1e-3,
         )  # fmt: skip
     about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}

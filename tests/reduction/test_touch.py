@@ -175,6 +175,19 @@ def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
     assert np.abs(own.balance).max() < 0.05 * own.external.max()
 
 
+def test_forces_are_made_those_of_runs(pressed):
+    body, runs, model = pressed
+    trials = [(press(0.021, 0.027), runs[0])]
+    measured = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0], pressed=trials)
+    before, *_, after = measured.report["force_ratios"]
+    assert abs(np.log(after)) <= min(0.02, abs(np.log(before)))
+    assert measured.parts.dents.hardening == pytest.approx(model.parts.dents.hardening)
+    factor = measured.report["force_factor"]
+    np.testing.assert_allclose(measured.parts.dents.flexibility, factor * model.parts.dents.flexibility, rtol=1e-5)
+    with pytest.raises(pt.InputError, match="no tool touches"):
+        pt.reduce(body, runs[:1], modes=4, pressed=[([], run_without(runs[0]))])
+
+
 def test_the_surface_of_its_own_is_needed(pressed):
     """What the modes alone, without the surface's compliance, make of it: a far too large force."""
     _body, runs, model = pressed

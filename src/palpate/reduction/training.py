@@ -14,6 +14,7 @@ from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import Load
 from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.rollout import rollout
+from palpate.dynamics.tools import Contact
 from palpate.dynamics.trajectory import StoredTrajectory, Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.bases import joined, main_modes
@@ -37,6 +38,7 @@ SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # tried when a tolerance is given
 STATES = 240  # training states that the cubature is fitted at
 PRESSURES = 4  # modes to one pressure mode: more would stiffen what the modes cannot keep at constant volume
 HELD_SHARE = 0.95
+FORCE_PASSES, FORCE_STEP = 2, 1.4  # corrections of the surface's compliance; exponent: part of a depth is the modes'
 TAUT = 16  # training states whose highest frequency a membrane is stepped by
 
 
@@ -52,6 +54,7 @@ def reduce(
     cubature: float = 1e-3,
     pressures: int | None = None,
     coarse: FullModel | None = None,
+    pressed: Sequence[Trial] = (),
     seed: int = 0,
 ) -> ReducedModel:
     """Train a reduced model on runs of a full one: modes, sampled nodes and weights, errors and trust.
@@ -86,6 +89,9 @@ def reduce(
     coarse : FullModel, optional
         A coarser model of the same body, of at most 5,000 nodes, whose statics tell how its surface gives way under
         tools that touch it in the runs; by default the body itself, if it has no more nodes than that.
+    pressed : sequence of (loads, trajectory or path)
+        Some of the training runs in which tools touch the body, with their loads: the compliance of its surface is
+        scaled until tools' forces are theirs in the mean.
     seed : int
         Of random combinations where the training data are many.
 
@@ -112,9 +118,8 @@ def reduce(
         _check(full, [run.points if isinstance(run, Trajectory) else StoredTrajectory(run).points])
     share = number_in_range("cubature", cubature, 0.0, 1.0)
     body = full if full.conservative else _energy_form(full)
-    wish = _Wish(
-        (driven,) if isinstance(driven, str) else tuple(driven), held_out, enrichment, share, pressures, seed, coarse
-    )
+    tools = (driven,) if isinstance(driven, str) else tuple(driven)
+    wish = _Wish(tools, held_out, enrichment, share, pressures, seed, coarse, pressed)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
         return _trained(full, body, snapshots, count, wish)
@@ -148,6 +153,7 @@ class _Wish:
     pressures: int | None
     seed: int
     coarse: FullModel | None
+    pressed: Sequence[Trial]
 
 
 def _check(full: FullModel | Membrane, points: Sequence[Floats]) -> None:
@@ -200,6 +206,9 @@ def _trained(
     if snapshots.touched and not wish.tools and isinstance(body, FullModel):
         dents, report["dents_explained"] = fitted_dents(model, snapshots, wish.coarse or body)
         model = ReducedModel(replace(model.parts, dents=dents))
+        if wish.pressed:
+            model, measured = _measured(model, wish.pressed)
+            report |= measured
     model.parts.report.update(report)
     return _tried(model, wish.held_out) if wish.held_out else model
 
@@ -306,6 +315,34 @@ def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     reach, leeway, table = calibrated(frames, HELD_SHARE)
     model.parts.report["held_out"]["trust"] = table
     return ReducedModel(replace(model.parts, reach=reach, leeway=leeway))
+
+
+def _measured(model: ReducedModel, pressed: Sequence[Trial]) -> tuple[ReducedModel, dict[str, Any]]:
+    """Scale the compliance of the surface until tools' forces are, in the mean, those of full runs.
+
+    It is learnt from displacements under known forces. A step asks the other way round, and forces that it finds lean
+    on nodes that give way too easily: a bias that is alike all over a body.
+    """
+    dents, factor = model.parts.dents, 1.0
+    ratios: list[float] = []
+    assert dents is not None
+    for _ in range(FORCE_PASSES + 1):
+        factor *= ratios[-1] ** FORCE_STEP if ratios else 1.0
+        model = ReducedModel(replace(model.parts, dents=dents.scaled(factor)))
+        ratios.append(float(np.mean([_force_ratio(model, *trial) for trial in pressed])))
+    return model, {"force_factor": factor, "force_ratios": ratios}
+
+
+def _force_ratio(model: ReducedModel, loads: Sequence[Load], kept: Run) -> float:
+    """Return the mean size of the force on tools over that of the full run."""
+    run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
+    names = [load.name for load in loads if isinstance(load, Contact)]
+    if not names or not len(run.touches):
+        raise InputError("pressed: no tool touches the body in one of these runs; give others")
+    every = float(run.times[1] - run.times[0])
+    own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
+    mine, theirs = (sum(np.linalg.norm(of.reactions[name], axis=1).sum() for name in names) for of in (own, run))
+    return float(mine / theirs)
 
 
 def _reach(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float:

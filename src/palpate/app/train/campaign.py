@@ -14,6 +14,7 @@ from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.app.train.local import run_here
 from palpate.app.train.work import Outcome
 from palpate.dynamics.full import FullModel
+from palpate.dynamics.tools import Contact
 from palpate.reduction.linear import carried_modes
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import reduce
@@ -22,6 +23,7 @@ from palpate.scenes.scene import TrainingScene
 __all__ = ["MODEL", "make_model", "make_runs"]
 
 MODEL = "model.rom"
+PRESSED = 4  # training runs by which forces of tools are measured
 
 
 def make_runs(
@@ -105,6 +107,8 @@ def make_model(
     if not learned:
         reason = (folder.fault(wanted[0]) or {}).get("reason", "see its worker")
         raise ReproduceError(f"no training run was finished; the first: {reason}; {folder.runs} holds what they did")
+    paths = [(scene.path(job.seed)[0], folder.file(job)) for job in done if job.kind == TRAINED][:PRESSED]
+    pressed = [(loads, path) for loads, path in paths if any(isinstance(load, Contact) for load in loads)]
     share = scene.cubature if cubature is None else cubature
     with console.status(f"training {modes} modes on {len(learned)} runs, trying them on {len(tried)} others"):
         coarse = smooth = None
@@ -113,7 +117,7 @@ def make_model(
             smooth = carried_modes(coarse, scene.model, modes)
         model = reduce(
             scene.model, learned, modes=modes if smooth is None else 0, enrichment=smooth, driven=scene.tools,
-            held_out=tried, cubature=share, coarse=coarse,
+            held_out=tried, cubature=share, coarse=coarse, pressed=pressed,
         )  # fmt: skip
     model.report["scene"] = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
     with whole_file(folder.path / MODEL) as partial:
