@@ -1,11 +1,14 @@
 """A rigid ball and a flat punch pressed into a block: forces against finite elements and closed forms.
 
-    python validation/contact.py [--tools ball punch] [--spacings 0.003 0.002] [--forms energy strong] [--overhead]
+    python validation/contact.py [--tools ball punch] [--spacings 0.003 0.002] [--forms energy strong] [--filled]
+        [--shift 0.5] [--overhead]
 
 adds to docs/validation/contact.json and draws docs/images/contact.png. The block is 60 mm wide and 30 mm deep, clamped
 below; the ball has a radius of 20 mm and goes in by up to a tenth of that, the punch 10 mm. References: FElupe's
 axisymmetric elements on a cylinder of the same area (contact_elements.py), Hertz with the correction for a finite depth
 by Dimitriadis et al. (Biophys. J. 82, 2002), and F = 2 E a d / (1 - nu^2) under a flat punch on a half-space.
+With --filled the nodes are not a lattice but fill the block's surface, as they do an organ's; with --shift the tool
+stands that many spacings aside.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import numpy as np
 from contact_elements import Block, punch, sphere
 
 import palpate as pt
-from palpate.dynamics.contact import push
+from palpate.dynamics.contact_step import push
 
 HERE = Path(__file__).parent
 OUTPUT = HERE.parent / "docs" / "validation" / "contact.json"
@@ -58,11 +61,21 @@ def reference(tool: str, fine: float) -> list[dict]:
     return rows
 
 
-def pressed(tool: str, spacing: float, form: str, shift: float = 0.0) -> list[dict]:
-    """Forces on a block of nodes, and their noise; `shift` is the tool's place across the lattice, in spacings."""
+def block(spacing: float, filled: bool) -> pt.Cloud:
+    """Nodes of the block, a lattice or the filling of its surface, with a group "z-"."""
     cloud = pt.box((WIDTH, WIDTH, DEPTH), spacing)
+    if not filled:
+        return cloud
+    fine = pt.box((WIDTH, WIDTH, DEPTH), 0.001)
+    used, triangles = np.unique(fine.triangles, return_inverse=True)
+    cloud = pt.fill(pt.Surface(fine.points[used], triangles.reshape(-1, 3)), spacing)
+    return cloud.with_group("z-", cloud.points[:, 2] < 0.3 * spacing)
+
+
+def pressed(tool: str, spacing: float, form: str, shift: float = 0.0, filled: bool = False) -> list[dict]:
+    """Forces on a block of nodes, and their noise; `shift` is the tool's place across the lattice, in spacings."""
     viscosity = None if form == "energy" else 0.018 * spacing
-    model = pt.FullModel(cloud, LAW, "z-", form=form, viscosity=viscosity)
+    model = pt.FullModel(block(spacing, filled), LAW, "z-", form=form, viscosity=viscosity)
     shape, start = (pt.Sphere(RADIUS), RADIUS) if tool == "ball" else (pt.Punch(PUNCH, ROUNDING), 0.0)
     deepest = max(DEPTHS[tool])
     middle = WIDTH / 2 + shift * spacing
@@ -81,8 +94,8 @@ def pressed(tool: str, spacing: float, form: str, shift: float = 0.0) -> list[di
         k = int(np.argmin(np.abs(depths[inner] - d)))
         value = float(smooth[k] * (d / depths[inner][k]) ** power)
         rows.append({
-            "tool": tool, "form": form, "spacing": spacing, "shift": shift, "depth": d, "force": value,
-            "noise": noise, "balance": balance,
+            "tool": tool, "form": form, "spacing": spacing, "filled": filled, "shift": shift, "depth": d,
+            "force": value, "noise": noise, "balance": balance,
         })  # fmt: skip
         print(rows[-1], flush=True)
     return rows
@@ -124,10 +137,11 @@ def draw(rows: list[dict]) -> None:
             own = [
                 r for r in rows if r["tool"] == tool and r["form"] == form and r["shift"] == 0.0 and r["depth"] in truth
             ]
-            for spacing in sorted({r["spacing"] for r in own}, reverse=True):
+            for filled, spacing in sorted({(r["filled"], r["spacing"]) for r in own}):
                 line = [(r["depth"] * 1e3, 100 * (r["force"] / truth[r["depth"]] - 1)) for r in own
-                        if r["spacing"] == spacing]  # fmt: skip
-                axis.plot(*zip(*sorted(line), strict=True), marker=marker, label=f"{form}, {1e3 * spacing:g} mm")
+                        if (r["filled"], r["spacing"]) == (filled, spacing)]  # fmt: skip
+                label = f"{form}, {1e3 * spacing:g} mm" + (", filled" if filled else "")
+                axis.plot(*zip(*sorted(line), strict=True), marker="^" if filled else marker, label=label)
         axis.axhspan(-5, 5, color="0.9")
         axis.set(xlabel="indentation [mm]", ylabel="force against finite elements [%]", title=tool)
         if axis.lines:
@@ -140,6 +154,7 @@ def main() -> None:
     parser.add_argument("--tools", nargs="*", default=["ball", "punch"])
     parser.add_argument("--spacings", type=float, nargs="*", default=[0.003, 0.002])
     parser.add_argument("--forms", nargs="*", default=["energy", "strong"])
+    parser.add_argument("--filled", action="store_true", help="a filled surface instead of a lattice")
     parser.add_argument("--shift", type=float, default=0.0)
     parser.add_argument("--fine", type=float, help="also the reference, with elements of this size [m]")
     parser.add_argument("--overhead", action="store_true")
@@ -149,8 +164,9 @@ def main() -> None:
         new += reference(tool, options.fine) if options.fine else []
         for spacing in options.spacings:
             for form in options.forms:
-                new += pressed(tool, spacing, form, options.shift)
-    key = lambda r: (r["tool"], r["form"], r["spacing"], r.get("shift", 0.0), r.get("depth", 0.0))  # noqa: E731
+                new += pressed(tool, spacing, form, options.shift, options.filled)
+    names = ("filled", "shift", "depth")
+    key = lambda r: (r["tool"], r["form"], r["spacing"], *(float(r.get(name, 0.0)) for name in names))  # noqa: E731
     kept = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
     rows = sorted(({key(r): r for r in kept} | {key(r): r for r in new}).values(), key=key)
     OUTPUT.write_text("[\n" + ",\n".join(json.dumps(r) for r in rows) + "\n]\n")

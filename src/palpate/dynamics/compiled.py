@@ -33,6 +33,7 @@ class _DigestCache(FunctionCache):  # type: ignore[misc]
 
 KERNELS = (
     "dynamics/contact.py",
+    "dynamics/contact_step.py",
     "dynamics/fibres.py",
     "dynamics/kernels.py",
     "dynamics/lanes.py",

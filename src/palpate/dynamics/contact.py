@@ -1,20 +1,8 @@
-"""Contact of points with rigid tools, compiled: distances, Coulomb's law, and the impulses of one explicit step.
+"""Rigid tools and what they touch, compiled: distances, velocities, Coulomb's law, and the patches of a surface.
 
-Nodes that would be inside a tool at the end of a step are put onto its surface by an impulse along its normal: the
-forward increment Lagrange multipliers of Carpenter, Taylor and Katona (Int. J. Numer. Meth. Engng 32, 1991). Nothing
-is penalised, so that no stiffness is chosen, no node enters a tool, and the stable step stays what it was. With the
-normal impulse p the tangential one is what stops the sliding, but at most mu p (Coulomb).
-
-In a step of length dt, with the velocity v after the kick by all other forces, the place x = X + u + dt v and the gap
-g(x) < 0 to the tool where it will be,
-
-    dv_n = - g / dt,    dv_t = - w_t min(1, mu dv_n / |w_t|),
-
-w_t the sliding velocity against the tool's matter at that place. Impulses m (dv_n n + dv_t) on the nodes and their
-opposites on the tool are the same numbers: momentum is exact. At the end of a call of some steps, nodes that touch a
-tool must not move into it with their half kick; that is the same law for velocities.
-
-Functions of a point take coordinates, not clouds, and know nothing of a discretisation.
+A patch i is at X_i + sum of w_ij u_j: a node itself, or in the energy form the surface around it
+(`palpate.meshfree.patches`). Functions of a point take coordinates, not clouds, and know nothing of a discretisation.
+The impulses of a step are in `palpate.dynamics.contact_step`.
 """
 
 from __future__ import annotations
@@ -23,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sparse
 from numba import njit
 from numpy.typing import NDArray
 
@@ -30,15 +19,27 @@ from palpate.dynamics.tools import CAPSULE, PLANE, Contact, surface_nodes
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["Contacts", "contacts", "coulomb", "gap", "gaps", "material_velocity", "push", "rotation", "signed_distance"]
+__all__ = [
+    "Contacts",
+    "contacts",
+    "coulomb",
+    "gap",
+    "gaps",
+    "material_velocity",
+    "patch",
+    "patch_places",
+    "rotation",
+    "signed_distance",
+]
 
 Floats = NDArray[np.float64]
-TOUCHING = 1e-6  # of the spacing: gap below which a node counts as touching at the end of a step
-SWEEPS = 3  # over the tools, where several may touch a node
+TOUCHING = 1e-6, 1e-3  # of the spacing: gap below which a node, or a patch, counts as touching at the end of a step
+CLOSE = 0.1  # of the spacing: gap below which a patch is asked in every sweep
+SPREAD = 3.0  # spacings from a node within which its patch is sought
 
 
 class Contacts(NamedTuple):
-    """Tools and the nodes that they can touch, for the compiled step."""
+    """Tools and the patches that they can touch, for the compiled step."""
 
     kind: NDArray[np.int64]  # (t,) of the shapes
     sizes: Floats  # (t, 3) [m]
@@ -46,11 +47,20 @@ class Contacts(NamedTuple):
     start: NDArray[np.int64]  # (t + 1,)
     nodes: NDArray[np.int64]  # (k,)
     points: Floats  # (n, 3) reference places [m]
+    first: NDArray[np.int64]  # (n + 1,) of the nodes that carry each node's patch
+    near: NDArray[np.int64]  # (c,)
+    weights: Floats  # (c,)
     held_until: Floats  # (n,) time [s] until which a node is held, and not pushed by tools
-    tolerance: float  # gap [m] below which a node counts as touching
+    tolerance: float  # gap [m] below which a patch counts as touching
+    close: float  # gap [m] below which it is asked in every sweep
+    spread: float  # how far [m] from its node a patch is sought
     frames: Floats  # (t, 2, 3, 4) rotations and places of the tools before and after a step
     bounds: Floats  # (t,) radius [m] about the origin beyond which a tool does not reach
-    rows: Floats  # (k, 10) of the nodes pushed: node, change of velocity, velocity of the tool's matter, place
+    tool: NDArray[np.int64]  # (k,) that may touch the node
+    found: NDArray[np.int64]  # (1,) how many nodes there are whose patches are close to a tool
+    active: NDArray[np.int64]  # (k,) which these are
+    pushes: Floats  # (k, 4) their impulses [N s], and 1 / m [1/kg]; zero for all others
+    rate: Floats  # (n,) 1 / mass of the nodes near them [1/kg], zero where they are held
     impulse: Floats  # (n, 3) of the present step, by node [N s]
     given: Floats  # (n, 3) impulse by node [N s], since a call began
     total: Floats  # (t, 6) impulse [N s] and its moment about the tool's origin [N m s] on the body, since a call began
@@ -152,102 +162,23 @@ def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def _touch(contacts, t, ends, time, step, u, velocity):  # type: ignore[no-untyped-def]
-    """Find the nodes that a tool pushes and how: nodes, changes of velocity and the tool's own velocity there.
-
-    With `ends` the step is over, and only nodes that touch the tool and move into it are pushed.
-
-    Returns
-    -------
-    int
-        How many of the contacts' rows were written.
-    """
-    kind, sizes, before, after = contacts.kind[t], contacts.sizes[t], contacts.frames[t, 0], contacts.frames[t, 1]
-    reach, count, ahead = contacts.bounds[t] + contacts.tolerance, 0, 0.0 if ends else step
-    for k in range(contacts.start[t], contacts.start[t + 1]):
-        i = contacts.nodes[k]
-        x = contacts.points[i, 0] + u[i, 0] + ahead * velocity[i, 0]
-        y = contacts.points[i, 1] + u[i, 1] + ahead * velocity[i, 1]
-        z = contacts.points[i, 2] + u[i, 2] + ahead * velocity[i, 2]
-        square = (x - after[0, 3]) ** 2 + (y - after[1, 3]) ** 2 + (z - after[2, 3]) ** 2
-        if not square < reach * reach or time <= contacts.held_until[i]:
-            continue
-        g, nx, ny, nz = gap(kind, sizes, after, x, y, z)
-        if g >= (contacts.tolerance if ends else 0.0):
-            continue
-        if not ends:  # the place on the surface
-            x, y, z = x - g * nx, y - g * ny, z - g * nz
-        tx, ty, tz = material_velocity(before, after, step, x, y, z)
-        wx, wy, wz = velocity[i, 0] - tx, velocity[i, 1] - ty, velocity[i, 2] - tz
-        normal = -(wx * nx + wy * ny + wz * nz) if ends else -g / step
-        if normal <= 0.0:
-            continue
-        ax, ay, az = coulomb(normal, contacts.friction[t], wx, wy, wz, nx, ny, nz)
-        row = contacts.rows[count]
-        row[0], row[1], row[2], row[3] = i, ax + normal * nx, ay + normal * ny, az + normal * nz
-        row[4], row[5], row[6], row[7], row[8], row[9] = tx, ty, tz, x, y, z
-        count += 1
-    return count
+def patch(points, first, near, weights, i, ahead, u, velocity):  # type: ignore[no-untyped-def]
+    """Return the place (3) [m] of a patch some time ahead [s], and its velocity (3) [m/s]."""
+    x, y, z = points[i, 0], points[i, 1], points[i, 2]
+    vx, vy, vz = 0.0, 0.0, 0.0
+    for c in range(first[i], first[i + 1]):
+        j, w = near[c], weights[c]
+        x, y, z = x + w * u[j, 0], y + w * u[j, 1], z + w * u[j, 2]
+        vx, vy, vz = vx + w * velocity[j, 0], vy + w * velocity[j, 1], vz + w * velocity[j, 2]
+    return x + ahead * vx, y + ahead * vy, z + ahead * vz, vx, vy, vz
 
 
 @njit(cache=True)
-def _apply(contacts, t, count, kick, u, velocity, mass, force, surface, gravity, half_cell, volumes, density):  # type: ignore[no-untyped-def]
-    """Push the nodes found; return the works [J]: of the tool, lost by friction and impact, more of the loads.
-
-    Work on a node is the impulse times the mean of its velocities before the kick and after everything.
-    """
-    tools, lost, loads = 0.0, 0.0, 0.0
-    origin = contacts.frames[t, 1, :, 3]
-    for k in range(count):
-        row = contacts.rows[k]
-        i = int(row[0])
-        for c in range(3):
-            d, load = row[1 + c], surface[i, c] + density * gravity[c]
-            earlier = contacts.impulse[i, c]
-            now = velocity[i, c]
-            given = (force[i, c] + half_cell * surface[i, c]) / density + gravity[c]
-            before = now - kick * given - earlier / mass[i]
-            velocity[i, c] = now + d
-            work = mass[i] * d * 0.5 * (before + now + d) + earlier * 0.5 * d
-            tools += mass[i] * d * row[4 + c]
-            lost += mass[i] * d * row[4 + c] - work
-            loads += 0.5 * kick * volumes[i] * load * d
-            contacts.impulse[i, c] += mass[i] * d
-            contacts.given[i, c] += mass[i] * d
-            contacts.total[t, c] += mass[i] * d
-        for c in range(3):
-            a, b = (c + 1) % 3, (c + 2) % 3
-            arm, other = row[7 + a] - origin[a], row[7 + b] - origin[b]
-            contacts.total[t, 3 + c] += mass[i] * (arm * row[1 + b] - other * row[1 + a])
-    return tools, lost, loads
-
-
-@njit(cache=True)
-def push(contacts, poses, s, time, step, kick, u, velocity, mass, force, surface, gravity, half_cell, volumes, density):  # type: ignore[no-untyped-def]
-    """Let the tools push the nodes after the kick of step s; return the works [J] as `_apply` does.
-
-    The last of the `poses` (s, t, 7) [m] has no step after it.
-    """
-    tools, lost, loads = 0.0, 0.0, 0.0
-    ends = s == poses.shape[0] - 1
-    first = s - 1 if ends else s
-    for k in range(contacts.nodes.shape[0]):
-        contacts.impulse[contacts.nodes[k]] = 0.0
-    several = contacts.kind.shape[0] > 1
-    for t in range(contacts.kind.shape[0]):
-        rotation(poses[first, t], contacts.frames[t, 0])
-        rotation(poses[first + 1, t], contacts.frames[t, 1])
-    for _ in range(SWEEPS if several else 1):
-        found = 0
-        for t in range(contacts.kind.shape[0]):
-            count = _touch(contacts, t, ends, time, step, u, velocity)
-            works = _apply(
-                contacts, t, count, kick, u, velocity, mass, force, surface, gravity, half_cell, volumes, density
-            )
-            tools, lost, loads, found = tools + works[0], lost + works[1], loads + works[2], found + count
-        if found == 0:
-            break
-    return tools, lost, loads
+def patch_places(contacts, u, places):  # type: ignore[no-untyped-def]
+    """Write the places (n, 3) [m] of all patches for displacements u (n, 3) [m]."""
+    for i in range(u.shape[0]):
+        x, y, z, _, _, _ = patch(contacts.points, contacts.first, contacts.near, contacts.weights, i, 0.0, u, u)
+        places[i, 0], places[i, 1], places[i, 2] = x, y, z
 
 
 @njit(cache=True)
@@ -259,7 +190,9 @@ def gaps(kind, sizes, pose, places, result):  # type: ignore[no-untyped-def]
         result[i] = gap(kind, sizes, frame, places[i, 0], places[i, 1], places[i, 2])[0]
 
 
-def contacts(loads: Sequence[Contact], cloud: Cloud, held_until: Floats) -> Contacts:
+def contacts(
+    loads: Sequence[Contact], cloud: Cloud, held_until: Floats, patches: sparse.csr_array | None = None
+) -> Contacts:
     """Make tools ready for a cloud.
 
     Parameters
@@ -268,6 +201,8 @@ def contacts(loads: Sequence[Contact], cloud: Cloud, held_until: Floats) -> Cont
     cloud : Cloud
     held_until : (n,) array [s]
         When tools that hold nodes let go.
+    patches : csr_array, optional
+        (n, n) weights of the nodes in the displacements of the patches that tools touch; by default the nodes.
 
     Raises
     ------
@@ -289,20 +224,30 @@ def contacts(loads: Sequence[Contact], cloud: Cloud, held_until: Floats) -> Cont
     points = np.pad(cloud.points, ((0, 0), (0, 3 - cloud.points.shape[1])))
     sizes = np.array([load.tool.sizes for load in loads]).reshape(-1, 3)
     kind = np.array([load.tool.kind for load in loads], dtype=np.int64)
-    count = len(loads)
+    count, held, sizes_of = len(loads), len(cloud) if loads else 0, [len(n) for n in nodes]
+    table = sparse.csr_array(sparse.eye_array(held)) if patches is None else patches
     return Contacts(
         kind,
         sizes,
         np.array([float(load.friction) for load in loads]),
-        np.cumsum([0, *(len(n) for n in nodes)]),
+        np.cumsum([0, *sizes_of]),
         np.concatenate([np.zeros(0, dtype=np.int64), *nodes]),
         np.ascontiguousarray(points, dtype=float),
+        table.indptr.astype(np.int64),
+        table.indices.astype(np.int64),
+        np.asarray(table.data, dtype=float),
         held_until,
-        TOUCHING * cloud.spacing,
+        TOUCHING[patches is not None] * cloud.spacing,
+        CLOSE * cloud.spacing,
+        0.0 if patches is None else SPREAD * cloud.spacing,
         np.zeros((count, 2, 3, 4)),
         np.where(kind == CAPSULE, sizes[:, 0] + sizes[:, 1], np.inf),
-        np.zeros((max((len(n) for n in nodes), default=0), 10)),
-        np.zeros((len(cloud) if count else 0, 3)),
-        np.zeros((len(cloud) if count else 0, 3)),
+        np.repeat(np.arange(count), sizes_of),
+        np.zeros(1, dtype=np.int64),
+        np.zeros(sum(sizes_of), dtype=np.int64),
+        np.zeros((sum(sizes_of), 4)),
+        np.zeros(held),
+        np.zeros((held, 3)),
+        np.zeros((held, 3)),
         np.zeros((count, 6)),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.contact import gaps
+from palpate.dynamics.contact import gaps, patch_places
 from palpate.dynamics.loads import Drive, Schedule
 from palpate.dynamics.model import Touch
 from palpate.dynamics.tools import PLANE
@@ -15,8 +15,9 @@ __all__ = ["check_apart", "check_pierced", "check_way", "touched", "untouched"]
 
 Floats = NDArray[np.float64]
 
-INSIDE = 1e-3  # of the spacing: how far inside a tool a node may be when a run begins
+INSIDE = 1e-2  # of the spacing: how far inside a tool a node may be when a run begins
 PIERCED = 0.05  # of the spacing: how far inside a tool a node of the body's inside may come
+SUNK = 0.5  # the same of a node of the surface, whose patch keeps out
 WAY = 0.5  # of a tool's radius: how far it may move in a step
 
 
@@ -28,9 +29,11 @@ def check_apart(drive: Drive, schedule: Schedule, displacements: Floats, spacing
     InputError
         Names the tool, the nodes and the depth.
     """
-    contacts, depth = drive.contacts, np.zeros(len(displacements))
+    if not drive.tools:
+        return
+    contacts, depth, places = drive.contacts, np.zeros(len(displacements)), np.zeros((len(displacements), 3))
+    patch_places(contacts, np.ascontiguousarray(displacements), places)
     for t, tool in enumerate(drive.tools):
-        places = contacts.points + displacements
         gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], places, depth)
         free = schedule.times[0] > contacts.held_until
         if tool.group is not None:  # others may be inside by intention
@@ -71,16 +74,18 @@ def check_pierced(drive: Drive, schedule: Schedule, displacements: Floats, spaci
     Raises
     ------
     DivergenceError
-        Names the tool, the time and a node of the body's inside that is inside it.
+        Names the tool, the time and a node that is inside it.
     """
     contacts, depth = drive.contacts, np.zeros(len(displacements))
     for t, tool in enumerate(drive.tools):
         if tool.group is not None:
             continue
         gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], contacts.points + displacements, depth)
-        depth[contacts.nodes[contacts.start[t] : contacts.start[t + 1]]] = 0.0
-        worst = int(np.argmin(depth))
-        if depth[worst] < -PIERCED * spacing and schedule.times[-1] > contacts.held_until[worst]:
+        allowed = np.where(schedule.times[-1] > contacts.held_until, PIERCED * spacing, np.inf)
+        surface = contacts.nodes[contacts.start[t] : contacts.start[t + 1]]
+        allowed[surface] = np.maximum(allowed[surface], SUNK * spacing)
+        worst = int(np.argmin(depth + allowed))
+        if depth[worst] < -allowed[worst]:
             raise DivergenceError(
                 f"Contact {tool.name!r} slipped in between the nodes of the surface by t = {schedule.times[-1]:.4g} s: "
                 f"node {worst} is {-depth[worst]:.3g} m inside it. Use a larger tool, a finer spacing, or press less"
@@ -95,8 +100,6 @@ def untouched(tools: int, nodes: int, time: float, surface: int = 0) -> Touch:
 
 def touched(drive: Drive, before: Touch, last: float) -> Touch:
     """Return what the tools do after a call of some steps, the last kick of which took a time `last` [s]."""
-    forces, contacts = np.zeros_like(before.forces), drive.contacts
-    nodes = contacts.nodes
-    forces[nodes] = contacts.impulse[nodes] / last
+    contacts = drive.contacts
     impulses, given = before.impulses + contacts.total, before.given + contacts.given
-    return before._replace(forces=forces, impulses=impulses, given=given)
+    return before._replace(forces=contacts.impulse / last, impulses=impulses, given=given)

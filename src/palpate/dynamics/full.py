@@ -9,6 +9,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.dynamics.fibres import fibre_points, laid_out, placed
@@ -22,9 +23,11 @@ from palpate.dynamics.relaxation import at_ease, recall, relaxation, remembered
 from palpate.dynamics.solid import Body, solid, workspace
 from palpate.dynamics.solid_energy import EnergyBody, energy_work, solid_energy
 from palpate.dynamics.stability import StabilityReport, choose_viscosity, stable_step
+from palpate.dynamics.tools import Contact
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
+from palpate.meshfree.patches import surface_patches
 from palpate.meshfree.quadrature import conservative_smoothing, integration_weights, quadratic_misses
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
@@ -169,7 +172,8 @@ class FullModel(NodalModel):
         self._volumes = integration_weights(cloud, self.stencils)
         misses = quadratic_misses(self.stencils, cloud.points)
         row, first = self.stencils.row, self.stencils.first
-        if len(first) > LATTICE * len(cloud):  # few nodes share a stencil: the fit alone would not balance
+        self._lattice = len(first) <= LATTICE * len(cloud)
+        if not self._lattice:  # few nodes share a stencil: the fit alone would not balance
             edges = cloud.boundary_vectors() * cloud.volumes[:, None]
             first = consistent_gradient(self.stencils, cloud.points, self._volumes, edges)
             row = np.arange(len(cloud), dtype=np.int32)
@@ -348,7 +352,12 @@ class FullModel(NodalModel):
         return self.stress(displacements) @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
 
     def drive(self, loads: Sequence[Load]) -> Drive:
-        return drive(self.cloud, self.fixed, loads)
+        touched = self.conservative and any(isinstance(load, Contact) for load in loads)
+        return drive(self.cloud, self.fixed, loads, patches=self._patches if touched else None)
+
+    @cached_property
+    def _patches(self) -> sparse.csr_array:
+        return surface_patches(self.cloud, lattice=self._lattice)
 
 
 def _nodal_stiffness(cloud: Cloud, given: Mapping[str, float] | Floats | None) -> Floats:

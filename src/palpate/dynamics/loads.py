@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact import Contacts, contacts
@@ -287,7 +288,11 @@ def _moment_shares(load: Traction, points: Floats, shares: Floats) -> Floats:
 
 
 def drive(
-    cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load], areas_of: Callable[[Traction], Floats] | None = None
+    cloud: Cloud,
+    fixed: Sequence[str],
+    loads: Sequence[Load],
+    areas_of: Callable[[Traction], Floats] | None = None,
+    patches: sparse.csr_array | None = None,
 ) -> Drive:
     """Make loads ready for a cloud whose groups `fixed` are held.
 
@@ -298,6 +303,8 @@ def drive(
     loads : sequence of loads
     areas_of : function, optional
         Of a traction, returns its group's area vectors (g, 3) [m^2]; by default those of the cloud's faces.
+    patches : csr_array, optional
+        (n, n) weights of the nodes in the displacements of what tools touch; by default they touch the nodes.
 
     Raises
     ------
@@ -378,4 +385,4 @@ def drive(
     for tool in tools:
         if tool.name in supports:
             raise InputError(f"Contact {tool.name!r}: a support or a driven group has that name; choose another")
-    return Drive(loads, places, supports, cloud.points, contacts(tools, cloud, held_until), tuple(motions))
+    return Drive(loads, places, supports, cloud.points, contacts(tools, cloud, held_until, patches), tuple(motions))

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from palpate.dynamics.compiled import law_njit
-from palpate.dynamics.contact import push
+from palpate.dynamics.contact_step import push
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import LANES
 from palpate.dynamics.loads import FIXED, FREE
@@ -191,6 +191,10 @@ def full_step(formulation: Formulation) -> Any:
             gravity, target = schedule.gravity[s], schedule.motion[min(s + 1, steps)]
             holds = schedule.holds[min(s + 1, steps)]
             total += _kick(places, holds, force, surface, gravity, half_cell, volumes, density, kick, velocity)
+            if s < steps:
+                tools += _drive(
+                    places, holds, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity
+                )  # fmt: skip
             if touched:
                 works = push(
                     contacts, schedule.poses, s, schedule.times[min(s + 1, steps)], step, kick, u, velocity, mass,
@@ -199,9 +203,6 @@ def full_step(formulation: Formulation) -> Any:
                 total, lost = total + works[0] + works[2], lost + works[1]
             if s == steps:
                 break
-            tools += _drive(
-                places, holds, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity
-            )  # fmt: skip
             for i in range(u.shape[0]):
                 if places.kind[i] != FIXED:
                     for c in range(3):
