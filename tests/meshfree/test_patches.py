@@ -19,14 +19,17 @@ def cloud(request):
     return pt.box((0.02, 0.02, 0.015), 0.0025, jitter=0.25 if request.param == "irregular" else 0.0)
 
 
-def test_linear_fields_are_kept(cloud):
-    patches = surface_patches(cloud)
+@pytest.fixture(params=[True, False])
+def patches(request, cloud):
+    return surface_patches(cloud, lattice=request.param)
+
+
+def test_linear_fields_are_kept(cloud, patches):
     assert np.allclose(patches.sum(axis=1), 1.0, atol=1e-12)
     assert np.allclose(patches @ cloud.points, cloud.points, atol=1e-14)
 
 
-def test_forces_on_patches_have_the_same_sum_and_moment_as_their_shares(cloud):
-    patches = surface_patches(cloud)
+def test_forces_on_patches_have_the_same_sum_and_moment_as_their_shares(cloud, patches):
     forces = np.random.default_rng(0).normal(size=(len(cloud), 3))
     shares = patches.T @ forces
     assert np.allclose(shares.sum(axis=0), forces.sum(axis=0), atol=1e-10)
@@ -34,20 +37,19 @@ def test_forces_on_patches_have_the_same_sum_and_moment_as_their_shares(cloud):
     assert np.allclose(*moments, atol=1e-12)
 
 
-def test_nodes_inside_are_their_own_and_those_of_the_surface_are_not(cloud):
-    patches = surface_patches(cloud)
+def test_nodes_inside_are_their_own_and_those_of_the_surface_are_not(cloud, patches):
     surface = np.unique(cloud.face_nodes)
     inside = np.setdiff1d(np.arange(len(cloud)), surface)
     assert np.array_equal(patches[inside].toarray(), np.eye(len(cloud))[inside])
     own = patches.diagonal()[surface]
     assert own.min() > 0.2
-    assert own.max() < 0.95
+    assert 0.3 < np.median(own) < 0.55  # those at edges and corners have less around them
     assert patches.data.min() > -0.15
 
 
 def test_waves_of_two_spacings_are_filtered_and_long_ones_are_not():
     cloud = pt.box((0.03, 0.03, 0.006), 0.002)
-    patches, top = surface_patches(cloud), cloud.group("z+")
+    patches, top = surface_patches(cloud, lattice=True), cloud.group("z+")
     x, y = cloud.points[:, 0] / 0.002, cloud.points[:, 1] / 0.002
     inner = top[np.all(np.abs(cloud.points[top, :2] - 0.015) < 0.009, axis=1)]
     for wave, most in ((x, 0.2), (x + y, 0.1)):
@@ -61,4 +63,4 @@ def test_a_thin_bodys_other_side_has_no_share():
     cloud = pt.box((0.02, 0.02, 0.006), 0.002)
     thin = replace(cloud, points=cloud.points * [1.0, 1.0, 0.3])
     middle = thin.group("z+")[np.all(np.abs(thin.points[thin.group("z+"), :2] - 0.01) < 0.005, axis=1)]
-    assert np.abs(surface_patches(thin)[middle][:, thin.group("z-")].toarray()).max() < 1e-12
+    assert np.abs(surface_patches(thin, lattice=True)[middle][:, thin.group("z-")].toarray()).max() < 1e-12

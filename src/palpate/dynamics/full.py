@@ -172,7 +172,8 @@ class FullModel(NodalModel):
         self._volumes = integration_weights(cloud, self.stencils)
         misses = quadratic_misses(self.stencils, cloud.points)
         row, first = self.stencils.row, self.stencils.first
-        if len(first) > LATTICE * len(cloud):  # few nodes share a stencil: the fit alone would not balance
+        self._lattice = len(first) <= LATTICE * len(cloud)
+        if not self._lattice:  # few nodes share a stencil: the fit alone would not balance
             edges = cloud.boundary_vectors() * cloud.volumes[:, None]
             first = consistent_gradient(self.stencils, cloud.points, self._volumes, edges)
             row = np.arange(len(cloud), dtype=np.int32)
@@ -352,11 +353,12 @@ class FullModel(NodalModel):
 
     def drive(self, loads: Sequence[Load]) -> Drive:
         touched = self.conservative and any(isinstance(load, Contact) for load in loads)
-        return drive(self.cloud, self.fixed, loads, patches=self._patches if touched else None)
+        return drive(self.cloud, self.fixed, loads, patches=self.patches if touched else None)
 
     @cached_property
-    def _patches(self) -> sparse.csr_array:
-        return surface_patches(self.cloud)
+    def patches(self) -> sparse.csr_array:
+        """Weights (n, n) of the nodes in the displacements of the patches that tools touch in the energy form."""
+        return surface_patches(self.cloud, lattice=self._lattice)
 
 
 def _nodal_stiffness(cloud: Cloud, given: Mapping[str, float] | Floats | None) -> Floats:

@@ -168,8 +168,9 @@ Tool = Sphere | Capsule | Plane | Punch | Forceps
 class Contact:
     """A rigid tool that may touch a body: it pushes, and rubs by Coulomb's law, but never pulls.
 
-    Nodes that would enter the tool within a step are put onto its surface; what that changes of their momentum is the
-    tool's impulse on the body.
+    Patches of surface that would enter the tool within a step are put onto its surface; what that changes of the
+    nodes' momentum is the tool's impulse on the body. A patch is a node, or, of a solid in its energy form, the surface
+    around one (`palpate.meshfree.patches`).
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ class Contact:
     name : str
         Under which a trajectory keeps the tool's force and moment; every tool needs one of its own.
     group : str, optional
-        The nodes that the tool can touch; by default all on the surface of a solid, all of a membrane.
+        The nodes whose patches the tool can touch; by default all on the surface of a solid, all of a membrane.
 
     Raises
     ------

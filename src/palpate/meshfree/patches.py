@@ -1,14 +1,15 @@
 """Patches of surface: by which nodes the piece of surface moves that a surface node stands for.
 
 A node that is loaded alone sinks deeper than the piece of surface it stands for: in the energy form its own compliance
-is about eight times that of an even pressure on this piece. What a tool meets is the piece, so that its displacement is
-taken from the nodes around,
+is more than four times that of an even pressure on this piece. What a tool meets is the piece, so that its displacement
+is taken from the nodes around,
 
     u_patch = sum over nodes of w_j u_j,
 
 with the mean under a kernel over the surface nodes that face the same way, changed as little as possible (in the
 kernel's own norm, with the nodes below the surface) such that linear fields are exact: then patches turn with a body,
-and forces on them have the same moment as their shares w_j on the nodes.
+and forces on them have the same moment as their shares w_j on the nodes. On lattices, whose derivatives are not made
+consistent (`palpate.meshfree.consistent`), longer waves are too soft as well, which a wider kernel makes up for.
 """
 
 from __future__ import annotations
@@ -24,19 +25,20 @@ __all__ = ["surface_patches"]
 
 Floats = NDArray[np.float64]
 
-REACH = (
-    1.8  # of the kernel, in spacings of the surface: of those tried it keeps lattices and filled surfaces near Hertz
-)
-MOST = 64  # nodes within it
+REACH, ON_LATTICES = 1.55, 1.8  # of the kernel, in spacings of the surface: of those tried, nearest to Hertz
+BELOW = 2.0  # spacings from a node of the surface within which nodes of the inside may take part
+MOST = 96  # nodes that near
 
 
-def surface_patches(cloud: Cloud) -> sparse.csr_array:
+def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
     """Return the weights (n, n) of the nodes in the displacements of the patches; inside the body a node is its own.
 
     Parameters
     ----------
     cloud : Cloud
         In space.
+    lattice : bool
+        Whether it is one.
 
     Returns
     -------
@@ -48,19 +50,21 @@ def surface_patches(cloud: Cloud) -> sparse.csr_array:
     np.add.at(area, cloud.face_nodes, cloud.face_areas[:, None] * cloud.face_normals)
     surface = np.unique(cloud.face_nodes)
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
-    reach = REACH * np.sqrt(cloud.face_areas.sum() / len(surface))
-    distance, near = cKDTree(points).query(points[surface], k=min(MOST, count), distance_upper_bound=reach)
+    reach = (ON_LATTICES if lattice else REACH) * np.sqrt(cloud.face_areas.sum() / len(surface))
+    farthest = max(reach, BELOW * cloud.spacing)
+    distance, near = cKDTree(points).query(points[surface], k=min(MOST, count), distance_upper_bound=farthest)
     near = np.where(np.isfinite(distance), near, surface[:, None])
-    kernel = np.where(np.isfinite(distance), 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance / reach, 1.0)), 0.0)
+    across = _falling(distance, reach)
+    below = np.where(np.isin(near, surface), across, _falling(distance, BELOW * cloud.spacing))
     facing = np.maximum(np.einsum("skc,sc->sk", normal[near], normal[surface]), 0.0)
-    weights = kernel * np.where(near == surface[:, None], 1.0, facing)
+    weights = across * np.where(near == surface[:, None], 1.0, facing)
     weights /= weights.sum(axis=1, keepdims=True)
-    linear = np.concatenate([np.ones((*near.shape, 1)), (points[near] - points[surface, None]) / reach], axis=2)
+    linear = np.concatenate([np.ones((*near.shape, 1)), (points[near] - points[surface, None]) / farthest], axis=2)
     missing = np.eye(4)[0] - np.einsum("sk,ski->si", weights, linear)
-    moments = np.einsum("sk,ski,skj->sij", kernel, linear, linear)
+    moments = np.einsum("sk,ski,skj->sij", below, linear, linear)
     # nodes that lie in one plane miss nothing across it
     change = np.einsum("sij,sj->si", np.linalg.pinv(moments, rcond=1e-9, hermitian=True), missing)
-    weights += kernel * np.einsum("ski,si->sk", linear, change)
+    weights += below * np.einsum("ski,si->sk", linear, change)
     rest = np.setdiff1d(np.arange(count), surface)
     rows, columns = np.concatenate([np.repeat(surface, near.shape[1]), rest]), np.concatenate([near.ravel(), rest])
     table = sparse.coo_array((np.concatenate([weights.ravel(), np.ones(len(rest))]), (rows, columns)), (count, count))
@@ -68,3 +72,8 @@ def surface_patches(cloud: Cloud) -> sparse.csr_array:
     result.data[np.abs(result.data) < 1e-12] = 0.0
     result.eliminate_zeros()
     return result
+
+
+def _falling(distance: Floats, reach: float) -> Floats:
+    """Return a kernel that falls from 1 to 0 over a reach."""
+    return np.where(distance < reach, 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance, reach) / reach), 0.0)

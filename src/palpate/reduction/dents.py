@@ -30,7 +30,6 @@ from palpate.dynamics.tools import Forceps, surface_nodes
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.patches import surface_patches
 from palpate.reduction.compliance import NO_DENTS, Dents, carried, softness
 from palpate.reduction.flexibility import SOLVED, carriers, residual_flexibility
 from palpate.reduction.skin import Skin, Tools, Touch, skin, tools_of, touched
@@ -158,18 +157,18 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots, statics: FullModel) 
     if not frames:
         raise InputError("no tool touches the body in any of the runs: the surface's compliance cannot be learnt")
     dents, explained = _fitted(blank, cloud.points, frames)
-    return _on_patches(dents, cloud), explained
+    return _on_patches(dents, statics), explained
 
 
-def _on_patches(dents: Dents, cloud: Cloud) -> Dents:
+def _on_patches(dents: Dents, statics: FullModel) -> Dents:
     """Return the compliance with the patches of surface that tools meet.
 
     A coarser model's nodes stand for patches already.
     """
     count = len(dents.nodes)
-    if dents.carriers.shape[1] > 1:
+    if dents.carriers.shape[1] != 1:
         return dents._replace(patches=np.arange(count)[:, None], shares=np.ones((count, 1)))
-    table = sparse.csr_array(surface_patches(cloud)[dents.nodes][:, dents.nodes])
+    table = sparse.csr_array(statics.patches[dents.nodes][:, dents.nodes])
     most = int(np.diff(table.indptr).max())
     row = np.repeat(np.arange(count), np.diff(table.indptr))
     column = np.arange(len(row)) - table.indptr[row]
