@@ -91,12 +91,12 @@ def test_what_is_kept_between_touched_nodes_stays_right_as_they_come_and_go(solv
         shares=np.full((len(nodes), 2), 0.5),
     )  # fmt: skip
     order = np.random.default_rng(1).permutation(len(nodes))
-    laid, kept, block_ = compliance(dents, body.cloud.points, order), near(len(nodes), 1), np.zeros((3, 3))
+    laid, kept, block_ = compliance(dents, body.cloud.points, order), near(len(nodes), 1, len(rest)), np.zeros((3, 3))
     random = np.random.default_rng(2)
-    for _ in range(40):
+    for _ in range(120):  # more than there is room for: some are forgotten
         now = random.permutation(2 * len(nodes))[: random.integers(0, 12)]
         assert refresh(laid, kept, now, len(now))
-        assert kept.used[0] == len(now)
+        assert len(now) <= kept.used[0] <= len(kept.node)
         for i in now:
             for j in now:
                 pair(laid, i, j, block_)

@@ -116,9 +116,9 @@ class Near(NamedTuple):
     matrix: Floats  # (DENSE, DENSE, 3, 3) [m/N], by slots
     node: Ints  # (DENSE,) in each slot
     slot: Ints  # (2 k,) of each patch and node; -1 without
-    marked: NDArray[np.bool_]  # (2 k,) scratch
     used: Ints  # (1,) how many slots
     block: Floats  # (3, 3) scratch
+    row: Floats  # (3, 3 c) scratch
 
 
 def compliance(dents: Dents, points: Floats, order: Ints) -> Compliance:
@@ -146,29 +146,34 @@ def _of_patches(dents: Dents) -> tuple[Ints, Floats]:
     )
 
 
-def near(nodes: int, tools: int) -> Near:
-    """Allocate for a surface of some nodes and some tools; nothing is touched."""
+def near(nodes: int, tools: int, carried: int) -> Near:
+    """Allocate for a surface of some nodes, some tools, and 3 c rows of a flexibility; nothing is touched."""
     most = min(nodes, DENSE) if tools else 0
     return Near(
-        np.zeros((most, most, 3, 3)), np.zeros(most, np.int64), np.full(2 * nodes, -1), np.zeros(2 * nodes, np.bool_),
-        np.zeros(1, dtype=np.int64), np.zeros((3, 3)),
+        np.zeros((most, most, 3, 3)), np.zeros(most, np.int64), np.full(2 * nodes, -1),
+        np.zeros(1, dtype=np.int64), np.zeros((3, 3)), np.zeros((3, carried if tools else 0)),
     )  # fmt: skip
 
 
 @njit(cache=True, fastmath={"contract"})
-def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
-    """Write how a force on node j moves node i (3, 3) [m/N]."""
+def _falling(compliance, i, j):  # type: ignore[no-untyped-def]
+    """Return g [m/N] between two patches or nodes."""
     if i == j:
-        g = compliance.own
-    else:
-        x = compliance.points[i, 0] - compliance.points[j, 0]
-        y = compliance.points[i, 1] - compliance.points[j, 1]
-        z = compliance.points[i, 2] - compliance.points[j, 2]
-        at = np.sqrt(x * x + y * y + z * z) / compliance.interval
-        k = int(at)
-        g = 0.0
-        if k + 1 < compliance.kernel.shape[0]:
-            g = compliance.kernel[k] + (at - k) * (compliance.kernel[k + 1] - compliance.kernel[k])
+        return compliance.own
+    x = compliance.points[i, 0] - compliance.points[j, 0]
+    y = compliance.points[i, 1] - compliance.points[j, 1]
+    z = compliance.points[i, 2] - compliance.points[j, 2]
+    at = np.sqrt(x * x + y * y + z * z) / compliance.interval
+    k = int(at)
+    if k + 1 >= compliance.kernel.shape[0]:
+        return 0.0
+    return compliance.kernel[k] + (at - k) * (compliance.kernel[k + 1] - compliance.kernel[k])
+
+
+@njit(cache=True, fastmath={"contract"})
+def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
+    """Write how a force on j moves i (3, 3) [m/N]."""
+    g = _falling(compliance, i, j)
     for c in range(3):
         for d in range(3):
             block[c, d] = g if c == d else 0.0
@@ -182,41 +187,64 @@ def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def refresh(compliance, near, nodes, count):  # type: ignore[no-untyped-def]
-    """Keep what is between the nodes touched now, nodes[:count]; keep nothing and return False if too many."""
+def refresh(compliance, near, points, count):  # type: ignore[no-untyped-def]
+    """Keep what is between the patches or nodes touched now, points[:count]; keep nothing and return False if too many.
+
+    Those that have left stay, as they may soon be back, until there is no room for others.
+    """
     if count > near.node.shape[0]:
-        for s in range(near.used[0]):
-            near.slot[near.node[s]] = -1
-        near.used[0] = 0
+        _forget(near)
         return False
+    fresh = 0
     for e in range(count):
-        near.marked[nodes[e]] = True
-    for s in range(near.used[0] - 1, -1, -1):  # those that left: the last slot takes their place
-        i, last = near.node[s], near.used[0] - 1
-        if near.marked[i]:
-            continue
-        near.slot[i] = -1
-        near.used[0] = last
-        if s < last:
-            near.node[s] = near.node[last]
-            near.slot[near.node[s]] = s
-            near.matrix[s, :last] = near.matrix[last, :last]
-            near.matrix[:last, s] = near.matrix[:last, last]
-            near.matrix[s, s] = near.matrix[last, last]
+        fresh += near.slot[points[e]] < 0
+    if near.used[0] + fresh > near.node.shape[0]:
+        _forget(near)
     for e in range(count):
-        i = nodes[e]
-        near.marked[i] = False
+        i = points[e]
         if near.slot[i] >= 0:
             continue
         s = near.used[0]
         near.slot[i], near.node[s] = s, i
         near.used[0] = s + 1
+        _row(compliance, i, near.row)
         for t in range(s + 1):
-            pair(compliance, i, near.node[t], near.matrix[s, t])
+            _between(compliance, i, near.node[t], near.row, near.matrix[s, t])
             for c in range(3):
                 for d in range(3):
                     near.matrix[t, s, d, c] = near.matrix[s, t, c, d]
     return True
+
+
+@njit(cache=True)
+def _forget(near):  # type: ignore[no-untyped-def]
+    for s in range(near.used[0]):
+        near.slot[near.node[s]] = -1
+    near.used[0] = 0
+
+
+@njit(cache=True, fastmath={"contract"})
+def _row(compliance, i, row):  # type: ignore[no-untyped-def]
+    """Write how forces on all carriers move the carriers of i together (3, 3 c) [m/N]."""
+    row[:] = 0.0
+    for a in range(compliance.carriers.shape[1]):
+        p, w = 3 * compliance.carriers[i, a], compliance.weights[i, a]
+        if w != 0.0:
+            for c in range(3):
+                for q in range(row.shape[1]):
+                    row[c, q] += w * compliance.flexibility[p + c, q]
+
+
+@njit(cache=True, fastmath={"contract"})
+def _between(compliance, i, j, row, block):  # type: ignore[no-untyped-def]
+    """Write how a force on j moves i (3, 3) [m/N], the row of i known."""
+    g = _falling(compliance, i, j)
+    for c in range(3):
+        for d in range(3):
+            value = g if c == d else 0.0
+            for b in range(compliance.carriers.shape[1]):
+                value += compliance.weights[j, b] * row[c, 3 * compliance.carriers[j, b] + d]
+            block[c, d] = value
 
 
 @njit(cache=True)
