@@ -57,7 +57,7 @@ def _list(skin, touch, tools, t, i, x, y, z, v, step, count):  # type: ignore[no
     return count + 1
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _held_at(skin, tools, t, i):  # type: ignore[no-untyped-def]
     """Return where forceps hold a node."""
     frame, origin = tools.frames[t, 1], tools.origins[t]
@@ -131,7 +131,7 @@ def _find(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
     return deepest
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True, inline="always")
 def _spread(skin, touch, kept, e, x, y, z):  # type: ignore[no-untyped-def]
     """Move all touched nodes by what a change of one force does."""
     i, h, now, node = touch.point[e], touch.soft[touch.tool[e]], touch.now, touch.point
@@ -151,7 +151,7 @@ def _spread(skin, touch, kept, e, x, y, z):  # type: ignore[no-untyped-def]
             now[f, d] += matrix[s, r, 0, d] * x + matrix[s, r, 1, d] * y + matrix[s, r, 2, d] * z
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _own(skin, touch, kept, e, nx, ny, nz):  # type: ignore[no-untyped-def]
     """Return a touched node's own compliance along a normal, and at least its largest across it [m/N]."""
     own, matrix, i, h = touch.near.block, touch.near.matrix, touch.point[e], touch.soft[touch.tool[e]]
@@ -167,7 +167,7 @@ def _own(skin, touch, kept, e, nx, ny, nz):  # type: ignore[no-untyped-def]
     return along, h * (own[0, 0] + own[1, 1] + own[2, 2]) - along
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _give(skin, touch, kept, e, fx, fy, fz):  # type: ignore[no-untyped-def]
     """Give a node a force, and move all; return the largest change of a component [N]."""
     push = touch.push
@@ -178,7 +178,7 @@ def _give(skin, touch, kept, e, fx, fy, fz):  # type: ignore[no-untyped-def]
     return max(abs(x), abs(y), abs(z))
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def relax(skin, touch, tools, kept, step, e):  # type: ignore[no-untyped-def]
     """Give one node the force that its tool asks for; return how far that moves it [m]."""
     t = touch.tool[e]
