@@ -215,6 +215,10 @@ def test_what_cannot_be_touched_is_refused(pressed):
     bare = pt.reduce(body, [run_without(runs[0])], modes=4)
     with pytest.raises(pt.InputError, match="train it with a Contact"):
         pt.rollout(bare, press(0.03, 0.03), duration=0.01, every=0.01)
+    shapes, other = pt.vibration_modes(body, 4)[0], pt.box((0.03, 0.06, 0.03), spacing=0.006)
+    elsewhere = pt.FullModel(other, body.material, "z-", form="energy")
+    with pytest.raises(pt.InputError, match="coarse: its points lie elsewhere"):
+        pt.reduce(body, runs[:1], modes=0, enrichment=shapes, coarse=elsewhere)
     held = pt.ReducedModel(replace(model.parts, driven=("z+",)))
     with pytest.raises(pt.InputError, match="nor reduced models that tools hold"):
         pt.rollout(held, press(0.03, 0.03), duration=0.01, every=0.01)

@@ -185,7 +185,7 @@ class Contact:
     name : str
         Under which a trajectory keeps the tool's force and moment; every tool needs one of its own.
     group : str, optional
-        The nodes whose patches the tool can touch; by default all on the surface of a solid, all of a membrane.
+        The nodes whose patches the tool can touch; by default all, as a deep press meets some below the surface.
 
     Raises
     ------

@@ -30,8 +30,8 @@ from palpate.dynamics.tools import Forceps, surface_nodes
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
-from palpate.reduction.compliance import NO_DENTS, Dents, carried, softness
-from palpate.reduction.flexibility import SOLVED, carriers, residual_flexibility
+from palpate.reduction.compliance import NO_DENTS, Dents, carried, dents_of, softness
+from palpate.reduction.flexibility import carriers, residual_flexibility
 from palpate.reduction.skin import Skin, Tools, Touch, skin, tools_of, touched
 from palpate.reduction.snapshots import Snapshots
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from palpate.reduction.parts import ReducedParts
     from palpate.reduction.reduced import ReducedModel
 
-__all__ = ["Handling", "fitted_dents", "skin_of", "touch_of"]
+__all__ = ["Handling", "dented", "fitted_dents", "skin_of", "touch_of"]
 
 Floats = NDArray[np.float64]
 
@@ -106,6 +106,16 @@ class Handling:
         )  # fmt: skip
 
 
+def dented(parts: ReducedParts, of: Skin, touch: TouchState | None, drive: Drive) -> tuple[Floats, float]:
+    """Return displacements (n, 3) [m] and energy [J] that tools add to those of a reduced model's modes."""
+    if touch is None or parts.dents is None:
+        return np.zeros((len(parts.cloud), 3)), 0.0
+    pushes = np.zeros((len(touch.pushes), len(parts.cloud), 3))
+    pushes[:, of.nodes] = touch.pushes
+    held = [isinstance(tool.tool, Forceps) for tool in drive.tools]
+    return dents_of(parts.dents, parts.cloud.points, pushes[:, parts.dents.nodes], held)
+
+
 def touch_of(run: Trajectory, frame: int, nodes: int) -> TouchState | None:
     """Return the mean forces of tools in a frame of a run since the frame before; None where they do nothing."""
     rows = run.touches[run.touches[:, 0] == frame]
@@ -126,7 +136,7 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots, statics: FullModel) 
     snapshots : Snapshots
         Runs of the full model.
     statics : FullModel
-        The body, or a coarser model of it, in the energy form. A body of more than 5,000 nodes gets exponentials alone.
+        The body, or a coarser model of it, in the energy form, of at most 5,000 nodes.
 
     Returns
     -------
@@ -137,22 +147,22 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots, statics: FullModel) 
     Raises
     ------
     InputError
-        No tool touches the body in any run, or the modes miss nothing that a compliance could give.
+        No tool touches the body in any run, or the modes miss nothing that a compliance could give; statics that are
+        too large, of a body that nothing holds, or of another body.
     """
     cloud = model.cloud
+    ends, wanted = (np.array([c.points.min(axis=0), c.points.max(axis=0)]) for c in (statics.cloud, cloud))
+    if np.abs(ends - wanted).max() > statics.cloud.spacing:
+        raise InputError("coarse: its points lie elsewhere than the body's; give a coarser model of the same body")
     nodes = _free_surface(cloud, model.fixed)
     lengths = cloud.spacing * np.array(LENGTHS)
-    nothing = np.zeros((len(nodes), 0))
+    those = _free_surface(statics.cloud, statics.fixed)
+    flexibility = residual_flexibility(statics, those, cloud.points, model.parts.columns[: model.count])
+    places, weights = carriers(statics.cloud, those, cloud, nodes)
     blank = NO_DENTS._replace(
-        nodes=nodes, lengths=lengths, compliances=np.zeros(len(lengths)), carriers=nothing.astype(np.int64),
-        weights=nothing,
+        nodes=nodes, lengths=lengths, compliances=np.zeros(len(lengths)), carriers=places, weights=weights,
+        flexibility=flexibility.astype(np.float32),
     )  # fmt: skip
-    if len(statics.cloud) <= SOLVED:
-        those = _free_surface(statics.cloud, statics.fixed)
-        columns = model.parts.columns[: model.count]
-        flexibility = residual_flexibility(statics, those, cloud.points, columns)
-        places, weights = carriers(statics.cloud, those, cloud, nodes)
-        blank = blank._replace(carriers=places, weights=weights, flexibility=flexibility.astype(np.float32))
     frames = _frames(model, snapshots, nodes)
     if not frames:
         raise InputError("no tool touches the body in any of the runs: the surface's compliance cannot be learnt")
@@ -241,7 +251,7 @@ def _fitted(blank: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Den
         )
         factor, hardening = _hardening(size, depth, linear)
     explained = 1.0 - (residual / float(np.linalg.norm(target))) ** 2
-    statics, falls, own = (found[0], found[1:-1], found[-1]) if blank.flexibility.size else (0.0, found[:-1], found[-1])
+    statics, falls, own = found[0], found[1:-1], found[-1]
     dents = blank._replace(
         lengths=blank.lengths[falls > 0], compliances=falls[falls > 0], own=float(own), hardening=hardening,
         flexibility=(statics * blank.flexibility).astype(np.float32),
@@ -253,10 +263,8 @@ def _fields(dents: Dents, points: Floats, frame: _Frame) -> Floats:
     """Return the displacements (e, k, 3) near the tools by each part of a compliance alone, of weight 1."""
     distances = cdist(points[frame.near], points[frame.on])
     fields = [np.exp(-distances / length) @ frame.forces for length in dents.lengths]
-    fields.append((distances == 0).astype(float) @ frame.forces)
-    if dents.flexibility.size:
-        fields.insert(0, carried(dents, frame.forces, frame.on, frame.near))
-    return np.array(fields)
+    own = (distances == 0).astype(float) @ frame.forces
+    return np.array([carried(dents, frame.forces, frame.on, frame.near), *fields, own])
 
 
 def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floats]:

@@ -17,15 +17,14 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.fibres import firm
 from palpate.dynamics.loads import Drive, Load
-from palpate.dynamics.model import Model, Nodes, Outputs, State, Touch
+from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.reactions import touching
 from palpate.dynamics.relaxation import at_ease, recall, remembered
 from palpate.dynamics.stability import stable_step
-from palpate.dynamics.tools import HELD, Contact, Grasp
+from palpate.dynamics.tools import Contact, Grasp
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
-from palpate.reduction.compliance import dents_of
-from palpate.reduction.dents import Handling, skin_of
+from palpate.reduction.dents import Handling, dented, skin_of
 from palpate.reduction.loading import lifted, ready_drive
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import RealtimeModel, realtime_model
@@ -245,22 +244,7 @@ class ReducedModel(Model):
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes, rebuilt only there."""
         moved = np.tensordot(state.coordinates, self.parts.columns[: self.count, nodes], 1)
-        return moved if state.touch is None else moved + self._dented(state.touch, drive)[0][nodes]
-
-    def dented(self, forces: Floats, held: Sequence[bool]) -> tuple[Floats, float]:
-        """Return displacements (n, 3) [m] and energy [J] beside the modes' by tools' forces (tools, n, 3) on patches.
-
-        Those of tools that are `held` act on nodes.
-        """
-        if self.parts.dents is None:
-            return np.zeros((len(self.cloud), 3)), 0.0
-        return dents_of(self.parts.dents, self.cloud.points, forces[:, self.parts.dents.nodes], held)
-
-    def _dented(self, touch: Touch | None, drive: Drive) -> tuple[Floats, float]:
-        pushes = np.zeros((0 if touch is None else len(touch.pushes), len(self.cloud), 3))
-        if touch is not None:
-            pushes[:, self._skin.nodes] = touch.pushes
-        return self.dented(pushes, [tool.tool.kind == HELD for tool in drive.tools][: len(pushes)])
+        return moved if state.touch is None else moved + dented(self.parts, self._skin, state.touch, drive)[0][nodes]
 
     def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
@@ -307,9 +291,9 @@ class ReducedModel(Model):
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
         forces, moments, touches = touching(state, drive)
-        dented, stored = self._dented(state.touch, drive)
+        dents, stored = dented(self.parts, self._skin, state.touch, drive)
         return Outputs(
-            np.tensordot(state.coordinates, self.parts.columns[: self.count], 1) + dented,
+            np.tensordot(state.coordinates, self.parts.columns[: self.count], 1) + dents,
             self.velocity(state, drive),
             self.reactions(state, drive) | forces,
             float(0.5 * state.velocities @ self.mass @ state.velocities),

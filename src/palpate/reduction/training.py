@@ -342,6 +342,8 @@ def _force_ratio(model: ReducedModel, loads: Sequence[Load], kept: Run) -> float
     every = float(run.times[1] - run.times[0])
     own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
     mine, theirs = (sum(np.linalg.norm(of.reactions[name], axis=1).sum() for name in names) for of in (own, run))
+    if not 0.0 < mine < np.inf:
+        raise InputError("pressed: a tool that touches the full body does not touch the reduced one; give more modes")
     return float(mine / theirs)
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.loads import Drive, Load
-from palpate.dynamics.model import State
+from palpate.dynamics.model import State, Touch
 from palpate.dynamics.relaxation import at_ease, followed
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError, number_in_range
+from palpate.reduction.compliance import dents_of
 from palpate.reduction.dents import touch_of
 
 if TYPE_CHECKING:
@@ -71,8 +72,7 @@ def tried_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, fu
     """Say of every frame of a reduced model's run how far it was from training, and from the full run."""
     drive, mass = model.drive(loads), model.masses / model.masses.sum()
     touches = [touch_of(own, k, len(model.cloud)) for k in range(len(own.times))]
-    none = np.zeros((1, len(model.cloud), 3))
-    dents = np.array([model.dented(none if touch is None else touch.forces[None], [True])[0] for touch in touches])
+    dents = np.array([_dents(model, touch) for touch in touches])
     coordinates, velocities = model.projected(own.displacements - dents), model.projected(own.velocities)
     states: list[State] = []
     for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):
@@ -87,6 +87,14 @@ def tried_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, fu
         np.array([imbalance(model, state, drive) for state in states]),
         missed / max(float(np.sqrt(squares.max())), 1e-300),
     )
+
+
+def _dents(model: ReducedModel, touch: Touch | None) -> Floats:
+    """Return the displacements (n, 3) [m] by the forces on nodes that a run has kept."""
+    known = model.parts.dents
+    if touch is None or known is None:
+        return np.zeros((len(model.cloud), 3))
+    return dents_of(known, model.cloud.points, touch.forces[None, known.nodes], [True])[0]
 
 
 def calibrated(runs: Sequence[Frames], share: float) -> tuple[float, float, list[dict[str, float]]]:
