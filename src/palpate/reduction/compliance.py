@@ -2,12 +2,13 @@
 
 Tools' forces f on surface nodes move node i, beside what the modes do, by
 
-    h(|f|) sum over j of (g(|X_i - X_j|) 1 + sum over carriers a of i, b of j of w_ia w_jb R_ab) f_j.
+    h(|f|) sum over j of (g(|X_i - X_j|) 1 + D_ij + sum over carriers a of i, b of j of w_ia w_jb R_ab) f_j.
 
 R is the residual flexibility of the body's surface at rest, of its own nodes or of a coarser model's
-(`palpate.reduction.flexibility`); g, a sum of falling exponentials and a share of a node's own force, is what a coarser
-surface leaves; h = (1 + |f| / F)^-gamma tells how tissue stiffens under a tool's whole force. All are positive, so that
-any set of nodes has a positive definite compliance.
+(`palpate.reduction.flexibility`); D is what a coarser one misses between close nodes (`palpate.reduction.closeness`);
+g, a sum of falling exponentials and a share of a node's own force, is what statics leave; h = (1 + |f| / F)^-gamma
+tells how tissue stiffens under a tool's whole force. R with D and g are positive, so that any set of nodes has a
+positive definite compliance.
 """
 
 from __future__ import annotations
@@ -59,6 +60,10 @@ class Dents(NamedTuple):
         Their shares.
     flexibility : (3 c, 3 c) float32 array [m/N]
         Of the carriers, rows 3 a + component; none where the exponentials are all.
+    close : (k, q) int array
+        Of `nodes`, those close to each; the node itself again where there are fewer.
+    between : (k, q, 3, 3) float32 array [m/N]
+        What a coarser surface misses of the compliance between them; q = 0 where it is no coarser one.
     patches : (k, p) int array
         Of `nodes`, by which the piece of surface about each moves that tools meet (`palpate.meshfree.patches`).
     shares : (k, p) array
@@ -74,6 +79,8 @@ class Dents(NamedTuple):
     carriers: Ints
     weights: Floats
     flexibility: NDArray[np.float32]
+    close: Ints
+    between: NDArray[np.float32]
     patches: Ints
     shares: Floats
     hardening: Floats
@@ -88,12 +95,14 @@ class Dents(NamedTuple):
         return self._replace(
             compliances=factor * self.compliances, own=factor * self.own,
             flexibility=(factor * self.flexibility).astype(np.float32),
+            between=(factor * self.between).astype(np.float32),
         )  # fmt: skip
 
 
 NO_DENTS = Dents(
     np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), 0.0, np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)),
-    np.zeros((0, 0), dtype=np.float32), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)), np.array([0.0, 1.0]),
+    np.zeros((0, 0), dtype=np.float32), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0, 3, 3), dtype=np.float32),
+    np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)), np.array([0.0, 1.0]),
 )  # fmt: skip
 
 
@@ -107,6 +116,10 @@ class Compliance(NamedTuple):
     carriers: Ints  # (2 k, w)
     weights: Floats  # (2 k, w)
     flexibility: NDArray[np.float32]  # (3 c, 3 c) [m/N]
+    members: Ints  # (2 k, p) nodes of each, as `Dents.nodes` has them
+    shares: Floats  # (2 k, p)
+    close: Ints  # (k, q) of nodes, in that order
+    between: NDArray[np.float32]  # (k, q, 3, 3) [m/N]
     hardening: Floats  # (2,)
 
 
@@ -119,6 +132,7 @@ class Near(NamedTuple):
     used: Ints  # (1,) how many slots
     block: Floats  # (3, 3) scratch
     row: Floats  # (3, 3 c) scratch
+    around: Floats  # (3, 3 k) scratch
 
 
 def compliance(dents: Dents, points: Floats, order: Ints) -> Compliance:
@@ -130,10 +144,15 @@ def compliance(dents: Dents, points: Floats, order: Ints) -> Compliance:
     more = ((0, 0), (0, carriers.shape[1] - dents.carriers.shape[1]))
     carriers = np.concatenate([carriers[order], np.pad(dents.carriers, more)[order]])
     weights = np.concatenate([weights[order], np.pad(dents.weights, more)[order]])
+    alone = ((0, 0), (0, dents.patches.shape[1] - 1))
+    members = np.concatenate([dents.patches[order], np.pad(order[:, None], alone, mode="edge")])
+    shares = np.concatenate([dents.shares[order], np.pad(np.ones((len(order), 1)), alone)])
     return Compliance(
         np.concatenate([own, own]), np.ascontiguousarray(table), float(distances[1]), float(table[0] + dents.own),
         np.ascontiguousarray(carriers, dtype=np.int64), np.ascontiguousarray(weights),
-        np.ascontiguousarray(dents.flexibility), np.ascontiguousarray(dents.hardening, dtype=float),
+        np.ascontiguousarray(dents.flexibility), np.ascontiguousarray(members, dtype=np.int64),
+        np.ascontiguousarray(shares), np.ascontiguousarray(dents.close, dtype=np.int64),
+        np.ascontiguousarray(dents.between), np.ascontiguousarray(dents.hardening, dtype=float),
     )  # fmt: skip
 
 
@@ -146,12 +165,14 @@ def _of_patches(dents: Dents) -> tuple[Ints, Floats]:
     )
 
 
-def near(nodes: int, tools: int, carried: int) -> Near:
-    """Allocate for a surface of some nodes, some tools, and 3 c rows of a flexibility; nothing is touched."""
+def near(of: Compliance, tools: int) -> Near:
+    """Allocate for some tools; nothing is touched."""
+    nodes, carried = len(of.points) // 2, len(of.flexibility)
     most = min(nodes, DENSE) if tools else 0
     return Near(
         np.zeros((most, most, 3, 3)), np.zeros(most, np.int64), np.full(2 * nodes, -1),
         np.zeros(1, dtype=np.int64), np.zeros((3, 3)), np.zeros((3, carried if tools else 0)),
+        np.zeros((3, 3 * nodes if tools and of.close.size else 0)),
     )  # fmt: skip
 
 
@@ -184,6 +205,14 @@ def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
             for c in range(3):
                 for d in range(3):
                     block[c, d] += w * compliance.flexibility[p + c, q + d]
+    for a in range(compliance.members.shape[1] if compliance.close.shape[1] else 0):
+        for b in range(compliance.members.shape[1]):
+            n, w = compliance.members[i, a], compliance.shares[i, a] * compliance.shares[j, b]
+            for k in range(compliance.close.shape[1] if w != 0.0 else 0):
+                if compliance.close[n, k] == compliance.members[j, b]:
+                    for c in range(3):
+                        for d in range(3):
+                            block[c, d] += w * compliance.between[n, k, c, d]
 
 
 @njit(cache=True)
@@ -207,9 +236,9 @@ def refresh(compliance, near, points, count):  # type: ignore[no-untyped-def]
         s = near.used[0]
         near.slot[i], near.node[s] = s, i
         near.used[0] = s + 1
-        _row(compliance, i, near.row)
+        _row(compliance, i, near.row, near.around)
         for t in range(s + 1):
-            _between(compliance, i, near.node[t], near.row, near.matrix[s, t])
+            _between(compliance, i, near.node[t], near, near.matrix[s, t])
             for c in range(3):
                 for d in range(3):
                     near.matrix[t, s, d, c] = near.matrix[s, t, c, d]
@@ -224,26 +253,36 @@ def _forget(near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath={"contract"})
-def _row(compliance, i, row):  # type: ignore[no-untyped-def]
-    """Write how forces on all carriers move the carriers of i together (3, 3 c) [m/N]."""
+def _row(compliance, i, row, around):  # type: ignore[no-untyped-def]
+    """Write how forces on all carriers move those of i together (3, 3 c), and on close nodes its own (3, 3 k) [m/N]."""
     row[:] = 0.0
+    around[:] = 0.0
     for a in range(compliance.carriers.shape[1]):
         p, w = 3 * compliance.carriers[i, a], compliance.weights[i, a]
         if w != 0.0:
             for c in range(3):
                 for q in range(row.shape[1]):
                     row[c, q] += w * compliance.flexibility[p + c, q]
+    for a in range(compliance.members.shape[1] if around.shape[1] else 0):
+        n, w = compliance.members[i, a], compliance.shares[i, a]
+        for k in range(compliance.close.shape[1] if w != 0.0 else 0):
+            q = 3 * compliance.close[n, k]
+            for c in range(3):
+                for d in range(3):
+                    around[c, q + d] += w * compliance.between[n, k, c, d]
 
 
 @njit(cache=True, fastmath={"contract"})
-def _between(compliance, i, j, row, block):  # type: ignore[no-untyped-def]
-    """Write how a force on j moves i (3, 3) [m/N], the row of i known."""
-    g = _falling(compliance, i, j)
+def _between(compliance, i, j, near, block):  # type: ignore[no-untyped-def]
+    """Write how a force on j moves i (3, 3) [m/N], the rows of i known."""
+    g, row, around = _falling(compliance, i, j), near.row, near.around
     for c in range(3):
         for d in range(3):
             value = g if c == d else 0.0
             for b in range(compliance.carriers.shape[1]):
                 value += compliance.weights[j, b] * row[c, 3 * compliance.carriers[j, b] + d]
+            for b in range(compliance.members.shape[1] if around.shape[1] else 0):
+                value += compliance.shares[j, b] * around[c, 3 * compliance.members[j, b] + d]
             block[c, d] = value
 
 
@@ -300,10 +339,13 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
 
 
 def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
-    """Return the displacements (t, 3) [m] of some nodes by the flexibility, for forces (j, 3) [N] on others."""
+    """Return the displacements (t, 3) [m] of some nodes by statics, for forces (j, 3) [N] on others."""
     if not dents.flexibility.size:
         return np.zeros((len(there), 3))
     gathered = np.zeros((len(dents.flexibility) // 3, 3))
     np.add.at(gathered, dents.carriers[on], dents.weights[on][:, :, None] * forces[:, None])
     spread = (dents.flexibility @ gathered.reshape(-1)).reshape(-1, 3)
-    return np.asarray(np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]]))
+    moved = np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]])
+    pushed = np.zeros((len(dents.nodes), 3))
+    np.add.at(pushed, on, forces)
+    return np.asarray(moved + np.einsum("tqcd,tqd->tc", dents.between[there], pushed[dents.close[there]]))

@@ -30,6 +30,7 @@ from palpate.dynamics.tools import Forceps, surface_nodes
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
+from palpate.reduction.closeness import close_compliance, lowest_compliance
 from palpate.reduction.compliance import NO_DENTS, Dents, carried, dents_of, softness
 from palpate.reduction.flexibility import carriers, residual_flexibility
 from palpate.reduction.skin import Skin, Tools, Touch, skin, tools_of, touched
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 __all__ = ["Handling", "dented", "fitted_dents", "skin_of", "touch_of"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 LENGTHS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # of the exponentials, in spacings
 FRAMES = 400  # of the runs, at which the compliance is fitted
@@ -126,13 +128,15 @@ def touch_of(run: Trajectory, frame: int, nodes: int) -> TouchState | None:
     return touch
 
 
-def fitted_dents(model: ReducedModel, snapshots: Snapshots, statics: FullModel) -> tuple[Dents, float]:
+def fitted_dents(model: ReducedModel, body: FullModel, snapshots: Snapshots, statics: FullModel) -> tuple[Dents, float]:
     """Fit the compliance of the surface to runs in which tools touch the body.
 
     Parameters
     ----------
     model : ReducedModel
         Its compliance, if it has any, is not used.
+    body : FullModel
+        In its energy form.
     snapshots : Snapshots
         Runs of the full model.
     statics : FullModel
@@ -155,36 +159,45 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots, statics: FullModel) 
     if np.abs(ends - wanted).max() > statics.cloud.spacing:
         raise InputError("coarse: its points lie elsewhere than the body's; give a coarser model of the same body")
     nodes = _free_surface(cloud, model.fixed)
+    frames = _frames(model, snapshots, nodes)
+    if not frames:
+        raise InputError("no tool touches the body in any of the runs: the surface's compliance cannot be learnt")
     lengths = cloud.spacing * np.array(LENGTHS)
     those = _free_surface(statics.cloud, statics.fixed)
     flexibility = residual_flexibility(statics, those, cloud.points, model.parts.columns[: model.count])
     places, weights = carriers(statics.cloud, those, cloud, nodes)
+    close, between = _missed_by_statics(body, nodes, statics, those, places, weights, flexibility)
+    patches, shares = _patches(body, nodes)
     blank = NO_DENTS._replace(
         nodes=nodes, lengths=lengths, compliances=np.zeros(len(lengths)), carriers=places, weights=weights,
-        flexibility=flexibility.astype(np.float32),
+        flexibility=flexibility.astype(np.float32), close=close, between=between, patches=patches, shares=shares,
     )  # fmt: skip
-    frames = _frames(model, snapshots, nodes)
-    if not frames:
-        raise InputError("no tool touches the body in any of the runs: the surface's compliance cannot be learnt")
-    dents, explained = _fitted(blank, cloud.points, frames)
-    return _on_patches(dents, statics), explained
+    return _fitted(blank, cloud.points, frames)
 
 
-def _on_patches(dents: Dents, statics: FullModel) -> Dents:
-    """Return the compliance with the patches of surface that tools meet.
+def _missed_by_statics(
+    body: FullModel, nodes: Ints, statics: FullModel, those: Ints, places: Ints, weights: Floats, flexibility: Floats
+) -> tuple[Ints, NDArray[np.float32]]:
+    """Return the nodes close to each, and what statics of a coarser model miss between them; both positive together."""
+    if statics.cloud is body.cloud:
+        return np.zeros((len(nodes), 0), dtype=np.int64), np.zeros((len(nodes), 0, 3, 3), dtype=np.float32)
+    close, between = close_compliance(body, nodes, statics, those, places, weights)
+    lowest = lowest_compliance(flexibility, places, weights, close, between)
+    if lowest < 0:
+        between[np.arange(len(nodes)), (close == np.arange(len(nodes))[:, None]).argmax(axis=1)] -= lowest * np.eye(3)
+    return close, between
 
-    A coarser model's nodes stand for patches already.
-    """
-    count = len(dents.nodes)
-    if dents.carriers.shape[1] != 1:
-        return dents._replace(patches=np.arange(count)[:, None], shares=np.ones((count, 1)))
-    table = sparse.csr_array(statics.patches[dents.nodes][:, dents.nodes])
-    most = int(np.diff(table.indptr).max())
-    row = np.repeat(np.arange(count), np.diff(table.indptr))
+
+def _patches(body: FullModel, nodes: Ints) -> tuple[Ints, Floats]:
+    """Return the nodes (k, p) of the pieces of surface that tools meet, among some nodes, and their weights."""
+    count = len(nodes)
+    table = sparse.csr_array(body.patches[nodes][:, nodes])
+    number = np.diff(table.indptr)
+    row = np.repeat(np.arange(count), number)
     column = np.arange(len(row)) - table.indptr[row]
-    patches, shares = np.zeros((count, most), dtype=np.int64), np.zeros((count, most))
+    patches, shares = np.zeros((count, int(number.max())), dtype=np.int64), np.zeros((count, int(number.max())))
     patches[row, column], shares[row, column] = table.indices, table.data
-    return dents._replace(patches=patches, shares=shares / shares.sum(axis=1, keepdims=True))
+    return patches, shares / shares.sum(axis=1, keepdims=True)
 
 
 def _free_surface(cloud: Cloud, fixed: Sequence[str]) -> NDArray[np.int64]:
@@ -208,19 +221,29 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
     every, found = max(1, total // FRAMES), []
     for run in snapshots.runs:
         moments = np.unique(run.touches[:, 0].astype(int))[::every]
+        moments = moments[moments + 1 < len(run.times)]
         if not len(moments):
             continue
         led = _led(model, run)
         for frame in moments:
-            touches = run.touches[run.touches[:, 0] == frame]
-            on = place[touches[:, 1].astype(int)]
-            touches, on = touches[on >= 0], on[on >= 0]
+            forces = _forces_at(run, frame, place, len(nodes))
+            on = np.flatnonzero(forces.any(axis=1))
             if not len(on):
                 continue
             around = cKDTree(cloud.points[nodes[on]]).query(cloud.points[nodes])[0] < NEAR * cloud.spacing
             missed = run.displacements[frame] - np.tensordot(led[frame], model.parts.columns[: model.count], 1)
-            found.append(_Frame(on, touches[:, 2:], np.flatnonzero(around), missed[nodes[around]]))
+            found.append(_Frame(on, forces[on], np.flatnonzero(around), missed[nodes[around]]))
     return found
+
+
+def _forces_at(run: Any, frame: int, place: Ints, count: int) -> Floats:
+    """Return the forces (k, 3) [N] on the surface at a frame, from those since the one before and until the one after."""
+    forces = np.zeros((count, 3))
+    for interval in (frame, frame + 1):
+        touches = run.touches[run.touches[:, 0] == interval]
+        on = place[touches[:, 1].astype(int)]
+        np.add.at(forces, on[on >= 0], 0.5 * touches[on >= 0, 2:])
+    return forces
 
 
 def _fitted(blank: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Dents, float]:
@@ -255,6 +278,7 @@ def _fitted(blank: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Den
     dents = blank._replace(
         lengths=blank.lengths[falls > 0], compliances=falls[falls > 0], own=float(own), hardening=hardening,
         flexibility=(statics * blank.flexibility).astype(np.float32),
+        between=(statics * blank.between).astype(np.float32),
     )  # fmt: skip
     return dents.scaled(factor), explained
 

@@ -18,7 +18,14 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from palpate.dynamics.full import FullModel
 from palpate.faults import InputError, integer_in_range
 
-__all__ = ["carried_modes", "modal_derivatives", "rest_stiffness", "tool_responses", "vibration_modes"]
+__all__ = [
+    "carried_modes",
+    "modal_derivatives",
+    "rest_stiffness",
+    "stiffness_blocks",
+    "tool_responses",
+    "vibration_modes",
+]
 
 Floats = NDArray[np.float64]
 
@@ -34,6 +41,27 @@ def rest_stiffness(body: FullModel) -> Any:
     InputError
         The model is not of the energy form, whose stiffness is symmetric.
     """
+    n = len(body.cloud)
+    parts = stiffness_blocks(body)
+    blocks = [[parts[c, e] if c <= e else parts[e, c].T for e in range(3)] for c in range(3)]
+    by_node = np.arange(3 * n).reshape(3, n).T.reshape(-1)
+    return sparse.bmat(blocks, format="csr")[by_node][:, by_node].tocsc()
+
+
+def stiffness_blocks(body: FullModel, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
+    """Return the stiffness [N/m] at rest between components c <= e of all nodes, by (c, e): sparse (n, n) arrays.
+
+    Parameters
+    ----------
+    body : FullModel
+    kind : type
+        Of the numbers; single precision halves the memory.
+
+    Raises
+    ------
+    InputError
+        As `rest_stiffness`.
+    """
     if not body.conservative:
         raise InputError("the strong form has no symmetric stiffness: make the model with form='energy'")
     n = len(body.cloud)
@@ -42,22 +70,23 @@ def rest_stiffness(body: FullModel) -> Any:
     misses = _operator(near, body.stencils.value[row])
     assert body.smoothing is not None
     smooth = _operator(*body.smoothing) + sparse.identity(n)
-    thetas = [smooth @ slope for slope in slopes]
     moduli, own = body.moduli("shear_modulus"), body.elastic_volumes
     shear = sparse.diags(own * moduli)
     second = sparse.diags(own * (body.moduli("shear_share") - 2 / 3 * moduli))
-    bulk = sparse.diags(own * body.moduli("lame"))
+    bulk = sparse.diags(own * body.moduli("lame")).astype(kind)
+    thetas = [(smooth @ slope).astype(kind) for slope in slopes]
     common = sum(slope.T @ shear @ slope for slope in slopes)
     common = common + body.body.hourglass * misses.T @ sparse.diags(body.firm_volumes) @ misses
-    blocks = [[None] * 3 for _ in range(3)]
+    blocks = {}
     for c in range(3):
-        for e in range(3):
+        for e in range(c, 3):
             block = slopes[e].T @ shear @ slopes[c] + slopes[c].T @ second @ slopes[e]
             block = block + thetas[c].T @ bulk @ thetas[e]
-            blocks[c][e] = block + common if c == e else block
-    by_node = np.arange(3 * n).reshape(3, n).T.reshape(-1)
-    matrix = sparse.bmat(blocks).tocsr()[by_node][:, by_node]
-    return ((matrix + matrix.T) / 2).tocsc()
+            if c == e:
+                block = block + common
+                block = (block + block.T) / 2
+            blocks[c, e] = block.tocsr().astype(kind, copy=False)
+    return blocks
 
 
 def _operator(near: NDArray[np.int32], weights: Floats) -> Any:

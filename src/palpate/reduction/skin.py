@@ -114,7 +114,7 @@ def touched(of: Skin, tools: int) -> Touch:
     """Allocate for a number of tools; none touches."""
     most, by_tool = tools * len(of.nodes), (tools, len(of.nodes), 3)
     modal, now, before, push = np.zeros((4, most, 3))
-    kept = near(len(of.nodes), tools, len(of.compliance.flexibility))
+    kept = near(of.compliance, tools)
     node, point, tool = np.zeros((3, most), dtype=np.int64)
     return Touch(
         np.zeros(by_tool), np.zeros(by_tool), np.ones((tools, len(of.leader)), dtype=np.bool_), node, point, tool,

@@ -42,7 +42,7 @@ __all__ = ["load", "save"]
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION, SEAL = "palpate reduced model", 6, 512
+FORMAT, VERSION, SEAL = "palpate reduced model", 7, 512
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 # One line a dataset: its type, and its shape in sizes that all datasets share.
@@ -71,6 +71,8 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "dents/carriers": ("<i8", ("touched", "carried")),
     "dents/weights": ("<f8", ("touched", "carried")),
     "dents/flexibility": ("<f4", ("carriers", "carriers")),
+    "dents/close": ("<i8", ("touched", "close")),
+    "dents/between": ("<f4", ("touched", "close", 3, 3)),
     "dents/patches": ("<i8", ("touched", "patched")),
     "dents/shares": ("<f8", ("touched", "patched")),
     "dents/hardening": ("<f8", (2,)),
@@ -343,11 +345,12 @@ def _dents(arrays: Arrays, own: float) -> Dents | None:
         raise InputError("datasets dents/compliances and flexibility hold no compliance")
     if not np.all((dents.carriers >= 0) & (3 * dents.carriers + 2 < len(diagonal))):
         raise InputError(f"dataset dents/carriers names rows outside the {len(diagonal)} of dents/flexibility")
-    if not np.all((dents.patches >= 0) & (dents.patches < len(dents.nodes))):
-        raise InputError(f"dataset dents/patches names rows outside the {len(dents.nodes)} of dents/nodes")
+    for name in ("patches", "close"):
+        if not np.all((arrays[f"dents/{name}"] >= 0) & (arrays[f"dents/{name}"] < len(dents.nodes))):
+            raise InputError(f"dataset dents/{name} names rows outside the {len(dents.nodes)} of dents/nodes")
     if not (dents.hardening[0] >= 0 and dents.hardening[1] > 0):
         raise InputError("dataset dents/hardening holds no exponent of at least 0 and positive force")
-    return dents._replace(flexibility=dents.flexibility.astype(np.float32))
+    return dents._replace(flexibility=dents.flexibility.astype(np.float32), between=dents.between.astype(np.float32))
 
 
 def _rule(header: Header) -> Header:

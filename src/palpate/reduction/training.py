@@ -204,7 +204,7 @@ def _trained(
         "training_seconds": perf_counter() - start,
     }
     if snapshots.touched and not wish.tools and isinstance(body, FullModel):
-        dents, report["dents_explained"] = fitted_dents(model, snapshots, wish.coarse or body)
+        dents, report["dents_explained"] = fitted_dents(model, body, snapshots, wish.coarse or body)
         model = ReducedModel(replace(model.parts, dents=dents))
         if wish.pressed:
             model, measured = _measured(model, wish.pressed)
