@@ -237,7 +237,7 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
 
 
 def _forces_at(run: Any, frame: int, place: Ints, count: int) -> Floats:
-    """Return the forces (k, 3) [N] on the surface at a frame, from those since the one before and until the one after."""
+    """Return the forces (k, 3) [N] on the surface at a frame, half of those since the one before and of those after."""
     forces = np.zeros((count, 3))
     for interval in (frame, frame + 1):
         touches = run.touches[run.touches[:, 0] == interval]
