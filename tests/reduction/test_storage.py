@@ -72,6 +72,7 @@ def trained(bar, tissue, push):
     dents = Dents(
         touched, np.array([0.004, 0.01]), np.array([0.02, 0.003]), 0.01, made_up.integers(0, 4, (len(touched), 2)),
         np.full((len(touched), 2), 0.5), np.eye(12, dtype=np.float32),
+        made_up.integers(0, len(touched), (len(touched), 4)), np.full((len(touched), 4, 3, 3), 1e-3, dtype=np.float32),
         made_up.integers(0, len(touched), (len(touched), 3)), np.full((len(touched), 3), 1 / 3), np.array([0.2, 1.5]),
     )  # fmt: skip
     return pt.ReducedModel(replace(model.parts, dents=dents))
@@ -222,7 +223,7 @@ def test_twenty_thousand_nodes_with_64_modes_take_less_than_20_megabytes(tissue,
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (6, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (7, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["columns"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.parts.cubature.weights)
@@ -259,8 +260,8 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_another_version_is_refused_whatever_follows(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 6", b"version 5", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 5, and version 6 is the one that is"):
+    path.write_bytes(saved.read_bytes().replace(b"version 7", b"version 6", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 6, and version 7 is the one that is"):
         pt.load(path)
 
 

@@ -20,14 +20,14 @@ from scipy.spatial import cKDTree
 from palpate.dynamics.full import FullModel
 from palpate.reduction.linear import stiffness_blocks
 
-__all__ = ["close_compliance", "lowest_compliance"]
+__all__ = ["close_compliance", "made_positive"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PIECE, REACH, MARGIN = 1.0, 2.5, 1.0  # coarse spacings: a piece's heart, how far beyond nodes are close, and the rest
 FALLING = 0.5  # of the reach, from where on the difference is faded out
-TOLERANCE = 1e-3  # of the lowest compliance
+TOLERANCE, SPARE = 1e-3, 0.05  # of the lowest compliance
 
 
 def close_compliance(
@@ -147,13 +147,16 @@ def _by_row(rows: Ints, columns: Ints, blocks: Floats, count: int) -> tuple[Ints
     return close, between
 
 
-def lowest_compliance(
+def made_positive(
     flexibility: Floats, carriers: Ints, weights: Floats, close: Ints, between: NDArray[np.float32]
-) -> float:
-    """Return the least eigenvalue [m/N] of a compliance by carriers and between close nodes, as `Dents` has them."""
+) -> NDArray[np.float32]:
+    """Return `between` with so much more of the nodes' own compliance that no forces pull the surface towards them.
+
+    Parameters are those of `palpate.reduction.compliance.Dents`.
+    """
     count, size = len(close), len(flexibility) // 3
-    spread = sparse.csr_array((weights.ravel(), (np.repeat(np.arange(count), weights.shape[1]), carriers.ravel())),
-                              (count, size))  # fmt: skip
+    pairs = (weights.ravel(), (np.repeat(np.arange(count), weights.shape[1]), carriers.ravel()))
+    spread = sparse.csr_array(pairs, (count, size))
 
     def moved(forces: Floats) -> Floats:
         force = forces.reshape(count, 3)
@@ -162,4 +165,10 @@ def lowest_compliance(
 
     start = np.random.default_rng(0).standard_normal(3 * count)
     whole = LinearOperator((3 * count, 3 * count), matvec=moved, dtype=float)
-    return float(eigsh(whole, k=1, which="SA", tol=TOLERANCE, v0=start, return_eigenvectors=False)[0])
+    lowest = float(eigsh(whole, k=1, which="SA", tol=TOLERANCE, v0=start, return_eigenvectors=False)[0])
+    if lowest > 0:
+        return between
+    itself = (close == np.arange(count)[:, None]).argmax(axis=1)
+    raised = between.copy()
+    raised[np.arange(count), itself] -= (1 + SPARE) * lowest * np.eye(3, dtype=np.float32)
+    return raised

@@ -102,7 +102,7 @@ class Dents(NamedTuple):
 NO_DENTS = Dents(
     np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), 0.0, np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)),
     np.zeros((0, 0), dtype=np.float32), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0, 3, 3), dtype=np.float32),
-    np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)), np.array([0.0, 1.0]),
+    np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)), np.array([0.0, 1.0]),
 )  # fmt: skip
 
 
@@ -346,6 +346,8 @@ def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
     np.add.at(gathered, dents.carriers[on], dents.weights[on][:, :, None] * forces[:, None])
     spread = (dents.flexibility @ gathered.reshape(-1)).reshape(-1, 3)
     moved = np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]])
+    if not dents.close.size:
+        return np.asarray(moved)
     pushed = np.zeros((len(dents.nodes), 3))
     np.add.at(pushed, on, forces)
     return np.asarray(moved + np.einsum("tqcd,tqd->tc", dents.between[there], pushed[dents.close[there]]))

@@ -30,7 +30,7 @@ from palpate.dynamics.tools import Forceps, surface_nodes
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
-from palpate.reduction.closeness import close_compliance, lowest_compliance
+from palpate.reduction.closeness import close_compliance, made_positive
 from palpate.reduction.compliance import NO_DENTS, Dents, carried, dents_of, softness
 from palpate.reduction.flexibility import carriers, residual_flexibility
 from palpate.reduction.skin import Skin, Tools, Touch, skin, tools_of, touched
@@ -166,26 +166,16 @@ def fitted_dents(model: ReducedModel, body: FullModel, snapshots: Snapshots, sta
     those = _free_surface(statics.cloud, statics.fixed)
     flexibility = residual_flexibility(statics, those, cloud.points, model.parts.columns[: model.count])
     places, weights = carriers(statics.cloud, those, cloud, nodes)
-    close, between = _missed_by_statics(body, nodes, statics, those, places, weights, flexibility)
+    close, between = np.zeros((len(nodes), 0), dtype=np.int64), np.zeros((len(nodes), 0, 3, 3), dtype=np.float32)
+    if statics.cloud is not cloud:
+        close, between = close_compliance(body, nodes, statics, those, places, weights)
+        between = made_positive(flexibility, places, weights, close, between)
     patches, shares = _patches(body, nodes)
     blank = NO_DENTS._replace(
         nodes=nodes, lengths=lengths, compliances=np.zeros(len(lengths)), carriers=places, weights=weights,
         flexibility=flexibility.astype(np.float32), close=close, between=between, patches=patches, shares=shares,
     )  # fmt: skip
     return _fitted(blank, cloud.points, frames)
-
-
-def _missed_by_statics(
-    body: FullModel, nodes: Ints, statics: FullModel, those: Ints, places: Ints, weights: Floats, flexibility: Floats
-) -> tuple[Ints, NDArray[np.float32]]:
-    """Return the nodes close to each, and what statics of a coarser model miss between them; both positive together."""
-    if statics.cloud is body.cloud:
-        return np.zeros((len(nodes), 0), dtype=np.int64), np.zeros((len(nodes), 0, 3, 3), dtype=np.float32)
-    close, between = close_compliance(body, nodes, statics, those, places, weights)
-    lowest = lowest_compliance(flexibility, places, weights, close, between)
-    if lowest < 0:
-        between[np.arange(len(nodes)), (close == np.arange(len(nodes))[:, None]).argmax(axis=1)] -= lowest * np.eye(3)
-    return close, between
 
 
 def _patches(body: FullModel, nodes: Ints) -> tuple[Ints, Floats]:
