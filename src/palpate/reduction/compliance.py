@@ -346,8 +346,8 @@ def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
     np.add.at(gathered, dents.carriers[on], dents.weights[on][:, :, None] * forces[:, None])
     spread = (dents.flexibility @ gathered.reshape(-1)).reshape(-1, 3)
     moved = np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]])
-    if not dents.close.size:
-        return np.asarray(moved)
-    pushed = np.zeros((len(dents.nodes), 3))
-    np.add.at(pushed, on, forces)
-    return np.asarray(moved + np.einsum("tqcd,tqd->tc", dents.between[there], pushed[dents.close[there]]))
+    if dents.close.size:  # as it is symmetric, a node's row also tells how its force moves the others
+        nearby = np.zeros((len(dents.nodes), 3))
+        np.add.at(nearby, dents.close[on], np.einsum("jqdc,jd->jqc", dents.between[on], forces))
+        moved += nearby[there]
+    return np.asarray(moved)
