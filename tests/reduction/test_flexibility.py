@@ -88,13 +88,13 @@ def test_what_is_kept_between_touched_nodes_stays_right_as_they_come_and_go(solv
     close = (np.arange(count)[:, None] + np.array([0, 1, 2, -2, -1])) % count  # in a ring, each twice as far again
     between = np.tile(0.01 * np.eye(3), (count, 5, 1, 1))
     dents = NO_DENTS._replace(
-        nodes=nodes, lengths=np.array([0.004]), compliances=np.array([0.3]), own=0.1,
-        carriers=np.arange(len(nodes))[:, None], weights=np.ones((len(nodes), 1)), flexibility=rest.astype(np.float32),
+        nodes=nodes, carriers=np.arange(len(nodes))[:, None], weights=np.ones((len(nodes), 1)),
+        flexibility=rest.astype(np.float32),
         patches=np.column_stack([np.arange(len(nodes)), np.roll(np.arange(len(nodes)), 1)]),
         shares=np.full((len(nodes), 2), 0.5), close=close, between=between.astype(np.float32),
     )  # fmt: skip
     order = np.random.default_rng(1).permutation(len(nodes))
-    laid, block_ = compliance(dents, body.cloud.points, order), np.zeros((3, 3))
+    laid, block_ = compliance(dents, order), np.zeros((3, 3))
     kept = near(laid, 1)
     random = np.random.default_rng(2)
     for _ in range(120):  # more than there is room for: some are forgotten

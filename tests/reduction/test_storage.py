@@ -70,7 +70,7 @@ def trained(bar, tissue, push):
     model = pt.reduce(full, run, modes=4, driven="tip", held_out=[(push, run)])
     touched, made_up = np.unique(bar.face_nodes), np.random.default_rng(0)
     dents = Dents(
-        touched, np.array([0.004, 0.01]), np.array([0.02, 0.003]), 0.01, made_up.integers(0, 4, (len(touched), 2)),
+        touched, made_up.integers(0, 4, (len(touched), 2)),
         np.full((len(touched), 2), 0.5), np.eye(12, dtype=np.float32),
         made_up.integers(0, len(touched), (len(touched), 4)), np.full((len(touched), 4, 3, 3), 1e-3, dtype=np.float32),
         made_up.integers(0, len(touched), (len(touched), 3)), np.full((len(touched), 3), 1 / 3), np.array([0.2, 1.5]),

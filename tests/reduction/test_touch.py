@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 import palpate as pt
 from palpate.dynamics.contact import gap
@@ -21,14 +22,16 @@ def flat_skin():
     x, y = np.meshgrid(SPACING * np.arange(-6, 7), SPACING * np.arange(-6, 7), indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     columns = np.random.default_rng(0).standard_normal((3, len(points), 3))
-    return skin(falling(np.arange(len(points)), [0.004], [0.01], 0.005), points, columns)
+    return skin(falling(points, np.arange(len(points)), [0.004], [0.01], 0.005), points, columns)
 
 
-def falling(nodes, lengths, compliances, own):
-    """A compliance of exponentials alone."""
+def falling(points, nodes, lengths, compliances, own):
+    """A compliance that falls off exponentially between places, the same along all directions."""
+    apart = cdist(points[nodes], points[nodes])
+    between = own * np.eye(len(nodes)) + np.exp(-apart[:, :, None] / lengths) @ np.array(compliances)
     return NO_DENTS._replace(
-        nodes=nodes, lengths=np.array(lengths), compliances=np.array(compliances), own=own,
-        carriers=np.zeros((len(nodes), 0), dtype=np.int64), weights=np.zeros((len(nodes), 0)),
+        nodes=nodes, carriers=np.arange(len(nodes))[:, None], weights=np.ones((len(nodes), 1)),
+        flexibility=np.kron(between, np.eye(3)).astype(np.float32),
         patches=np.arange(len(nodes))[:, None], shares=np.ones((len(nodes), 1)),
     )  # fmt: skip
 
@@ -116,15 +119,15 @@ def test_two_tools_and_none():
     assert not tools.load.any()
 
 
-def test_dents_are_the_kernel_times_the_forces():
+def test_dents_are_the_compliance_times_the_forces():
     points = np.random.default_rng(1).random((30, 3))
-    dents = falling(np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
+    dents = falling(points, np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
     forces = np.zeros((30, 3))
     forces[[7, 20]] = [[1.0, 0.0, 2.0], [0.0, -1.0, 0.5]]
     found, energy = dents_of(dents, points, forces[None, 5:], [False])
     far = np.linalg.norm(points[7] - points[20])
     g = 2 * np.exp(-far / 0.1) + 3 * np.exp(-far / 0.4)
-    np.testing.assert_allclose(found[7], 6.0 * forces[7] + g * forces[20])
+    np.testing.assert_allclose(found[7], 6.0 * forces[7] + g * forces[20], rtol=1e-6)
     assert not found[:5].any()
     assert energy == pytest.approx(0.5 * np.sum(found * forces))
 

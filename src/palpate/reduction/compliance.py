@@ -2,13 +2,12 @@
 
 Tools' forces f on surface nodes move node i, beside what the modes do, by
 
-    h(|f|) sum over j of (g(|X_i - X_j|) 1 + D_ij + sum over carriers a of i, b of j of w_ia w_jb R_ab) f_j.
+    h(|f|) sum over j of (D_ij + sum over carriers a of i, b of j of w_ia w_jb R_ab) f_j.
 
 R is the residual flexibility of the body's surface at rest, of its own nodes or of a coarser model's
 (`palpate.reduction.flexibility`); D is what a coarser one misses between close nodes (`palpate.reduction.closeness`);
-g, a sum of falling exponentials and a share of a node's own force, is what statics leave; h = (1 + |f| / F)^-gamma
-tells how tissue stiffens under a tool's whole force. R with D and g are positive, so that any set of nodes has a
-positive definite compliance.
+h = (1 + |f| / F)^-gamma tells how tissue stiffens under a tool's whole force. R with D is positive, so that any set of
+nodes has a positive definite compliance.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 __all__ = [
     "NO_DENTS",
@@ -40,7 +38,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 DENSE = 256  # touched nodes up to which what is between them is kept
-TABLE = 1024  # distances at which the kernel is kept
 
 
 class Dents(NamedTuple):
@@ -50,16 +47,12 @@ class Dents(NamedTuple):
     ----------
     nodes : (k,) int array
         Nodes that tools may touch.
-    lengths, compliances : (e,) arrays [m], [m/N]
-        Of the exponentials.
-    own : float [m/N]
-        More compliance of a node under its own force.
     carriers : (k, w) int array
         Rows of the flexibility that stand for each node.
     weights : (k, w) array
         Their shares.
     flexibility : (3 c, 3 c) float32 array [m/N]
-        Of the carriers, rows 3 a + component; none where the exponentials are all.
+        Of the carriers, rows 3 a + component.
     close : (k, q) int array
         Of `nodes`, those close to each; the node itself again where there are fewer.
     between : (k, q, 3, 3) float32 array [m/N]
@@ -73,9 +66,6 @@ class Dents(NamedTuple):
     """
 
     nodes: Ints
-    lengths: Floats
-    compliances: Floats
-    own: float
     carriers: Ints
     weights: Floats
     flexibility: NDArray[np.float32]
@@ -85,22 +75,16 @@ class Dents(NamedTuple):
     shares: Floats
     hardening: Floats
 
-    def kernel(self, distances: Floats) -> Floats:
-        """Return g [m/N] at some distances [m]; at 0 with the node's own."""
-        falling = np.exp(-distances[..., None] / self.lengths) @ self.compliances
-        return np.asarray(falling + np.where(distances == 0, self.own, 0.0))
-
     def scaled(self, factor: float) -> Dents:
         """Return this with all compliances times a factor."""
         return self._replace(
-            compliances=factor * self.compliances, own=factor * self.own,
             flexibility=(factor * self.flexibility).astype(np.float32),
             between=(factor * self.between).astype(np.float32),
         )  # fmt: skip
 
 
 NO_DENTS = Dents(
-    np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), 0.0, np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)),
+    np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)),
     np.zeros((0, 0), dtype=np.float32), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0, 3, 3), dtype=np.float32),
     np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)), np.array([0.0, 1.0]),
 )  # fmt: skip
@@ -109,10 +93,6 @@ NO_DENTS = Dents(
 class Compliance(NamedTuple):
     """`Dents` for the compiled step: of k patches of surface that tools meet, then of the k nodes that forceps hold."""
 
-    points: Floats  # (2 k, 3) reference places [m]
-    kernel: Floats  # (t,) g at even distances [m/N]
-    interval: float  # between them [m]
-    own: float  # g of a node's own force [m/N]
     carriers: Ints  # (2 k, w)
     weights: Floats  # (2 k, w)
     flexibility: NDArray[np.float32]  # (3 c, 3 c) [m/N]
@@ -135,11 +115,8 @@ class Near(NamedTuple):
     around: Floats  # (3, 3 k) scratch
 
 
-def compliance(dents: Dents, points: Floats, order: Ints) -> Compliance:
-    """Lay a compliance out for the step, its nodes at points (n, 3) in some order."""
-    own = points[dents.nodes][order]
-    distances = np.linspace(0.0, float(np.linalg.norm(np.ptp(own, axis=0))) if len(own) else 1.0, TABLE)
-    table = np.exp(-distances[:, None] / dents.lengths) @ dents.compliances
+def compliance(dents: Dents, order: Ints) -> Compliance:
+    """Lay a compliance out for the step, its nodes in some order."""
     carriers, weights = _of_patches(dents)
     more = ((0, 0), (0, carriers.shape[1] - dents.carriers.shape[1]))
     carriers = np.concatenate([carriers[order], np.pad(dents.carriers, more)[order]])
@@ -148,7 +125,6 @@ def compliance(dents: Dents, points: Floats, order: Ints) -> Compliance:
     members = np.concatenate([dents.patches[order], np.pad(order[:, None], alone, mode="edge")])
     shares = np.concatenate([dents.shares[order], np.pad(np.ones((len(order), 1)), alone)])
     return Compliance(
-        np.concatenate([own, own]), np.ascontiguousarray(table), float(distances[1]), float(table[0] + dents.own),
         np.ascontiguousarray(carriers, dtype=np.int64), np.ascontiguousarray(weights),
         np.ascontiguousarray(dents.flexibility), np.ascontiguousarray(members, dtype=np.int64),
         np.ascontiguousarray(shares), np.ascontiguousarray(dents.close, dtype=np.int64),
@@ -167,7 +143,7 @@ def _of_patches(dents: Dents) -> tuple[Ints, Floats]:
 
 def near(of: Compliance, tools: int) -> Near:
     """Allocate for some tools; nothing is touched."""
-    nodes, carried = len(of.points) // 2, len(of.flexibility)
+    nodes, carried = len(of.members) // 2, len(of.flexibility)
     most = min(nodes, DENSE) if tools else 0
     return Near(
         np.zeros((most, most, 3, 3)), np.zeros(most, np.int64), np.full(2 * nodes, -1),
@@ -177,27 +153,9 @@ def near(of: Compliance, tools: int) -> Near:
 
 
 @njit(cache=True, fastmath={"contract"})
-def _falling(compliance, i, j):  # type: ignore[no-untyped-def]
-    """Return g [m/N] between two patches or nodes."""
-    if i == j:
-        return compliance.own
-    x = compliance.points[i, 0] - compliance.points[j, 0]
-    y = compliance.points[i, 1] - compliance.points[j, 1]
-    z = compliance.points[i, 2] - compliance.points[j, 2]
-    at = np.sqrt(x * x + y * y + z * z) / compliance.interval
-    k = int(at)
-    if k + 1 >= compliance.kernel.shape[0]:
-        return 0.0
-    return compliance.kernel[k] + (at - k) * (compliance.kernel[k + 1] - compliance.kernel[k])
-
-
-@njit(cache=True, fastmath={"contract"})
 def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
     """Write how a force on j moves i (3, 3) [m/N]."""
-    g = _falling(compliance, i, j)
-    for c in range(3):
-        for d in range(3):
-            block[c, d] = g if c == d else 0.0
+    block[:] = 0.0
     for a in range(compliance.carriers.shape[1]):
         p = 3 * compliance.carriers[i, a]
         for b in range(compliance.carriers.shape[1]):
@@ -275,10 +233,10 @@ def _row(compliance, i, row, around):  # type: ignore[no-untyped-def]
 @njit(cache=True, fastmath={"contract"})
 def _between(compliance, i, j, near, block):  # type: ignore[no-untyped-def]
     """Write how a force on j moves i (3, 3) [m/N], the rows of i known."""
-    g, row, around = _falling(compliance, i, j), near.row, near.around
+    row, around = near.row, near.around
     for c in range(3):
         for d in range(3):
-            value = g if c == d else 0.0
+            value = 0.0
             for b in range(compliance.carriers.shape[1]):
                 value += compliance.weights[j, b] * row[c, 3 * compliance.carriers[j, b] + d]
             for b in range(compliance.members.shape[1] if around.shape[1] else 0):
@@ -329,8 +287,7 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
         on = np.flatnonzero(forces.any(axis=1))
         if not len(on):
             continue
-        moved = dents.kernel(cdist(points[dents.nodes], points[dents.nodes[on]])) @ forces[on] + carried(
-            dents, forces[on], on, np.arange(len(forces)))  # fmt: skip
+        moved = carried(dents, forces[on], on, np.arange(len(forces)))
         total = float(np.linalg.norm(forces.sum(axis=0)))
         moved *= softness(dents.hardening, total)
         result[dents.nodes] += moved

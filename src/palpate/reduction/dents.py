@@ -2,12 +2,8 @@
 
 What modes leave of statics at rest (`palpate.reduction.flexibility`) is the shape of dents. The full model's runs say
 which forces tools had on which nodes (`Trajectory.touches`): the reduced model without compliance is led through them
-by these forces, and what it misses of the displacements near the tools is fitted by
-
-    c times statics + sum over touched nodes of g(|X_i - X_j|) f_j,    g(r) = sum of c_e exp(-r / l_e), c_0 more at 0,
-
-with c, c_e >= 0 (non-negative least squares), so that any set of nodes has a positive definite compliance. How it all
-hardens under a tool's whole force is then fitted to the work of forces on what the modes miss, frame by frame.
+by these forces. The work of the forces on what it misses there, frame by frame, tells how the compliance hardens under
+a tool's whole force, and a factor that is near 1.
 """
 
 from __future__ import annotations
@@ -18,9 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from palpate.dynamics.contact_state import check_apart, check_way, untouched
 from palpate.dynamics.full import FullModel
@@ -45,12 +40,10 @@ __all__ = ["Handling", "dented", "fitted_dents", "skin_of", "touch_of"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-LENGTHS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # of the exponentials, in spacings
 FRAMES = 400  # of the runs, at which the compliance is fitted
 NEAR = 5.0  # spacings from a touched node to which it is fitted
 STEEPEST = 0.45  # exponent of hardening: above a half a larger force would make a smaller dent
 LIGHT = 0.05  # of the largest force: frames that say nothing of hardening
-PASSES = 3  # over shape and hardening
 
 
 def skin_of(parts: ReducedParts) -> Skin:
@@ -162,7 +155,6 @@ def fitted_dents(model: ReducedModel, body: FullModel, snapshots: Snapshots, sta
     frames = _frames(model, snapshots, nodes)
     if not frames:
         raise InputError("no tool touches the body in any of the runs: the surface's compliance cannot be learnt")
-    lengths = cloud.spacing * np.array(LENGTHS)
     those = _free_surface(statics.cloud, statics.fixed)
     flexibility = residual_flexibility(statics, those, cloud.points, model.parts.columns[: model.count])
     places, weights = carriers(statics.cloud, those, cloud, nodes)
@@ -172,8 +164,8 @@ def fitted_dents(model: ReducedModel, body: FullModel, snapshots: Snapshots, sta
         between = made_positive(flexibility, places, weights, close, between)
     patches, shares = _patches(body, nodes)
     blank = NO_DENTS._replace(
-        nodes=nodes, lengths=lengths, compliances=np.zeros(len(lengths)), carriers=places, weights=weights,
-        flexibility=flexibility.astype(np.float32), close=close, between=between, patches=patches, shares=shares,
+        nodes=nodes, carriers=places, weights=weights, flexibility=flexibility.astype(np.float32),
+        close=close, between=between, patches=patches, shares=shares,
     )  # fmt: skip
     return _fitted(blank, cloud.points, frames)
 
@@ -236,49 +228,20 @@ def _forces_at(run: Any, frame: int, place: Ints, count: int) -> Floats:
     return forces
 
 
-def _fitted(blank: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Dents, float]:
-    """Fit shape and hardening in turn; return the compliance, and the share that its shape explains."""
-    on_surface = points[blank.nodes]
-    fields = [_fields(blank, on_surface, frame) for frame in frames]
-    parts = [
-        _without_affine(on_surface[f.near], np.stack([*own, f.missed])) for own, f in zip(fields, frames, strict=True)
-    ]
-    target = np.concatenate([part[-1].ravel() for part in parts])
-    size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
+def _fitted(dents: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Dents, float]:
+    """Fit factor and hardening; return the compliance, and the share of the dents' squares that it explains."""
+    fields = [carried(dents, frame.forces, frame.on, frame.near) for frame in frames]
     here = [np.searchsorted(frame.near, frame.on) for frame in frames]
+    size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
     depth = np.array([np.sum(f.forces * f.missed[h]) for f, h in zip(frames, here, strict=True)])
-    hardening, factor = np.array([0.0, 1.0]), 1.0
-    for _ in range(PASSES):
-        soft = softness(hardening, size)
-        matrix = np.concatenate(
-            [s * part[:-1].reshape(len(part) - 1, -1).T for s, part in zip(soft, parts, strict=True)]
-        )
-        found, residual = nnls(matrix, target)
-        if not found.any():
-            raise InputError(
-                "what the modes miss under tools is no dent: give reduce smooth modes "
-                "(enrichment=vibration_modes(...)), which do not hold the dents of the training runs"
-            )
-        linear = np.array(
-            [np.sum(f.forces * np.tensordot(found, own, 1)[h]) for f, own, h in zip(frames, fields, here, strict=True)]
-        )
-        factor, hardening = _hardening(size, depth, linear)
-    explained = 1.0 - (residual / float(np.linalg.norm(target))) ** 2
-    statics, falls, own = found[0], found[1:-1], found[-1]
-    dents = blank._replace(
-        lengths=blank.lengths[falls > 0], compliances=falls[falls > 0], own=float(own), hardening=hardening,
-        flexibility=(statics * blank.flexibility).astype(np.float32),
-        between=(statics * blank.between).astype(np.float32),
-    )  # fmt: skip
-    return dents.scaled(factor), explained
-
-
-def _fields(dents: Dents, points: Floats, frame: _Frame) -> Floats:
-    """Return the displacements (e, k, 3) near the tools by each part of a compliance alone, of weight 1."""
-    distances = cdist(points[frame.near], points[frame.on])
-    fields = [np.exp(-distances / length) @ frame.forces for length in dents.lengths]
-    own = (distances == 0).astype(float) @ frame.forces
-    return np.array([carried(dents, frame.forces, frame.on, frame.near), *fields, own])
+    linear = np.array([np.sum(f.forces * own[h]) for f, own, h in zip(frames, fields, here, strict=True)])
+    factor, hardening = _hardening(size, depth, linear)
+    left = whole = 0.0
+    for frame, own, soft in zip(frames, fields, factor * softness(hardening, size), strict=True):
+        at = points[dents.nodes[frame.near]]
+        missed, left_over = _without_affine(at, np.array([frame.missed, frame.missed - soft * own]))
+        whole, left = whole + float(np.sum(missed**2)), left + float(np.sum(left_over**2))
+    return dents._replace(hardening=hardening).scaled(factor), 1.0 - left / whole
 
 
 def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floats]:
@@ -300,7 +263,10 @@ def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floa
     largest = float(size.max())
     use = (size > LIGHT * largest) & (depth > 0) & (linear > 0)
     if not use.any():
-        return 1.0, np.array([0.0, 1.0])
+        raise InputError(
+            "what the modes miss under tools is no dent: give reduce smooth modes "
+            "(enrichment=vibration_modes(...)), which do not hold the dents of the training runs"
+        )
     wanted, weight = np.log(depth[use] / linear[use]), np.sqrt(size[use] / largest)
 
     def missed(at: Floats) -> Floats:

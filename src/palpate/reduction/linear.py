@@ -30,6 +30,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 CARRIED = 40  # coarse nodes that a mode is carried over from
+DERIVATIVES = 0.55  # of all modes, at most
 AMPLITUDE = 0.02  # of the spacing: displacements for second differences
 
 
@@ -147,22 +148,26 @@ def vibration_modes(body: FullModel, count: int, held: Sequence[str] = ()) -> tu
 
 
 def carried_modes(coarse: FullModel, body: FullModel, count: int) -> Floats:
-    """Return the slowest vibrations of a coarser model of the same body at a body's nodes, shape (count, n, 3).
+    """Return smooth modes (count, n, 3) of a body, found on a coarser model of it: vibrations, and their derivatives.
 
-    They are carried over by thin-plate splines over the nearest nodes, and are zero at the body's supports. Their
-    largest displacement is about 1 m. The coarser model may be the body itself.
+    About half are derivatives of the slowest vibrations: without them a body is too stiff where it moves far. They are
+    carried over by thin-plate splines over the nearest nodes, and are zero at the body's supports. Their largest
+    displacement is about 1 m. The coarser model may be the body itself.
 
     Raises
     ------
     InputError
         As `vibration_modes`.
     """
-    shapes = vibration_modes(coarse, count)[0]
+    bent = int((np.sqrt(8 * DERIVATIVES * count + 1) - 1) / 2)
+    shapes = vibration_modes(coarse, count - bent * (bent + 1) // 2)[0]
+    if bent:
+        shapes = np.concatenate([shapes, modal_derivatives(coarse, shapes[:bent])])
     if coarse is body:
         return shapes
-    shapes = shapes.transpose(1, 0, 2).reshape(len(coarse.cloud), -1)
+    flat = shapes.transpose(1, 0, 2).reshape(len(coarse.cloud), -1)
     near = min(CARRIED, len(coarse.cloud))
-    fields = RBFInterpolator(coarse.cloud.points, shapes, neighbors=near)(body.cloud.points)
+    fields = RBFInterpolator(coarse.cloud.points, flat, neighbors=near)(body.cloud.points)
     fields = fields.reshape(len(body.cloud), count, 3).transpose(1, 0, 2)
     for group in body.fixed:
         fields[:, body.cloud.group(group)] = 0.0

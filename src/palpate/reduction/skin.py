@@ -70,7 +70,7 @@ def skin(dents: Dents, points: Floats, columns: Floats) -> Skin:
     """Lay out the surface of a body with nodes at points (n, 3) and columns (m, n, 3), in clusters."""
     order, start = _clusters(points[dents.nodes], CLUSTER)
     nodes = dents.nodes[order]
-    points, columns, laid = points[nodes], columns[:, nodes], compliance(dents, points, order)
+    points, columns, laid = points[nodes], columns[:, nodes], compliance(dents, order)
     leader, extent = [], []
     for begin, end in pairwise(start):
         own_points = points[begin:end]

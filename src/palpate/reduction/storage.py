@@ -66,8 +66,6 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "trained": ("<f8", ("states", "coordinates")),
     "fibres/directions": ("<f8", ("families", "nodes", 3)),
     "dents/nodes": ("<i8", ("touched",)),
-    "dents/lengths": ("<f8", ("falls",)),
-    "dents/compliances": ("<f8", ("falls",)),
     "dents/carriers": ("<i8", ("touched", "carried")),
     "dents/weights": ("<f8", ("touched", "carried")),
     "dents/flexibility": ("<f4", ("carriers", "carriers")),
@@ -93,7 +91,7 @@ ATTRIBUTES = {
     "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
-    "witnesses": int, "leeway": float, "dents_own": float, "step": float, "single": bool,
+    "witnesses": int, "leeway": float, "step": float, "single": bool,
 }  # fmt: skip
 
 
@@ -204,7 +202,6 @@ def _header(parts: ReducedParts) -> Header:
         "prestretch": float(parts.kinematics.prestretch),
         "relaxed": parts.kinematics.relaxed,
         "slack": float(parts.slack),
-        "dents_own": float(parts.dents.own if parts.dents else 0.0),
         "report": json.dumps(parts.report, default=lambda value: value.tolist()),
     }
 
@@ -329,20 +326,18 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         ),
         slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
         fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
-        dents=_dents(own, number_in_range("dents_own", header["dents_own"], 0.0, unit="m/N")),
+        dents=_dents(own),
     )
 
 
-def _dents(arrays: Arrays, own: float) -> Dents | None:
+def _dents(arrays: Arrays) -> Dents | None:
     """Make the compliance of the surface; none where no nodes may be touched."""
-    dents = Dents(**{name: arrays[f"dents/{name}"] for name in DENTS}, own=own)
+    dents = Dents(**{name: arrays[f"dents/{name}"] for name in DENTS})
     if not len(dents.nodes):
         return None
     diagonal = np.diagonal(dents.flexibility)
-    if not (np.all(dents.lengths > 0) and np.all(dents.compliances >= 0) and np.all(diagonal >= 0)):
-        raise InputError("datasets dents/lengths, compliances and flexibility hold a compliance that is not positive")
-    if not own + dents.compliances.sum() + diagonal.sum() > 0:
-        raise InputError("datasets dents/compliances and flexibility hold no compliance")
+    if not (np.all(diagonal >= 0) and diagonal.sum() > 0):
+        raise InputError("dataset dents/flexibility holds no positive compliance")
     if not np.all((dents.carriers >= 0) & (3 * dents.carriers + 2 < len(diagonal))):
         raise InputError(f"dataset dents/carriers names rows outside the {len(diagonal)} of dents/flexibility")
     for name in ("patches", "close"):
