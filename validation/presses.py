@@ -1,4 +1,4 @@
-"""Reduced livers under a ball against the full model's held-out presses: force on the tool, places of the surface.
+"""Reduced livers against the full model's held-out presses and grasps: force on the tool, places of the surface.
 
     palpate train liver --set spacing=0.008 radius=0.02 --paths 14 --held-out 4 --modes 60 --cubature 1e-3
     python validation/presses.py out/train                       the campaign's own model
@@ -6,10 +6,10 @@
     python validation/presses.py out/train --cubature 0.01
     python validation/presses.py out/train --shapes 0 --modes 40  ... with modes of the runs in place of smooth ones
 
-It adds a row a press to docs/validation/presses.json. Force: difference of the two forces over the full one of the
-moment, in frames with at least a tenth of its largest, median and 95th percentile. Surface: distance of the two places
-of a node that is not held over the largest displacement, 95th percentile over nodes and those frames, and over those
-frames of the farthest node.
+It adds a row a path, a press or a grasp, to docs/validation/presses.json, and their means. Force: difference of the two
+forces over the full one of the moment, in frames with at least a tenth of its largest, median and 95th percentile.
+Surface: distance of the two places of a node that is not held over the largest displacement, 95th percentile over nodes
+and those frames, and over those frames of the farthest node.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,28 +30,35 @@ from palpate.scenes.training import training_scene
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "presses.json"
 MOST = 1000  # runs of either kind that are looked for
+MEANS = ("force", "force_95", "surface_95", "farthest_95")
 LEAST = 0.1  # of the largest force: frames that count
 
 
-def compared(scene, model: pt.ReducedModel, seed: int, full: pt.Trajectory) -> dict[str, float]:
-    """Run a press on the reduced model, and return how it differs from the full one."""
+def compared(scene, model: pt.ReducedModel, seed: int, full: pt.Trajectory) -> dict[str, Any]:
+    """Run a path on the reduced model, and return how it differs from the full one."""
     loads, duration = scene.path(seed)
     own = pt.rollout(model, loads, duration=duration, every=scene.every, progress=False)
     cloud = scene.model.cloud
     held = np.concatenate([cloud.group(name) for name in scene.model.fixed])
     free = np.setdiff1d(surface_nodes(cloud), held)
-    mine, theirs = own.reactions["tool"], full.reactions["tool"]
+    (tool,) = loads
+    mine, theirs = own.reactions[tool.name], full.reactions[tool.name]
     size = np.linalg.norm(theirs, axis=1)
     counted = size > LEAST * size.max()
     force = np.linalg.norm(mine - theirs, axis=1)[counted] / size[counted]
     reach = np.linalg.norm(full.displacements[:, free], axis=2).max()
     apart = np.linalg.norm(own.displacements[:, free] - full.displacements[:, free], axis=2)[counted] / reach
     return {
-        "seed": seed, "force": float(np.median(force)), "force_95": float(np.quantile(force, 0.95)),
+        "kind": "grasp" if isinstance(tool, pt.Grasp) else "press", "seed": seed,
+        "force": float(np.median(force)), "force_95": float(np.quantile(force, 0.95)),
         "surface_95": float(np.quantile(apart, 0.95)), "farthest_95": float(np.quantile(apart.max(axis=1), 0.95)),
         "largest": [float(np.linalg.norm(mine, axis=1).max()), float(size.max())],
         "seconds_a_second": own.wall_seconds / duration,
     }  # fmt: skip
+
+
+def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
+    return {name: float(np.mean([row[name] for row in rows])) for name in MEANS}
 
 
 def main() -> None:
@@ -68,10 +76,10 @@ def main() -> None:
     if args.shapes is not None or args.modes or args.cubature is not None:
         shapes = model.parts.modes if args.shapes is None else args.shapes
         coarse = scene.coarse()
-        trained = [(job, path) for job, path in found if job.kind != HELD_OUT]
+        trained = [(scene.path(job.seed)[0], path) for job, path in found if job.kind != HELD_OUT]
+        presses = [(loads, path) for loads, path in trained if isinstance(loads[0], pt.Contact)]
         model = pt.reduce(
-            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse,
-            pressed=[(scene.path(job.seed)[0], path) for job, path in trained[:PRESSED]],
+            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, pressed=presses[:PRESSED],
             enrichment=carried_modes(coarse, scene.model, shapes) if shapes else None, cubature=args.cubature or 1e-3,
         )  # fmt: skip
     about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}
@@ -80,11 +88,13 @@ def main() -> None:
     rows = [compared(scene, model, job.seed, pt.Trajectory.load(path)) for job, path in found if job.kind == HELD_OUT]
     print(about)
     for row in rows:
-        print({name: np.round(value, 3).tolist() for name, value in row.items()})
-    print("means", {name: float(np.round(np.mean([row[name] for row in rows]), 3)) for name in list(rows[0])[1:5]})
+        print({name: value if name == "kind" else np.round(value, 3).tolist() for name, value in row.items()})
+    kinds = sorted({row["kind"] for row in rows})
+    means = {kind: _means([row for row in rows if row["kind"] == kind]) for kind in kinds}
+    print("means", means)
     kept = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else []
     kept = [entry for entry in kept if entry["about"] != about]
-    OUTPUT.write_text(json.dumps([*kept, {"about": about, "presses": rows}], indent=1) + "\n")
+    OUTPUT.write_text(json.dumps([*kept, {"about": about, "means": means, "presses": rows}], indent=1) + "\n")
 
 
 if __name__ == "__main__":

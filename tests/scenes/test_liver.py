@@ -1,4 +1,4 @@
-"""The pressed liver: its presses, and the smooth shapes that stand for modes."""
+"""The pressed liver: its presses and grasps, and the smooth shapes that stand for modes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 from palpate.reduction.linear import carried_modes
-from palpate.scenes.liver import pressed_liver
+from palpate.scenes.liver import ToolPaths, pressed_liver
 from palpate.scenes.training import training_scene
 
 
@@ -23,20 +23,87 @@ def ball(scene, seed):
 
 def test_presses_begin_and_end_outside_and_go_in(scene):
     points = scene.model.cloud.points
-    for seed in range(5):
+    for seed in (0, 1, 2, 4, 5):
         way = ball(scene, seed)
         depth = 0.03 - np.linalg.norm(points[:, None] - way, axis=2).min(axis=0)
         assert depth[0] < 0
         assert depth[-1] < 0
         assert 0.3 * 0.02 - 1e-9 <= depth.max() <= 0.021
-    np.testing.assert_array_equal(ball(scene, 3), ball(scene, 3))
-    assert np.abs(ball(scene, 3) - ball(scene, 4)).max() > 1e-3
+    np.testing.assert_array_equal(ball(scene, 2), ball(scene, 2))
+    assert np.abs(ball(scene, 2) - ball(scene, 4)).max() > 1e-3
 
 
-def test_the_full_model_takes_a_press(scene):
-    loads, _ = scene.path(0)
-    run = pt.rollout(scene.model, loads, duration=0.1, every=0.05)
-    assert np.isfinite(run.displacements).all()
+@pytest.fixture(scope="module")
+def block():
+    """Paths on a block, whose nodes are known."""
+    cloud = pt.box((0.1, 0.1, 0.04), spacing=0.01)
+    cloud = cloud.with_group("back", np.flatnonzero(cloud.points[:, 1] > 0.095))
+    return ToolPaths(cloud, 0.025, 0.02, 0.2)
+
+
+def test_presses_stay_what_campaigns_have_run(block):
+    """The ball away, pressed, and slid, as before seeds of grasps came in between."""
+    for seed, *expected in (
+        (0, (0.1, -0.031, 0.02), (0.1, -0.015222986007, 0.02), (0.0915625, -0.015222986007, 0.0284375)),
+        (5, (0.07, 0.05, 0.071), (0.07, 0.05, 0.047688828944), (0.07, 0.05, 0.047688828944)),
+        (500_002, (0.07, 0.07, 0.071), (0.07, 0.07, 0.054653733814), (0.07, 0.07, 0.054653733814)),
+    ):
+        (contact,), duration = block(seed)
+        assert (contact.tool, contact.friction, duration) == (pt.Sphere(0.025), 0.2, 0.6)
+        np.testing.assert_allclose(contact.poses(np.array([0.0, 0.25, 0.4]))[:, :3], expected, atol=1e-11)
+
+
+def forceps(paths, seed, times):
+    (grasp,), duration = paths(seed)
+    assert duration == 0.6
+    poses = pt.Contact(pt.Plane(), grasp.motion).poses(np.asarray(times))
+    return grasp, poses[:, :3] - grasp.point, 2 * np.arccos(np.minimum(poses[:, 3], 1.0))
+
+
+def test_every_fourth_path_pulls_within_a_cone_turns_comes_back_and_lets_go(block):
+    turns, times = [], np.linspace(0.0, 0.6, 61)
+    for seed in range(3, 83, 4):
+        grasp, moved, turned = forceps(block, seed, times)
+        node = int(np.argmin(np.linalg.norm(block.cloud.points - grasp.point, axis=1)))
+        held = grasp.marked(block.cloud).group("grasp")
+        assert len(held) >= 5
+        assert not np.isin(held, block.cloud.group("back")).any()
+        assert grasp.radius == 0.02
+        assert 0.57 < grasp.until < 0.6
+        pull = np.linalg.norm(moved, axis=1)
+        assert 0.3 * 0.02 - 1e-12 <= pull.max() <= 0.02 + 1e-12
+        np.testing.assert_allclose(pull[25:46], pull.max())  # it holds, and turns
+        assert moved[25] @ block.normals[node] >= np.cos(np.pi / 4) * pull.max() - 1e-12
+        assert turned.max() <= np.pi / 9 + 1e-12
+        assert turned[:26].max() == pytest.approx(0.0, abs=1e-7)
+        ends = times >= grasp.until - 1e-9
+        np.testing.assert_allclose(moved[ends], 0.0, atol=1e-12)
+        np.testing.assert_allclose(turned[ends], 0.0, atol=1e-7)
+        turns.append(turned.max())
+    assert 5 <= np.count_nonzero(np.array(turns) > 1e-3) <= 15
+
+
+def test_equal_seeds_give_equal_grasps_and_others_others(block):
+    times = np.linspace(0.0, 0.6, 13)
+    for first, second in zip(forceps(block, 7, times), forceps(block, 7, times), strict=True):
+        if isinstance(first, np.ndarray):
+            np.testing.assert_array_equal(first, second)
+    (one,), (two,) = block(7)[0], block(7)[0]
+    np.testing.assert_array_equal(one.point, two.point)
+    assert (one.radius, one.until) == (two.radius, two.until)
+    assert np.abs(forceps(block, 7, times)[1] - forceps(block, 11, times)[1]).max() > 1e-3
+
+
+def test_tools_too_large_for_the_body_are_refused(block):
+    with pytest.raises(pt.InputError, match=r"forceps of radius 0\.096 m"):
+        ToolPaths(block.cloud, 0.16, 0.02, 0.2)(3)
+
+
+def test_the_full_model_takes_a_press_and_a_grasp(scene):
+    for seed in (0, 3):
+        loads, _ = scene.path(seed)
+        run = pt.rollout(scene.model, loads, duration=0.1, every=0.05)
+        assert np.isfinite(run.displacements).all()
 
 
 def test_shapes_are_held_at_the_back_and_orthogonal_enough(scene):

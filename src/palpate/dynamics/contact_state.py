@@ -102,14 +102,25 @@ def check_pierced(
             )
 
 
-def untouched(tools: int, nodes: int, time: float, surface: int = 0) -> Touch:
-    """Return what tools do that do not touch, at a time [s]; `surface` is a reduced model's number of surface nodes."""
-    nothing = np.zeros((tools, surface, 3))
-    return Touch(np.zeros((nodes, 3)), np.zeros((tools, 6)), time, np.zeros((nodes, 3)), nothing, nothing)
+def untouched(tools: int, nodes: int, time: float, surface: int = 0, held: int = 0) -> Touch:
+    """Return what tools do that do not touch, at a time [s].
+
+    `surface` is a reduced model's number of surface nodes, `held` how many nodes are driven where a `Grasp` holds some.
+    """
+    forces, given, nothing = np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((tools, surface, 3))
+    return Touch(forces, np.zeros((tools, 6)), time, given, nothing, nothing, np.zeros((held, 3)))
 
 
-def touched(drive: Drive, before: Touch, last: float) -> Touch:
-    """Return what the tools do after a call of some steps, the last kick of which took a time `last` [s]."""
-    contacts = drive.contacts
-    impulses, given = before.impulses + contacts.total, before.given + contacts.given
-    return before._replace(forces=contacts.impulse / last, impulses=impulses, given=given)
+def touched(drive: Drive, before: Touch, last: float, holds: NDArray[np.bool_]) -> Touch:
+    """Return what the tools do after a call of some steps, the last kick of which took a time `last` [s].
+
+    In it, `holds` tells which of the driven nodes were held: what tools gave those, the others had to bear.
+    """
+    contacts, places, after = drive.contacts, drive.places, before
+    if drive.tools:
+        impulses, given = before.impulses + contacts.total, before.given + contacts.given
+        after = before._replace(forces=contacts.impulse / last, impulses=impulses, given=given)
+    if not len(before.held):
+        return after
+    borne = contacts.given[places.driven] * holds[:, None] if drive.tools else 0.0
+    return after._replace(held=before.held + places.impulses - borne)

@@ -145,6 +145,7 @@ class Places(NamedTuple):
     pressure_node: NDArray[np.int64]
     pressure_area: Floats  # (k, 3) area vectors [m^2]
     driven: NDArray[np.int64]
+    impulses: Floats  # (driven nodes, 3) [N s] that drive them, added up by the step
     foundation_node: NDArray[np.int64]
     foundation_spring: Floats  # (k,) [N/m]
     foundation_dashpot: Floats  # (k,) [N s/m]
@@ -160,6 +161,8 @@ class Drive:
     places : Places
     supports : mapping of group name to nodes
         Fixed and driven groups, whose reaction forces are reported.
+    grasps : tuple of str
+        Those driven groups that a `Grasp` holds.
     """
 
     loads: tuple[Load, ...]
@@ -168,6 +171,7 @@ class Drive:
     points: Floats
     contacts: Contacts
     motions: tuple[tuple[PrescribedMotion, slice], ...] = field(default=())
+    grasps: tuple[str, ...] = ()
     partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)  # once computed
 
     def schedule(self, times: Floats) -> Schedule:
@@ -223,6 +227,10 @@ class Drive:
         """Return the times [s] after `start` at which tools let go, and then `end`."""
         near = 1e-9 * abs(end)
         return [*sorted({m.until for m, _ in self.motions if start + near < m.until < end - near}), end]
+
+    def grasped(self) -> dict[str, slice]:
+        """Return which of the driven nodes every `Grasp` holds."""
+        return {motion.group: where for motion, where in self.motions if motion.group in self.grasps}
 
     def held(self, time: float) -> NDArray[np.bool_]:
         """Return which nodes are fixed or held by a tool at a time [s], shape (n,)."""
@@ -313,6 +321,7 @@ def drive(
         that is free.
     """
     loads = tuple(loads)
+    grasps = tuple(load.name for load in loads if isinstance(load, Grasp))
     for load in loads:
         cloud = load.marked(cloud) if isinstance(load, Grasp) else cloud
     loads = tuple(
@@ -377,6 +386,7 @@ def drive(
         np.concatenate([empty, *(n for n, _ in pressures)]),
         np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),
         np.concatenate([empty, *driven]),
+        np.zeros((count, 3)),
         np.concatenate([empty, *(n for n, _, _ in foundations)]),
         np.concatenate([np.zeros(0), *(k for _, k, _ in foundations)]),
         np.concatenate([np.zeros(0), *(d for _, _, d in foundations)]),
@@ -385,4 +395,5 @@ def drive(
     for tool in tools:
         if tool.name in supports:
             raise InputError(f"Contact {tool.name!r}: a support or a driven group has that name; choose another")
-    return Drive(loads, places, supports, cloud.points, contacts(tools, cloud, held_until, patches), tuple(motions))
+    touching = contacts(tools, cloud, held_until, patches)
+    return Drive(loads, places, supports, cloud.points, touching, tuple(motions), grasps)

@@ -30,10 +30,12 @@ class Touch(NamedTuple):
     given: Floats  # (n, 3) impulses [N s] on the nodes, since then
     places: Floats  # (tools, k, 3) of a reduced model's surface nodes that are touched [m]; empty in a full one
     pushes: Floats  # (tools, k, 3) forces on them [N]
+    held: Floats  # (driven nodes, 3) impulses [N s] that hold them, since then; empty where no `Grasp` does
 
     def anew(self, time: float) -> Touch:
         """Return this with impulses counted from now, a time [s]."""
-        return self._replace(impulses=np.zeros_like(self.impulses), since=time, given=np.zeros_like(self.given))
+        nothing = {name: np.zeros_like(getattr(self, name)) for name in ("impulses", "given", "held")}
+        return self._replace(since=time, **nothing)
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,14 @@ class Outputs:
     ----------
     displacements, velocities : (n, 3) arrays [m], [m/s]
     reactions : mapping of group name to (3,) array [N]
-        Force of every support and tool on the body; of a tool that touches it, the mean since the last frame.
+        Force of every support and tool on the body; of a tool that touches it, and in the energy form of a `Grasp`,
+        the mean since the last frame.
     kinetic, strain, external, dissipated : float [J]
     moments : mapping of tool name to (3,) array [N m]
         Moment about its origin, on the body, of every tool that touches it, the mean since the last frame.
     touches : (c, 4) array
-        Nodes that tools have touched since the last frame, and the mean forces [N] of those tools on them.
+        Nodes that tools have touched or a `Grasp` has held since the last frame, and the mean forces [N] of those
+        tools on them.
     """
 
     displacements: Floats

@@ -108,7 +108,10 @@ class NodalModel(Model):
         holds = schedule.holds[0]
         fields[0][drive.places.driven[holds]] = schedule.motion[0, holds]
         check_apart(drive, schedule, fields[0], self.cloud.spacing)
-        touch = untouched(len(drive.tools), len(self.cloud), time) if drive.tools else None
+        grasped = len(drive.places.driven) if self.conservative and drive.grasps else 0
+        touch = None
+        if drive.tools or grasped:
+            touch = untouched(len(drive.tools), len(self.cloud), time, held=grasped)
         return State(fields[0], fields[1], time, memory=self._at_ease(fields[0]), touch=touch)
 
     def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
@@ -142,7 +145,7 @@ class NodalModel(Model):
         force, previous, surface, at = self._scratch
         schedule = drive.schedule(times)
         check_way(drive, schedule, self.cloud.spacing)
-        drive.contacts.total[:], drive.contacts.given[:] = 0.0, 0.0
+        drive.contacts.total[:], drive.contacts.given[:], drive.places.impulses[:] = 0.0, 0.0, 0.0
         surface[:] = 0.0  # of another run's loads
         self._recall(state)
         before = 0.0 if self.conservative else tool_power(self, state, drive)
@@ -155,7 +158,7 @@ class NodalModel(Model):
             check_pierced(drive, schedule, u, surface_nodes(self.cloud), self.cloud.spacing)
         relaxed, memory = self._remembered()
         dissipated = state.dissipated + lost + relaxed
-        touch = None if state.touch is None else touched(drive, state.touch, 0.5 * step)
+        touch = None if state.touch is None else touched(drive, state.touch, 0.5 * step, schedule.holds[-1])
         new = State(u, v, float(times[-1]), state.external_work + work, dissipated, memory, touch)
         if not self.conservative:  # trapezium rule for the power of the tools
             tools = 0.5 * step * steps * (before + tool_power(self, new, drive))

@@ -67,15 +67,22 @@ def touching(state: State, drive: Drive) -> tuple[dict[str, Floats], dict[str, F
     """Return the force [N] on the body and the moment [N m] about its origin of every tool that may touch it.
 
     And (c, 4) the nodes touched with the forces [N] on them. All are means over the time since the last frame of a run,
-    so that their sum times that time is the momentum given.
+    so that their sum times that time is the momentum given. Forces of a `Grasp` on the nodes that it holds in the
+    energy form are among them, without a moment.
     """
-    means, touches = np.zeros((len(drive.tools), 6)), np.zeros((0, 4))
-    if state.touch is not None and state.time > state.touch.since:
-        means = state.touch.impulses / (state.time - state.touch.since)
-        nodes = np.flatnonzero(state.touch.given.any(axis=1))
-        touches = np.column_stack([nodes, state.touch.given[nodes] / (state.time - state.touch.since)])
-    names = [tool.name for tool in drive.tools]
-    return dict(zip(names, means[:, :3], strict=True)), dict(zip(names, means[:, 3:], strict=True)), touches
+    if state.touch is None:
+        return {}, {}, np.zeros((0, 4))
+    touch, names = state.touch, [tool.name for tool in drive.tools]
+    rate = 1.0 / (state.time - touch.since) if state.time > touch.since else 0.0
+    forces = dict(zip(names, rate * touch.impulses[:, :3], strict=True))
+    moments = dict(zip(names, rate * touch.impulses[:, 3:], strict=True))
+    given = rate * touch.given
+    for name, where in drive.grasped().items() if len(touch.held) else ():
+        own = rate * touch.held[where]
+        forces[name] = own.sum(axis=0)
+        given[drive.places.driven[where]] += own
+    nodes = np.flatnonzero(given.any(axis=1))
+    return forces, moments, np.column_stack([nodes, given[nodes]])
 
 
 def evaluate(model: Model, state: State, drive: Drive) -> Outputs:

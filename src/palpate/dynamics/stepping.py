@@ -118,10 +118,10 @@ def _slow_jumps(driven, holds, u, velocity, beta, fastest, at):  # type: ignore[
 
 
 @njit(cache=True)
-def _drive(places, holds, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity):  # type: ignore[no-untyped-def]
+def _drive(places, holds, target, step, kick, u, force, surface, gravity, half_cell, volumes, density, velocity):  # type: ignore[no-untyped-def]
     """Give the driven nodes the velocity that brings them to their target after `step`; return the tools' work [J].
 
-    A tool's force is what the node's acceleration needs beyond the other forces on it.
+    A tool's force is what the node's acceleration needs beyond the other forces on it; those act over the time `kick`.
     """
     work = 0.0
     for k in range(places.driven.shape[0]):
@@ -132,8 +132,21 @@ def _drive(places, holds, target, step, u, force, surface, gravity, half_cell, v
             before, after = velocity[i, c], (target[k, c] - u[i, c]) / step
             inertia = density * ((after - before) / step - gravity[c])
             work += volumes[i] * (inertia - force[i, c] - half_cell * surface[i, c]) * 0.5 * (before + after)
+            places.impulses[k, c] += volumes[i] * density * (after - before)
             velocity[i, c] = after
+    _bear(places, holds, kick, force, surface, gravity, half_cell, volumes, density)
     return work * step
+
+
+@njit(cache=True)
+def _bear(places, holds, kick, force, surface, gravity, half_cell, volumes, density):  # type: ignore[no-untyped-def]
+    """Let what drives nodes bear the other forces on them over the time `kick`."""
+    for k in range(places.driven.shape[0]):
+        if holds[k]:
+            i = places.driven[k]
+            for c in range(3):
+                other = force[i, c] + half_cell * surface[i, c] + density * gravity[c]
+                places.impulses[k, c] -= kick * volumes[i] * other
 
 
 @cache
@@ -193,8 +206,10 @@ def full_step(formulation: Formulation) -> Any:
             total += _kick(places, holds, force, surface, gravity, half_cell, volumes, density, kick, velocity)
             if s < steps:
                 tools += _drive(
-                    places, holds, target, step, u, force, surface, gravity, half_cell, volumes, density, velocity
+                    places, holds, target, step, kick, u, force, surface, gravity, half_cell, volumes, density, velocity
                 )  # fmt: skip
+            else:
+                _bear(places, holds, kick, force, surface, gravity, half_cell, volumes, density)
             if touched:
                 works = push(
                     contacts, schedule.poses, s, schedule.times[min(s + 1, steps)], step, kick, u, velocity, mass,

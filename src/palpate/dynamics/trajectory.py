@@ -36,7 +36,8 @@ class Trajectory:
     times : (f,) array [s]
     displacements, velocities : (f, n, 3) arrays [m], [m/s]
     reactions : mapping of group name to (f, 3) array [N]
-        Force of every support and tool on the body; of a tool that touches it, the mean since the frame before.
+        Force of every support and tool on the body; of a tool that touches it, and in the energy form of a `Grasp`,
+        the mean since the frame before.
     kinetic, strain, external, dissipated : (f,) arrays [J]
         Energies; `external` is the work of loads and tools, `dissipated` what viscosity took.
     steps : (f,) array
@@ -51,7 +52,8 @@ class Trajectory:
     moments : mapping of tool name to (f, 3) array [N m]
         Moment about its origin, on the body, of every tool that touches it, the mean since the frame before.
     touches : (c, 5) array
-        A row for every node that tools touched: frame, node, and the mean force [N] on it since the frame before.
+        A row for every node that tools touched, or in the energy form a `Grasp` held: frame, node, and the mean force
+        [N] of all of these on it since the frame before.
     """
 
     model: str

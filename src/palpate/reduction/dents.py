@@ -97,7 +97,7 @@ class Handling:
         given[nodes] += self.tools.given
         return TouchState(
             forces, before.impulses + self.tools.impulses, before.since, given,
-            self.touch.place.copy(), self.touch.force.copy(),
+            self.touch.place.copy(), self.touch.force.copy(), before.held,
         )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""A liver that a ball presses, slides over and leaves again, anywhere on its free surface."""
+"""A liver that a ball presses, slides over and leaves again, or forceps pull, anywhere on its free surface."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from palpate.dynamics.full import FullModel
-from palpate.dynamics.tools import Contact, Sphere
+from palpate.dynamics.tools import Contact, Grasp, Sphere
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.attachment import near_plane
 from palpate.meshfree.cloud import Cloud
@@ -16,7 +16,7 @@ from palpate.scenes.organ import liver_surface
 from palpate.scenes.scene import TrainingScene
 from palpate.tissue.materials import NeoHookean
 
-__all__ = ["Presses", "pressed_liver"]
+__all__ = ["ToolPaths", "pressed_liver"]
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,10 @@ CLEARANCE = 0.003  # [m] between ball and body before and after
 SLIDE = 0.02  # [m] longest
 SHALLOWEST = 0.3  # of the depth
 EVERY = 0.01  # [s]
-TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)  # [s] away, near, pressed, slid, near, away
+TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)  # [s] away, near, pressed, slid, near, away; of forceps: pulled, turned
+EVERY_GRASP = 4  # of seeds, the last is a grasp, the others are presses
+REACH, WIDEST = 0.6, 2.0  # of forceps: of the ball's radius; of the spacing at least, so that they hold some ten nodes
+CONE, TURN = np.pi / 4, np.pi / 9  # [rad] of pulls about the normal; of the largest turn
 CUBATURE = 1e-2  # a tenth of it samples two to three times as many nodes, and errs as much on held-out presses
 TRIES = 1000  # random presses until one is found that the rest of the body does not hinder
 
@@ -37,10 +40,12 @@ TRIES = 1000  # random presses until one is found that the rest of the body does
 def pressed_liver(
     spacing: float = 0.0045, poisson: float = 0.45, radius: float = 0.015, depth: float = 0.02, friction: float = 0.2
 ) -> TrainingScene:
-    """Return the generated liver (`palpate.liver_surface`) with random presses of a ball.
+    """Return the generated liver (`palpate.liver_surface`) with random presses of a ball and pulls of forceps.
 
     Neo-Hookean with the mean shear modulus of healthy livers, 2.2 kPa; the back is held. A press comes along the normal
-    of a random place, goes in by 0.3 to 1 times `depth`, slides up to 20 mm along the surface, and leaves.
+    of a random place, goes in by 0.3 to 1 times `depth`, slides up to 20 mm along the surface, and leaves. Every fourth
+    seed, 3, 7 and so on, is a grasp: forceps hold the surface nodes around a random place, pull them by 0.3 to 1 times
+    `depth` at up to 45 degrees to the normal, half of them turn by up to 20 degrees, and come back and let go.
 
     Parameters
     ----------
@@ -49,9 +54,10 @@ def pressed_liver(
     poisson : float
         Poisson's ratio at rest, in [0, 0.49].
     radius : float [m]
-        Of the ball; at least 2.5 spacings, so that nodes stand for the surface under it.
+        Of the ball; at least 2.5 spacings, so that nodes stand for the surface under it. Forceps hold what is within
+        0.6 of it, or within 2 spacings if that is more.
     depth : float [m]
-        Of the deepest press, up to 40 mm.
+        Of the deepest press and the longest pull, up to 40 mm.
     friction : float
         Coulomb's coefficient.
 
@@ -66,10 +72,10 @@ def pressed_liver(
     depth = number_in_range("depth", depth, 0.0, 0.04, open_low=True, unit="m")
     friction = number_in_range("friction", friction, 0.0, 2.0)
     model = _model(spacing, poisson)
-    presses = Presses(model.cloud, radius, depth, friction)
+    paths = ToolPaths(model.cloud, radius, depth, friction)
     parameters = {"spacing": spacing, "poisson": poisson, "radius": radius, "depth": depth, "friction": friction}
     return TrainingScene(
-        model, presses, EVERY, "Liver pressed by a ball", parameters,
+        model, paths, EVERY, "Liver pressed by a ball and pulled by forceps", parameters,
         coarse=lambda: model if spacing >= COARSE else _model(COARSE, poisson), cubature=CUBATURE,
     )  # fmt: skip
 
@@ -82,18 +88,25 @@ def _model(spacing: float, poisson: float) -> FullModel:
     return FullModel(cloud, material, "back", form="energy")
 
 
-class Presses:
-    """Random presses of a ball on the free surface of a body; equal seeds give equal presses.
+class ToolPaths:
+    """Random presses of a ball and pulls of forceps on the free surface of a body; equal seeds give equal paths.
+
+    Every fourth seed is a grasp, named ``"grasp"``, the others are presses, named ``"tool"``.
 
     Parameters
     ----------
     cloud : Cloud
         With a group ``"back"`` that is held.
     radius, depth : float [m]
-        Of the ball; of the deepest press.
+        Of the ball; of the deepest press and the longest pull.
     friction : float
     shallowest : float
-        Share of the depth that the shallowest press has.
+        Share of the depth that the shallowest press and the shortest pull have.
+
+    Raises
+    ------
+    InputError
+        When a path is asked for: the ball or the forceps are too large for the body.
     """
 
     def __init__(
@@ -103,12 +116,37 @@ class Presses:
         self.shallowest = shallowest
         self.normals = np.zeros_like(cloud.points)
         self.normals[cloud.face_nodes] = cloud.face_normals
-        held = cloud.points[cloud.group("back"), 1].min()
+        self.back = float(cloud.points[cloud.group("back"), 1].min())
         self.free = np.unique(cloud.face_nodes)
-        self.free = self.free[cloud.points[self.free, 1] < held - MARGIN]
+        self.free = self.free[cloud.points[self.free, 1] < self.back - MARGIN]
 
-    def __call__(self, seed: int) -> tuple[tuple[Contact], float]:
-        """Return the load of a press, and how long it takes [s]."""
+    def __call__(self, seed: int) -> tuple[tuple[Contact | Grasp], float]:
+        """Return the load of a path, and how long it takes [s]."""
+        return self.grasp(seed) if seed % EVERY_GRASP == EVERY_GRASP - 1 else self.press(seed)
+
+    def grasp(self, seed: int) -> tuple[tuple[Grasp], float]:
+        """Return forceps that pull, turn, come back and let go, and how long that takes [s]."""
+        random, points = np.random.default_rng(seed), self.cloud.points
+        radius = max(REACH * self.radius, WIDEST * self.cloud.spacing)
+        free = self.free[points[self.free, 1] < self.back - radius - self.cloud.spacing]
+        if not len(free):
+            raise InputError(f"forceps of radius {radius:g} m find no place on this body: use a smaller ball")
+        at = random.choice(free)
+        pull = random.uniform(self.shallowest, 1.0) * self.depth * _in_cone(random, self.normals[at], CONE)
+        turn = random.choice([0.0, 1.0]) * random.uniform(0.0, TURN) * _in_cone(random, self.normals[at], np.pi)
+        still = np.zeros(6)
+        pulled, turned = np.concatenate([pull, still[3:]]), np.concatenate([pull, turn])
+        path = PchipInterpolator(TIMES, [still, still, pulled, turned, still, still])
+        place = points[at]
+
+        def motion(time: float) -> tuple[Floats, Floats]:
+            moved = path(np.clip(time, TIMES[0], TIMES[-1]))
+            return place + moved[:3], moved[3:]
+
+        return (Grasp(place, radius, motion, until=TIMES[-2]),), TIMES[-1]
+
+    def press(self, seed: int) -> tuple[tuple[Contact], float]:
+        """Return a ball that presses, slides and leaves, and how long that takes [s]."""
         random, points = np.random.default_rng(seed), self.cloud.points
         for _ in range(TRIES):
             first = random.choice(self.free)
@@ -126,3 +164,10 @@ class Presses:
                 motion = lambda time, path=path: path(np.clip(time, TIMES[0], TIMES[-1]))  # noqa: E731
                 return (Contact(Sphere(self.radius), motion, friction=self.friction),), TIMES[-1]
         raise InputError(f"a ball of radius {self.radius:g} m finds no place on this body: use a smaller one")
+
+
+def _in_cone(random: np.random.Generator, axis: Floats, angle: float) -> Floats:
+    """Return a unit vector (3,) anywhere within an angle [rad] of an axis."""
+    along = random.uniform(np.cos(angle), 1.0)
+    across = np.cross(axis, random.standard_normal(3))
+    return np.asarray(along * axis + np.sqrt(1.0 - along**2) * across / np.linalg.norm(across))

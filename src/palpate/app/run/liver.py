@@ -24,7 +24,7 @@ from palpate.dynamics.tools import Contact
 from palpate.faults import FileFormatError, InputError
 from palpate.reduction import storage
 from palpate.reduction.reduced import ReducedModel
-from palpate.scenes.liver import Presses
+from palpate.scenes.liver import ToolPaths
 from palpate.scenes.training import training_scene, typed
 
 __all__ = ["run_liver"]
@@ -118,8 +118,8 @@ def _pressing(body: ReducedModel, file: Path) -> tuple[Poses, Contact]:
             "makes one that was"
         )
     about = typed(SCENE, scene["parameters"])
-    presses = Presses(body.cloud, about["radius"], min(about["depth"], DEEPEST), about["friction"], SHALLOWEST)
-    (ball,), duration = presses(SEED)
+    paths = ToolPaths(body.cloud, about["radius"], min(about["depth"], DEEPEST), about["friction"], SHALLOWEST)
+    (ball,), duration = paths.press(SEED)
     home = ball.poses(np.zeros(1))[0, :3]
 
     def poses(time: float) -> Any:

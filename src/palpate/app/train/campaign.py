@@ -23,7 +23,7 @@ from palpate.scenes.scene import TrainingScene
 __all__ = ["MODEL", "make_model", "make_runs"]
 
 MODEL = "model.rom"
-PRESSED = 4  # training runs by which forces of tools are measured
+PRESSED = 4  # training runs in which tools touch the body, by which their forces are measured
 
 
 def make_runs(
@@ -107,8 +107,8 @@ def make_model(
     if not learned:
         reason = (folder.fault(wanted[0]) or {}).get("reason", "see its worker")
         raise ReproduceError(f"no training run was finished; the first: {reason}; {folder.runs} holds what they did")
-    paths = [(scene.path(job.seed)[0], folder.file(job)) for job in done if job.kind == TRAINED][:PRESSED]
-    pressed = [(loads, path) for loads, path in paths if any(isinstance(load, Contact) for load in loads)]
+    paths = [(scene.path(job.seed)[0], folder.file(job)) for job in done if job.kind == TRAINED]
+    pressed = [(loads, path) for loads, path in paths if any(isinstance(load, Contact) for load in loads)][:PRESSED]
     share = scene.cubature if cubature is None else cubature
     with console.status(f"training {modes} modes on {len(learned)} runs, trying them on {len(tried)} others"):
         coarse = smooth = None

@@ -15,6 +15,7 @@ from palpate.app.report import finite, machine
 from palpate.app.train.campaign import MODEL
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.training import HELD_SHARE
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["FILES", "deliver"]
@@ -33,7 +34,7 @@ def deliver(
     as_json: bool,
 ) -> None:
     """Write the report and the figure into the folder, and print it as JSON or as a table."""
-    runs = [_described(folder, job) for job in wanted]
+    runs = [_described(folder, scene, job) for job in wanted]
     report = finite(
         {
             "title": f"Training: {scene.title}",
@@ -62,11 +63,13 @@ def deliver(
     print_plain([*told, *failed], folder.path, [name for name in FILES if (folder.path / name).exists()])
 
 
-def _described(folder: Folder, job: Job) -> dict[str, Any]:
-    """What the folder says of a run."""
+def _described(folder: Folder, scene: TrainingScene, job: Job) -> dict[str, Any]:
+    """What the folder says of a run, and the kinds of its loads."""
     import h5py
 
-    entry: dict[str, Any] = {"name": job.name, "kind": job.kind, "seed": job.seed, "failed": True, "reason": None}
+    loads = [type(load).__name__ for load in scene.path(job.seed)[0]]
+    entry: dict[str, Any] = {"name": job.name, "kind": job.kind, "seed": job.seed, "loads": loads}
+    entry |= {"failed": True, "reason": None}
     path = folder.file(job)
     if not path.exists():
         entry["reason"] = json.loads(folder.reason(job).read_text(encoding="utf-8"))["reason"]
@@ -122,7 +125,23 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
             rows[f"error of {name} on held-out paths, mean; 95 % below"] = (
                 "-" if mean is None else f"{percent(mean)}; {percent(worst)}"
             )
+        rows |= _by_load(report)
     return rows
+
+
+def _by_load(report: dict[str, Any]) -> dict[str, str]:
+    """Errors of forces for every kind of load, where the held-out paths have several."""
+    held = [run["loads"] for run in report["runs"] if run["kind"] == HELD_OUT and not run["failed"]]
+    found: dict[str, list[float]] = {}
+    for loads, run in zip(held, report["model"]["held_out"]["runs"], strict=True):
+        for load in dict.fromkeys(loads) if not run["failed"] else ():
+            found.setdefault(load, []).append(run["reaction"])
+    return {
+        f"error of reaction on the {len(own)} held-out paths with a {load}, mean; 95 % below": (
+            f"{percent(float(np.mean(own)))}; {percent(float(np.quantile(own, HELD_SHARE)))}"
+        )
+        for load, own in (found.items() if len(found) > 1 else ())
+    }
 
 
 def _markdown(report: dict[str, Any], rows: Mapping[str, str], held: Sequence[str]) -> str:
@@ -131,11 +150,12 @@ def _markdown(report: dict[str, Any], rows: Mapping[str, str], held: Sequence[st
     parameters = ", ".join(f"{name} = {value}" for name, value in report["campaign"]["parameters"].items())
     lines += ["", f"Scene `{report['campaign']['scene']}` with {parameters}; seed {report['campaign']['seed']}."]
     if held:
-        lines += ["", f"![Errors on held-out paths]({FIGURE})", "", f"| held-out path | {' | '.join(KINDS)} |"]
-        lines += ["|---" * (len(KINDS) + 1) + "|"]
+        lines += ["", f"![Errors on held-out paths]({FIGURE})", "", f"| held-out path | loads | {' | '.join(KINDS)} |"]
+        lines += ["|---" * (len(KINDS) + 2) + "|"]
+        loads = {run["name"]: ", ".join(run["loads"]) for run in report["runs"]}
         for name, run in zip(held, report["model"]["held_out"]["runs"], strict=True):
             told = [run["reason"], *[""] * (len(KINDS) - 1)] if run["failed"] else [percent(run[k]) for k in KINDS]
-            lines.append(f"| {name} | {' | '.join(told)} |")
+            lines.append(f"| {name} | {loads[name]} | {' | '.join(told)} |")
     failed = [run for run in report["runs"] if run["failed"]]
     if failed:
         lines += ["", "Runs of the full model that failed:", ""]
