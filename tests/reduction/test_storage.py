@@ -74,6 +74,7 @@ def trained(bar, tissue, push):
         np.full((len(touched), 2), 0.5), np.eye(12, dtype=np.float32),
         made_up.integers(0, len(touched), (len(touched), 4)), np.full((len(touched), 4, 3, 3), 1e-3, dtype=np.float32),
         made_up.integers(0, len(touched), (len(touched), 3)), np.full((len(touched), 3), 1 / 3), np.array([0.2, 1.5]),
+        1.2,
     )  # fmt: skip
     return pt.ReducedModel(replace(model.parts, dents=dents))
 

@@ -6,8 +6,8 @@ Tools' forces f on surface nodes move node i, beside what the modes do, by
 
 R is the residual flexibility of the body's surface at rest, of its own nodes or of a coarser model's
 (`palpate.reduction.flexibility`); D is what a coarser one misses between close nodes (`palpate.reduction.closeness`);
-h = (1 + |f| / F)^-gamma tells how tissue stiffens under a tool's whole force. R with D is positive, so that any set of
-nodes has a positive definite compliance.
+h = (1 + |f| / F)^-gamma tells how tissue stiffens under a tool's whole force. Pulls do not stiffen it: for nodes that
+forceps hold h is one number. R with D is positive, so that any set of nodes has a positive definite compliance.
 """
 
 from __future__ import annotations
@@ -63,6 +63,8 @@ class Dents(NamedTuple):
         Their weights in it.
     hardening : (2,) array
         Exponent gamma, and force F [N], of the stiffening under load.
+    grip : float
+        h of nodes that forceps hold.
     """
 
     nodes: Ints
@@ -74,6 +76,7 @@ class Dents(NamedTuple):
     patches: Ints
     shares: Floats
     hardening: Floats
+    grip: float
 
     def scaled(self, factor: float) -> Dents:
         """Return this with all compliances times a factor."""
@@ -86,7 +89,7 @@ class Dents(NamedTuple):
 NO_DENTS = Dents(
     np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)),
     np.zeros((0, 0), dtype=np.float32), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0, 3, 3), dtype=np.float32),
-    np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)), np.array([0.0, 1.0]),
+    np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)), np.array([0.0, 1.0]), 1.0,
 )  # fmt: skip
 
 
@@ -101,6 +104,7 @@ class Compliance(NamedTuple):
     close: Ints  # (k, q) of nodes, in that order
     between: NDArray[np.float32]  # (k, q, 3, 3) [m/N]
     hardening: Floats  # (2,)
+    grip: float
 
 
 class Near(NamedTuple):
@@ -128,7 +132,7 @@ def compliance(dents: Dents, order: Ints) -> Compliance:
         np.ascontiguousarray(carriers, dtype=np.int64), np.ascontiguousarray(weights),
         np.ascontiguousarray(dents.flexibility), np.ascontiguousarray(members, dtype=np.int64),
         np.ascontiguousarray(shares), np.ascontiguousarray(dents.close, dtype=np.int64),
-        np.ascontiguousarray(dents.between), np.ascontiguousarray(dents.hardening, dtype=float),
+        np.ascontiguousarray(dents.between), np.ascontiguousarray(dents.hardening, dtype=float), float(dents.grip),
     )  # fmt: skip
 
 
@@ -289,9 +293,10 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
             continue
         moved = carried(dents, forces[on], on, np.arange(len(forces)))
         total = float(np.linalg.norm(forces.sum(axis=0)))
-        moved *= softness(dents.hardening, total)
+        moved *= dents.grip if nodal else softness(dents.hardening, total)
         result[dents.nodes] += moved
-        energy += 0.5 * stored(dents.hardening, total) * float(np.sum(forces[on] * moved[on]))
+        share = 1.0 if nodal else stored(dents.hardening, total)
+        energy += 0.5 * share * float(np.sum(forces[on] * moved[on]))
     return result, energy
 
 

@@ -3,7 +3,8 @@
 What modes leave of statics at rest (`palpate.reduction.flexibility`) is the shape of dents. The full model's runs say
 which forces tools had on which nodes (`Trajectory.touches`): the reduced model without compliance is led through them
 by these forces. The work of the forces on what it misses there, frame by frame, tells how the compliance hardens under
-a tool's whole force, and a factor that is near 1.
+a tool's whole force, and a factor that is near 1; so does one factor for nodes that forceps hold, which pulls do not
+harden.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from palpate.reduction.parts import ReducedParts
     from palpate.reduction.reduced import ReducedModel
 
-__all__ = ["Handling", "dented", "fitted_dents", "skin_of", "touch_of"]
+__all__ = ["Handling", "dented", "fitted_dents", "held_nodes", "skin_of", "touch_of"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -43,6 +44,10 @@ Ints = NDArray[np.int64]
 FRAMES = 400  # of the runs, at which the compliance is fitted
 NEAR = 5.0  # spacings from a touched node to which it is fitted
 STEEPEST = 0.45  # exponent of hardening: above a half a larger force would make a smaller dent
+NO_DENT = (
+    "what the modes miss under tools is no dent: give reduce smooth modes (enrichment=vibration_modes(...)), which do "
+    "not hold the dents of the training runs"
+)
 LIGHT = 0.05  # of the largest force: frames that say nothing of hardening
 
 
@@ -109,6 +114,14 @@ def dented(parts: ReducedParts, of: Skin, touch: TouchState | None, drive: Drive
     pushes[:, of.nodes] = touch.pushes
     held = [isinstance(tool.tool, Forceps) for tool in drive.tools]
     return dents_of(parts.dents, parts.cloud.points, pushes[:, parts.dents.nodes], held)
+
+
+def held_nodes(of: Skin, touch: TouchState | None, drive: Drive) -> Ints:
+    """Return the nodes that forceps hold."""
+    if touch is None:
+        return of.nodes[:0]
+    forceps = np.array([isinstance(tool.tool, Forceps) for tool in drive.tools], dtype=bool)
+    return np.asarray(of.nodes[touch.pushes[forceps].any(axis=(0, 2))])
 
 
 def touch_of(run: Trajectory, frame: int, nodes: int) -> TouchState | None:
@@ -192,6 +205,7 @@ class _Frame(NamedTuple):
 
     on: NDArray[np.int64]  # (j,) touched, in the nodes of the surface
     forces: Floats  # (j, 3) [N]
+    held: bool  # by forceps
     near: NDArray[np.int64]  # (k,) nodes around them
     missed: Floats  # (k, 3) [m]
 
@@ -208,24 +222,28 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
             continue
         led = _led(model, run)
         for frame in moments:
-            forces = _forces_at(run, frame, place, len(nodes))
+            forces, held = _forces_at(run, frame, place, len(nodes))
             on = np.flatnonzero(forces.any(axis=1))
-            if not len(on):
+            if not len(on) or held[on].any() != held[on].all():
                 continue
             around = cKDTree(cloud.points[nodes[on]]).query(cloud.points[nodes])[0] < NEAR * cloud.spacing
             missed = run.displacements[frame] - np.tensordot(led[frame], model.parts.columns[: model.count], 1)
-            found.append(_Frame(on, forces[on], np.flatnonzero(around), missed[nodes[around]]))
+            found.append(_Frame(on, forces[on], bool(held[on].all()), np.flatnonzero(around), missed[nodes[around]]))
     return found
 
 
-def _forces_at(run: Any, frame: int, place: Ints, count: int) -> Floats:
-    """Return the forces (k, 3) [N] on the surface at a frame, half of those since the one before and of those after."""
-    forces = np.zeros((count, 3))
+def _forces_at(run: Any, frame: int, place: Ints, count: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the forces (k, 3) [N] on the surface at a frame, half of those since the one before and of those after.
+
+    And (k,) which nodes forceps hold.
+    """
+    forces, held = np.zeros((count, 3)), np.zeros(count, dtype=np.bool_)
     for interval in (frame, frame + 1):
-        touches = run.touches[run.touches[:, 0] == interval]
-        on = place[touches[:, 1].astype(int)]
-        np.add.at(forces, on[on >= 0], 0.5 * touches[on >= 0, 2:])
-    return forces
+        rows = run.touches[:, 0] == interval
+        on = place[run.touches[rows, 1].astype(int)]
+        np.add.at(forces, on[on >= 0], 0.5 * run.touches[rows, 2:][on >= 0])
+        held[on[on >= 0]] |= run.held[rows][on >= 0]
+    return forces, held
 
 
 def _fitted(dents: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Dents, float]:
@@ -235,13 +253,18 @@ def _fitted(dents: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Den
     size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
     depth = np.array([np.sum(f.forces * f.missed[h]) for f, h in zip(frames, here, strict=True)])
     linear = np.array([np.sum(f.forces * own[h]) for f, own, h in zip(frames, fields, here, strict=True)])
-    factor, hardening = _hardening(size, depth, linear)
+    held, factor, hardening = np.array([frame.held for frame in frames]), 1.0, np.array([0.0, 1.0])
+    if not held.all():
+        factor, hardening = _hardening(size[~held], depth[~held], linear[~held])
+    grip = float(depth[held].sum() / linear[held].sum()) if held.any() else factor
+    if not grip > 0:
+        raise InputError(NO_DENT)
     left = whole = 0.0
-    for frame, own, soft in zip(frames, fields, factor * softness(hardening, size), strict=True):
+    for frame, own, soft in zip(frames, fields, np.where(held, grip, factor * softness(hardening, size)), strict=True):
         at = points[dents.nodes[frame.near]]
         missed, left_over = _without_affine(at, np.array([frame.missed, frame.missed - soft * own]))
         whole, left = whole + float(np.sum(missed**2)), left + float(np.sum(left_over**2))
-    return dents._replace(hardening=hardening).scaled(factor), 1.0 - left / whole
+    return dents._replace(hardening=hardening, grip=grip / factor).scaled(factor), 1.0 - left / whole
 
 
 def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floats]:
@@ -263,10 +286,7 @@ def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floa
     largest = float(size.max())
     use = (size > LIGHT * largest) & (depth > 0) & (linear > 0)
     if not use.any():
-        raise InputError(
-            "what the modes miss under tools is no dent: give reduce smooth modes "
-            "(enrichment=vibration_modes(...)), which do not hold the dents of the training runs"
-        )
+        raise InputError(NO_DENT)
     wanted, weight = np.log(depth[use] / linear[use]), np.sqrt(size[use] / largest)
 
     def missed(at: Floats) -> Floats:

@@ -91,7 +91,7 @@ ATTRIBUTES = {
     "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
-    "witnesses": int, "leeway": float, "step": float, "single": bool,
+    "witnesses": int, "leeway": float, "dents_grip": float, "step": float, "single": bool,
 }  # fmt: skip
 
 
@@ -202,6 +202,7 @@ def _header(parts: ReducedParts) -> Header:
         "prestretch": float(parts.kinematics.prestretch),
         "relaxed": parts.kinematics.relaxed,
         "slack": float(parts.slack),
+        "dents_grip": float((parts.dents or NO_DENTS).grip),
         "report": json.dumps(parts.report, default=lambda value: value.tolist()),
     }
 
@@ -326,13 +327,13 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         ),
         slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
         fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
-        dents=_dents(own),
+        dents=_dents(own, number_in_range("dents_grip", header["dents_grip"], 0.0, open_low=True)),
     )
 
 
-def _dents(arrays: Arrays) -> Dents | None:
+def _dents(arrays: Arrays, grip: float) -> Dents | None:
     """Make the compliance of the surface; none where no nodes may be touched."""
-    dents = Dents(**{name: arrays[f"dents/{name}"] for name in DENTS})
+    dents = Dents(**{name: arrays[f"dents/{name}"] for name in DENTS}, grip=grip)
     if not len(dents.nodes):
         return None
     diagonal = np.diagonal(dents.flexibility)
