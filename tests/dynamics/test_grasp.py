@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.trajectory import StoredTrajectory
 
 SIDE, EVERY = 0.015, 1e-3
 TOP = np.array([SIDE / 2, SIDE / 2, SIDE])
@@ -86,3 +88,33 @@ def test_forces_on_nodes_are_those_of_a_grasp_in_the_energy_form_alone(small_clo
         trajectory = run(model, load, duration=0.005)
         assert not len(trajectory.touches)
         assert trajectory.reactions["forceps"][-1].any()
+
+
+def test_runs_tell_touched_nodes_from_held_ones_in_memory_and_in_files(small_cloud, tissue, forceps, beside, tmp_path):
+    model = pt.FullModel(small_cloud, tissue, "z-", form="energy")
+    first = run(model, forceps, beside, duration=0.02, file=tmp_path / "first.h5")
+    held = forceps.marked(small_cloud).group("forceps")
+    np.testing.assert_array_equal(first.held, np.isin(first.touches[:, 1], held))
+    assert not first.held.all()
+    kept = first.displacements[-1], first.velocities[-1]
+    second = run(model, forceps, beside, duration=0.01, start=0.02, displacement=kept[0], velocity=kept[1])
+    both = first.then(second)
+    both.save(tmp_path / "both.h5")
+    np.testing.assert_array_equal(both.held, np.isin(both.touches[:, 1], held))
+    assert both.touches[:, 0].max() == 30
+    for name, expected in (("first", first), ("both", both)):
+        for read in (pt.Trajectory.load(tmp_path / f"{name}.h5"), StoredTrajectory(tmp_path / f"{name}.h5")):
+            np.testing.assert_array_equal(read.held, expected.held)
+            np.testing.assert_array_equal(read.touches, expected.touches)
+
+
+def test_files_of_before_forceps_had_forces_on_nodes_are_read(small_cloud, tissue, tmp_path):
+    way = lambda time: (*TOP[:2], SIDE + 0.008 - 0.1 * min(time, 0.02))  # noqa: E731
+    model = pt.FullModel(small_cloud, tissue, "z-", form="energy")
+    pressed = run(model, pt.Contact(pt.Sphere(0.008), way), duration=0.01, file=tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        del file["held"]
+    for read in (pt.Trajectory.load(tmp_path / "run.h5"), StoredTrajectory(tmp_path / "run.h5")):
+        np.testing.assert_array_equal(read.touches, pressed.touches)
+        assert read.held.shape == (len(pressed.touches),)
+        assert not read.held.any()

@@ -80,6 +80,8 @@ class Outputs:
     touches : (c, 4) array
         Nodes that tools have touched or a `Grasp` has held since the last frame, and the mean forces [N] of those
         tools on them.
+    held : (c,) bool array
+        Which of them a `Grasp` has held.
     """
 
     displacements: Floats
@@ -91,6 +93,7 @@ class Outputs:
     dissipated: float
     moments: dict[str, Floats] = field(default_factory=dict)
     touches: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
 
 class Model(ABC):

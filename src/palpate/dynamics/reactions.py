@@ -63,32 +63,33 @@ def tool_power(model: Model, state: State, drive: Drive) -> float:
     return float(sum(forces[g] @ model.velocity(state, drive, drive.supports[g]).mean(axis=0) for g in groups))
 
 
-def touching(state: State, drive: Drive) -> tuple[dict[str, Floats], dict[str, Floats], Floats]:
+def touching(state: State, drive: Drive) -> tuple[dict[str, Floats], dict[str, Floats], Floats, NDArray[np.bool_]]:
     """Return the force [N] on the body and the moment [N m] about its origin of every tool that may touch it.
 
     And (c, 4) the nodes touched with the forces [N] on them. All are means over the time since the last frame of a run,
     so that their sum times that time is the momentum given. Forces of a `Grasp` on the nodes that it holds in the
-    energy form are among them, without a moment.
+    energy form are among them, without a moment; (c,) tells which nodes these are.
     """
     if state.touch is None:
-        return {}, {}, np.zeros((0, 4))
+        return {}, {}, np.zeros((0, 4)), np.zeros(0, dtype=np.bool_)
     touch, names = state.touch, [tool.name for tool in drive.tools]
     rate = 1.0 / (state.time - touch.since) if state.time > touch.since else 0.0
     forces = dict(zip(names, rate * touch.impulses[:, :3], strict=True))
     moments = dict(zip(names, rate * touch.impulses[:, 3:], strict=True))
-    given = rate * touch.given
+    given, holding = rate * touch.given, np.zeros(len(touch.given), dtype=np.bool_)
     for name, where in drive.grasped().items() if len(touch.held) else ():
-        own = rate * touch.held[where]
+        nodes, own = drive.places.driven[where], rate * touch.held[where]
         forces[name] = own.sum(axis=0)
-        given[drive.places.driven[where]] += own
+        given[nodes] += own
+        holding[nodes] = own.any()
     nodes = np.flatnonzero(given.any(axis=1))
-    return forces, moments, np.column_stack([nodes, given[nodes]])
+    return forces, moments, np.column_stack([nodes, given[nodes]]), holding[nodes]
 
 
 def evaluate(model: Model, state: State, drive: Drive) -> Outputs:
     """Return displacements, velocities, forces and energies at a state."""
     u, v = model.displacement(state, drive), model.velocity(state, drive)
-    forces, moments, touches = touching(state, drive)
+    forces, moments, touches, held = touching(state, drive)
     return Outputs(
         u,
         v,
@@ -99,4 +100,5 @@ def evaluate(model: Model, state: State, drive: Drive) -> Outputs:
         state.dissipated,
         moments,
         touches,
+        held,
     )

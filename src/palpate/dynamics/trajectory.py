@@ -54,6 +54,8 @@ class Trajectory:
     touches : (c, 5) array
         A row for every node that tools touched, or in the energy form a `Grasp` held: frame, node, and the mean force
         [N] of all of these on it since the frame before.
+    held : (c,) bool array
+        Which rows are of nodes that a `Grasp` held.
     """
 
     model: str
@@ -72,6 +74,7 @@ class Trajectory:
     complete: bool = True
     moments: dict[str, Floats] = field(default_factory=dict)
     touches: Floats = field(default_factory=lambda: np.zeros((0, 5)))
+    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     @property
     def balance(self) -> Floats:
@@ -102,8 +105,10 @@ class Trajectory:
         for name in ("reactions", "moments"):
             first, second = getattr(self, name), getattr(other, name)
             joined[name] = {of: np.concatenate([values, second[of][1:]]) for of, values in first.items()}
-        later = other.touches[other.touches[:, 0] > 0] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
+        after = other.touches[:, 0] > 0
+        later = other.touches[after] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
         joined["touches"] = np.concatenate([self.touches, later])
+        joined["held"] = np.concatenate([self.held, other.held[after]])
         seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
@@ -125,8 +130,11 @@ class Trajectory:
         energies = {name: float(getattr(self, name)[k]) for name in ("kinetic", "strain", "external", "dissipated")}
         forces = {name: force[k] for name, force in self.reactions.items()}
         moments = {name: moment[k] for name, moment in self.moments.items()}
-        touches = self.touches[self.touches[:, 0] == k, 1:]
-        return Outputs(self.displacements[k], self.velocities[k], forces, **energies, moments=moments, touches=touches)
+        own = self.touches[:, 0] == k
+        return Outputs(
+            self.displacements[k], self.velocities[k], forces, **energies, moments=moments,
+            touches=self.touches[own, 1:], held=self.held[own],
+        )  # fmt: skip
 
     @staticmethod
     def load(path: str | Path) -> Trajectory:
@@ -144,7 +152,7 @@ class Trajectory:
             data: dict[str, Any] = {n: file[n][:frames] for n in (*SERIES, "displacements", "velocities")}
             data["reactions"] = {n: d[:frames] for n, d in file["reactions"].items()}
             data["moments"] = {n: d[:frames] for n, d in file.get("moments", {}).items()}
-            data["touches"] = _touches(file, frames)
+            data["touches"], data["held"] = _touches(file, frames)
             data["points"] = file["points"][:]
             for name in ("model", "wall_seconds", "viscosity", "complete"):
                 data[name] = file.attrs[name]
@@ -154,6 +162,7 @@ class Trajectory:
         arrays |= {f"reactions/{name}": (force, (frames, 3)) for name, force in data["reactions"].items()}
         arrays |= {f"moments/{name}": (moment, (frames, 3)) for name, moment in data["moments"].items()}
         arrays["touches"] = data["touches"], (len(data["touches"]), 5)
+        arrays["held"] = data["held"], (len(data["touches"]),)
         arrays["points"] = data["points"], (n, data["points"].shape[-1])
         for name, (array, shape) in arrays.items():
             if array.shape != shape or not np.isfinite(array).all():
@@ -178,9 +187,12 @@ def _opened(path: Path) -> Iterator[Any]:
         raise FileFormatError(f"{path} is truncated or corrupt ({error}); run the simulation again") from error
 
 
-def _touches(file: Any, frames: int) -> Floats:
+def _touches(file: Any, frames: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Read touches and which are held; in files of before forceps had forces on nodes, none is."""
     touches = file["touches"][:] if "touches" in file else np.zeros((0, 5))
-    return np.asarray(touches[touches[:, 0] < frames])
+    held = file["held"][: len(touches)] if "held" in file else np.zeros(len(touches), dtype=np.bool_)
+    whole = touches[:, 0] < frames
+    return np.asarray(touches[whole]), np.asarray(held[whole[: len(held)]], dtype=np.bool_)
 
 
 class StoredTrajectory:
@@ -197,7 +209,7 @@ class StoredTrajectory:
     times : (f,) array [s]
     displacements : Frames
         Takes a number or a slice, as the (f, n, 3) array [m] would.
-    touches : (c, 5) array
+    touches, held : (c, 5) and (c,) arrays
         As of `Trajectory`.
 
     Raises
@@ -211,7 +223,7 @@ class StoredTrajectory:
         with _opened(self.path) as file:
             frames = int(file.attrs["frames"])
             self.points, self.times = file["points"][:], file["times"][:frames]
-            shape, self.touches = file["displacements"].shape[1:], _touches(file, frames)
+            shape, (self.touches, self.held) = file["displacements"].shape[1:], _touches(file, frames)
         if shape != (len(self.points), 3) or len(self.times) != frames:
             raise FileFormatError(f"{self.path}: {frames} displacements of shape {shape}, {len(self.points)} points")
         self.displacements = Frames(self.path, (frames, *shape))
@@ -305,20 +317,23 @@ class Recorder:
                     )
                 self._file[name].resize(len(self.times), axis=0)
                 self._file[name][-1] = array
-            self._add_touches(frame.touches)
+            self._add_touches(frame.touches, frame.held)
             self._file.attrs["frames"] = len(self.times)
             self._file.flush()
         except OSError as error:
             raise OSError(f"cannot write {self.path}: {error}; its earlier frames are kept") from error
 
-    def _add_touches(self, touches: Floats) -> None:
+    def _add_touches(self, touches: Floats, held: NDArray[np.bool_]) -> None:
         if not len(touches):
             return
         if "touches" not in self._file:
             self._file.create_dataset("touches", (0, 5), maxshape=(None, 5), dtype="f8")
-        rows, frame = self._file["touches"], len(self.times) - 1
-        rows.resize(len(rows) + len(touches), axis=0)
-        rows[-len(touches) :] = np.column_stack([np.full(len(touches), float(frame)), touches])
+            self._file.create_dataset("held", (0,), maxshape=(None,), dtype="?")
+        frame = np.full(len(touches), float(len(self.times) - 1))
+        for name, added in (("held", held), ("touches", np.column_stack([frame, touches]))):
+            rows = self._file[name]
+            rows.resize(len(rows) + len(added), axis=0)
+            rows[-len(added) :] = added
 
     def close(self, wall_seconds: float, complete: bool) -> None:
         """Finish the file."""
@@ -337,7 +352,7 @@ class Recorder:
 
     def trajectory(self, wall_seconds: float, complete: bool) -> Trajectory:
         """Return what was collected."""
-        kept = [f.name for f in fields(Outputs) if f.name not in ("reactions", "moments", "touches")]
+        kept = [f.name for f in fields(Outputs) if f.name not in ("reactions", "moments", "touches", "held")]
         series = {name: np.array([getattr(o, name) for o in self.frames]) for name in kept}
         names = self.frames[0].reactions if self.frames else {}
         touching = self.frames[0].moments if self.frames else {}
@@ -348,5 +363,6 @@ class Recorder:
             touches=np.concatenate(
                 [np.zeros((0, 5)), *(np.insert(o.touches, 0, k, axis=1) for k, o in enumerate(self.frames))]
             ),
+            held=np.concatenate([np.zeros(0, dtype=np.bool_), *(o.held for o in self.frames)]),
             wall_seconds=wall_seconds, viscosity=self.viscosity, complete=complete, **series,
         )  # fmt: skip

@@ -6,8 +6,9 @@ Tools' forces f on surface nodes move node i, beside what the modes do, by
 
 R is the residual flexibility of the body's surface at rest, of its own nodes or of a coarser model's
 (`palpate.reduction.flexibility`); g, a sum of falling exponentials and a share of a node's own force, is what a coarser
-surface leaves; h = (1 + |f| / F)^-gamma tells how tissue stiffens under a tool's whole force. All are positive, so that
-any set of nodes has a positive definite compliance.
+surface leaves; h = (1 + |f| / F)^-gamma tells how tissue stiffens under a tool's whole force. Pulls do not stiffen it:
+for nodes that forceps hold h is one number. All are positive, so that any set of nodes has a positive definite
+compliance.
 """
 
 from __future__ import annotations
@@ -65,6 +66,8 @@ class Dents(NamedTuple):
         Their weights in it.
     hardening : (2,) array
         Exponent gamma, and force F [N], of the stiffening under load.
+    grip : float
+        h of nodes that forceps hold.
     """
 
     nodes: Ints
@@ -77,6 +80,7 @@ class Dents(NamedTuple):
     patches: Ints
     shares: Floats
     hardening: Floats
+    grip: float
 
     def kernel(self, distances: Floats) -> Floats:
         """Return g [m/N] at some distances [m]; at 0 with the node's own."""
@@ -94,6 +98,7 @@ class Dents(NamedTuple):
 NO_DENTS = Dents(
     np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), 0.0, np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)),
     np.zeros((0, 0), dtype=np.float32), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)), np.array([0.0, 1.0]),
+    1.0,
 )  # fmt: skip
 
 
@@ -108,6 +113,7 @@ class Compliance(NamedTuple):
     weights: Floats  # (2 k, w)
     flexibility: NDArray[np.float32]  # (3 c, 3 c) [m/N]
     hardening: Floats  # (2,)
+    grip: float
 
 
 class Near(NamedTuple):
@@ -134,6 +140,7 @@ def compliance(dents: Dents, points: Floats, order: Ints) -> Compliance:
         np.concatenate([own, own]), np.ascontiguousarray(table), float(distances[1]), float(table[0] + dents.own),
         np.ascontiguousarray(carriers, dtype=np.int64), np.ascontiguousarray(weights),
         np.ascontiguousarray(dents.flexibility), np.ascontiguousarray(dents.hardening, dtype=float),
+        float(dents.grip),
     )  # fmt: skip
 
 
@@ -293,9 +300,10 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
         moved = dents.kernel(cdist(points[dents.nodes], points[dents.nodes[on]])) @ forces[on] + carried(
             dents, forces[on], on, np.arange(len(forces)))  # fmt: skip
         total = float(np.linalg.norm(forces.sum(axis=0)))
-        moved *= softness(dents.hardening, total)
+        moved *= dents.grip if nodal else softness(dents.hardening, total)
         result[dents.nodes] += moved
-        energy += 0.5 * stored(dents.hardening, total) * float(np.sum(forces[on] * moved[on]))
+        share = 1.0 if nodal else stored(dents.hardening, total)
+        energy += 0.5 * share * float(np.sum(forces[on] * moved[on]))
     return result, energy
 
 

@@ -7,7 +7,8 @@ by these forces, and what it misses of the displacements near the tools is fitte
     c times statics + sum over touched nodes of g(|X_i - X_j|) f_j,    g(r) = sum of c_e exp(-r / l_e), c_0 more at 0,
 
 with c, c_e >= 0 (non-negative least squares), so that any set of nodes has a positive definite compliance. How it all
-hardens under a tool's whole force is then fitted to the work of forces on what the modes miss, frame by frame.
+hardens under a tool's whole force is then fitted to the work of forces on what the modes miss, frame by frame; so is
+one factor for nodes that forceps hold, which pulls do not harden.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from palpate.reduction.parts import ReducedParts
     from palpate.reduction.reduced import ReducedModel
 
-__all__ = ["Handling", "dented", "fitted_dents", "skin_of", "touch_of"]
+__all__ = ["Handling", "dented", "fitted_dents", "held_nodes", "skin_of", "touch_of"]
 
 Floats = NDArray[np.float64]
 
@@ -114,6 +115,14 @@ def dented(parts: ReducedParts, of: Skin, touch: TouchState | None, drive: Drive
     pushes[:, of.nodes] = touch.pushes
     held = [isinstance(tool.tool, Forceps) for tool in drive.tools]
     return dents_of(parts.dents, parts.cloud.points, pushes[:, parts.dents.nodes], held)
+
+
+def held_nodes(of: Skin, touch: TouchState | None, drive: Drive) -> NDArray[np.int64]:
+    """Return the nodes that forceps hold."""
+    if touch is None:
+        return of.nodes[:0]
+    forceps = np.array([isinstance(tool.tool, Forceps) for tool in drive.tools])
+    return of.nodes[touch.pushes[forceps].any(axis=(0, 2))]
 
 
 def touch_of(run: Trajectory, frame: int, nodes: int) -> TouchState | None:
@@ -197,6 +206,7 @@ class _Frame(NamedTuple):
 
     on: NDArray[np.int64]  # (j,) touched, in the nodes of the surface
     forces: Floats  # (j, 3) [N]
+    held: NDArray[np.bool_]  # (j,) by forceps
     near: NDArray[np.int64]  # (k,) nodes around them
     missed: Floats  # (k, 3) [m]
 
@@ -212,14 +222,15 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
             continue
         led = _led(model, run)
         for frame in moments:
-            touches = run.touches[run.touches[:, 0] == frame]
+            of_frame = run.touches[:, 0] == frame
+            touches, held = run.touches[of_frame], run.held[of_frame]
             on = place[touches[:, 1].astype(int)]
-            touches, on = touches[on >= 0], on[on >= 0]
+            touches, held, on = touches[on >= 0], held[on >= 0], on[on >= 0]
             if not len(on):
                 continue
             around = cKDTree(cloud.points[nodes[on]]).query(cloud.points[nodes])[0] < NEAR * cloud.spacing
             missed = run.displacements[frame] - np.tensordot(led[frame], model.parts.columns[: model.count], 1)
-            found.append(_Frame(on, touches[:, 2:], np.flatnonzero(around), missed[nodes[around]]))
+            found.append(_Frame(on, touches[:, 2:], held, np.flatnonzero(around), missed[nodes[around]]))
     return found
 
 
@@ -227,18 +238,17 @@ def _fitted(blank: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Den
     """Fit shape and hardening in turn; return the compliance, and the share that its shape explains."""
     on_surface = points[blank.nodes]
     fields = [_fields(blank, on_surface, frame) for frame in frames]
-    parts = [
-        _without_affine(on_surface[f.near], np.stack([*own, f.missed])) for own, f in zip(fields, frames, strict=True)
-    ]
-    target = np.concatenate([part[-1].ravel() for part in parts])
-    size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
+    parts = [_without_affine(on_surface[f.near], own) for own, f in zip(fields, frames, strict=True)]
+    target = np.concatenate([_without_affine(on_surface[f.near], f.missed).ravel() for f in frames])
+    size = np.array([np.linalg.norm(frame.forces[~frame.held].sum(axis=0)) for frame in frames])
+    held, touched = (np.array([np.all(f.held == kind) for f in frames]) for kind in (True, False))
     here = [np.searchsorted(frame.near, frame.on) for frame in frames]
     depth = np.array([np.sum(f.forces * f.missed[h]) for f, h in zip(frames, here, strict=True)])
-    hardening, factor = np.array([0.0, 1.0]), 1.0
+    hardening, factor, grip = np.array([0.0, 1.0]), 1.0, 1.0
     for _ in range(PASSES):
-        soft = softness(hardening, size)
+        soft = np.stack([softness(hardening, size), np.full(len(size), grip if touched.any() else 1.0)], axis=1)
         matrix = np.concatenate(
-            [s * part[:-1].reshape(len(part) - 1, -1).T for s, part in zip(soft, parts, strict=True)]
+            [np.tensordot(s, part, 1).reshape(part.shape[1], -1).T for s, part in zip(soft, parts, strict=True)]
         )
         found, residual = nnls(matrix, target)
         if not found.any():
@@ -247,24 +257,35 @@ def _fitted(blank: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Den
                 "(enrichment=vibration_modes(...)), which do not hold the dents of the training runs"
             )
         linear = np.array(
-            [np.sum(f.forces * np.tensordot(found, own, 1)[h]) for f, own, h in zip(frames, fields, here, strict=True)]
+            [
+                np.sum(f.forces * np.tensordot(found, own.sum(axis=0), 1)[h])
+                for f, own, h in zip(frames, fields, here, strict=True)
+            ]
         )
-        factor, hardening = _hardening(size, depth, linear)
+        if touched.any():
+            factor, hardening = _hardening(size[touched], depth[touched], linear[touched])
+        if depth[held].sum() > 0:
+            grip = float(depth[held].sum() / linear[held].sum())
     explained = 1.0 - (residual / float(np.linalg.norm(target))) ** 2
     statics, falls, own = found[0], found[1:-1], found[-1]
     dents = blank._replace(
         lengths=blank.lengths[falls > 0], compliances=falls[falls > 0], own=float(own), hardening=hardening,
         flexibility=(statics * blank.flexibility).astype(np.float32),
     )  # fmt: skip
-    return dents.scaled(factor), explained
+    return dents.scaled(factor)._replace(grip=grip / factor), explained
 
 
 def _fields(dents: Dents, points: Floats, frame: _Frame) -> Floats:
-    """Return the displacements (e, k, 3) near the tools by each part of a compliance alone, of weight 1."""
-    distances = cdist(points[frame.near], points[frame.on])
-    fields = [np.exp(-distances / length) @ frame.forces for length in dents.lengths]
-    own = (distances == 0).astype(float) @ frame.forces
-    return np.array([carried(dents, frame.forces, frame.on, frame.near), *fields, own])
+    """Return the displacements (2, e, k, 3) near the tools by each part of a compliance alone, of weight 1.
+
+    First those by nodes that are touched, then by those that are held.
+    """
+    distances, result = cdist(points[frame.near], points[frame.on]), []
+    for kind in (False, True):
+        forces = frame.forces * (frame.held == kind)[:, None]
+        falling = [np.exp(-distances / length) @ forces for length in dents.lengths]
+        result.append([carried(dents, forces, frame.on, frame.near), *falling, (distances == 0).astype(float) @ forces])
+    return np.array(result)
 
 
 def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floats]:
@@ -299,7 +320,7 @@ def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floa
 
 
 def _without_affine(points: Floats, fields: Floats) -> Floats:
-    """Return what affine fields leave of fields (f, k, 3) at points (k, 3): the dents, not where the modes are off."""
+    """Return what affine fields leave of fields (..., k, 3) at points (k, 3): the dents, not where modes are off."""
     around = points - points.mean(axis=0)
     basis = np.linalg.qr(np.column_stack([np.ones(len(points)), around / np.abs(around).max()]))[0]
     return np.asarray(fields - basis @ (basis.T @ fields))

@@ -24,7 +24,7 @@ from palpate.dynamics.stability import stable_step
 from palpate.dynamics.tools import Contact, Grasp
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
-from palpate.reduction.dents import Handling, dented, skin_of
+from palpate.reduction.dents import Handling, dented, held_nodes, skin_of
 from palpate.reduction.loading import lifted, ready_drive
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.period import RealtimeModel, realtime_model
@@ -290,7 +290,7 @@ class ReducedModel(Model):
         return pose_map(self.cloud.points[nodes], self.parts.columns[self.parts.modes : self.count, nodes])
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
-        forces, moments, touches = touching(state, drive)
+        forces, moments, touches, _ = touching(state, drive)
         dents, stored = dented(self.parts, self._skin, state.touch, drive)
         return Outputs(
             np.tensordot(state.coordinates, self.parts.columns[: self.count], 1) + dents,
@@ -302,6 +302,7 @@ class ReducedModel(Model):
             state.dissipated,
             moments,
             touches,
+            np.isin(touches[:, 0], held_nodes(self._skin, state.touch, drive)),
         )
 
     def trust(self, state: State, drive: Drive) -> float:

@@ -26,6 +26,7 @@ class _Frames:
     points: None = None
     times: Floats = field(default_factory=lambda: np.zeros(0))
     touches: Floats = field(default_factory=lambda: np.zeros((0, 5)))
+    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
 
 class Snapshots:
@@ -42,7 +43,7 @@ class Snapshots:
     lengths : list of int
         Frames of every run.
     runs : list
-        With `times`, `displacements` and `touches` each.
+        With `times`, `displacements`, `touches` and `held` each.
     touched : bool
         Whether tools touch the body in any run.
 

@@ -91,7 +91,7 @@ ATTRIBUTES = {
     "groups": list, "spacing": float, "fixed": list, "driven": list,
     "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
-    "witnesses": int, "leeway": float, "dents_own": float, "step": float, "single": bool,
+    "witnesses": int, "leeway": float, "dents_own": float, "dents_grip": float, "step": float, "single": bool,
 }  # fmt: skip
 
 
@@ -202,7 +202,8 @@ def _header(parts: ReducedParts) -> Header:
         "prestretch": float(parts.kinematics.prestretch),
         "relaxed": parts.kinematics.relaxed,
         "slack": float(parts.slack),
-        "dents_own": float(parts.dents.own if parts.dents else 0.0),
+        "dents_own": float((parts.dents or NO_DENTS).own),
+        "dents_grip": float((parts.dents or NO_DENTS).grip),
         "report": json.dumps(parts.report, default=lambda value: value.tolist()),
     }
 
@@ -250,7 +251,8 @@ def _read(file: Any) -> tuple[Header, Arrays]:
     import h5py
 
     header = {name: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for name, v in file.attrs.items()}
-    header = {"regions": "[]"} | header  # one material, in files of before there could be others
+    # one material, and no grip of forceps, in files of before there could be others
+    header = {"regions": "[]", "dents_grip": NO_DENTS.grip} | header
     for name, kind in ATTRIBUTES.items():
         if not isinstance(header.get(name), kind):
             raise InputError(f"attribute {name} is {header.get(name)!r}, expected one of type {kind.__name__}")
@@ -327,13 +329,16 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         ),
         slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
         fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
-        dents=_dents(own, number_in_range("dents_own", header["dents_own"], 0.0, unit="m/N")),
-    )
+        dents=_dents(
+            own, number_in_range("dents_own", header["dents_own"], 0.0, unit="m/N"),
+            number_in_range("dents_grip", header["dents_grip"], 0.0, open_low=True),
+        ),
+    )  # fmt: skip
 
 
-def _dents(arrays: Arrays, own: float) -> Dents | None:
+def _dents(arrays: Arrays, own: float, grip: float) -> Dents | None:
     """Make the compliance of the surface; none where no nodes may be touched."""
-    dents = Dents(**{name: arrays[f"dents/{name}"] for name in DENTS}, own=own)
+    dents = Dents(**{name: arrays[f"dents/{name}"] for name in DENTS}, own=own, grip=grip)
     if not len(dents.nodes):
         return None
     diagonal = np.diagonal(dents.flexibility)

@@ -211,9 +211,12 @@ def relax(skin, touch, tools, kept, step, e):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _harden(skin, touch):  # type: ignore[no-untyped-def]
-    """Tell how soft the surface is under each tool, by the forces of the step before."""
+def _harden(skin, touch, tools):  # type: ignore[no-untyped-def]
+    """Tell how soft the surface is under each tool, by the forces of the step before; forceps do not harden it."""
     for t in range(touch.soft.shape[0]):
+        if tools.kind[t] == HELD:
+            touch.soft[t] = skin.compliance.grip
+            continue
         x, y, z = 0.0, 0.0, 0.0
         for e in range(touch.numbers[0]):
             if touch.tool[e] == t:
@@ -244,7 +247,7 @@ def settle(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
     if count == 0:
         return 0.0, 0.0
     kept = refresh(skin.compliance, touch.near, touch.point, count)
-    _harden(skin, touch)
+    _harden(skin, touch, tools)
     for e in range(count):
         for d in range(3):
             touch.now[e, d] = touch.modal[e, d]
@@ -338,12 +341,13 @@ def dent_energy(skin, touch):  # type: ignore[no-untyped-def]
     """Return the energy [J] of the surface's own compliance."""
     total, hardening = 0.0, skin.compliance.hardening
     for t in range(touch.soft.shape[0]):
-        x, y, z, half = 0.0, 0.0, 0.0, 0.0
+        x, y, z, half, held = 0.0, 0.0, 0.0, 0.0, False
         for e in range(touch.numbers[0]):
             if touch.tool[e] != t:
                 continue
+            held = touch.point[e] >= skin.points.shape[0]
             x, y, z = x + touch.push[e, 0], y + touch.push[e, 1], z + touch.push[e, 2]
             for d in range(3):
                 half += 0.5 * touch.push[e, d] * (touch.now[e, d] - touch.modal[e, d])
-        total += stored(hardening, np.sqrt(x * x + y * y + z * z)) * half
+        total += half if held else stored(hardening, np.sqrt(x * x + y * y + z * z)) * half
     return total

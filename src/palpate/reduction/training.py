@@ -321,14 +321,15 @@ def _measured(model: ReducedModel, pressed: Sequence[Trial]) -> tuple[ReducedMod
     """Scale the compliance of the surface until tools' forces are, in the mean, those of full runs.
 
     It is learnt from displacements under known forces. A step asks the other way round, and forces that it finds lean
-    on nodes that give way too easily: a bias that is alike all over a body.
+    on nodes that give way too easily: a bias that is alike all over a body. Forceps hold their nodes wherever they
+    lean, and keep the compliance that was learnt.
     """
     dents, factor = model.parts.dents, 1.0
     ratios: list[float] = []
     assert dents is not None
     for _ in range(FORCE_PASSES + 1):
         factor *= ratios[-1] ** FORCE_STEP if ratios else 1.0
-        model = ReducedModel(replace(model.parts, dents=dents.scaled(factor)))
+        model = ReducedModel(replace(model.parts, dents=dents.scaled(factor)._replace(grip=dents.grip / factor)))
         ratios.append(float(np.mean([_force_ratio(model, *trial) for trial in pressed])))
     return model, {"force_factor": factor, "force_ratios": ratios}
 

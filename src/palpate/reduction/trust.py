@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.loads import Drive, Load
-from palpate.dynamics.model import State, Touch
+from palpate.dynamics.model import State
 from palpate.dynamics.relaxation import at_ease, followed
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError, number_in_range
@@ -72,7 +72,7 @@ def tried_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, fu
     """Say of every frame of a reduced model's run how far it was from training, and from the full run."""
     drive, mass = model.drive(loads), model.masses / model.masses.sum()
     touches = [touch_of(own, k, len(model.cloud)) for k in range(len(own.times))]
-    dents = np.array([_dents(model, touch) for touch in touches])
+    dents = np.array([_dents(model, own, k) for k in range(len(own.times))])
     coordinates, velocities = model.projected(own.displacements - dents), model.projected(own.velocities)
     states: list[State] = []
     for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):
@@ -89,12 +89,15 @@ def tried_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, fu
     )
 
 
-def _dents(model: ReducedModel, touch: Touch | None) -> Floats:
-    """Return the displacements (n, 3) [m] by the forces on nodes that a run has kept."""
-    known = model.parts.dents
-    if touch is None or known is None:
+def _dents(model: ReducedModel, own: Trajectory, frame: int) -> Floats:
+    """Return the displacements (n, 3) [m] by the forces that a reduced run has kept of a frame."""
+    known, of_frame = model.parts.dents, own.touches[:, 0] == frame
+    if known is None or not of_frame.any():
         return np.zeros((len(model.cloud), 3))
-    return dents_of(known, model.cloud.points, touch.forces[None, known.nodes], [True])[0]
+    rows, held = own.touches[of_frame], own.held[of_frame]
+    pushes = np.zeros((2, len(model.cloud), 3))
+    pushes[held.astype(int), rows[:, 1].astype(int)] = rows[:, 2:]
+    return dents_of(known, model.cloud.points, pushes[:, known.nodes], [False, True])[0]
 
 
 def calibrated(runs: Sequence[Frames], share: float) -> tuple[float, float, list[dict[str, float]]]:
