@@ -20,6 +20,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from palpate.reduction.inside import Inside, moved_inside
+
 __all__ = [
     "NO_DENTS",
     "Compliance",
@@ -28,6 +30,7 @@ __all__ = [
     "carried",
     "compliance",
     "dents_of",
+    "gathered",
     "near",
     "pair",
     "refresh",
@@ -65,6 +68,8 @@ class Dents(NamedTuple):
         Their weights in it.
     hardening : (2,) array
         Exponent gamma, and force F [N], of the stiffening under load.
+    inside : Inside, optional
+        How the nodes inside follow.
     """
 
     nodes: Ints
@@ -77,6 +82,7 @@ class Dents(NamedTuple):
     patches: Ints
     shares: Floats
     hardening: Floats
+    inside: Inside | None = None
 
     def kernel(self, distances: Floats) -> Floats:
         """Return g [m/N] at some distances [m]; at 0 with the node's own."""
@@ -84,7 +90,7 @@ class Dents(NamedTuple):
         return np.asarray(falling + np.where(distances == 0, self.own, 0.0))
 
     def scaled(self, factor: float) -> Dents:
-        """Return this with all compliances times a factor."""
+        """Return this with all compliances of the surface times a factor."""
         return self._replace(
             compliances=factor * self.compliances, own=factor * self.own,
             flexibility=(factor * self.flexibility).astype(np.float32),
@@ -264,7 +270,7 @@ def stored(hardening, force):  # type: ignore[no-untyped-def]
 
 
 def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool]) -> tuple[Floats, float]:
-    """Return what tools do to a surface beside the modes.
+    """Return what tools do to a body beside the modes: to its surface, and inside where that is known.
 
     Parameters
     ----------
@@ -295,6 +301,8 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
         total = float(np.linalg.norm(forces.sum(axis=0)))
         moved *= softness(dents.hardening, total)
         result[dents.nodes] += moved
+        if dents.inside is not None:
+            result[dents.inside.nodes] += moved_inside(dents.inside, gathered(dents, forces[on], on), moved)
         energy += 0.5 * stored(dents.hardening, total) * float(np.sum(forces[on] * moved[on]))
     return result, energy
 
@@ -303,7 +311,12 @@ def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
     """Return the displacements (t, 3) [m] of some nodes by the flexibility, for forces (j, 3) [N] on others."""
     if not dents.flexibility.size:
         return np.zeros((len(there), 3))
-    gathered = np.zeros((len(dents.flexibility) // 3, 3))
-    np.add.at(gathered, dents.carriers[on], dents.weights[on][:, :, None] * forces[:, None])
-    spread = (dents.flexibility @ gathered.reshape(-1)).reshape(-1, 3)
+    spread = (dents.flexibility @ gathered(dents, forces, on).reshape(-1)).reshape(-1, 3)
     return np.asarray(np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]]))
+
+
+def gathered(dents: Dents, forces: Floats, on: Ints) -> Floats:
+    """Return the forces (c, 3) [N] on the carriers for forces (j, 3) [N] on some nodes."""
+    result = np.zeros((len(dents.flexibility) // 3, 3))
+    np.add.at(result, dents.carriers[on], dents.weights[on][:, :, None] * forces[:, None])
+    return result

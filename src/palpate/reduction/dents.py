@@ -32,6 +32,7 @@ from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.compliance import NO_DENTS, Dents, carried, dents_of, softness
 from palpate.reduction.flexibility import carriers, residual_flexibility
+from palpate.reduction.inside import inside
 from palpate.reduction.skin import Skin, Tools, Touch, skin, tools_of, touched
 from palpate.reduction.snapshots import Snapshots
 
@@ -157,11 +158,14 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots, statics: FullModel) 
     nodes = _free_surface(cloud, model.fixed)
     lengths = cloud.spacing * np.array(LENGTHS)
     those = _free_surface(statics.cloud, statics.fixed)
-    flexibility = residual_flexibility(statics, those, cloud.points, model.parts.columns[: model.count])
+    deep, deeper = _free_inside(cloud, model.fixed), _free_inside(statics.cloud, statics.fixed)
+    known = residual_flexibility(statics, those, cloud.points, model.parts.columns[: model.count], deeper)
+    flexibility, follow = np.split(known, [3 * len(those)])
     places, weights = carriers(statics.cloud, those, cloud, nodes)
     blank = NO_DENTS._replace(
         nodes=nodes, lengths=lengths, compliances=np.zeros(len(lengths)), carriers=places, weights=weights,
         flexibility=flexibility.astype(np.float32),
+        inside=inside(statics.cloud, deeper, follow, cloud, deep, nodes) if len(deep) and len(deeper) else None,
     )  # fmt: skip
     frames = _frames(model, snapshots, nodes)
     if not frames:
@@ -190,6 +194,11 @@ def _on_patches(dents: Dents, statics: FullModel) -> Dents:
 def _free_surface(cloud: Cloud, fixed: Sequence[str]) -> NDArray[np.int64]:
     held = np.concatenate([np.zeros(0, dtype=np.int64), *(cloud.group(name) for name in fixed)])
     return np.setdiff1d(surface_nodes(cloud), held)
+
+
+def _free_inside(cloud: Cloud, fixed: Sequence[str]) -> NDArray[np.int64]:
+    away = np.concatenate([surface_nodes(cloud), *(cloud.group(name) for name in fixed)])
+    return np.setdiff1d(np.arange(len(cloud)), away)
 
 
 class _Frame(NamedTuple):
