@@ -11,6 +11,8 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.run import liver
+from palpate.reduction.errors import touch_errors
+from palpate.scenes.liver import pressed_liver
 
 COARSE = {"spacing": 0.012, "radius": 0.03, "depth": 0.012}
 REALTIME = ["run", "liver", "--realtime", "--seconds", "0.5", "--rate", "200"]
@@ -56,6 +58,18 @@ def test_a_campaign_presses_the_liver_and_its_report_says_how_many_nodes_it_samp
     assert report["model"]["held_out"]["mean"]["reaction"] < 0.5
     run = pt.Trajectory.load(trained / "runs" / "train_000000.h5")
     assert np.linalg.norm(run.reactions["tool"], axis=1).max() > 0.05
+
+
+def test_the_report_says_what_the_ball_and_the_surface_under_it_miss(trained):
+    report, scene = json.loads((trained / "report.json").read_text()), pressed_liver(**COARSE)
+    model, found = pt.load(trained / "model.rom"), report["model"]["held_out"]
+    loads, duration = scene.path(next(run["seed"] for run in report["runs"] if run["kind"] == "held_out"))
+    full = pt.Trajectory.load(trained / "runs" / "held_out_000000.h5")
+    own = pt.rollout(model, loads, duration=duration, every=scene.every)
+    expected = touch_errors(full, own, ["tool"], model.parts.dents.nodes).as_dict()
+    assert found["runs"][0] == found["runs"][0] | {n: pytest.approx(v, rel=1e-6) for n, v in expected.items()}
+    assert found["touch"]["mean"] == pytest.approx(expected, rel=1e-6)
+    assert f"{expected['force_95']:.2%}" in (trained / "report.md").read_text()
 
 
 def test_the_ball_comes_from_outside_presses_as_deep_as_was_trained_and_leaves(trained):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.reduction.errors import touch_errors
 
 
 def test_a_run_has_no_error_against_itself(run):
@@ -71,3 +72,37 @@ def test_runs_that_cannot_be_compared_are_refused(run, change):
     }[change]()
     with pytest.raises(pt.InputError, match="different times or numbers of nodes"):
         pt.errors(run, other)
+
+
+def touched(run):
+    """A run with two reactions of tools: one pushes ever harder, the other does nothing."""
+    force = np.linspace(0.0, 1.0, len(run.times))[:, None] * [0.0, 0.0, -2.0]
+    return replace(run, reactions={"ball": force, "idle": 0 * force})
+
+
+def test_forces_of_tools_count_where_they_are_a_tenth_of_the_largest(run):
+    full = touched(run)
+    other = full.reactions["ball"] * 1.1
+    other[: len(run.times) // 20] += 100.0  # while the tool hardly pushes
+    nodes = np.arange(len(run.points))
+    found = touch_errors(full, replace(full, reactions=full.reactions | {"ball": other}), ["ball", "idle"], nodes)
+    assert found.force == pytest.approx(0.1)
+    assert found.force_95 == pytest.approx(0.1)
+    assert found.surface_95 == found.farthest_95 == 0
+
+
+def test_the_surface_is_measured_by_its_largest_displacement(run):
+    full, nodes = touched(run), np.argsort(run.points[:, 0])[-3:]  # far from the support
+    moved, reach = run.displacements.copy(), np.linalg.norm(run.displacements[:, nodes], axis=2).max()
+    moved[:, nodes[1]] += [0.0, 0.2 * reach, 0.0]
+    moved[:, np.argmin(run.points[:, 0])] += 1.0  # none of the surface asked for
+    found = touch_errors(full, replace(full, displacements=moved), ["ball"], nodes)
+    assert found.farthest_95 == pytest.approx(0.2)
+    assert found.surface_95 == pytest.approx(0.2)
+    assert found.force == found.force_95 == 0
+
+
+def test_tools_that_touch_nothing_have_no_errors(run):
+    full = touched(run)
+    assert touch_errors(full, full, ["idle"], np.arange(3)) is None
+    assert touch_errors(full, full, [], np.arange(3)) is None

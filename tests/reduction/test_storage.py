@@ -14,6 +14,7 @@ import palpate as pt
 from palpate.reduction import storage
 from palpate.reduction.compliance import Dents
 from palpate.reduction.cubature import Cubature
+from palpate.reduction.inside import Inside
 from palpate.reduction.reduced import ReducedModel, ReducedParts
 
 
@@ -75,6 +76,10 @@ def trained(bar, tissue, push):
         made_up.integers(0, len(touched), (len(touched), 4)), np.full((len(touched), 4, 3, 3), 1e-3, dtype=np.float32),
         made_up.integers(0, len(touched), (len(touched), 3)), np.full((len(touched), 3), 1 / 3), np.array([0.2, 1.5]),
         1.2,
+        Inside(
+            np.setdiff1d(np.arange(len(bar)), touched), made_up.standard_normal((12, 15)).astype(np.float32),
+            made_up.integers(0, 5, (len(bar) - len(touched), 2)), np.full((len(bar) - len(touched), 2), 0.5),
+        ),
     )  # fmt: skip
     return pt.ReducedModel(replace(model.parts, dents=dents))
 
@@ -142,6 +147,13 @@ def test_the_trust_of_a_loaded_model_is_that_of_the_saved_one(trained, saved, pu
     state = replace(trained.state(drive, time=0.004), coordinates=trained.parts.trained[15])
     assert loaded.trust(state, drive) == pytest.approx(trained.trust(state, drive), rel=1e-6)
     assert loaded.expected_error(0.5) == trained.expected_error(0.5)
+
+
+def test_a_file_without_what_follows_inside_is_of_a_model_that_dents_at_its_surface(trained, altered):
+    """As files were before nodes inside followed."""
+    found = pt.load(altered(lambda file: file.pop("inside"))).parts
+    assert found.dents.inside is None
+    np.testing.assert_equal(found.dents, trained.parts.dents._replace(inside=None))
 
 
 def test_a_file_of_a_loaded_model_is_the_same_file(saved, path):
@@ -372,6 +384,11 @@ CASES = {
     "directions of no length": (entry("fibres/directions", (0, 3), 0.0), "unit vectors; one at nodes 3 has length 0"),
     "directions for fewer nodes": (put("fibres/directions", lambda a: a[:, 1:]), r"shape \(1, 111, 3\) .* expected"),
     "no directions": (put("fibres/directions", lambda a: a[:0]), r"have shape \(0, 112, 3\)"),
+    "inner nodes out of range": (entry("inside/nodes", -1, 112), r"inside/nodes names nodes outside 0\.\.111"),
+    "what follows nothing": (entry("inside/sources", (0, 0), 5000), "inside/sources names more than 5 nodes inside"),
+    "half a node": (put("inside/flexibility", lambda a: a[:, 1:]), "holds 14 columns, not 3 a node"),
+    "forces of other carriers": (put("inside/flexibility", lambda a: a[1:]), r"\(11, 15\) .* expected \(12, moved"),
+    "inner nodes alone": (lambda file: file.pop("inside/shares"), "dataset inside/shares is missing"),
     "a tool that is no group": (attribute("driven", ["w+"]), "unknown group 'w\\+'"),
     "volumes that are not positive": (entry("volumes", 3, 0.0), "volumes holds volumes that are not positive"),
     "a node without volume": (entry("cloud/volumes", 3, 0.0), "volumes must be positive"),

@@ -178,6 +178,26 @@ def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
     assert np.abs(own.balance).max() < 0.05 * own.external.max()
 
 
+def test_the_inside_moves_with_its_dents(pressed):
+    """Where the modes alone are half the press away, and the surface, forces and energy are what they were."""
+    body, runs, model = pressed
+    alone = pt.ReducedModel(replace(model.parts, dents=model.parts.dents._replace(inside=None)))
+    own, bare = (pt.rollout(m, press(0.024, 0.038), duration=0.2, every=0.005) for m in (model, alone))
+    within, nodes = model.parts.dents.inside.nodes, np.setdiff1d(np.arange(len(body.cloud)), body.cloud.group("z-"))
+    surface = np.setdiff1d(nodes, within)
+    np.testing.assert_array_equal(own.displacements[:, surface], bare.displacements[:, surface])
+    np.testing.assert_array_equal(own.reactions["tool"], bare.reactions["tool"])
+    np.testing.assert_array_equal(own.strain, bare.strain)
+    on = np.abs(runs[-1].reactions["tool"][:, 2]) > 0.1 * np.abs(runs[-1].reactions["tool"]).max()
+    mine, without = (
+        np.linalg.norm(run.displacements[on][:, within] - runs[-1].displacements[on][:, within], axis=2)
+        for run in (own, bare)
+    )
+    reach = np.linalg.norm(runs[-1].displacements, axis=2).max()
+    print(mine.max() / reach, without.max() / reach, mine.sum() / without.sum(), np.quantile(mine, 0.95) / reach)
+    assert pt.errors(runs[-1], own).displacement < pt.errors(runs[-1], bare).displacement
+
+
 def test_forces_are_made_those_of_runs(pressed):
     body, runs, model = pressed
     trials = [(press(0.021, 0.027), runs[0])]

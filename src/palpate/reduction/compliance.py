@@ -19,6 +19,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from palpate.reduction.inside import Inside, moved_inside
+
 __all__ = [
     "NO_DENTS",
     "Compliance",
@@ -27,6 +29,7 @@ __all__ = [
     "carried",
     "compliance",
     "dents_of",
+    "gathered",
     "near",
     "pair",
     "refresh",
@@ -65,6 +68,8 @@ class Dents(NamedTuple):
         Exponent gamma, and force F [N], of the stiffening under load.
     grip : float
         h of nodes that forceps hold.
+    inside : Inside, optional
+        How the nodes inside follow.
     """
 
     nodes: Ints
@@ -77,9 +82,10 @@ class Dents(NamedTuple):
     shares: Floats
     hardening: Floats
     grip: float
+    inside: Inside | None = None
 
     def scaled(self, factor: float) -> Dents:
-        """Return this with all compliances times a factor."""
+        """Return this with all compliances of the surface times a factor."""
         return self._replace(
             flexibility=(factor * self.flexibility).astype(np.float32),
             between=(factor * self.between).astype(np.float32),
@@ -265,7 +271,7 @@ def stored(hardening, force):  # type: ignore[no-untyped-def]
 
 
 def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool]) -> tuple[Floats, float]:
-    """Return what tools do to a surface beside the modes.
+    """Return what tools do to a body beside the modes: to its surface, and inside where that is known.
 
     Parameters
     ----------
@@ -295,6 +301,8 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
         total = float(np.linalg.norm(forces.sum(axis=0)))
         moved *= dents.grip if nodal else softness(dents.hardening, total)
         result[dents.nodes] += moved
+        if dents.inside is not None:
+            result[dents.inside.nodes] += moved_inside(dents.inside, gathered(dents, forces[on], on), moved)
         share = 1.0 if nodal else stored(dents.hardening, total)
         energy += 0.5 * share * float(np.sum(forces[on] * moved[on]))
     return result, energy
@@ -304,12 +312,17 @@ def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
     """Return the displacements (t, 3) [m] of some nodes by statics, for forces (j, 3) [N] on others."""
     if not dents.flexibility.size:
         return np.zeros((len(there), 3))
-    gathered = np.zeros((len(dents.flexibility) // 3, 3))
-    np.add.at(gathered, dents.carriers[on], dents.weights[on][:, :, None] * forces[:, None])
-    spread = (dents.flexibility @ gathered.reshape(-1)).reshape(-1, 3)
+    spread = (dents.flexibility @ gathered(dents, forces, on).reshape(-1)).reshape(-1, 3)
     moved = np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]])
     if dents.close.size:  # as it is symmetric, a node's row also tells how its force moves the others
         nearby = np.zeros((len(dents.nodes), 3))
         np.add.at(nearby, dents.close[on], np.einsum("jqdc,jd->jqc", dents.between[on], forces))
         moved += nearby[there]
     return np.asarray(moved)
+
+
+def gathered(dents: Dents, forces: Floats, on: Ints) -> Floats:
+    """Return the forces (c, 3) [N] on the carriers for forces (j, 3) [N] on some nodes."""
+    result = np.zeros((len(dents.flexibility) // 3, 3))
+    np.add.at(result, dents.carriers[on], dents.weights[on][:, :, None] * forces[:, None])
+    return result

@@ -29,6 +29,7 @@ from palpate.meshfree.cloud import Cloud
 from palpate.reduction.closeness import close_compliance, made_positive
 from palpate.reduction.compliance import NO_DENTS, Dents, carried, dents_of, softness
 from palpate.reduction.flexibility import carriers, residual_flexibility
+from palpate.reduction.inside import inside
 from palpate.reduction.skin import Skin, Tools, Touch, skin, tools_of, touched
 from palpate.reduction.snapshots import Snapshots
 
@@ -169,7 +170,9 @@ def fitted_dents(model: ReducedModel, body: FullModel, snapshots: Snapshots, sta
     if not frames:
         raise InputError("no tool touches the body in any of the runs: the surface's compliance cannot be learnt")
     those = _free_surface(statics.cloud, statics.fixed)
-    flexibility = residual_flexibility(statics, those, cloud.points, model.parts.columns[: model.count])
+    deep, deeper = _free_inside(cloud, model.fixed), _free_inside(statics.cloud, statics.fixed)
+    known = residual_flexibility(statics, those, cloud.points, model.parts.columns[: model.count], deeper)
+    flexibility, follow = np.split(known, [3 * len(those)])
     places, weights = carriers(statics.cloud, those, cloud, nodes)
     close, between = np.zeros((len(nodes), 0), dtype=np.int64), np.zeros((len(nodes), 0, 3, 3), dtype=np.float32)
     if statics.cloud is not cloud:
@@ -179,6 +182,7 @@ def fitted_dents(model: ReducedModel, body: FullModel, snapshots: Snapshots, sta
     blank = NO_DENTS._replace(
         nodes=nodes, carriers=places, weights=weights, flexibility=flexibility.astype(np.float32),
         close=close, between=between, patches=patches, shares=shares,
+        inside=inside(statics.cloud, deeper, follow, cloud, deep, nodes) if len(deep) and len(deeper) else None,
     )  # fmt: skip
     return _fitted(blank, cloud.points, frames)
 
@@ -198,6 +202,11 @@ def _patches(body: FullModel, nodes: Ints) -> tuple[Ints, Floats]:
 def _free_surface(cloud: Cloud, fixed: Sequence[str]) -> NDArray[np.int64]:
     held = np.concatenate([np.zeros(0, dtype=np.int64), *(cloud.group(name) for name in fixed)])
     return np.setdiff1d(surface_nodes(cloud), held)
+
+
+def _free_inside(cloud: Cloud, fixed: Sequence[str]) -> NDArray[np.int64]:
+    away = np.concatenate([surface_nodes(cloud), *(cloud.group(name) for name in fixed)])
+    return np.setdiff1d(np.arange(len(cloud)), away)
 
 
 class _Frame(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -10,9 +11,11 @@ from numpy.typing import NDArray
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
 
-__all__ = ["Errors", "errors"]
+__all__ = ["Errors", "TouchErrors", "errors", "touch_errors"]
 
 Floats = NDArray[np.float64]
+
+PRESSED = 0.1  # of a tool's largest force: frames that count
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,65 @@ def errors(full: Trajectory, other: Trajectory) -> Errors:
         velocity=_relative(full.velocities, other.velocities),
         energy=float(np.mean(np.abs(energy - reference)) / reference.max()) if reference.max() > 0 else 0.0,
         reaction=force,
+    )
+
+
+@dataclass(frozen=True)
+class TouchErrors:
+    """What tools and the surface they touch miss of a reference, in frames with at least a tenth of the largest force.
+
+    Parameters
+    ----------
+    force, force_95 : float
+        Difference of the two forces on a tool over the reference's of the moment: median and 95th percentile.
+    surface_95, farthest_95 : float
+        Distance of the two places of a surface node over the largest displacement of the surface: 95th percentile over
+        nodes and frames, and over frames of the farthest node.
+    """
+
+    force: float
+    force_95: float
+    surface_95: float
+    farthest_95: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the errors by name."""
+        return asdict(self)
+
+
+def touch_errors(
+    full: Trajectory, other: Trajectory, tools: Sequence[str], nodes: NDArray[np.int64]
+) -> TouchErrors | None:
+    """Compare what tools do in a run with a reference at the same times.
+
+    Parameters
+    ----------
+    full, other : Trajectory
+    tools : sequence of str
+        Names of their reactions.
+    nodes : (k,) int array
+        Of the surface that tools may touch.
+
+    Returns
+    -------
+    TouchErrors, or None where no tool touches the body in the reference.
+    """
+    missed, pressed = [np.zeros(0)], np.zeros(len(full.times), dtype=np.bool_)
+    for name in tools:
+        size = np.linalg.norm(full.reactions[name], axis=1)
+        counted = size > PRESSED * size.max()
+        missed.append(np.linalg.norm(other.reactions[name] - full.reactions[name], axis=1)[counted] / size[counted])
+        pressed |= counted
+    if not pressed.any():
+        return None
+    force, surface = np.concatenate(missed), full.displacements[:, nodes]
+    reach = np.linalg.norm(surface, axis=2).max()
+    apart = np.linalg.norm(other.displacements[:, nodes] - surface, axis=2)[pressed] / reach
+    return TouchErrors(
+        force=float(np.median(force)),
+        force_95=float(np.quantile(force, 0.95)),
+        surface_95=float(np.quantile(apart, 0.95)),
+        farthest_95=float(np.quantile(apart.max(axis=1), 0.95)),
     )
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
 from palpate.dynamics.full import FullModel
@@ -34,7 +34,9 @@ WIDTH = 0.6  # of the coarse spacing: where a carrier's weight has fallen to 1/e
 ASIDE = 0.05  # least weight of a carrier whose normal points elsewhere
 
 
-def residual_flexibility(body: FullModel, nodes: Ints, points: Floats, columns: Floats) -> Floats:
+def residual_flexibility(
+    body: FullModel, nodes: Ints, points: Floats, columns: Floats, also: Ints | None = None
+) -> Floats:
     """Return what modes leave of the compliance of surface nodes at rest, rows 3 i + c of node i.
 
     Parameters
@@ -47,10 +49,13 @@ def residual_flexibility(body: FullModel, nodes: Ints, points: Floats, columns: 
         Where the modes are known.
     columns : (m, n, 3) array
         Modes, zero at the supports.
+    also : (i,) int array, optional
+        Other nodes, not held, whose displacements by forces on `nodes` are wanted.
 
     Returns
     -------
-    (3 k, 3 k) array [m/N]
+    (3 k + 3 i, 3 k) array [m/N]
+        Rows of `nodes`, then those of `also`.
 
     Raises
     ------
@@ -76,11 +81,17 @@ def residual_flexibility(body: FullModel, nodes: Ints, points: Floats, columns: 
     modal = modes @ (stiffness @ modes.T)
     factor = cholesky(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
     last = np.ascontiguousarray(factor[-3 * len(nodes) :, -3 * len(nodes) :])
-    del factor
     own = modes[:, -3 * len(nodes) :]
     whole = cho_solve((last, True), np.eye(len(last)), overwrite_b=True)
     rest = whole - own.T @ np.linalg.solve(modal, own)
-    return np.asarray((rest + rest.T) / 2)
+    rest = (rest + rest.T) / 2
+    if also is None or not len(also):
+        return np.asarray(rest)
+    # of a factor's first rows L and the last ones B below them, the inner nodes follow the others by -L^-T B^T
+    first = slice(3 * len(inside))
+    follow = solve_triangular(factor[first, first], factor[3 * len(inside) :, first].T @ whole, lower=True, trans="T")
+    rows = (3 * np.searchsorted(inside, also)[:, None] + np.arange(3)).ravel()
+    return np.concatenate([rest, -follow[rows] - modes[:, rows].T @ np.linalg.solve(modal, own)])
 
 
 def carriers(coarse: Cloud, those: Ints, fine: Cloud, nodes: Ints) -> tuple[Ints, Floats]:

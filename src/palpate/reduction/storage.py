@@ -24,10 +24,11 @@ import numpy as np
 
 from palpate.faults import FileFormatError, InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
-from palpate.reduction.compliance import NO_DENTS, Dents
+from palpate.reduction.compliance import NO_DENTS
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
+from palpate.reduction.stored_dents import DENTS, WITHIN, stored_dents
 from palpate.reduction.stored_material import (
     described,
     described_fibres,
@@ -75,7 +76,6 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "dents/shares": ("<f8", ("touched", "patched")),
     "dents/hardening": ("<f8", (2,)),
 }
-DENTS = tuple(name.removeprefix("dents/") for name in LAYOUT if name.startswith("dents/"))
 PLACED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "regions": ("<i8", ("nodes",))
 }  # where there are several materials
@@ -85,6 +85,7 @@ NODES = (
     "cloud/triangles",
     "cubature/nodes",
     "dents/nodes",
+    "inside/nodes",
 )  # hold numbers of nodes
 ATTRIBUTES = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
@@ -217,9 +218,13 @@ def _arrays(parts: ReducedParts) -> Arrays:
         "fibres/directions": np.zeros((0, len(parts.cloud), 3)) if parts.fibres is None else parts.fibres.directions,
         **{f"dents/{name}": getattr(dents, name) for name in DENTS},
     }
+    layout = LAYOUT if parts.regions is None else LAYOUT | PLACED
+    if dents.inside is not None:
+        layout = layout | WITHIN
+        listed |= {f"inside/{name}": array for name, array in dents.inside._asdict().items()}
     return {
         name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
-        for name, (dtype, _) in (LAYOUT if parts.regions is None else LAYOUT | PLACED).items()
+        for name, (dtype, _) in layout.items()
     }
 
 
@@ -262,7 +267,8 @@ def _read(file: Any) -> tuple[Header, Arrays]:
         "columns": coordinates + 3 * len(header["fixed"]) + integer_in_range("witnesses", header["witnesses"], 0),
     }
     arrays = {}
-    for name, (dtype, shape) in (LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED).items():
+    layout = LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED
+    for name, (dtype, shape) in (layout | WITHIN if "inside" in file else layout).items():
         data = file.get(name)
         if not isinstance(data, h5py.Dataset):
             raise InputError(f"dataset {name} is missing")
@@ -327,26 +333,8 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         ),
         slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
         fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
-        dents=_dents(own, number_in_range("dents_grip", header["dents_grip"], 0.0, open_low=True)),
+        dents=stored_dents(own, number_in_range("dents_grip", header["dents_grip"], 0.0, open_low=True)),
     )
-
-
-def _dents(arrays: Arrays, grip: float) -> Dents | None:
-    """Make the compliance of the surface; none where no nodes may be touched."""
-    dents = Dents(**{name: arrays[f"dents/{name}"] for name in DENTS}, grip=grip)
-    if not len(dents.nodes):
-        return None
-    diagonal = np.diagonal(dents.flexibility)
-    if not (np.all(diagonal >= 0) and diagonal.sum() > 0):
-        raise InputError("dataset dents/flexibility holds no positive compliance")
-    if not np.all((dents.carriers >= 0) & (3 * dents.carriers + 2 < len(diagonal))):
-        raise InputError(f"dataset dents/carriers names rows outside the {len(diagonal)} of dents/flexibility")
-    for name in ("patches", "close"):
-        if not np.all((arrays[f"dents/{name}"] >= 0) & (arrays[f"dents/{name}"] < len(dents.nodes))):
-            raise InputError(f"dataset dents/{name} names rows outside the {len(dents.nodes)} of dents/nodes")
-    if not (dents.hardening[0] >= 0 and dents.hardening[1] > 0):
-        raise InputError("dataset dents/hardening holds no exponent of at least 0 and positive force")
-    return dents._replace(flexibility=dents.flexibility.astype(np.float32), between=dents.between.astype(np.float32))
 
 
 def _rule(header: Header) -> Header:

@@ -14,12 +14,12 @@ from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import Load
 from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.rollout import rollout
-from palpate.dynamics.tools import Contact
+from palpate.dynamics.tools import Contact, Grasp
 from palpate.dynamics.trajectory import StoredTrajectory, Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.bases import joined, main_modes
 from palpate.reduction.dents import fitted_dents
-from palpate.reduction.errors import errors
+from palpate.reduction.errors import Errors, TouchErrors, errors, touch_errors
 from palpate.reduction.incremental import block_size
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
@@ -297,24 +297,37 @@ def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         entry: dict[str, Any] = {"failed": False}
         try:
             own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
-            entry |= errors(run, own).as_dict()
+            entry |= errors(run, own).as_dict() | _touched(model, loads, run, own)
             frames.append(tried_frames(model, loads, own, run))
         except DivergenceError as error:
             entry = {"failed": True, "reason": str(error)}
         found.append(entry)
-    good = [entry for entry in found if not entry["failed"]]
-    names = ("displacement", "velocity", "energy", "reaction")
-    mean = {name: float(np.mean([e[name] for e in good])) if len(good) == len(found) else np.inf for name in names}
-    worst = {
-        name: float(np.quantile([e[name] for e in good], HELD_SHARE)) if len(good) == len(found) else np.inf
-        for name in names
-    }
-    model.parts.report["held_out"] = {"runs": found, "mean": mean, "percentile_95": worst}
+    touched = [entry for entry in found if entry["failed"] or "force" in entry]
+    model.parts.report["held_out"] = {"runs": found, **_over_runs(found, list(Errors.__annotations__))}
+    if any(not entry["failed"] for entry in touched):
+        model.parts.report["held_out"]["touch"] = _over_runs(touched, list(TouchErrors.__annotations__))
     if not frames:
         return model
     reach, leeway, table = calibrated(frames, HELD_SHARE)
     model.parts.report["held_out"]["trust"] = table
     return ReducedModel(replace(model.parts, reach=reach, leeway=leeway))
+
+
+def _touched(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:
+    """Return the errors by name of what tools do; none where no tool touches the body."""
+    tools = [load.name for load in loads if isinstance(load, Contact | Grasp)]
+    found = touch_errors(run, own, tools, model.parts.dents.nodes) if model.parts.dents is not None else None
+    return found.as_dict() if found is not None else {}
+
+
+def _over_runs(found: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return mean and 95th percentile of the errors of runs; infinite where one of them failed."""
+    failed = any(entry["failed"] for entry in found)
+    values = {name: np.inf if failed else np.array([entry[name] for entry in found]) for name in names}
+    return {
+        "mean": {name: float(np.mean(own)) for name, own in values.items()},
+        "percentile_95": {name: float(np.quantile(own, HELD_SHARE)) for name, own in values.items()},
+    }
 
 
 def _measured(model: ReducedModel, pressed: Sequence[Trial]) -> tuple[ReducedModel, dict[str, Any]]:

@@ -22,6 +22,11 @@ __all__ = ["FILES", "deliver"]
 
 FIGURE = "errors.png"
 FILES = (MODEL, "report.json", "report.md", FIGURE, "campaign.json", "runs")
+TOUCH = {
+    "force": "force on tools, median",
+    "force_95": "force on tools, 95th percentile",
+    "surface_95": "displacement of the surface, 95th percentile",
+}  # as `palpate.reduction.errors.TouchErrors` names them
 KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
 
@@ -125,7 +130,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
             rows[f"error of {name} on held-out paths, mean; 95 % below"] = (
                 "-" if mean is None else f"{percent(mean)}; {percent(worst)}"
             )
-        rows |= _by_load(report)
+        rows |= _by_load(report) | _touch_rows(model["held_out"])
     return rows
 
 
@@ -144,6 +149,29 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
     }
 
 
+def _touch_rows(found: dict[str, Any]) -> dict[str, str]:
+    """Say what tools on the surface of a body miss; nothing where none touches it."""
+    if "touch" not in found:
+        return {}
+    errors = {name: (found["touch"]["mean"][name], found["touch"]["percentile_95"][name]) for name in TOUCH}
+    return {
+        f"error of {text} while pressed; mean over held-out paths, 95 % below": "-"
+        if errors[name][0] is None
+        else f"{percent(errors[name][0])}; {percent(errors[name][1])}"
+        for name, text in TOUCH.items()
+    }
+
+
+def _touch_table(found: dict[str, Any], held: Sequence[str]) -> list[str]:
+    """The same of every held-out path whose tools touch the body, as lines of Markdown."""
+    if "touch" not in found:
+        return []
+    lines = ["", "Frames with at least a tenth of a tool's largest force:", ""]
+    lines += [f"| held-out path | {' | '.join(TOUCH.values())} |", "|---" * (len(TOUCH) + 1) + "|"]
+    touched = [(name, run) for name, run in zip(held, found["runs"], strict=True) if "force" in run]
+    return lines + [f"| {name} | {' | '.join(percent(run[k]) for k in TOUCH)} |" for name, run in touched]
+
+
 def _markdown(report: dict[str, Any], rows: Mapping[str, str], held: Sequence[str]) -> str:
     lines = [f"# {report['title']}", "", "| | |", "|---|---|"]
     lines += [f"| {name} | {value} |" for name, value in rows.items()]
@@ -156,6 +184,7 @@ def _markdown(report: dict[str, Any], rows: Mapping[str, str], held: Sequence[st
         for name, run in zip(held, report["model"]["held_out"]["runs"], strict=True):
             told = [run["reason"], *[""] * (len(KINDS) - 1)] if run["failed"] else [percent(run[k]) for k in KINDS]
             lines.append(f"| {name} | {loads[name]} | {' | '.join(told)} |")
+        lines += _touch_table(report["model"]["held_out"], held)
     failed = [run for run in report["runs"] if run["failed"]]
     if failed:
         lines += ["", "Runs of the full model that failed:", ""]

@@ -1,0 +1,113 @@
+"""What dents do inside a body: the statics that modes leave, carried to finer nodes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.dynamics.tools import surface_nodes
+from palpate.reduction.compliance import NO_DENTS, dents_of
+from palpate.reduction.dents import _free_inside, _free_surface
+from palpate.reduction.flexibility import carriers, residual_flexibility
+from palpate.reduction.inside import _followed, inside
+from palpate.reduction.linear import vibration_modes
+
+TISSUE = pt.NeoHookean(C1=1e3, density=1000, poisson=0.4)
+SIZE = (0.06, 0.06, 0.03)
+
+
+def block(spacing):
+    return pt.FullModel(pt.box(SIZE, spacing=spacing), TISSUE, "z-", form="energy")
+
+
+@pytest.fixture(scope="module")
+def fine():
+    body = block(0.005)
+    return body, vibration_modes(body, 10)[0]
+
+
+def dents_from(statics, body, modes):
+    """The compliance of a body's surface and inside by the statics of a model of it."""
+    those, nodes = (_free_surface(of.cloud, of.fixed) for of in (statics, body))
+    deeper, deep = (_free_inside(of.cloud, of.fixed) for of in (statics, body))
+    rows = residual_flexibility(statics, those, body.cloud.points, modes, deeper)
+    places, weights = carriers(statics.cloud, those, body.cloud, nodes)
+    count = 3 * len(those)
+    return NO_DENTS._replace(
+        nodes=nodes, carriers=places, weights=weights, flexibility=rows[:count].astype(np.float32),
+        inside=inside(statics.cloud, deeper, rows[count:], body.cloud, deep, nodes),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def own(fine):
+    return dents_from(fine[0], *fine)
+
+
+def pressed(dents, points):
+    """Forces on the nodes about the middle of the top, those nodes, and what they do."""
+    middle = np.linalg.norm(points[dents.nodes] - (0.03, 0.03, SIZE[2]), axis=1) < 0.0076
+    forces = np.zeros((len(dents.nodes), 3))
+    forces[middle] = np.array([0.1, 0.0, -1.0]) / middle.sum()
+    return forces, dents.nodes[middle], dents_of(dents, points, forces[None], [True])[0]
+
+
+def test_every_free_node_is_either_touched_or_follows(own, fine):
+    cloud = fine[0].cloud
+    assert not np.intersect1d(own.nodes, own.inside.nodes).size
+    np.testing.assert_array_equal(
+        np.union1d(own.nodes, own.inside.nodes), np.setdiff1d(np.arange(len(cloud)), cloud.group("z-"))
+    )
+    assert np.isin(own.nodes, surface_nodes(cloud)).all()
+
+
+def test_dents_of_statics_go_on_inside_as_statics_do(own, fine):
+    body, modes = fine
+    forces, _, found = pressed(own, body.cloud.points)
+    load = np.zeros((len(body.cloud), 3))
+    load[own.nodes] = forces
+    every = np.flatnonzero(~body.held)
+    rows = residual_flexibility(body, every, body.cloud.points, modes)  # of all nodes, as if all were of the surface
+    wanted = (rows @ load[every].reshape(-1)).reshape(-1, 3)
+    np.testing.assert_allclose(found[every], wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+def test_the_surface_and_the_energy_know_nothing_of_it(own, fine):
+    forces, _, found = pressed(own, fine[0].cloud.points)
+    bare, energy = dents_of(own._replace(inside=None), fine[0].cloud.points, forces[None], [True])
+    np.testing.assert_array_equal(found[own.nodes], bare[own.nodes])
+    assert not bare[own.inside.nodes].any()
+    assert dents_of(own, fine[0].cloud.points, forces[None], [True])[1] == energy
+
+
+def test_two_tools_add_up(own, fine):
+    points = fine[0].cloud.points
+    forces, _, one = pressed(own, points)
+    other = np.roll(forces, 3, axis=0)
+    both = dents_of(own, points, np.stack([forces, other]), [True, True])[0]
+    alone = dents_of(own, points, other[None], [True])[0]
+    np.testing.assert_allclose(both, one + alone, atol=1e-12)
+
+
+def test_linear_fields_are_carried_over():
+    """By the fits to known nodes inside and on the surface; those that lie in a plane leave no slope undefined."""
+    random = np.random.default_rng(0)
+    known, surface = random.random((400, 3)), np.column_stack([random.random((200, 2)), np.ones(200)])
+    points = 0.2 + 0.6 * random.random((50, 3))
+    sources, shares = _followed(points, known, surface, 0.14)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=0.02)
+    all_points = np.concatenate([known, surface])
+    slope = random.standard_normal((3, 3))
+    found = np.einsum("iw,iwc->ic", shares, all_points[sources] @ slope)
+    np.testing.assert_allclose(found, points @ slope, atol=0.02)
+
+
+def test_a_coarser_model_tells_how_a_finer_ones_inside_follows(own, fine):
+    body, modes = fine
+    carried = dents_from(block(0.0075), body, modes)
+    _, _, wanted = pressed(own, body.cloud.points)
+    _, _, found = pressed(carried, body.cloud.points)
+    within = own.inside.nodes
+    missed = np.linalg.norm(found[within] - wanted[within], axis=1)
+    assert np.sum(missed) < 0.3 * np.sum(np.linalg.norm(wanted[within], axis=1))
