@@ -2,8 +2,8 @@
 
 A tool's forces on the surface move a node inside, beside what the modes do, by the statics at rest that modes leave,
 R f, with R as for the surface (`palpate.reduction.flexibility`), its rows those of nodes inside. Little of it is large
-strain: unlike the surface's, R here needs neither a factor nor hardening to be what runs under known forces show. Rows of a
-coarser model are carried to the nodes of a finer one by linear fits, whose values on the surface are its dents.
+strain: unlike the surface's, R here needs neither a factor nor hardening to be what runs under known forces show. Rows
+of a coarser model are carried to the nodes of a finer one by linear fits, whose values on the surface are its dents.
 """
 
 from __future__ import annotations

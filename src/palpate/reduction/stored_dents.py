@@ -33,7 +33,8 @@ def stored_dents(arrays: Arrays, grip: float) -> Dents | None:
     InputError
         What no compliance has.
     """
-    dents = Dents(*(arrays[f"dents/{name}"] for name in DENTS), grip=grip)
+    known: dict[str, Any] = {name: arrays[f"dents/{name}"] for name in DENTS}
+    dents = Dents(**known, grip=grip)
     if not len(dents.nodes):
         return None
     diagonal = np.diagonal(dents.flexibility)
