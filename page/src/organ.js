@@ -53,7 +53,7 @@ export class Organ {
       vertexShader: organShader.vertex,
       fragmentShader: organShader.fragment,
       defines,
-      side: three.DoubleSide,
+      side: closed(this.triangles) ? three.FrontSide : three.DoubleSide,
       uniforms: {
         normals: { value: null },
         tissue: { value: linear(TISSUE) },
@@ -145,6 +145,19 @@ export class Organ {
     this.target?.dispose();
     this.texture?.dispose();
   }
+}
+
+/** Whether each edge has a triangle on either side. */
+function closed(triangles) {
+  const seen = new Set();
+  for (let k = 0; k < triangles.length; k += 3) {
+    for (let j = 0; j < 3; j++) {
+      const [a, b] = [triangles[k + j], triangles[k + ((j + 1) % 3)]];
+      const other = b * 2 ** 26 + a;
+      if (!seen.delete(other)) seen.add(a * 2 ** 26 + b);
+    }
+  }
+  return seen.size === 0;
 }
 
 /** For each vertex the two other corners of the triangles around it, in their order. */

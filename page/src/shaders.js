@@ -99,9 +99,12 @@ export const organ = {
       float edge = pow(1.0 - clamp(dot(n, view), 0.0, 1.0), 4.0);
       float gloss = wet * (1.0 - 0.7 * covered);
       vec3 half1 = normalize(KEY + view);
-      float sharp = pow(max(dot(n, half1), 0.0), 90.0), broad = pow(max(dot(n, half1), 0.0), 16.0);
-      float soft = pow(max(dot(n, normalize(FILL + view)), 0.0), 26.0);
-      vec3 colour = albedo * light + gloss * (0.24 * sharp + 0.035 * broad + 0.03 * soft)
+      float shine = 0.24 * pow(max(dot(n, half1), 0.0), 90.0);
+      #ifdef FINE
+        shine += 0.035 * pow(max(dot(n, half1), 0.0), 16.0);
+        shine += 0.03 * pow(max(dot(n, normalize(FILL + view)), 0.0), 26.0);
+      #endif
+      vec3 colour = albedo * light + gloss * shine
                   + edge * (1.0 - 0.6 * covered) * (0.07 * vec3(1.0, 0.84, 0.80) + 0.6 * albedo) * (0.3 + 0.7 * sky);
       result = vec4(srgb(clamp(colour, 0.0, 1.0)), 1.0) * veil;
     }`,

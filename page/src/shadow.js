@@ -3,14 +3,14 @@ import * as three from "three";
 import { blur, ground } from "./shaders.js";
 
 const PIXELS = 128;
-const OFTEN = 120; // [ms] between two of its pictures
+const OFTEN = 120; // [ms] between two of its pictures; in software it costs as much as the body
 
 const shader = ({ vertex, fragment }, uniforms, more) =>
   new three.ShaderMaterial({ glslVersion: three.GLSL3, vertexShader: vertex, fragmentShader: fragment, uniforms, ...more });
 
 export class Shadow {
-  constructor(renderer) {
-    this.renderer = renderer;
+  constructor(renderer, fine) {
+    Object.assign(this, { renderer, every: fine ? OFTEN : 8 * OFTEN });
     this.strength = 0.34;
     this.last = -Infinity;
     const target = () => new three.WebGLRenderTarget(PIXELS, PIXELS, { depthBuffer: false });
@@ -48,7 +48,7 @@ export class Shadow {
     const over = (camera.position.z - this.floor) / organ.sphere.radius;
     this.uniforms.strength.value = this.strength * Math.min(Math.max(over, 0), 1); // none seen from below
     const now = performance.now();
-    if (now - this.last < OFTEN) return;
+    if (now - this.last < this.every) return;
     this.last = now;
     const { renderer, targets } = this;
     const scene = new three.Scene();

@@ -32,7 +32,7 @@ export class Stage {
     this.ghost = new ToolMark(0.5);
     this.arrow = new Arrow("#0b7285");
     this.ring = new Ring("#0b7285");
-    this.shadow = new Shadow(this.renderer);
+    this.shadow = new Shadow(this.renderer, this.fine);
     this.scene.add(this.shadow.plane, this.tool.group, this.ghost.group, this.arrow.group, this.ring.mesh);
     this.organ = this.overlay = null;
     this.dirty = true;
