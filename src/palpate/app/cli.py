@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         commands = {
             "reproduce": _reproduce, "run": _run, "train": _train, "fit": _fit, "check": _check, "bench": _bench,
-            "laws": _laws,
+            "laws": _laws, "view": _view,
         }  # fmt: skip
         return commands[command](options)
     except (InputError, FileFormatError, FileNotFoundError) as error:
@@ -111,6 +111,12 @@ def _train(options: dict[str, Any]) -> int:
     return train(**options)
 
 
+def _view(options: dict[str, Any]) -> int:
+    from palpate.app.view.command import view
+
+    return view(options.pop("what"), **options)
+
+
 def _complain(message: str, code: int) -> int:
     print(f"palpate: {' '.join(message.split())}", file=sys.stderr)
     return code
@@ -128,6 +134,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_beam(examples)
     _add_membrane(examples)
     _add_run(commands)
+    _add_view(commands)
     _add_train(commands)
     _add_fit(commands)
     _add_check(commands)
@@ -258,6 +265,19 @@ def _add_train(commands: Any) -> None:
     add("--cluster", metavar="ADDRESS", help="Dask scheduler, or its file, instead of processes here")
     add("--folder", type=Path, default=Path("out/train"), metavar="DIR", help="where all goes (out/train)")
     add("--json", action="store_true", dest="as_json", help="print the report as JSON instead of a table")
+
+
+def _add_view(commands: Any) -> None:
+    view = commands.add_parser(
+        "view",
+        help="press and pull a body on a page in the browser",
+        description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
+    )
+    add = view.add_argument
+    add("what", metavar="SCENE|FILE", help="liver, beam, or a model's file")
+    add("--port", type=int, default=8765, metavar="N", help="of the page; the next free one if it is busy (8765)")
+    add("--host", default="127.0.0.1", metavar="ADDRESS", help="of this machine; others let other machines in")
+    add("--no-browser", action="store_false", dest="browser", help="print the address only")
 
 
 def _add_fit(commands: Any) -> None:

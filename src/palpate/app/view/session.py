@@ -1,0 +1,272 @@
+"""A session: a body in real time, the tool in a hand, and what is done with both. It knows no server and no page."""
+
+from __future__ import annotations
+
+import threading
+import time
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.view.hand import UNTURNED, Held, Outside, forceps, shape
+from palpate.app.view.messages import Message
+from palpate.app.view.snapshot import Snapshot
+from palpate.dynamics.tools import Contact, Forceps, Sphere
+from palpate.faults import InputError
+from palpate.realtime.engine import Engine
+from palpate.realtime.row import Reading
+from palpate.realtime.watched import Seen, watched
+from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.retooling import retool
+from palpate.reduction.surface import Surface
+
+__all__ = ["Session"]
+
+Floats = NDArray[np.float64]
+
+RATE = 1000.0  # [Hz]
+MOST_SPEED = 0.5  # [m/s] of the tool
+TRIES = 1000  # to read the engine's row and the model's of one period
+ASLEEP = 3.0  # [s] without a tick: the machine slept
+NOTHING = Held("none", None)
+
+
+class Session:
+    """A reduced model in an `Engine`, with the tool that a hand holds.
+
+    Messages come from one thread at a time; `snapshot` may be asked from any.
+
+    Parameters
+    ----------
+    model : ReducedModel
+        One that tools touch, or that holds one group.
+    title : str
+    rate : float [Hz]
+
+    Raises
+    ------
+    InputError
+        The model takes no tool.
+    """
+
+    mode = "live"
+
+    def __init__(self, model: ReducedModel, title: str, rate: float = RATE) -> None:
+        self.model, self.title, self.rate = model, title, rate
+        self.surface = Surface(model)
+        self._outside = Outside(self.surface)
+        self.touched = not model.parts.driven and model.parts.dents is not None
+        far = Contact(Sphere(model.cloud.spacing), model.cloud.points.max(axis=0) + 10.0) if self.touched else None
+        self._ready = model.realtime(contact=far)
+        self._home, self.held, self._last = np.zeros(3), NOTHING, NOTHING
+        if self.touched:
+            retool(self._ready, None, np.concatenate([np.zeros(3), UNTURNED]))
+        else:
+            group = model.cloud.points[model.cloud.group(model.parts.driven[0])].mean(axis=0)
+            self._home[: len(group)] = group
+            self.held = Held("group", None)
+        self._watched = watched(self._ready)
+        self.engine = Engine(self._watched, rate, most_speed=MOST_SPEED)
+        self.speed, self.paused_because, self.sequence = 1.0, None, 0
+        self._lock, self._beat = threading.RLock(), (time.time(), time.monotonic())
+
+    # what it tells
+
+    def snapshot(self) -> Snapshot:
+        """Return what is known of the last period: the engine's row and the model's touched nodes, of one period."""
+        with self._lock:
+            row, seen = self._together()
+            held, home, sequence = self.held, self._home, self.sequence
+        return Snapshot(
+            row.time, row.steps, row.trust, row.force, row.moment, seen.hand, row.stiffness, home + seen.place,
+            row.quaternion, row.kinetic, row.strain, row.computing, row.lateness, seen.coordinates, seen.nodes,
+            seen.forces, held.kind, row.state, sequence,
+        )  # fmt: skip
+
+    def _together(self) -> tuple[Reading, Seen]:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # about trust: every frame tells it
+            for _ in range(TRIES):
+                row, seen = self.engine.read(), self._watched.seen()
+                if np.array_equal(row.coordinates, seen.coordinates):
+                    break
+        return row, seen  # of periods side by side if the processor is so busy that they never were of one
+
+    def hello(self) -> dict[str, Any]:
+        """Return what does not change."""
+        row, units = self.snapshot(), {"displacement": ("mm", 1e3), "stress": ("kPa", 1e-3), "pressure": ("kPa", 1e-3)}
+        errors = self.model.report.get("held_out", {}).get("mean", {})
+        return {
+            "tools": self.tools, "tool": self.held.described(row.position, row.quaternion), "materials": [],
+            "scalars": [dict(zip(("name", "unit", "factor"), (name, *units[name]), strict=True))
+                        for name in self.surface.scalars],
+            "rate": self.rate, "overlay": False,
+            "trained": {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
+            if errors else None,
+        }  # fmt: skip
+
+    def overlay(self) -> None:
+        """Return the full model's positions: a session has none."""
+        return None
+
+    def status(self) -> dict[str, Any]:
+        """Return what changes seldom."""
+        row = self.snapshot()
+        return {
+            "state": row.state, "tool": self.held.described(row.position, row.quaternion), "speed": self.speed,
+            "paused_because": self.paused_because,
+        }  # fmt: skip
+
+    def statistics(self) -> dict[str, Any]:
+        """Return how the engine kept its deadlines since it was started."""
+        known = self.engine.statistics()
+        return {
+            "median_ms": 1e3 * known.computing.percentile(50), "p99_ms": 1e3 * known.computing.percentile(99),
+            "misses": known.missed, "periods": known.count,
+        }  # fmt: skip
+
+    @property
+    def tools(self) -> list[str]:
+        """Kinds of tools that a hand may take."""
+        return ["sphere", "capsule", "grasp"] if self.touched else []
+
+    # what it is told
+
+    def handle(self, message: Message) -> dict[str, Any] | None:
+        """Do what a checked message of whoever holds the tool says.
+
+        Returns
+        -------
+        dict or None
+            What all who watch are to be told.
+
+        Raises
+        ------
+        InputError
+            It cannot be done; says why.
+        """
+        kind = message["type"]
+        if kind == "pose":
+            self._move(message)
+        elif kind == "tool":
+            self._take(message)
+        elif kind == "release":
+            self.release()
+        elif kind == "control":
+            {"reset": self.reset, "pause": self.pause, "resume": self.resume}[message["action"]]()
+        elif kind == "speed":
+            with self._lock:
+                self.engine.slow_down(message["factor"])
+                self.speed = message["factor"]
+        else:
+            raise InputError(f"{kind!r} is for replays" if kind == "replay" else f"{kind!r} is nothing to do here")
+        return None
+
+    def start(self) -> None:
+        """Let the engine step."""
+        self.engine.start()
+
+    def stop(self) -> None:
+        """End the engine's thread."""
+        self.engine.stop()
+
+    def pause(self, because: str | None = None) -> None:
+        """Let the body's time stand still."""
+        self.engine.pause()
+        self.paused_because = because
+
+    def resume(self) -> None:
+        """Let the body's time go on."""
+        if self.engine.state == "ran away":
+            raise InputError("the state ran away: reset it")
+        if self.engine.state == "stopped":
+            self.engine.start()
+        self.engine.resume()
+        self.paused_because = None
+
+    def reset(self) -> None:
+        """Put the body at rest, the tool away."""
+        with self._lock:
+            running = self.engine.state in ("running", "ran away")
+            self.engine.pause()
+            if self.touched:
+                self._equip(NOTHING, self._home, UNTURNED)
+            self.engine.reset()
+            self._watched.put(self._ready.rest, np.zeros(3))
+            if running:
+                self.resume()
+
+    def release(self) -> None:
+        """Take the tool away; a group that the model holds goes back to where it was at rest."""
+        if not self.touched:
+            self.engine.set_pose(np.zeros(3))
+        elif self.held.shape is not None:
+            self._swap(NOTHING, self._home, UNTURNED)
+
+    def tick(self) -> None:
+        """Notice that the machine slept, or this program was stopped; to be called several times a second."""
+        now = (time.time(), time.monotonic())
+        slept = max(now[0] - self._beat[0], now[1] - self._beat[1]) > ASLEEP
+        self._beat = now
+        if slept and self.engine.state == "running":
+            self.pause("sleep")
+
+    # the tool
+
+    def _move(self, message: Message) -> None:
+        pose = self._outside.limited(np.array(message["position"])), np.array(message["quaternion"])
+        with self._lock:
+            if self.touched and self.held.shape is None and not self._brought_back(*pose):
+                return
+            self.engine.set_pose(pose[0] - self._home, pose[1])
+            self.sequence = message["sequence"]
+
+    def _brought_back(self, position: Floats, quaternion: Floats) -> bool:
+        """Put the tool that was last held down again, if it is outside of the body."""
+        tool = self._last.shape
+        if tool is None or isinstance(tool, Forceps):
+            return False
+        if not self._outside.tells(self._moved(), tool, np.concatenate([position, quaternion])):
+            return False
+        self._swap(self._last, position, quaternion)
+        return True
+
+    def _take(self, message: Message) -> None:
+        if not self.touched:
+            raise InputError("tool: this model holds one group of nodes and takes no other tool")
+        position, turn = self._outside.limited(np.array(message["position"])), np.array(message["quaternion"])
+        if message["kind"] == "grasp":
+            tool, position = forceps(self.surface, self._moved(), position, message["radius"])
+        else:
+            tool = shape(message)
+            if not self._outside.tells(self._moved(), tool, np.concatenate([position, turn])):
+                raise InputError("tool: it would be inside the body there; put it down outside")
+        held = Held(
+            message["kind"], tool, message["radius"], message["length"], message["friction"], message["stiffness"]
+        )
+        self._swap(held, position, turn)
+        self.sequence = message["sequence"]
+
+    def _moved(self) -> Floats:
+        return self.snapshot().displacements(self.surface).astype(float)
+
+    def _swap(self, held: Held, position: Floats, quaternion: Floats) -> None:
+        """Take another tool in the hand, the body going on from the state in which it is."""
+        with self._lock:
+            running = self.engine.state == "running"
+            self.engine.pause()
+            self._equip(held, position, quaternion)
+            if running:
+                self.engine.resume()
+
+    def _equip(self, held: Held, position: Floats, quaternion: Floats) -> None:
+        if self.held.shape is not None:
+            self._last = NOTHING if isinstance(self.held.shape, Forceps) else self.held
+        retool(self._ready, held.shape, np.concatenate([position, quaternion]), held.friction)
+        self._watched.couple(held.stiffness)
+        self._watched.put(self.engine.read().coordinates, np.zeros(3))
+        self.engine.place_tool(np.zeros(3), quaternion)
+        self.held, self._home = replace(held), np.array(position)
