@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         commands = {
             "reproduce": _reproduce, "run": _run, "train": _train, "fit": _fit, "check": _check, "bench": _bench,
-            "laws": _laws, "view": _view,
+            "laws": _laws, "view": _view, "replay": _replay,
         }  # fmt: skip
         return commands[command](options)
     except (InputError, FileFormatError, FileNotFoundError) as error:
@@ -115,6 +115,12 @@ def _view(options: dict[str, Any]) -> int:
     from palpate.app.view.command import view
 
     return view(options.pop("what"), **options)
+
+
+def _replay(options: dict[str, Any]) -> int:
+    from palpate.app.view.command import replay
+
+    return replay(options.pop("file"), **options)
 
 
 def _complain(message: str, code: int) -> int:
@@ -275,6 +281,28 @@ def _add_view(commands: Any) -> None:
     )
     add = view.add_argument
     add("what", metavar="SCENE|FILE", help="liver, beam, or a model's file")
+    _add_address(view)
+    add("--record", type=Path, metavar="FILE.h5", help="record all, and write it here in the end")
+    add("--headless", action="store_true", help="no page: a script drives, and statistics are printed")
+    add("--seconds", type=float, metavar="S", help="of a headless session (10)")
+    add("--script", type=Path, metavar="FILE", help="of a headless session: lines of JSON, see docs/protocol.md")
+    add("--json", action="store_true", dest="as_json", help="print the statistics as JSON")
+    replay = commands.add_parser(
+        "replay",
+        help="show or export what palpate view has recorded",
+        description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
+    )
+    add = replay.add_argument
+    add("file", type=Path, metavar="FILE.h5", help="the recording")
+    add("--full", action="store_true", help="run the path on the full model, and print how far the recorded one was")
+    add("--png", type=Path, metavar="FILE.png", help="draw the moment of the largest force")
+    add("--movie", type=Path, metavar="FILE", help="draw all: .gif, or .mp4 with palpate[film]")
+    add("--scalar", default="displacement", metavar="NAME", help="displacement, stress or pressure, by colour")
+    _add_address(replay)
+
+
+def _add_address(parser: Any) -> None:
+    add = parser.add_argument
     add("--port", type=int, default=8765, metavar="N", help="of the page; the next free one if it is busy (8765)")
     add("--host", default="127.0.0.1", metavar="ADDRESS", help="of this machine; others let other machines in")
     add("--no-browser", action="store_false", dest="browser", help="print the address only")

@@ -173,7 +173,7 @@ class Surface:
             self._gradients = self._differentiated()
         parts = self.model.parts
         F = (self._gradients @ coordinates.astype(np.float32)).reshape(-1, 3, 3) + np.eye(3)
-        law = parts.material if parts.regions is None else parts.regions.of(self.nodes)
+        law = parts.material if parts.regions is None else parts.regions.at(self.nodes)
         stress = law.stress(F)
         if parts.fibres is not None:
             stress = stress + parts.fibres.of(self.nodes).stress(F)

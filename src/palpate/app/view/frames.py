@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from palpate.app.view.snapshot import STATES, TOOLS, Snapshot
 from palpate.reduction.surface import Surface
 
-__all__ = ["FORCE", "GEOMETRY", "OVERLAY", "STATE", "force_frame", "geometry_frame", "headed", "overlay", "state"]
+__all__ = [
+    "FORCE", "GEOMETRY", "OVERLAY", "STATE", "colour_range", "force_frame", "geometry_frame", "headed", "overlay",
+    "state",
+]  # fmt: skip
 
 Singles = NDArray[np.float32]
 
@@ -35,8 +38,8 @@ def state(surface: Surface, snapshot: Snapshot, scalar: str) -> bytes:
     moved = snapshot.displacements(surface)
     values, low, high = np.zeros(0, dtype="<f4"), 0.0, 0.0
     if scalar != "none":
-        values = surface.scalar(scalar, snapshot.coordinates, moved).astype("<f4")
-        low, high = _range(values)
+        values = snapshot.scalar(surface, scalar, moved).astype("<f4")
+        low, high = colour_range(values)
     numbers = np.array(
         [
             snapshot.time, snapshot.trust, *snapshot.force, *snapshot.moment, *snapshot.position, *snapshot.quaternion,
@@ -47,7 +50,7 @@ def state(surface: Surface, snapshot: Snapshot, scalar: str) -> bytes:
     return numbers.tobytes() + (surface.rest + moved).astype("<f4").tobytes() + values.tobytes()
 
 
-def _range(values: Singles) -> tuple[float, float]:
+def colour_range(values: Singles) -> tuple[float, float]:
     """Return what a scale of colours reaches: of both signs alike, or from 0."""
     most = float(np.percentile(np.abs(values), RANGE)) if len(values) else 0.0
     return (-most if len(values) and values.min() < 0 else 0.0), most

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from palpate.app.view.messages import Message
 from palpate.dynamics.contact import gaps
@@ -14,7 +15,7 @@ from palpate.dynamics.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
 from palpate.reduction.surface import Surface
 
-__all__ = ["Held", "Outside", "forceps", "shape"]
+__all__ = ["UNTURNED", "Held", "Outside", "forceps", "shape", "turned"]
 
 Floats = NDArray[np.float64]
 
@@ -46,13 +47,19 @@ class Held:
     friction: float = 0.0
     stiffness: float | None = None
 
-    def described(self, position: Floats, quaternion: Floats) -> dict[str, Any]:
-        """Return what the protocol tells of a tool."""
+    def described(self, position: Floats, quaternion: Floats, held: bool) -> dict[str, Any]:
+        """Return what the protocol tells of a tool that is held or not."""
         return {
-            "kind": self.kind, "radius": self.radius, "length": self.length, "friction": self.friction,
+            "kind": self.kind, "held": held, "radius": self.radius, "length": self.length, "friction": self.friction,
             "stiffness": self.stiffness, "position": [float(x) for x in position],
             "quaternion": [float(x) for x in quaternion],
         }  # fmt: skip
+
+
+def turned(first: Floats, then: Floats, back: bool = False) -> Floats:
+    """Return the quaternion (4,), w x y z, of one turn after another, the first one undone if `back`."""
+    one, two = (Rotation.from_quat(turn, scalar_first=True) for turn in (first, then))
+    return np.asarray((two * (one.inv() if back else one)).as_quat(scalar_first=True))
 
 
 def shape(message: Message) -> Tool:

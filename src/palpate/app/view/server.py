@@ -43,6 +43,7 @@ class Show(Protocol):
     title: str
     surface: Surface
     paused_because: str | None
+    news: list[dict[str, Any]]  # what all are still to be told
 
     def snapshot(self) -> Snapshot:
         """Return what is to be seen now."""
@@ -56,8 +57,8 @@ class Show(Protocol):
     def statistics(self) -> dict[str, Any]:
         """Return how the engine keeps its deadlines."""
 
-    def handle(self, message: Message) -> dict[str, Any] | None:
-        """Do what a message of the driver says; return what all are to be told, if anything."""
+    def handle(self, message: Message) -> None:
+        """Do what a message of the driver says."""
 
     def tick(self) -> None:
         """Be called several times a second."""
@@ -116,14 +117,15 @@ class Server:
             if time.monotonic() - told > TOLD:
                 told = time.monotonic()
                 self._broadcast({"type": "statistics", **self.show.statistics()})
+            while self.show.news:
+                self._broadcast(self.show.news.pop(0))
             await self._tell_status()
             await asyncio.sleep(TICK)
 
     async def _tell_status(self) -> None:
         status = self.show.status()
-        told = repr((status["state"], status["speed"], status["paused_because"], status.get("recording"),
-                     {k: v for k, v in status["tool"].items() if k not in ("position", "quaternion")},
-                     len(self.viewers), id(self.driver)))  # fmt: skip
+        still = {name: value for name, value in status["tool"].items() if name not in ("position", "quaternion")}
+        told = repr(({**status, "tool": still}, len(self.viewers), id(self.driver)))
         if told == self._told:
             return
         self._told = told
@@ -255,9 +257,7 @@ class Server:
             if viewer is not self.driver:
                 raise InputError(f"{kind}: another viewer drives, or none; ask for it by 'drive'")
             viewer.heard = time.monotonic()
-            told = self.show.handle(message)
-            if told is not None:
-                self._broadcast(told)
+            self.show.handle(message)
         else:
             raise InputError(f"{kind}: was said already")
 
@@ -284,9 +284,7 @@ class Server:
             shown, sequence, vertices = key, viewer.next_frame(), len(self.show.surface.rest)
             positions = self.show.overlay()
             if positions is not None:
-                await viewer.socket.send(
-                    frames.headed(frames.OVERLAY, sequence, vertices, frames.overlay(positions))
-                )
+                await viewer.socket.send(frames.headed(frames.OVERLAY, sequence, vertices, frames.overlay(positions)))
             await viewer.socket.send(frames.headed(frames.STATE, sequence, vertices, body))
             await asyncio.sleep(max(0.0, began + FASTEST - time.monotonic()))
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import warnings
-from dataclasses import replace
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.view.hand import UNTURNED, Held, Outside, forceps, shape
+from palpate.app.view.hand import UNTURNED, Held, Outside, forceps, shape, turned
 from palpate.app.view.messages import Message
-from palpate.app.view.snapshot import Snapshot
-from palpate.dynamics.tools import Contact, Forceps, Sphere
+from palpate.app.view.recording import Recorder, Recording, save_recording
+from palpate.app.view.snapshot import UNITS, Snapshot
+from palpate.dynamics.tools import Contact, Forceps, Sphere, Tool
 from palpate.faults import InputError
 from palpate.realtime.engine import Engine
 from palpate.realtime.row import Reading
@@ -32,6 +35,8 @@ MOST_SPEED = 0.5  # [m/s] of the tool
 TRIES = 1000  # to read the engine's row and the model's of one period
 ASLEEP = 3.0  # [s] without a tick: the machine slept
 NOTHING = Held("none", None)
+MODULUS = "shear modulus"
+SOFTEST, FIRMEST = 0.25, 4.0  # of the model's moduli
 
 
 class Session:
@@ -61,16 +66,21 @@ class Session:
         self.touched = not model.parts.driven and model.parts.dents is not None
         far = Contact(Sphere(model.cloud.spacing), model.cloud.points.max(axis=0) + 10.0) if self.touched else None
         self._ready = model.realtime(contact=far)
-        self._home, self.held, self._last = np.zeros(3), NOTHING, NOTHING
+        self._home, self._turn = np.zeros(3), UNTURNED  # of the tool when it was put down
+        self.held, self.chosen = NOTHING, NOTHING
         if self.touched:
             retool(self._ready, None, np.concatenate([np.zeros(3), UNTURNED]))
         else:
             group = model.cloud.points[model.cloud.group(model.parts.driven[0])].mean(axis=0)
             self._home[: len(group)] = group
-            self.held = Held("group", None)
+            self.held = self.chosen = Held("group", None)
         self._watched = watched(self._ready)
         self.engine = Engine(self._watched, rate, most_speed=MOST_SPEED)
-        self.speed, self.paused_because, self.sequence = 1.0, None, 0
+        self.paused_because: str | None = None
+        self.speed, self.sequence, self.firmness = 1.0, 0, 1.0
+        self.news: list[dict[str, Any]] = []  # what all who watch are still to be told
+        self.folder = Path("out/view")  # of recordings
+        self._recorder: Recorder | None = None
         self._lock, self._beat = threading.RLock(), (time.time(), time.monotonic())
 
     # what it tells
@@ -79,12 +89,12 @@ class Session:
         """Return what is known of the last period: the engine's row and the model's touched nodes, of one period."""
         with self._lock:
             row, seen = self._together()
-            held, home, sequence = self.held, self._home, self.sequence
-        return Snapshot(
-            row.time, row.steps, row.trust, row.force, row.moment, seen.hand, row.stiffness, home + seen.place,
-            row.quaternion, row.kinetic, row.strain, row.computing, row.lateness, seen.coordinates, seen.nodes,
-            seen.forces, held.kind, row.state, sequence,
-        )  # fmt: skip
+            return Snapshot(
+                row.time, row.steps, row.trust, row.force, row.moment, seen.hand, row.stiffness,
+                self._home + seen.place, turned(self._turn, row.quaternion), row.kinetic, row.strain, row.computing,
+                row.lateness, seen.coordinates, seen.nodes, seen.forces, self.firmness, self.held.kind, row.state,
+                self.sequence,
+            )  # fmt: skip
 
     def _together(self) -> tuple[Reading, Seen]:
         with warnings.catch_warnings():
@@ -97,16 +107,26 @@ class Session:
 
     def hello(self) -> dict[str, Any]:
         """Return what does not change."""
-        row, units = self.snapshot(), {"displacement": ("mm", 1e3), "stress": ("kPa", 1e-3), "pressure": ("kPa", 1e-3)}
         errors = self.model.report.get("held_out", {}).get("mean", {})
+        trained = {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
         return {
-            "tools": self.tools, "tool": self.held.described(row.position, row.quaternion), "materials": [],
-            "scalars": [dict(zip(("name", "unit", "factor"), (name, *units[name]), strict=True))
+            "tools": self.tools, "tool": self._described(), "materials": self._materials(), "rate": self.rate,
+            "scalars": [{"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1]}
                         for name in self.surface.scalars],
-            "rate": self.rate, "overlay": False,
-            "trained": {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
-            if errors else None,
+            "trained": trained if errors else None, "overlay": False,
         }  # fmt: skip
+
+    def _materials(self) -> list[dict[str, Any]]:
+        """Return what of the material may be changed: all moduli together, unless the tissue has times of its own."""
+        if self.model.material.prony is not None:
+            return []
+        own = 1e-3 * float(self.model.material.shear_modulus)
+        return [{"name": MODULUS, "unit": "kPa", "value": self.firmness * own, "low": SOFTEST * own,
+                 "high": FIRMEST * own, "live": True}]  # fmt: skip
+
+    def _described(self) -> dict[str, Any]:
+        row = self.snapshot()
+        return self.chosen.described(row.position, row.quaternion, self.held is self.chosen)
 
     def overlay(self) -> None:
         """Return the full model's positions: a session has none."""
@@ -114,10 +134,10 @@ class Session:
 
     def status(self) -> dict[str, Any]:
         """Return what changes seldom."""
-        row = self.snapshot()
         return {
-            "state": row.state, "tool": self.held.described(row.position, row.quaternion), "speed": self.speed,
-            "paused_because": self.paused_because,
+            "state": self.engine.state, "tool": self._described(), "speed": self.speed,
+            "paused_because": self.paused_because, "recording": self._recorder is not None,
+            "materials": self._materials(),
         }  # fmt: skip
 
     def statistics(self) -> dict[str, Any]:
@@ -135,13 +155,8 @@ class Session:
 
     # what it is told
 
-    def handle(self, message: Message) -> dict[str, Any] | None:
+    def handle(self, message: Message) -> None:
         """Do what a checked message of whoever holds the tool says.
-
-        Returns
-        -------
-        dict or None
-            What all who watch are to be told.
 
         Raises
         ------
@@ -157,13 +172,16 @@ class Session:
             self.release()
         elif kind == "control":
             {"reset": self.reset, "pause": self.pause, "resume": self.resume}[message["action"]]()
+        elif kind == "material":
+            self._stiffen(message["name"], 1e3 * message["value"])
+        elif kind == "record":
+            self.record() if message["action"] == "start" else self.finish_recording()
         elif kind == "speed":
             with self._lock:
                 self.engine.slow_down(message["factor"])
                 self.speed = message["factor"]
         else:
             raise InputError(f"{kind!r} is for replays" if kind == "replay" else f"{kind!r} is nothing to do here")
-        return None
 
     def start(self) -> None:
         """Let the engine step."""
@@ -203,8 +221,60 @@ class Session:
         """Take the tool away; a group that the model holds goes back to where it was at rest."""
         if not self.touched:
             self.engine.set_pose(np.zeros(3))
-        elif self.held.shape is not None:
-            self._swap(NOTHING, self._home, UNTURNED)
+        elif self.held is not NOTHING:
+            with self._lock:
+                row = self.snapshot()
+                self._swap(NOTHING, row.position, row.quaternion)
+
+    # recordings
+
+    def record(self) -> None:
+        """Begin a recording.
+
+        Raises
+        ------
+        InputError
+            One goes on already.
+        """
+        if self._recorder is not None:
+            raise InputError("record: a recording goes on already")
+        self._recorder = Recorder(self.snapshot, self._described)
+
+    def finish_recording(self, path: Path | None = None, wait: bool = False) -> None:
+        """End the recording and write it, in a thread of its own; `news` then tells where it is.
+
+        Parameters
+        ----------
+        path : path, optional
+            By default a new name in the session's folder.
+        wait : bool
+            Whether to return only when it is written.
+
+        Raises
+        ------
+        InputError
+            None goes on.
+        """
+        if self._recorder is None:
+            raise InputError("record: no recording goes on")
+        recorder, self._recorder = self._recorder, None
+        recorder.stop()
+        path = path or self.folder / time.strftime("recording-%Y%m%d-%H%M%S.h5")
+        recording = Recording(
+            self.title, self.model, np.array(recorder.times), recorder.moments, recorder.tools, {}
+        )  # fmt: skip
+        writer = threading.Thread(target=self._write, args=(path, recording), name="palpate writer")
+        writer.start()
+        if wait:
+            writer.join()
+
+    def _write(self, path: Path, recording: Recording) -> None:
+        try:
+            save_recording(path, recording)
+        except (InputError, OSError) as error:
+            self.news.append({"type": "error", "reason": f"the recording is lost: {error}"})
+        else:
+            self.news.append({"type": "recorded", "file": str(path), "frames": len(recording.times)})
 
     def tick(self) -> None:
         """Notice that the machine slept, or this program was stopped; to be called several times a second."""
@@ -214,40 +284,63 @@ class Session:
         if slept and self.engine.state == "running":
             self.pause("sleep")
 
+    def _stiffen(self, name: str, modulus: float) -> None:
+        if name != MODULUS or not self._materials():
+            raise InputError(f"material: {name!r} cannot be changed here")
+        own = float(self.model.material.shear_modulus)
+        if not SOFTEST <= modulus / own <= FIRMEST:
+            low, high = 1e-3 * SOFTEST * own, 1e-3 * FIRMEST * own
+            raise InputError(f"{name} = {1e-3 * modulus:g} kPa: allowed is from {low:g} to {high:g} kPa")
+        with self._lock, self._standing():
+            self._watched.stiffen(modulus / own)
+            self.firmness = modulus / own
+
     # the tool
 
+    @contextlib.contextmanager
+    def _standing(self) -> Iterator[None]:
+        """Let the engine stand still for a moment."""
+        running = self.engine.state == "running"
+        self.engine.pause()
+        try:
+            yield
+        finally:
+            if running:
+                self.engine.resume()
+
     def _move(self, message: Message) -> None:
-        pose = self._outside.limited(np.array(message["position"])), np.array(message["quaternion"])
+        position, quaternion = self._outside.limited(np.array(message["position"])), np.array(message["quaternion"])
         with self._lock:
-            if self.touched and self.held.shape is None and not self._brought_back(*pose):
+            if self.touched and self.held is NOTHING and not self._brought_back(position, quaternion):
                 return
-            self.engine.set_pose(pose[0] - self._home, pose[1])
+            self.engine.set_pose(position - self._home, turned(self._turn, quaternion, back=True))
             self.sequence = message["sequence"]
 
     def _brought_back(self, position: Floats, quaternion: Floats) -> bool:
         """Put the tool that was last held down again, if it is outside of the body."""
-        tool = self._last.shape
+        tool = self.chosen.shape
         if tool is None or isinstance(tool, Forceps):
             return False
         if not self._outside.tells(self._moved(), tool, np.concatenate([position, quaternion])):
             return False
-        self._swap(self._last, position, quaternion)
+        self._swap(self.chosen, position, quaternion)
         return True
 
     def _take(self, message: Message) -> None:
         if not self.touched:
             raise InputError("tool: this model holds one group of nodes and takes no other tool")
         position, turn = self._outside.limited(np.array(message["position"])), np.array(message["quaternion"])
+        tool: Tool
         if message["kind"] == "grasp":
             tool, position = forceps(self.surface, self._moved(), position, message["radius"])
         else:
             tool = shape(message)
             if not self._outside.tells(self._moved(), tool, np.concatenate([position, turn])):
                 raise InputError("tool: it would be inside the body there; put it down outside")
-        held = Held(
+        self.chosen = Held(
             message["kind"], tool, message["radius"], message["length"], message["friction"], message["stiffness"]
         )
-        self._swap(held, position, turn)
+        self._swap(self.chosen, position, turn)
         self.sequence = message["sequence"]
 
     def _moved(self) -> Floats:
@@ -255,18 +348,14 @@ class Session:
 
     def _swap(self, held: Held, position: Floats, quaternion: Floats) -> None:
         """Take another tool in the hand, the body going on from the state in which it is."""
-        with self._lock:
-            running = self.engine.state == "running"
-            self.engine.pause()
+        with self._lock, self._standing():
             self._equip(held, position, quaternion)
-            if running:
-                self.engine.resume()
 
     def _equip(self, held: Held, position: Floats, quaternion: Floats) -> None:
-        if self.held.shape is not None:
-            self._last = NOTHING if isinstance(self.held.shape, Forceps) else self.held
-        retool(self._ready, held.shape, np.concatenate([position, quaternion]), held.friction)
+        grasps = isinstance(held.shape, Forceps)  # they turn what they hold by as much as they are turned
+        turn = UNTURNED if grasps else quaternion
+        retool(self._ready, held.shape, np.concatenate([position, turn]), held.friction)
         self._watched.couple(held.stiffness)
         self._watched.put(self.engine.read().coordinates, np.zeros(3))
-        self.engine.place_tool(np.zeros(3), quaternion)
-        self.held, self._home = replace(held), np.array(position)
+        self.engine.place_tool(np.zeros(3), turn)
+        self.held, self._home, self._turn = held, np.array(position), quaternion if grasps else UNTURNED

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from palpate.reduction.surface import Surface
 
-__all__ = ["STATES", "TOOLS", "Snapshot"]
+__all__ = ["STATES", "TOOLS", "UNITS", "Snapshot"]
 
 Floats = NDArray[np.float64]
 
 STATES = ("stopped", "running", "paused", "ran away")
+UNITS = {"displacement": ("mm", 1e3), "stress": ("kPa", 1e-3), "pressure": ("kPa", 1e-3)}  # of scalars, and factors
 TOOLS = ("none", "sphere", "capsule", "grasp", "group")
 
 
@@ -41,7 +42,9 @@ class Snapshot:
     computing, lateness : float [s]
     coordinates : (m,) array
     nodes, forces : (e,) int array, (e, 3) array [N]
-        Touched places in the model's skin, and forces on them.
+        Touched places in the model's skin, and forces on them, for the model's own moduli.
+    firmness : float
+        Moduli over the model's own.
     tool, state : str
         One of `TOOLS` and of `STATES`.
     sequence : int
@@ -64,6 +67,7 @@ class Snapshot:
     coordinates: Floats
     nodes: NDArray[np.int64]
     forces: Floats
+    firmness: float
     tool: str
     state: str
     sequence: int
@@ -71,3 +75,8 @@ class Snapshot:
     def displacements(self, surface: Surface) -> NDArray[np.float32]:
         """Return the displacements (n, 3) [m] of a surface's vertices."""
         return surface.displacements(self.coordinates, self.nodes, self.forces, self.tool == "grasp")
+
+    def scalar(self, surface: Surface, name: str, moved: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return a number (n,) for every vertex, displaced by `moved` (n, 3) [m]; see `Surface.scalar`."""
+        values = surface.scalar(name, self.coordinates, moved)
+        return values if name == "displacement" else np.float32(self.firmness) * values
