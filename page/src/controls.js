@@ -35,10 +35,11 @@ export function choice(element, items, chosen) {
 export function slider({ name, low, high, step, value, text, changed, settled }) {
   const label = document.createElement("label");
   label.className = "slider";
-  label.innerHTML = `<span></span><output></output><input type="range">`;
+  label.innerHTML = `<span></span><span class="value"></span><input type="range">`;
   const [title, output, input] = label.children;
   title.textContent = name;
   Object.assign(input, { min: low, max: high, step, value });
+  input.setAttribute("aria-label", name);
   const show = () => {
     output.textContent = text(Number(input.value));
     input.setAttribute("aria-valuetext", output.textContent);

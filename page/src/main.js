@@ -1,5 +1,6 @@
 // The page: a connection, a picture, a hand and a panel, and what they tell each other.
 import "./style.css";
+import { Vector3 } from "three";
 import { Hand } from "./hand.js";
 import { Legend, Meter, showScale } from "./measures.js";
 import { Notices } from "./notices.js";
@@ -14,9 +15,11 @@ const byId = (id) => document.getElementById(id);
 const notices = new Notices(byId);
 const meter = new Meter();
 const legend = new Legend(byId);
+const FRICTION = 0.2;
+const COUPLING = 300; // [N/m] between hand and tool: calm, and soft enough that little is lost of the force
 const SPOKEN = 1500; // [ms] at least between two readings aloud
 
-const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, geometry: null };
+const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, tool: null, sizes: {} };
 const replaying = () => session.hello?.mode === "replay";
 const driver = () => Boolean(session.status.driver) && !replaying();
 const send = (message) => connection.send(message);
@@ -24,7 +27,7 @@ const send = (message) => connection.send(message);
 const page = {
   driver,
   send,
-  tool: () => session.status.tool,
+  tool: () => session.tool,
   drive() {
     if (replaying()) return;
     notices.toast("Someone else holds the tool.");
@@ -49,7 +52,10 @@ function start() {
   }
   plots = new Plots(byId);
   panel = new Panel(byId, { send, choose, change, scalar });
-  transport = new Transport(byId, send);
+  transport = new Transport(byId, (message) => {
+    if (message.action === "reset" && hand.press) hand.release();
+    send(message);
+  });
   hand = new Hand(stage, page);
   theme(byId("theme"), (accent, dark) => {
     stage.paint(accent, dark);
@@ -85,7 +91,8 @@ function start() {
 const answers = {
   hello(message) {
     session.hello = message;
-    session.status = { driver: message.driver, viewers: message.viewers, tool: message.tool, state: "running", speed: 1 };
+    session.status = { driver: false, viewers: message.viewers, state: "running", speed: 1 };
+    session.sizes = firstSizes(message);
     byId("title").textContent = message.title;
     document.title = `${message.title} · palpate`;
     document.body.classList.toggle("replaying", replaying());
@@ -95,10 +102,14 @@ const answers = {
     notices.stay(null);
     const names = ["none", ...message.scalars.map(({ name }) => name)];
     scalar(names.includes(session.scalar) ? session.scalar : "none");
-    showStatus();
+    answers.status({ driver: message.driver, tool: message.tool });
   },
   status(message) {
+    const before = driver();
     Object.assign(session.status, message);
+    learn(message.tool);
+    panel.materials(message.materials);
+    if (driver() && !before && stage.organ) offerTool();
     showStatus();
   },
   statistics: (message) => panel.statistics(message),
@@ -113,8 +124,8 @@ function message(received) {
 function frame(received) {
   if (received.kind === 2) session.next = received;
   else if (received.kind === 1) {
-    session.geometry = received;
     stage.take(received);
+    if (driver()) offerTool();
     stage.overlay.lines.visible = byId("overlay").checked && session.hello.overlay;
   } else if (received.kind === 3) {
     stage.overlay?.update(received.positions);
@@ -133,7 +144,12 @@ function lost(seconds) {
 
 function ended(why) {
   notices.connection("Not connected", "bad");
-  notices.stay(why === "token" ? "This address has expired: open the one that palpate view printed last." : "The session refused this page.");
+  const reasons = {
+    token: "This address has expired: open the one that palpate view printed last.",
+    full: "Too many viewers: close another page, then load this one again.",
+    refused: "The session refused this page.",
+  };
+  notices.stay(reasons[why]);
 }
 
 function showStatus() {
@@ -150,30 +166,53 @@ function showStatus() {
     hand.press = null;
     notices.toast("Someone else holds the tool now.");
   }
-  panel.status(status, replaying());
+  panel.status({ tool: session.tool, driver: driver() }, replaying());
   transport.status(status, driver());
   stage.dirty = true;
 }
 
 // from the person
 
-function choose(kind) {
-  const { tool } = session.status;
-  if (kind === tool.kind || !driver()) return;
-  if (hand.press) hand.release();
-  const size = stage.size;
-  const radius = tool.radius || 0.03 * size;
-  change({ kind, radius, length: tool.length || 4 * radius });
+/** Sizes that suit the body, of each kind of tool. */
+function firstSizes({ bounds: [low, high], spacing }) {
+  const size = Math.hypot(...high.map((part, k) => part - low[k]));
+  const round = (metres) => Math.max(Math.round(1e3 * metres), 1) / 1e3;
+  const held = { friction: FRICTION, stiffness: COUPLING };
+  return {
+    sphere: { kind: "sphere", radius: round(0.075 * size), length: round(0.2 * size), ...held },
+    capsule: { kind: "capsule", radius: round(0.04 * size), length: round(0.2 * size), ...held },
+    grasp: { kind: "grasp", radius: round(Math.max(0.05 * size, 1.5 * (spacing ?? 0))), length: round(0.2 * size), ...held },
+  };
 }
 
-/** Change the tool; one that is away stays away: forceps are told of when they grasp. */
+/** Take over what the session says of the tool in the hand: whoever watches sees the driver's. */
+function learn(tool) {
+  const first = session.sizes[session.hello.tools[0]] ?? tool;
+  if (tool && tool.kind !== "none" && (!driver() || tool.kind === "group")) session.tool = { ...tool };
+  session.tool ??= { ...first };
+}
+
+function choose(kind) {
+  if (kind === session.tool.kind || !driver()) return;
+  if (hand.press) hand.release();
+  session.sizes[session.tool.kind] = session.tool;
+  session.tool = session.sizes[kind];
+  offerTool();
+}
+
+/** Another size or coupling of the tool. */
 function change(part) {
   if (hand.press) hand.release();
-  const tool = { ...session.status.tool, ...part };
-  session.status.tool = tool;
-  if (tool.kind !== "grasp") {
-    const { sphere } = stage.organ;
-    const far = sphere.radius + 2 * tool.radius + (tool.length ?? 0);
+  session.tool = { ...session.tool, ...part };
+  offerTool();
+}
+
+/** Tell the session of a tool that is put down: beside the body, and away. Forceps it learns of when they grasp. */
+function offerTool() {
+  const { tool } = session;
+  const { sphere } = stage.organ;
+  if (tool.kind === "sphere" || tool.kind === "capsule") {
+    const far = sphere.radius + 2 * tool.radius + (tool.kind === "capsule" ? tool.length : 0);
     const position = [sphere.center.x, sphere.center.y, sphere.center.z + far];
     send({ ...tool, type: "tool", position, quaternion: [1, 0, 0, 0] });
     send({ type: "release" });
@@ -244,7 +283,7 @@ function speak({ newtons }, now) {
 /** The driver's own tool is drawn where the hand is, unless a soft coupling lies between; others see the session's. */
 function showTool(state) {
   const { tool: mark, arrow, size } = stage;
-  const tool = session.status.tool;
+  const { tool } = session;
   const there = hand.press !== null || (state && state.tool !== "none");
   mark.group.visible = Boolean(there && tool && tool.kind !== "group" && size);
   arrow.group.visible = false;
@@ -254,7 +293,17 @@ function showTool(state) {
   mark.shape(tool, size);
   mark.at(position, quaternion);
   const ball = tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
+  if (hand.press && !own) showHand(position, tool);
   if (state && state.tool !== "none") arrow.show(position, state.force, state.newtons, size, ball, tool.kind === "grasp");
+}
+
+/** Where the hand is, once a soft coupling has let it part from the tool. */
+function showHand(position, tool) {
+  const { ghost, size } = stage;
+  const at = hand.press.position;
+  ghost.group.visible = at.distanceTo(new Vector3().fromArray(position)) > 0.004 * size;
+  ghost.shape(tool, size);
+  ghost.at(at.toArray(), hand.press.quaternion);
 }
 
 /** What tests and `palpate bench page` read. */

@@ -55,19 +55,23 @@ export class Panel {
     const made = live.map(({ name, unit, value, low, high }) =>
       slider({
         name: capital(name), low, high, step: (high - low) / 1000, value, text: (x) => `${written(x)} ${unit}`,
-        settled: (x) => this.act.send({ type: "material", name, value: x }),
+        settled: (x) => this.act.send({ type: "material", name, value: Number(x.toPrecision(3)) }),
       }),
     );
     this.byId("material-sliders").replaceChildren(...made.map(({ label }) => label));
     this.materialSliders = made;
+    this.materialNames = live.map(({ name }) => name);
+  }
+
+  /** Show the values that materials have now. */
+  materials(materials) {
+    for (const { name, value } of materials ?? []) this.materialSliders[this.materialNames.indexOf(name)]?.set(value);
   }
 
   /** Show the tool, and whether this viewer may change it. */
   status({ tool, driver }, replay) {
-    if (tool) {
+    if (tool && this.sliders.radius) {
       this.markKind(tool.kind);
-      const held = tool.kind === "grasp";
-      this.sliders.radius.label.hidden = held;
       this.sliders.length.label.hidden = tool.kind !== "capsule";
       this.sliders.radius.set(1e3 * tool.radius);
       if (tool.length) this.sliders.length.set(1e3 * tool.length);

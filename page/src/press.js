@@ -22,7 +22,8 @@ export class Press {
     this.home = this.tool.kind === "group" ? new three.Vector3(...this.tool.position) : position;
     this.quaternion = quaternion;
     if (this.tool.kind === "grasp") {
-      page.send({ ...this.tool, type: "tool", position: hit.point.toArray(), quaternion });
+      sequence += 1;
+      page.send({ ...this.tool, type: "tool", position: hit.point.toArray(), quaternion, sequence });
     } else this.send(stamp);
   }
 

@@ -49,7 +49,7 @@ function state(buffer, sequence, vertices) {
 
 const FIRST_WAIT = 500; // [ms], doubled each time
 const LONGEST_WAIT = 8000;
-const FOR_GOOD = { 4401: "token", 4400: "refused" }; // closings after which trying again is of no use
+const FOR_GOOD = { 4401: "token", 4400: "refused", 4429: "full" }; // closings after which trying again is of no use
 
 /** A connection that comes back by itself. Calls on.message, on.frame, on.open, on.lost(seconds) and on.ended(why). */
 export class Connection {

@@ -84,6 +84,7 @@ class SyntheticSession:
                 await self.stop.wait()
 
         self.loop.run_until_complete(run())
+        self.loop.close()
 
     def _file(self, connection, request):
         path = request.path.split("?")[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import shutil
 import subprocess
@@ -46,8 +47,10 @@ class Chromium:
         self._folder = tempfile.TemporaryDirectory(prefix="palpate-chromium-", ignore_cleanup_errors=True)
         command = [program, *OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._stack = contextlib.ExitStack()
         try:
-            self._socket = _connected(self._process, Path(self._folder.name) / "DevToolsActivePort")
+            connection = _connection(self._process, Path(self._folder.name) / "DevToolsActivePort")
+            self._socket = self._stack.enter_context(connection)
         except BaseException:
             self.close()
             raise
@@ -62,8 +65,7 @@ class Chromium:
 
     def close(self) -> None:
         """End the browser."""
-        if hasattr(self, "_socket"):
-            self._socket.close()
+        self._stack.close()
         self._process.terminate()
         try:
             self._process.wait(10)
@@ -104,7 +106,7 @@ class Chromium:
                 self._tabs[answer["sessionId"]].noted(answer.get("method", ""), answer.get("params", {}))
 
 
-def _connected(process: subprocess.Popen[bytes], told: Path) -> Any:
+def _connection(process: subprocess.Popen[bytes], told: Path) -> Any:
     from websockets.sync.client import connect
 
     end = monotonic() + PATIENCE
