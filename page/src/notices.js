@@ -4,7 +4,7 @@ const SHOWN = 5000; // [ms]
 
 export class Notices {
   constructor(byId) {
-    Object.assign(this, { byId, errors: [] });
+    Object.assign(this, { byId, errors: [], said: [] });
   }
 
   /** A line that stays until another one, or none. */
@@ -15,6 +15,7 @@ export class Notices {
   }
 
   toast(text, bad = false) {
+    this.said.push(text);
     if (bad) this.errors.push(text);
     const toasts = this.byId("toasts");
     if ([...toasts.children].some((toast) => toast.textContent === text)) return;

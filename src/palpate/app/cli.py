@@ -82,9 +82,13 @@ def _run(options: dict[str, Any]) -> int:
 
 
 def _bench(options: dict[str, Any]) -> int:
+    if options.pop("what") == "page":
+        from palpate.app.bench.page import bench_page
+
+        return bench_page(**{name: options[name] for name in ("model", "vertices", "seconds", "out", "as_json")})
     from palpate.app.bench.command import bench
 
-    return bench(**options)
+    return bench(**{name: options[name] for name in ("fine", "repeats", "out", "as_json")})
 
 
 def _laws(options: dict[str, Any]) -> int:
@@ -349,13 +353,18 @@ def _add_check(commands: Any) -> None:
 def _add_bench(commands: Any) -> None:
     bench = commands.add_parser(
         "bench",
-        help="measure the speed of full and reduced models",
+        help="measure the speed of full and reduced models, or of the page of palpate view",
         description="Measure full and reduced models in turn, and leave the medians in a folder: as JSON, and as a "
-        "table in Markdown. All ratios are from one run; nothing else should keep the processors busy.",
+        "table in Markdown. All ratios are from one run; nothing else should keep the processors busy. "
+        "`palpate bench page` presses a body in a headless Chromium instead.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    bench.add_argument("--fine", action="store_true", help="measure the beam at 2.5 mm, too (some ten minutes)")
-    bench.add_argument("--repeats", type=int, default=3, metavar="K", help="rounds of the long runs")
+    bench.add_argument("what", nargs="?", choices=["models", "page"], default="models", help="what is measured")
+    bench.add_argument("--model", default="liver", metavar="SCENE", help="page: a scene, or a file of palpate train")
+    bench.add_argument("--vertices", type=int, default=10_000, metavar="N", help="page: drawn, at least")
+    bench.add_argument("--seconds", type=float, default=10.0, metavar="S", help="page: of pressing")
+    bench.add_argument("--fine", action="store_true", help="models: measure the beam at 2.5 mm, too (some ten minutes)")
+    bench.add_argument("--repeats", type=int, default=3, metavar="K", help="models: rounds of the long runs")
     _add_results(bench, Path("out/bench"))
 
 

@@ -1,4 +1,4 @@
-"""A headless Chromium that draws in software, driven over its DevTools protocol: for benchmarks and tests of the page."""
+"""A headless Chromium that draws in software, driven over its DevTools protocol: the page is tried in it."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from palpate.faults import InputError
 __all__ = ["Chromium", "Tab", "find_chromium"]
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-OPTIONS = (
-    "--headless=new --no-sandbox --disable-gpu --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader "
-    "--disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync "
-    "--disable-extensions --hide-scrollbars --mute-audio --remote-debugging-port=0"
-).split()
+OPTIONS = [
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-extensions", "--hide-scrollbars", "--mute-audio",
+    "--remote-debugging-port=0",
+]  # fmt: skip
 PATIENCE = 60.0  # [s] for the browser to start or answer
 
 
@@ -74,7 +75,9 @@ class Chromium:
             self._process.wait()
         self._folder.cleanup()
 
-    def open(self, address: str, width: int = 1280, height: int = 800, *, dark: bool = False, touch: bool = False) -> Tab:
+    def open(
+        self, address: str, width: int = 1280, height: int = 800, *, dark: bool = False, touch: bool = False
+    ) -> Tab:
         """Open a page in a window [px] of its own."""
         target = self.call("Target.createTarget", {"url": "about:blank", "newWindow": True})["targetId"]
         session = self.call("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
@@ -86,6 +89,7 @@ class Chromium:
         tab.call("Emulation.setEmulatedMedia", {"features": [scheme]})
         if touch:
             tab.call("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+        tab.call("Emulation.setFocusEmulationEnabled", {"enabled": True})  # as if each window were in front
         tab.call("Page.navigate", {"url": address})
         return tab
 
@@ -112,7 +116,8 @@ def _connection(process: subprocess.Popen[bytes], told: Path) -> Any:
     end = monotonic() + PATIENCE
     while monotonic() < end and process.poll() is None:
         if told.is_file() and len(lines := told.read_text().split()) == 2:
-            return connect(f"ws://127.0.0.1:{lines[0]}{lines[1]}", max_size=None, compression=None, open_timeout=PATIENCE)
+            address = f"ws://127.0.0.1:{lines[0]}{lines[1]}"
+            return connect(address, max_size=None, compression=None, open_timeout=PATIENCE)
         sleep(0.05)
     raise InputError("Chromium did not start")
 

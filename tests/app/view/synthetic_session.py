@@ -6,6 +6,7 @@ It answers as the real server does as far as the page can tell, on a port of its
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import threading
 import time
@@ -43,7 +44,8 @@ class SyntheticSession:
         self.bounds = np.array([self.rest.min(axis=0), self.rest.max(axis=0)])
         self.size = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
         self.viewers, self.driver, self.received = [], None, []
-        self.tool = {"kind": "sphere", "radius": 0.07 * self.size, "length": 0.2 * self.size, "friction": 0.2, "stiffness": None}
+        self.tool = {"kind": "sphere", "radius": 0.07 * self.size, "length": 0.2 * self.size}
+        self.tool |= {"friction": 0.2, "stiffness": None}
         self.pose = None
         self.state, self.sequence, self.posed, self.recording, self.speed = "running", 0, 0, False, 1.0
         self.started = time.monotonic()
@@ -66,6 +68,7 @@ class SyntheticSession:
 
     def drop(self):
         """Close all connections, as a network does that fails."""
+
         async def close():
             for viewer in list(self.viewers):
                 viewer.transport.abort()
@@ -99,10 +102,16 @@ class SyntheticSession:
         body = file.read_bytes()
         policy = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self'"
         policy += f" ws://127.0.0.1:{self.port}"
-        headers = {"Content-Type": TYPES[file.suffix], "Content-Length": str(len(body)), "Content-Security-Policy": policy}
-        return Response(200, "OK", Headers(headers | {"Cache-Control": "no-store", "Connection": "close"}), body)
+        headers = {"Content-Type": TYPES[file.suffix], "Content-Length": str(len(body)), "Cache-Control": "no-store"}
+        return Response(200, "OK", Headers(headers | {"Content-Security-Policy": policy, "Connection": "close"}), body)
 
     async def _session(self, viewer):
+        from websockets.exceptions import ConnectionClosed
+
+        with contextlib.suppress(ConnectionClosed):
+            await self._met(viewer)
+
+    async def _met(self, viewer):
         hello = json.loads(await viewer.recv())
         if hello.get("token") != TOKEN:
             return await viewer.close(4401)
@@ -124,13 +133,15 @@ class SyntheticSession:
             self._tell()
 
     def _hello(self, viewer):
-        scalars = [{"name": "displacement", "unit": "mm", "factor": 1e3}, {"name": "stress", "unit": "kPa", "factor": 1e-3}]
+        units = {"displacement": ("mm", 1e3), "stress": ("kPa", 1e-3), "pressure": ("kPa", 1e-3)}
+        modulus = {"name": "shear modulus", "unit": "kPa", "value": 2.2, "low": 0.5, "high": 8.0, "live": True}
         return {
-            "type": "hello", "protocol": 1, "title": "Synthetic", "driver": viewer is self.driver, "viewers": len(self.viewers),
-            "mode": "live", "vertices": len(self.rest), "triangles": len(self.triangles), "spacing": 0.004,
+            "type": "hello", "protocol": 1, "title": "Synthetic", "driver": viewer is self.driver,
+            "viewers": len(self.viewers), "mode": "live", "vertices": len(self.rest),
+            "triangles": len(self.triangles), "spacing": 0.004,
             "bounds": self.bounds.tolist(), "tools": ["sphere", "capsule", "grasp"], "tool": self.tool,
-            "scalars": [*scalars, {"name": "pressure", "unit": "kPa", "factor": 1e-3}],
-            "materials": [{"name": "shear modulus", "unit": "kPa", "value": 2.2, "low": 0.5, "high": 8.0, "live": True}],
+            "scalars": [{"name": name, "unit": unit, "factor": factor} for name, (unit, factor) in units.items()],
+            "materials": [modulus],
             "rate": 1000, "trained": {"force_error": 0.05}, "overlay": False, **self.more,
         }  # fmt: skip
 
@@ -147,10 +158,8 @@ class SyntheticSession:
     async def _send(self, viewer, message):
         from websockets.exceptions import ConnectionClosed
 
-        try:
+        with contextlib.suppress(ConnectionClosed):
             await viewer.send(message)
-        except ConnectionClosed:
-            pass
 
     async def _take(self, viewer, message):
         kind = message["type"]
@@ -225,14 +234,16 @@ class SyntheticSession:
         positions, force = self._dent()
         self.sequence += 1
         moved = np.linalg.norm(positions - self.rest, axis=1)
-        shown = {"displacement": moved, "stress": 2e5 * moved, "pressure": 4e5 * (moved - 0.2 * moved.max())}.get(scalar)
+        pressure = 4e5 * (moved - 0.2 * moved.max())
+        shown = {"displacement": moved, "stress": 2e5 * moved, "pressure": pressure}.get(scalar)
         newtons = np.linalg.norm(force)
         clock = time.monotonic() - self.started
         at = self.pose["position"] if self.pose else [0, 0, 0]
         turn = self.pose["quaternion"] if self.pose else [1, 0, 0, 0]
         tool = 0 if self.pose is None else ["none", "sphere", "capsule", "grasp"].index(self.tool["kind"])
-        numbers = [clock, 0.3 + newtons / 8, *force, 0, 0, 0, *at, *turn, 0.0, 0.5 * newtons**2 / STIFFNESS,
-                   3.1e-4 + 2e-5 * np.sin(3 * clock), 1e-5, 1000 * clock, 1 if self.state == "running" else 2, tool]  # fmt: skip
+        strain, computing = 0.5 * newtons**2 / STIFFNESS, 3.1e-4 + 2e-5 * np.sin(3 * clock)
+        numbers = [clock, 0.3 + newtons / 8, *force, 0, 0, 0, *at, *turn, 0.0, strain, computing, 1e-5, 1000 * clock]
+        numbers += [1 if self.state == "running" else 2, tool]
         low, high = (0, 0) if shown is None else (shown.min(), shown.max())
         head = np.array([2, self.sequence, len(self.rest), 0], dtype="<u4").tobytes()
         head += np.array([*numbers, low, high, self.posed], dtype="<f8").tobytes()
