@@ -4,6 +4,9 @@ import { normals as normalsShader, organ as organShader } from "./shaders.js";
 
 const WIDTH = 128; // vertices in a row of the textures
 const FAN = 12; // triangles around a vertex that count for its normal
+const ENOUGH = 60_000; // triangles that are drawn, to which a coarse surface is refined
+const ENOUGH_IN_SOFTWARE = 16_000;
+const FINEST = 5; // parts of an edge
 
 export const TISSUE = [0.43, 0.15, 0.12]; // sRGB
 
@@ -22,9 +25,12 @@ export class Organ {
     this.rest = new Float32Array(geometry.positions);
     this.fans = fans(this.triangles, this.count, this.rows);
     this.smooth = renderer.extensions.has("EXT_color_buffer_float") || renderer.extensions.has("EXT_color_buffer_half_float");
+    const wanted = Math.sqrt((fine ? ENOUGH : ENOUGH_IN_SOFTWARE) / (this.triangles.length / 3));
+    this.parts = this.smooth ? Math.min(Math.max(Math.floor(wanted), 1), FINEST) : 1;
     this.material = this.makeMaterial(fine);
     this.mesh = this.makeMesh();
     if (this.smooth) this.makeNormals();
+    if (this.parts > 1) this.refine();
     this.refresh();
   }
 
@@ -32,7 +38,7 @@ export class Organ {
     const shape = new three.BufferGeometry();
     const changing = (array, width) => new three.BufferAttribute(array, width).setUsage(three.DynamicDrawUsage);
     this.place = changing(this.memory, 3);
-    this.scalar = changing(new Float32Array(this.count), 1);
+    this.scalar = changing(new Float32Array(WIDTH * this.rows), 1);
     shape.setAttribute("position", this.place);
     shape.setAttribute("scalar", this.scalar);
     shape.setAttribute("rest", new three.BufferAttribute(this.rest, 3));
@@ -41,13 +47,14 @@ export class Organ {
     this.sphere = box.getBoundingSphere(new three.Sphere());
     this.box = box;
     this.material.uniforms.size.value = 2 * this.sphere.radius;
+    this.shape = shape; // as it came, of which the shadow is made
     const mesh = new three.Mesh(shape, this.material);
     mesh.frustumCulled = false; // no bounds are kept up to date
     return mesh;
   }
 
   makeMaterial(fine) {
-    const defines = { WIDTH, ...(this.smooth && { SMOOTH: 1 }), ...(fine && { FINE: 1 }) };
+    const defines = { WIDTH, ...(this.smooth && { SMOOTH: 1 }), ...(fine && { FINE: 1 }), ...(this.parts > 1 && { REFINED: 1 }) };
     return new three.ShaderMaterial({
       glslVersion: three.GLSL3,
       vertexShader: organShader.vertex,
@@ -55,7 +62,7 @@ export class Organ {
       defines,
       side: closed(this.triangles) ? three.FrontSide : three.DoubleSide,
       uniforms: {
-        normals: { value: null },
+        ...Object.fromEntries(["normals", "positions", "rests", "scalars"].map((name) => [name, { value: null }])),
         tissue: { value: linear(TISSUE) },
         range: { value: new three.Vector2(0, 1) },
         shown: { value: 0 },
@@ -66,13 +73,31 @@ export class Organ {
     });
   }
 
+  makeTexture(array, width, format = three.RedFormat, type = three.FloatType) {
+    const made = new three.DataTexture(array, width, this.rows, format, type);
+    made.needsUpdate = true;
+    return made;
+  }
+
+  /** Draw curved patches instead of triangles: an instance each, whose corners the shader looks up. */
+  refine() {
+    const shape = new three.InstancedBufferGeometry();
+    const { places, index } = grid(this.parts);
+    shape.setAttribute("position", new three.BufferAttribute(places, 3));
+    shape.setIndex(index);
+    shape.setAttribute("corners", new three.InstancedBufferAttribute(new Float32Array(this.triangles), 3));
+    shape.instanceCount = this.triangles.length / 3;
+    const rest = new Float32Array(this.memory.length);
+    rest.set(this.rest);
+    const { positions, rests, scalars } = this.material.uniforms;
+    positions.value = this.texture;
+    rests.value = this.makeTexture(rest, 3 * WIDTH);
+    this.values = scalars.value = this.makeTexture(this.scalar.array, WIDTH);
+    this.mesh.geometry = shape;
+  }
+
   makeNormals() {
-    const texture = (array, width, format, type) => {
-      const made = new three.DataTexture(array, width, this.rows, format, type);
-      made.needsUpdate = true;
-      return made;
-    };
-    this.texture = texture(this.memory, 3 * WIDTH, three.RedFormat, three.FloatType);
+    this.texture = this.makeTexture(this.memory, 3 * WIDTH);
     this.target = new three.WebGLRenderTarget(WIDTH, this.rows, {
       type: three.HalfFloatType,
       minFilter: three.NearestFilter,
@@ -86,7 +111,7 @@ export class Organ {
       defines: { WIDTH, FAN },
       uniforms: {
         positions: { value: this.texture },
-        fans: { value: texture(this.fans, FAN * WIDTH, three.RGIntegerFormat, three.UnsignedIntType) },
+        fans: { value: this.makeTexture(this.fans, FAN * WIDTH, three.RGIntegerFormat, three.UnsignedIntType) },
       },
       depthTest: false,
       depthWrite: false,
@@ -104,6 +129,7 @@ export class Organ {
     if (scalar) {
       this.scalar.array.set(scalar);
       this.scalar.needsUpdate = true;
+      if (this.values) this.values.needsUpdate = true;
     }
     this.refresh();
   }
@@ -140,11 +166,24 @@ export class Organ {
   }
 
   dispose() {
-    this.mesh.geometry.dispose();
-    this.material.dispose();
-    this.target?.dispose();
-    this.texture?.dispose();
+    const { rests, scalars } = this.material.uniforms;
+    const own = [this.mesh.geometry, this.shape, this.material, this.target, this.texture, rests.value, scalars.value];
+    for (const each of own) each?.dispose();
   }
+}
+
+/** A triangle in so many parts along each edge: places (u, v, 0) and the triangles between them. */
+function grid(parts) {
+  const [places, index] = [[], []];
+  const at = (i, j) => (i * (2 * parts + 3 - i)) / 2 + j; // rows get shorter by one
+  for (let i = 0; i <= parts; i++) {
+    for (let j = 0; j <= parts - i; j++) {
+      places.push(i / parts, j / parts, 0);
+      if (i + j < parts) index.push(at(i, j), at(i + 1, j), at(i, j + 1));
+      if (i + j < parts - 1) index.push(at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
+    }
+  }
+  return { places: new Float32Array(places), index };
 }
 
 /** Whether each edge has a triangle on either side. */

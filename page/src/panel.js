@@ -41,7 +41,7 @@ export class Panel {
       radius: slider({ name: "Radius", low: millimetres(0.012, 1), high: millimetres(0.12, 4), value: 0, ...metres("radius") }),
       length: slider({ name: "Length", low: millimetres(0.03, 2), high: millimetres(0.4, 20), value: 0, ...metres("length") }),
       stiffness: slider({
-        name: "Coupling to the hand", low: SOFTEST, high: RIGID, step: 0.05, value: RIGID,
+        name: "Coupling to the hand", low: SOFTEST, high: RIGID, step: 0.01, value: RIGID,
         text: (power) => (power >= RIGID ? "rigid" : `${written(10 ** power, 2)} N/m`),
         settled: (power) => this.act.change({ stiffness: power >= RIGID ? null : Number((10 ** power).toPrecision(2)) }),
       }),
@@ -111,7 +111,7 @@ export class Panel {
     if (!known) return "Its forces are those of the model itself.";
     if (beyond) return "The model never saw such a state.";
     const error = this.trained.force_error;
-    return error ? `Forces were ${written(100 * error, 2)} % off in tests, in the mean.` : "";
+    return error ? `In tests its forces were ${written(100 * error, 2)} % off on average.` : "";
   }
 
   statistics({ median_ms: median, p99_ms: late, misses, periods }) {

@@ -35,16 +35,55 @@ const LIGHTS = `
 export const organ = {
   vertex: `
     uniform sampler2D normals;
-    in float scalar; in vec3 rest;
     out vec3 eye, smoothed, place; out float value;
+    vec3 normalOf(int k) { return texelFetch(normals, ivec2(k % WIDTH, k / WIDTH), 0).xyz; }
+    #ifdef REFINED
+      // a cubic patch over each triangle that has the normals at its corners (Vlachos et al. 2001); position: u, v
+      uniform sampler2D positions, rests, scalars;
+      in vec3 corners;
+      vec3 three(sampler2D numbers, int k) {
+        ivec2 at = ivec2(3 * (k % WIDTH), k / WIDTH);
+        return vec3(texelFetch(numbers, at, 0).r, texelFetch(numbers, at + ivec2(1, 0), 0).r,
+                    texelFetch(numbers, at + ivec2(2, 0), 0).r);
+      }
+      vec3 bent(vec3 p, vec3 n, vec3 to) { // a third of the way along an edge, in the tangent plane if it is no crease
+        vec3 along = to - p;
+        float rise = dot(along, n);
+        float smoothly = 1.0 - smoothstep(0.4, 0.65, abs(rise) * inversesqrt(max(dot(along, along), 1e-30)));
+        return p + (along - smoothly * rise * n) / 3.0;
+      }
+      vec3 patched(vec3 w, vec3 a, vec3 b, vec3 c, vec3 na, vec3 nb, vec3 nc) {
+        vec3 ab = bent(a, na, b), ba = bent(b, nb, a), bc = bent(b, nb, c), cb = bent(c, nc, b);
+        vec3 ca = bent(c, nc, a), ac = bent(a, na, c);
+        vec3 edges = (ab + ba + bc + cb + ca + ac) / 6.0, centre = 1.5 * edges - (a + b + c) / 6.0;
+        return w.x * w.x * (w.x * a + 3.0 * (w.y * ab + w.z * ac)) + w.y * w.y * (w.y * b + 3.0 * (w.x * ba + w.z * bc))
+             + w.z * w.z * (w.z * c + 3.0 * (w.x * ca + w.y * cb)) + 6.0 * w.x * w.y * w.z * centre;
+      }
+    #else
+      in float scalar; in vec3 rest;
+    #endif
     void main() {
-      vec4 seen = modelViewMatrix * vec4(position, 1.0);
-      eye = seen.xyz; place = rest; value = scalar;
-      #ifdef SMOOTH
-        smoothed = normalMatrix * texelFetch(normals, ivec2(gl_VertexID % WIDTH, gl_VertexID / WIDTH), 0).xyz;
+      #ifdef REFINED
+        ivec3 k = ivec3(corners + 0.5);
+        vec3 w = vec3(1.0 - position.x - position.y, position.xy);
+        vec3 na = normalOf(k.x), nb = normalOf(k.y), nc = normalOf(k.z);
+        vec3 here = patched(w, three(positions, k.x), three(positions, k.y), three(positions, k.z), na, nb, nc);
+        vec3 mean = w.x * na + w.y * nb + w.z * nc;
+        place = w.x * three(rests, k.x) + w.y * three(rests, k.y) + w.z * three(rests, k.z);
+        value = 0.0;
+        for (int j = 0; j < 3; j++) value += w[j] * texelFetch(scalars, ivec2(k[j] % WIDTH, k[j] / WIDTH), 0).r;
       #else
-        smoothed = vec3(0.0);
+        vec3 here = position;
+        place = rest; value = scalar;
+        #ifdef SMOOTH
+          vec3 mean = normalOf(gl_VertexID);
+        #else
+          vec3 mean = vec3(0.0);
+        #endif
       #endif
+      vec4 seen = modelViewMatrix * vec4(here, 1.0);
+      eye = seen.xyz;
+      smoothed = normalMatrix * mean;
       gl_Position = projectionMatrix * seen;
     }`,
   fragment: `

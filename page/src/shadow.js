@@ -52,7 +52,7 @@ export class Shadow {
     this.last = now;
     const { renderer, targets } = this;
     const scene = new three.Scene();
-    const body = new three.Mesh(organ.mesh.geometry, this.silhouette);
+    const body = new three.Mesh(organ.shape, this.silhouette);
     body.frustumCulled = false;
     renderer.setRenderTarget(targets[0]);
     renderer.clear();
