@@ -78,7 +78,8 @@ def write_film(
         for k in range(count):
             at = k / RATE
             writer.append_data(draw(int(np.searchsorted(recording.times, at, side="right")) - 1))
-            progress(at, at)
+            if progress is not None:
+                progress(at, at)
 
 
 class _drawn:
@@ -107,7 +108,7 @@ class _drawn:
         body["shown"] = np.zeros(len(surface.rest))
         low_end = -most if self.scalar == "pressure" else 0.0
         plotter.add_mesh(
-            body, scalars="shown", clim=(low_end, most), cmap=COLOURS, smooth_shading=True,
+            body, scalars="shown", clim=(low_end, most), cmap=COLOURS, smooth_shading=True, ambient=0.35,
             scalar_bar_args={"title": f"{self.scalar} [{unit}]", "color": "black"},
         )  # fmt: skip
         net = self._net(plotter, pyvista, faces)
