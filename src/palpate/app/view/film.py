@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 FILMS = (".gif", ".mp4")
 RATE = 25  # frames a second
-PIXELS = 960
+PIXELS = 720
 TOWARDS = np.array([0.35, -0.85, 0.4])  # from the body to the camera
 ROOM = 1.25  # of the picture over the body
 FULL, TOOL = "#d95f02", "#555555"
@@ -121,6 +121,7 @@ class _drawn:
             body["shown"] = factor * moment.scalar(surface, self.scalar, moved)
             net(frame)
             tools(frame)
+            plotter.render()
             return np.asarray(plotter.screenshot(return_img=True))[..., :3]
 
         return draw
