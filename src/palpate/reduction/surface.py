@@ -1,6 +1,7 @@
 """The surface of a reduced body, for whoever draws it: where its vertices are, and how strained the tissue is there.
 
-Positions are those of the modes and of what tools dent beside them. Stresses are those of the modes alone, from the
+Positions are those of the modes and of what tools dent beside them, and, where a tool pushes, those of the patches of
+surface that it meets (`palpate.meshfree.patches`): a node by itself goes deeper than the tool. Stresses are those of the modes alone, from the
 gradients of the modes at the surface nodes: the dent right under a small tool, which is beside the modes, adds nothing
 to them, and tissue that relaxes is taken at its instantaneous stiffness.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.sparse as sparse
 from numba import njit
 from numpy.typing import NDArray
 
@@ -85,6 +87,10 @@ class Surface:
         self._vertex = place[dents.nodes]
         self._drawn = self._vertex >= 0
         self._dented = np.ascontiguousarray(cloud.points[dents.nodes])
+        rows = np.repeat(np.arange(len(dents.nodes)), dents.patches.shape[1])
+        shares = dents.shares.ravel().astype(np.float32), (rows, dents.patches.ravel())
+        own = dents.patches.shape[1] == 1 and np.array_equal(dents.patches[:, 0], np.arange(len(dents.nodes)))
+        self._patches = None if own or not self._drawn.all() else sparse.csr_array(shares)
         kernel = skin.compliance.kernel
         last = int(np.argmax(kernel < FALLEN * kernel[0])) if kernel[-1] < FALLEN * kernel[0] else len(kernel)
         self._kernel = kernel[: max(last, 2)].copy()
@@ -100,11 +106,20 @@ class Surface:
         forces : (e, 3) array [N]
             On the patches of surface there, or on the nodes themselves where they are held.
         held : bool
+            Whether a tool holds nodes; else the displacements are those of `met`.
         """
         moved = (self._columns @ coordinates.astype(np.float32)).reshape(-1, 3)
         if len(nodes) and self._dents is not None:
             moved[self._vertex[self._drawn]] += self._dent(nodes, forces, held)[self._drawn]
-        return moved
+        return moved if held else self.met(moved)
+
+    def met(self, moved: Singles) -> Singles:
+        """Return the displacements (n, 3) [m] of the surface that tools meet for those of the vertices."""
+        if self._dents is None or self._patches is None:
+            return moved
+        result = moved.copy()
+        result[self._vertex] = self._patches @ moved[self._vertex]
+        return result
 
     def _dent(self, nodes: Ints, forces: Floats, held: bool) -> Floats:
         """Return what forces do beside the modes (k, 3) [m], as `palpate.reduction.compliance.dents_of`."""

@@ -73,6 +73,7 @@ def run_grasp(
 
 
 def trained(spacing: float, poisson: float, modes: int, console: Console) -> ReducedModel:
+    """Return a reduced model of a grasped beam, trained now; say how it does."""
     start = perf_counter()
     with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
         full = grasp(spacing, poisson)

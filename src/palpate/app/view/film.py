@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 FILMS = (".gif", ".mp4")
 RATE = 25  # frames a second
-PIXELS = 960
+PIXELS = 720
 TOWARDS = np.array([0.35, -0.85, 0.4])  # from the body to the camera
 ROOM = 1.25  # of the picture over the body
 FULL, TOOL = "#d95f02", "#555555"
@@ -78,7 +78,8 @@ def write_film(
         for k in range(count):
             at = k / RATE
             writer.append_data(draw(int(np.searchsorted(recording.times, at, side="right")) - 1))
-            progress(at, at)
+            if progress is not None:
+                progress(at, at)
 
 
 class _drawn:
@@ -107,7 +108,7 @@ class _drawn:
         body["shown"] = np.zeros(len(surface.rest))
         low_end = -most if self.scalar == "pressure" else 0.0
         plotter.add_mesh(
-            body, scalars="shown", clim=(low_end, most), cmap=COLOURS, smooth_shading=True,
+            body, scalars="shown", clim=(low_end, most), cmap=COLOURS, smooth_shading=True, ambient=0.35,
             scalar_bar_args={"title": f"{self.scalar} [{unit}]", "color": "black"},
         )  # fmt: skip
         net = self._net(plotter, pyvista, faces)
@@ -120,6 +121,7 @@ class _drawn:
             body["shown"] = factor * moment.scalar(surface, self.scalar, moved)
             net(frame)
             tools(frame)
+            plotter.render()
             return np.asarray(plotter.screenshot(return_img=True))[..., :3]
 
         return draw

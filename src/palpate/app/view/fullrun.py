@@ -111,6 +111,8 @@ def run_full(recording: Recording, model: Model | None = None) -> dict[str, Any]
     surface = Surface(recording.model)
     at = np.array([int(np.argmin(np.abs(run.times - t))) for t in times])
     moved = run.displacements[at][:, surface.nodes]
+    if isinstance(load, Contact):
+        moved = np.array([surface.met(each) for each in moved])
     force = -run.reactions[load.group if isinstance(load, PrescribedMotion) else TOOL][at]
     return {
         "times": wall, "positions": (surface.rest + moved).astype(np.float32), "force": force,

@@ -68,14 +68,12 @@ class Recorder:
 
     Parameters
     ----------
-    snapshot : function
-        Returns the present moment, from any thread.
-    tool : function
-        Returns what the protocol tells of the chosen tool.
+    moment : function
+        Returns the present moment, and what the protocol tells of the tool that was chosen then, from any thread.
     """
 
-    def __init__(self, snapshot: Callable[[], Snapshot], tool: Callable[[], dict[str, Any]]) -> None:
-        self._snapshot, self._tool = snapshot, tool
+    def __init__(self, moment: Callable[[], tuple[Snapshot, dict[str, Any]]]) -> None:
+        self._moment = moment
         self.times: list[float] = []
         self.moments: list[Snapshot] = []
         self.tools: list[dict[str, Any]] = []
@@ -91,11 +89,12 @@ class Recorder:
     def _run(self) -> None:
         began, due = time.monotonic(), 0.0
         while not self._end.is_set() and due < LONGEST:
-            now, told = time.monotonic() - began, self._tool()
+            now = time.monotonic() - began
+            moment, told = self._moment()
             told = {name: value for name, value in told.items() if name not in ("position", "quaternion", "held")}
             if not self.tools or any(self.tools[-1][name] != value for name, value in told.items()):
                 self.tools.append({**told, "frame": len(self.times)})
-            self.moments.append(self._snapshot())
+            self.moments.append(moment)
             self.times.append(now)
             due = max(due + EVERY, now)
             self._end.wait(max(0.0, due - (time.monotonic() - began)))

@@ -125,8 +125,12 @@ class Session:
                  "high": FIRMEST * own, "live": True}]  # fmt: skip
 
     def _described(self) -> dict[str, Any]:
-        row = self.snapshot()
-        return self.chosen.described(row.position, row.quaternion, self.held is self.chosen)
+        return self._moment()[1]
+
+    def _moment(self) -> tuple[Snapshot, dict[str, Any]]:
+        with self._lock:
+            now = self.snapshot()
+            return now, self.chosen.described(now.position, now.quaternion, self.held is self.chosen)
 
     def overlay(self) -> None:
         """Return the full model's positions: a session has none."""
@@ -238,7 +242,7 @@ class Session:
         """
         if self._recorder is not None:
             raise InputError("record: a recording goes on already")
-        self._recorder = Recorder(self.snapshot, self._described)
+        self._recorder = Recorder(self._moment)
 
     def finish_recording(self, path: Path | None = None, wait: bool = False) -> None:
         """End the recording and write it, in a thread of its own; `news` then tells where it is.
