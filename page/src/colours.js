@@ -20,9 +20,9 @@ export const VIRIDIS = `vec3 viridis(float t) {
   return ${TERMS.slice(0, -1).map((term) => `${vector(term)} + t * (`).join("")}${vector(TERMS.at(-1))}${")".repeat(6)};
 }`;
 
-/** How much of the map's colour covers the tissue: none where nothing happens. Low and high as shown in the legend. */
+/** How much of the map's colour covers the tissue: none where nothing happens, but all of it where signs differ. */
 export const COVER = `float cover(float value, vec2 range) {
-  return smoothstep(0.0, 0.16, abs(value) / max(max(abs(range.x), abs(range.y)), 1e-30));
+  return range.x < 0.0 ? 1.0 : smoothstep(0.0, 0.16, value / max(range.y, 1e-30));
 }`;
 
 const smooth = (x) => {
@@ -31,10 +31,9 @@ const smooth = (x) => {
 };
 
 /** The legend's gradient over a range, on tissue of a given sRGB colour (parts in 0..1). */
-export function gradient([low, high], tissue, stops = 24) {
-  const largest = Math.max(Math.abs(low), Math.abs(high), 1e-30);
+export function gradient([low], tissue, stops = 24) {
   const colours = Array.from({ length: stops + 1 }, (_, k) => {
-    const share = smooth(Math.abs(low + (k / stops) * (high - low)) / largest / 0.16);
+    const share = low < 0 ? 1 : smooth(k / stops / 0.16);
     const parts = viridis(k / stops).map((part, j) => 255 * (share * part + (1 - share) * tissue[j]));
     return `rgb(${parts.map(Math.round).join(" ")})`;
   });

@@ -36,7 +36,7 @@ export class ToolMark {
     if (kind === "sphere") this.group.add(this.part(new three.SphereGeometry(radius, 48, 32)));
     else if (kind === "capsule") {
       this.group.add(this.part(new three.CapsuleGeometry(radius, length, 16, 40).rotateX(Math.PI / 2)));
-    } else for (const side of [1, -1]) this.group.add(this.jaw(side, 0.016 * size));
+    } else for (const side of [1, -1]) this.group.add(this.jaw(side, 0.02 * size));
   }
 
   part(shape) {
@@ -44,9 +44,9 @@ export class ToolMark {
   }
 
   jaw(side, unit) {
-    const along = [[0.05, 0], [0.5, 0.5], [0.75, 1.8], [0.55, 4.5], [0.4, 8.5]];
+    const along = [[0.14, 0], [0.62, 0.7], [0.85, 2], [0.62, 4.5], [0.36, 8.5]];
     const curve = new three.CatmullRomCurve3(along.map(([x, z]) => new three.Vector3(side * x * unit, 0, z * unit)));
-    return this.part(new three.TubeGeometry(curve, 40, 0.17 * unit, 14).scale(1, 1.35, 1));
+    return this.part(new three.TubeGeometry(curve, 40, 0.25 * unit, 16).scale(1, 1.3, 1));
   }
 
   at(position, quaternion) {

@@ -301,7 +301,7 @@ function showTool(state) {
 function showHand(position, tool) {
   const { ghost, size } = stage;
   const at = hand.press.position;
-  ghost.group.visible = at.distanceTo(new Vector3().fromArray(position)) > 0.004 * size;
+  ghost.group.visible = tool.kind !== "grasp" && at.distanceTo(new Vector3().fromArray(position)) > 0.004 * size;
   ghost.shape(tool, size);
   ghost.at(at.toArray(), hand.press.quaternion);
 }

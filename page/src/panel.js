@@ -73,6 +73,7 @@ export class Panel {
     if (tool && this.sliders.radius) {
       this.markKind(tool.kind);
       this.sliders.length.label.hidden = tool.kind !== "capsule";
+      this.byId("sizes").classList.toggle("two", tool.kind === "capsule");
       this.sliders.radius.set(1e3 * tool.radius);
       if (tool.length) this.sliders.length.set(1e3 * tool.length);
       this.sliders.stiffness.set(tool.stiffness ? Math.log10(tool.stiffness) : RIGID);
@@ -81,6 +82,7 @@ export class Panel {
     const own = [...Object.values(this.sliders), ...(this.materialSliders ?? [])].map(({ input }) => input);
     for (const input of [...own, ...this.byId("kinds").children]) input.disabled = !mine;
     this.byId("tools").hidden ||= replay;
+    this.byId("materials").hidden ||= replay;
   }
 
   scalar(name) {
