@@ -57,7 +57,7 @@ def until(condition, of=lambda: None):
         time.sleep(0.005)
 
 
-@pytest.fixture(name="until")
+@pytest.fixture(name="until", scope="session")
 def _until():
     return until
 

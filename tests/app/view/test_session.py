@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import runpy
 import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -171,9 +174,19 @@ def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, unti
     np.testing.assert_allclose(moment.hand[2], moment.force[2], rtol=0.05)
 
 
-def test_a_model_without_tools_is_refused(model):
-    from dataclasses import replace
+def test_a_coupling_makes_no_energy(model):
+    """The example's books, in periods of 1 ms without a clock."""
+    path = Path(__file__).parents[3] / "examples" / "virtual_coupling.py"
+    example = runpy.run_path(str(path))
+    books = example["balance"](model, 300.0, radius=BALL, depth=0.004)
+    most = books["body"].max()
+    assert most > 1e-4  # [J]: it was pressed
+    assert books["work"].min() > -1e-3 * most  # the hand never gets more than it gave
+    assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
+    assert books["work"][-1] > 0.0
 
+
+def test_a_model_without_tools_is_refused(model):
     bare = pt.ReducedModel(replace(model.parts, dents=None))
     with pytest.raises(pt.InputError, match="the engine moves one tool"):
         Session(bare, "Bare")
