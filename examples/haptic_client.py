@@ -19,6 +19,7 @@ RATE, RADIUS, DEPTH = 1000, 0.02, 0.006  # [Hz], [m], [m]
 
 
 async def main(address: str, seconds: float) -> None:
+    """Press and feel for some seconds, and print what it was like."""
     base, token = address.split("/#")
     options = {"subprotocols": ["palpate.v1"], "max_size": None, "compression": None}
     async with connect(base.replace("http", "ws", 1) + "/session", **options) as socket:
@@ -27,7 +28,7 @@ async def main(address: str, seconds: float) -> None:
         if not hello["driver"] or not hello["tools"]:
             raise SystemExit("another viewer drives, or the body takes no tool")
         points = np.frombuffer(geometry, "<f4", 3 * hello["vertices"], 16).reshape(-1, 3)
-        place = points[np.argmin(points[:, 1])] - (0.0, RADIUS + 0.003, 0.0)  # before the foremost vertex
+        place = points[np.argmin(points[:, 1])] - np.array([0.0, RADIUS + 0.003, 0.0])  # before the foremost vertex
         ball = {"kind": "sphere", "radius": RADIUS, "friction": 0.2, "stiffness": 300.0, "position": place.tolist()}
         await socket.send(json.dumps({"type": "tool", **ball}))
         await socket.send(json.dumps({"type": "force", "rate": RATE}))
@@ -64,7 +65,7 @@ async def move(socket, place, sent) -> None:
         now, number = time.perf_counter() - began, number + 1
         deep = (DEPTH + 0.003) * np.sin(np.pi * now) ** 2
         sent[number] = time.perf_counter()
-        pose = {"type": "pose", "position": (place + (0.0, deep, 0.0)).tolist(), "sequence": number}
+        pose = {"type": "pose", "position": (place + np.array([0.0, deep, 0.0])).tolist(), "sequence": number}
         await socket.send(json.dumps(pose))
         await asyncio.sleep(max(0.0, began + number / RATE - time.perf_counter()))
 

@@ -27,7 +27,7 @@ from palpate.app.view.server import Server
 from palpate.app.view.session import Session
 
 TOKEN = "a-token-of-tests"
-ABOVE = MIDDLE + (0, 0, BALL + 0.002)
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 SECONDS = 20.0  # to wait for what takes a fraction of one on an idle machine
 
 

@@ -19,7 +19,7 @@ from palpate.app.view.recording import load_recording
 from palpate.app.view.replay import Replay
 from palpate.app.view.session import Session
 
-ABOVE = MIDDLE + (0, 0, BALL + 0.002)
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def recorded(model, tmp_path_factory, until):
     for k in range(steps + 1):
         before = len(session._recorder.times)
         deep = 0.005 * np.sin(np.pi * k / steps)
-        session.handle(checked({"type": "pose", "position": (ABOVE - (0, 0, deep)).tolist()}))
+        session.handle(checked({"type": "pose", "position": (ABOVE - np.array([0, 0, deep])).tolist()}))
         until(lambda before=before: len(session._recorder.times) > before)
     with pytest.raises(pt.InputError, match="already"):
         session.record()
@@ -174,7 +174,7 @@ def test_a_script_drives_a_session(model, tmp_path, capsys, assert_refused):
     ball = {"type": "tool", "kind": "sphere", "radius": BALL, "position": ABOVE.tolist()}
     lines = [
         {"time": 0.0, **ball},
-        {"time": 0.1, "type": "pose", "position": (ABOVE - (0, 0, 0.005)).tolist()},
+        {"time": 0.1, "type": "pose", "position": (ABOVE - np.array([0, 0, 0.005])).tolist()},
         {"time": 2.0, "type": "release"},
         {"time": 2.1, "type": "material", "name": "colour", "value": 1},
         {"time": 99.0, "type": "control", "action": "reset"},

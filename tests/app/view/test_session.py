@@ -15,8 +15,8 @@ import palpate as pt
 from palpate.app.view.messages import checked
 from palpate.app.view.session import Session
 
-ABOVE = MIDDLE + (0, 0, BALL + 0.002)
-PRESSED = MIDDLE + (0, 0, BALL - 0.003)
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
+PRESSED = MIDDLE + np.array([0, 0, BALL - 0.003])
 
 
 def pose(position, **more):
@@ -97,7 +97,7 @@ def test_a_grasp_pulls_and_lets_go(session, until):
     held = session.snapshot()
     np.testing.assert_allclose(held.position, MIDDLE, atol=1e-6)
     np.testing.assert_allclose(np.abs(held.quaternion), [0.0, 1.0, 0.0, 0.0], atol=1e-9)
-    session.handle(pose(MIDDLE + (0, 0, 0.003), quaternion=[0.0, 1.0, 0.0, 0.0]))
+    session.handle(pose(MIDDLE + np.array([0, 0, 0.003]), quaternion=[0.0, 1.0, 0.0, 0.0]))
     until(lambda: session.snapshot().position[2] == pytest.approx(MIDDLE[2] + 0.003))
     until(lambda: session.snapshot().force[2] < -0.05)  # the body pulls it down
     moment = session.snapshot()
