@@ -1,9 +1,9 @@
 """The surface of a reduced body, for whoever draws it: where its vertices are, and how strained the tissue is there.
 
 Positions are those of the modes and of what tools dent beside them, and, where a tool pushes, those of the patches of
-surface that it meets (`palpate.meshfree.patches`): a node by itself goes deeper than the tool. Stresses are those of the modes alone, from the
-gradients of the modes at the surface nodes: the dent right under a small tool, which is beside the modes, adds nothing
-to them, and tissue that relaxes is taken at its instantaneous stiffness.
+surface that it meets (`palpate.meshfree.patches`): a node by itself goes deeper than the tool. Stresses are those of
+the modes alone, from the gradients of the modes at the surface nodes: the dent right under a small tool, which is
+beside the modes, adds nothing to them, and tissue that relaxes is taken at its instantaneous stiffness.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from palpate.app.view.server import Server
 from palpate.app.view.session import Session
 
 TOKEN = "a-token-of-tests"
-ABOVE = MIDDLE + (0, 0, BALL + 0.002)
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 SECONDS = 20.0  # to wait for what takes a fraction of one on an idle machine
 
 
@@ -57,7 +57,7 @@ def until(condition, of=lambda: None):
         time.sleep(0.005)
 
 
-@pytest.fixture(name="until")
+@pytest.fixture(name="until", scope="session")
 def _until():
     return until
 

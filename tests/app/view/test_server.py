@@ -14,8 +14,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from palpate.app.view.address import LOOPBACK, hosts, is_loopback, listening
 from palpate.faults import InputError
 
-ABOVE = MIDDLE + (0, 0, BALL + 0.002)
-PRESSED = MIDDLE + (0, 0, BALL - 0.003)
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
+PRESSED = MIDDLE + np.array([0, 0, BALL - 0.003])
 
 
 def force(client):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import runpy
 import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +15,8 @@ import palpate as pt
 from palpate.app.view.messages import checked
 from palpate.app.view.session import Session
 
-ABOVE = MIDDLE + (0, 0, BALL + 0.002)
-PRESSED = MIDDLE + (0, 0, BALL - 0.003)
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
+PRESSED = MIDDLE + np.array([0, 0, BALL - 0.003])
 
 
 def pose(position, **more):
@@ -94,7 +97,7 @@ def test_a_grasp_pulls_and_lets_go(session, until):
     held = session.snapshot()
     np.testing.assert_allclose(held.position, MIDDLE, atol=1e-6)
     np.testing.assert_allclose(np.abs(held.quaternion), [0.0, 1.0, 0.0, 0.0], atol=1e-9)
-    session.handle(pose(MIDDLE + (0, 0, 0.003), quaternion=[0.0, 1.0, 0.0, 0.0]))
+    session.handle(pose(MIDDLE + np.array([0, 0, 0.003]), quaternion=[0.0, 1.0, 0.0, 0.0]))
     until(lambda: session.snapshot().position[2] == pytest.approx(MIDDLE[2] + 0.003))
     until(lambda: session.snapshot().force[2] < -0.05)  # the body pulls it down
     moment = session.snapshot()
@@ -171,9 +174,19 @@ def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, unti
     np.testing.assert_allclose(moment.hand[2], moment.force[2], rtol=0.05)
 
 
-def test_a_model_without_tools_is_refused(model):
-    from dataclasses import replace
+def test_a_coupling_makes_no_energy(model):
+    """The example's books, in periods of 1 ms without a clock."""
+    path = Path(__file__).parents[3] / "examples" / "virtual_coupling.py"
+    example = runpy.run_path(str(path))
+    books = example["balance"](model, 300.0, radius=BALL, depth=0.004)
+    most = books["body"].max()
+    assert most > 1e-4  # [J]: it was pressed
+    assert books["work"].min() > -1e-3 * most  # the hand never gets more than it gave
+    assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
+    assert books["work"][-1] > 0.0
 
+
+def test_a_model_without_tools_is_refused(model):
     bare = pt.ReducedModel(replace(model.parts, dents=None))
     with pytest.raises(pt.InputError, match="the engine moves one tool"):
         Session(bare, "Bare")
