@@ -19,7 +19,8 @@ import pytest
 import palpate.app
 from palpate import load
 from palpate.app.bench.chromium import Chromium, find_chromium
-from palpate.app.run.liver import MODEL, cache
+from palpate.app.run.liver import cache
+from palpate.app.train.campaign import MODEL
 from palpate.app.view.session import Session
 
 sys.path.append(str(Path(__file__).parent))
