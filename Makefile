@@ -1,11 +1,12 @@
 # Every target works in a fresh clone: it makes .venv and installs what it needs, again only when
-# pyproject.toml has changed. Another Python: make demo PYTHON=python3.12
+# pyproject.toml or the page's sources have changed. Another Python: make demo PYTHON=python3.12
 
 PYTHON ?= python3
 OUT ?= out/beam
 PYTEST_ARGS ?= -n auto
 
 VENV := .venv
+PAGE := $(shell find page -name node_modules -prune -o -type f -print) hatch_build.py
 BIN := $(VENV)/bin
 
 # Draw off-screen, without a display.
@@ -50,7 +51,7 @@ clean: ## remove results, builds and caches, but not .venv
 $(VENV)/.installed-demo: EXTRAS :=
 $(VENV)/.installed-test: EXTRAS := [test]
 $(VENV)/.installed-dev: EXTRAS := [dev]
-$(VENV)/.installed-%: pyproject.toml | $(BIN)/python
+$(VENV)/.installed-%: pyproject.toml $(PAGE) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.$(EXTRAS)'
 	@$(check_drawing)
 	@touch $@

@@ -369,3 +369,27 @@ def test_a_model_that_breaks_the_contract_is_refused(changed, said):
 def test_what_is_no_model_is_told_what_is_missing():
     with pytest.raises(pt.InputError, match="advance, stiffness, data, rest, tool"):
         Engine(object())
+
+
+def test_a_tool_is_put_elsewhere_at_once_and_time_goes_slower(engine_of, history):
+    engine = engine_of()
+    run_steps(engine, 20)
+    with pytest.raises(pt.InputError, match="finite"):
+        engine.place_tool((math.nan, 0.0, 0.0))
+    engine.place_tool((0.02, 0.0, 0.0))
+    np.testing.assert_array_equal(engine.read().position, (0.02, 0.0, 0.0))
+    engine.slow_down(0.1)
+    before = engine.read()
+    run_steps(engine, 50)
+    after = engine.read()
+    np.testing.assert_array_equal(after.position, (0.02, 0.0, 0.0))  # it did not travel there
+    assert after.time - before.time == pytest.approx(1e-4 * (after.steps - before.steps), rel=1e-9)
+    engine.set_pose((0.02, 0.01, 0.0))
+    run_steps(engine, 10)
+    way = np.diff(history(engine)["position"][:, 1])
+    assert way.max() == pytest.approx(0.1 * 2.0 * 1e-3, rel=1e-9)  # the tool is as much slower
+    with pytest.raises(pt.InputError, match="factor"):
+        engine.slow_down(2.0)
+    engine.start()
+    with pytest.raises(RuntimeError, match="pause"):
+        engine.place_tool((0.0, 0.0, 0.0))

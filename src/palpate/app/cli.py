@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         commands = {
             "reproduce": _reproduce, "run": _run, "train": _train, "fit": _fit, "check": _check, "bench": _bench,
-            "laws": _laws,
+            "laws": _laws, "view": _view, "replay": _replay,
         }  # fmt: skip
         return commands[command](options)
     except (InputError, FileFormatError, FileNotFoundError) as error:
@@ -82,9 +82,13 @@ def _run(options: dict[str, Any]) -> int:
 
 
 def _bench(options: dict[str, Any]) -> int:
+    if options.pop("what") == "page":
+        from palpate.app.bench.page import bench_page
+
+        return bench_page(**{name: options[name] for name in ("model", "vertices", "seconds", "out", "as_json")})
     from palpate.app.bench.command import bench
 
-    return bench(**options)
+    return bench(**{name: options[name] for name in ("fine", "repeats", "out", "as_json")})
 
 
 def _laws(options: dict[str, Any]) -> int:
@@ -111,6 +115,18 @@ def _train(options: dict[str, Any]) -> int:
     return train(**options)
 
 
+def _view(options: dict[str, Any]) -> int:
+    from palpate.app.view.command import view
+
+    return view(options.pop("what"), **options)
+
+
+def _replay(options: dict[str, Any]) -> int:
+    from palpate.app.view.command import replay
+
+    return replay(options.pop("file"), **options)
+
+
 def _complain(message: str, code: int) -> int:
     print(f"palpate: {' '.join(message.split())}", file=sys.stderr)
     return code
@@ -128,6 +144,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_beam(examples)
     _add_membrane(examples)
     _add_run(commands)
+    _add_view(commands)
     _add_train(commands)
     _add_fit(commands)
     _add_check(commands)
@@ -260,6 +277,41 @@ def _add_train(commands: Any) -> None:
     add("--json", action="store_true", dest="as_json", help="print the report as JSON instead of a table")
 
 
+def _add_view(commands: Any) -> None:
+    view = commands.add_parser(
+        "view",
+        help="press and pull a body on a page in the browser",
+        description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
+    )
+    add = view.add_argument
+    add("what", metavar="SCENE|FILE", help="liver, beam, or a model's file")
+    _add_address(view)
+    add("--record", type=Path, metavar="FILE.h5", help="record all, and write it here in the end")
+    add("--headless", action="store_true", help="no page: a script drives, and statistics are printed")
+    add("--seconds", type=float, metavar="S", help="of a headless session (10)")
+    add("--script", type=Path, metavar="FILE", help="of a headless session: lines of JSON, see docs/protocol.md")
+    add("--json", action="store_true", dest="as_json", help="print the statistics as JSON")
+    replay = commands.add_parser(
+        "replay",
+        help="show or export what palpate view has recorded",
+        description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
+    )
+    add = replay.add_argument
+    add("file", type=Path, metavar="FILE.h5", help="the recording")
+    add("--full", action="store_true", help="run the path on the full model, and print how far the recorded one was")
+    add("--png", type=Path, metavar="FILE.png", help="draw the moment of the largest force")
+    add("--movie", type=Path, metavar="FILE", help="draw all: .gif, or .mp4 with palpate[film]")
+    add("--scalar", default="displacement", metavar="NAME", help="displacement, stress or pressure, by colour")
+    _add_address(replay)
+
+
+def _add_address(parser: Any) -> None:
+    add = parser.add_argument
+    add("--port", type=int, default=8765, metavar="N", help="of the page; the next free one if it is busy (8765)")
+    add("--host", default="127.0.0.1", metavar="ADDRESS", help="of this machine; others let other machines in")
+    add("--no-browser", action="store_false", dest="browser", help="print the address only")
+
+
 def _add_fit(commands: Any) -> None:
     fit = commands.add_parser(
         "fit",
@@ -301,13 +353,18 @@ def _add_check(commands: Any) -> None:
 def _add_bench(commands: Any) -> None:
     bench = commands.add_parser(
         "bench",
-        help="measure the speed of full and reduced models",
+        help="measure the speed of full and reduced models, or of the page of palpate view",
         description="Measure full and reduced models in turn, and leave the medians in a folder: as JSON, and as a "
-        "table in Markdown. All ratios are from one run; nothing else should keep the processors busy.",
+        "table in Markdown. All ratios are from one run; nothing else should keep the processors busy. "
+        "`palpate bench page` presses a body in a headless Chromium instead.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    bench.add_argument("--fine", action="store_true", help="measure the beam at 2.5 mm, too (some ten minutes)")
-    bench.add_argument("--repeats", type=int, default=3, metavar="K", help="rounds of the long runs")
+    bench.add_argument("what", nargs="?", choices=["models", "page"], default="models", help="what is measured")
+    bench.add_argument("--model", default="liver", metavar="SCENE", help="page: a scene, or a file of palpate train")
+    bench.add_argument("--vertices", type=int, default=10_000, metavar="N", help="page: drawn, at least")
+    bench.add_argument("--seconds", type=float, default=10.0, metavar="S", help="page: of pressing")
+    bench.add_argument("--fine", action="store_true", help="models: measure the beam at 2.5 mm, too (some ten minutes)")
+    bench.add_argument("--repeats", type=int, default=3, metavar="K", help="models: rounds of the long runs")
     _add_results(bench, Path("out/bench"))
 
 

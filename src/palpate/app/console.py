@@ -62,13 +62,14 @@ def print_tables(tables: Sequence[Table], claims: Sequence[dict[str, Any]], out:
 
 
 def print_plain(tables: Sequence[Any], out: Path, files: Sequence[str]) -> None:
-    """Print tables or lines, and where the files lie, on standard output."""
+    """Print tables or lines, and where the files lie, if there are any, on standard output."""
     console = rich.console.Console(highlight=False, markup=False)
     if not console.is_terminal:
         console.width = 100
     for table in tables:
         console.print(table)
-    console.print(f"In {out}: {', '.join(files)}", soft_wrap=True)
+    if files:
+        console.print(f"In {out}: {', '.join(files)}", soft_wrap=True)
 
 
 def _table(title: str) -> Table:

@@ -46,6 +46,7 @@ STATES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", RAN_AWAY: "r
 ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP}
 SLOWEST_RATE, FASTEST_RATE = 1e-6, 20_000.0  # [Hz]; a slower one's period overflows
 LONGEST_HISTORY = 600.0  # [s]
+SLOWEST = 1e-3  # body's time over time on the wall
 LONGEST_SPIN = 1e-3  # [s]
 
 
@@ -236,6 +237,50 @@ class Engine:
         with self._lock:
             self._last_pose = checked_pose(position, quaternion, self._last_pose)
             publish(self._channels.pose, self._last_pose)
+
+    def place_tool(
+        self, position: Sequence[float] | Floats, quaternion: Sequence[float] | Floats = (1.0, 0.0, 0.0, 0.0)
+    ) -> None:
+        """Put the tool somewhere at once, as a hand does that lifts it off and sets it down; see `set_pose`.
+
+        A model that goes on from where its tool was must be told, too.
+
+        Raises
+        ------
+        InputError
+            The pose is not finite, or the quaternion has no length.
+        RuntimeError
+            The engine runs; pause it.
+        """
+        with self._lock:
+            if self._runner.state == RUNNING:
+                raise RuntimeError("the engine runs: pause() it before its tool is put elsewhere")
+            place = np.asarray(position, dtype=float)
+            self._last_pose = checked_pose(place, quaternion, np.concatenate([place, IDENTITY[3:]]))
+            self._work.place(self._last_pose)
+            publish(self._channels.pose, self._last_pose)
+            publish(self._channels.row, self._work.row)
+
+    def slow_down(self, factor: float) -> None:
+        """Let the body's time go slower than the clock on the wall, and the tool follow poses as much more slowly.
+
+        Parameters
+        ----------
+        factor : float
+            Body's time over time on the wall, from 0.001 to 1.
+
+        Raises
+        ------
+        InputError
+            The factor is out of range.
+        """
+        factor = number_in_range("factor", factor, SLOWEST, 1.0)
+        with self._lock:
+            running = self._runner.state == RUNNING
+            self.pause()
+            self._work.clock[1] = factor
+            if running and self._runner.state == PAUSED:
+                self._runner.go()
 
     def read(self) -> Reading:
         """Return the newest forces and state.

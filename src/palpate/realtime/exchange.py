@@ -95,11 +95,11 @@ def flags() -> NDArray[np.int64]:
 
 @njit(cache=True)
 def publish(slot, values):  # type: ignore[no-untyped-def]
-    """Write all numbers of a slot; never waits."""
+    """Write the first numbers of a slot, as many as there are values; never waits."""
     version = _load_relaxed(slot.version, 0)
     _store_relaxed(slot.version, 0, version + 1)
     _fence_release()
-    for i in range(slot.values.shape[0]):
+    for i in range(values.shape[0]):
         _store_relaxed(slot.values, i, values[i])
     _store_release(slot.version, 0, version + 2)
 

@@ -99,6 +99,8 @@ class Work(NamedTuple):
         Tool coordinates: of `pose`, from the last trusted ones to the first not trusted, and of another pose.
     report, tangent : (8 + l,), (l, l)
     row : (WIDTH + 2 m,)
+    clock : (2,)
+        The body's time [ns], and by how much slower it goes than the clock on the wall: 1 or less.
     """
 
     q: Floats
@@ -114,6 +116,7 @@ class Work(NamedTuple):
     report: Floats
     tangent: Floats
     row: Floats
+    clock: Floats
 
     @classmethod
     def of(cls, rest: Floats, tool: Floats) -> Work:
@@ -122,7 +125,10 @@ class Work(NamedTuple):
         poses = {name: np.zeros(len(IDENTITY)) for name in ("pose", "wanted", "trusted", "fetched")}
         coordinates = {name: np.zeros(tools) for name in ("target", "outward", "there")}
         report, tangent, row = np.zeros(FORCES + tools), np.zeros((tools, tools)), np.zeros(WIDTH + 2 * m)
-        work = cls(np.zeros(m), np.zeros(m), tool, **poses, **coordinates, report=report, tangent=tangent, row=row)
+        clock = np.array([0.0, 1.0])
+        work = cls(
+            np.zeros(m), np.zeros(m), tool, **poses, **coordinates, report=report, tangent=tangent, row=row, clock=clock
+        )
         work.reset(rest)
         return work
 
@@ -133,8 +139,17 @@ class Work(NamedTuple):
         for pose in (self.pose, self.wanted, self.trusted):
             pose[:] = IDENTITY
         self.q[:] = rest
+        self.clock[0] = 0.0
         self.row[POSE : POSE + 7] = IDENTITY
         self.row[WIDTH : WIDTH + len(rest)] = rest
+
+    def place(self, pose: Floats) -> None:
+        """Put the tool somewhere at once, wherever it was."""
+        for own in (self.pose, self.wanted, self.trusted):
+            own[:] = pose
+        self.row[HELD] = 0.0
+        self.row[POSE : POSE + 7] = pose
+        self.row[FORCE : FORCE + 6] = 0.0
 
 
 @njit(cache=True)
@@ -175,7 +190,8 @@ def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
             aim = work.trusted
         elif row[TRUSTED] <= 1.0:
             row[HELD] = 0.0
-    follow(work.pose, aim, settings.most_way, settings.most_angle)
+    slower = work.clock[1]
+    follow(work.pose, aim, slower * settings.most_way, slower * settings.most_angle)
     tool_coordinates(work.tool, work.pose, work.target)
 
 
@@ -209,7 +225,8 @@ def _write_row(work, settings):  # type: ignore[no-untyped-def]
     row[FAILED] = 0.0 if fine else 1.0
     if fine:
         row[TAKEN] += 1.0
-    row[TIME] = row[TAKEN] * settings.period * 1e-9
+        work.clock[0] += work.clock[1] * settings.period
+    row[TIME] = 1e-9 * work.clock[0]
     row[ITERATIONS], row[TRUSTED] = report[STEPS], report[TRUST]
     row[WORST_TRUST] = max(row[WORST_TRUST], report[TRUST])
     row[ENERGIES], row[ENERGIES + 1] = report[KINETIC], report[STRAIN]
@@ -287,7 +304,7 @@ def loop_of(advance: Any, stiffness: Any) -> Any:
         while _wait(deadline, settings.spin, channels.command):
             began, computed, trusted = now(), computing_time(), row[TRUSTED] <= 1.0
             _move_tool(work, channels.pose, settings)
-            advance(data, work.q, work.v, work.target, 1e-9 * period, work.report)
+            advance(data, work.q, work.v, work.target, 1e-9 * period * work.clock[1], work.report)
             fine = _write_row(work, settings)
             if fine and settings.stiffness_every > 0 and (row[TAKEN] - 1) % settings.stiffness_every == 0:
                 stiffness(data, work.q, work.tangent)

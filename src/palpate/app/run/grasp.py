@@ -19,7 +19,7 @@ from palpate.reduction.training import reduce
 from palpate.scenes.beam import COARSEST
 from palpate.scenes.grasp import GROUP, Hand, grasp
 
-__all__ = ["run_grasp", "train"]
+__all__ = ["run_grasp", "train", "trained"]
 
 LASTING, EVERY = 0.4, 0.005  # [s] of a training run
 TRAINING, HELD_OUT = 6, 2  # runs
@@ -66,13 +66,14 @@ def run_grasp(
     modes = integer_in_range("modes", modes, 1, MOST_MODES)
 
     def made(console: Console) -> tuple[ReducedModel, Poses, None]:
-        body = load(model) if model is not None else _trained(spacing, poisson, modes, console)
+        body = load(model) if model is not None else trained(spacing, poisson, modes, console)
         return body, Hand(SEED, SLOW), None
 
     return run_realtime(made, title="Beam in real time", about={"file": model and str(model)}, **options)
 
 
-def _trained(spacing: float, poisson: float, modes: int, console: Console) -> ReducedModel:
+def trained(spacing: float, poisson: float, modes: int, console: Console) -> ReducedModel:
+    """Return a reduced model of a grasped beam, trained now; say how it does."""
     start = perf_counter()
     with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
         full = grasp(spacing, poisson)

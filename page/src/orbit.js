@@ -1,0 +1,89 @@
+// The eye: it circles a point, z up, and glides to where it is sent.
+import * as three from "three";
+
+const GLIDE = 0.09; // [s] in which it gets most of the way
+const HIGHEST = 1.5; // [rad]
+
+export class Orbit {
+  constructor(fov = 28) {
+    this.camera = new three.PerspectiveCamera(fov, 1, 0.01, 10);
+    this.camera.up.set(0, 0, 1);
+    this.home = { azimuth: -1.25, elevation: 0.5, distance: 1, target: new three.Vector3() };
+    this.goal = clone(this.home);
+    this.now = clone(this.home);
+    this.radius = 1;
+    this.still = new URLSearchParams(location.search).has("still") || matchMedia("(prefers-reduced-motion)").matches;
+  }
+
+  /** Look at a sphere so that it fills the view. */
+  frame(sphere) {
+    this.radius = sphere.radius;
+    this.home.target.copy(sphere.center);
+    this.fit();
+    this.goal = clone(this.home);
+    this.now = clone(this.home);
+  }
+
+  fit() {
+    const half = Math.tan(three.MathUtils.degToRad(this.camera.fov / 2)) * Math.min(1, this.camera.aspect);
+    this.home.distance = (0.9 * this.radius) / Math.sin(Math.atan(half));
+  }
+
+  resize(aspect) {
+    const share = this.goal.distance / this.home.distance;
+    this.camera.aspect = aspect;
+    this.fit();
+    this.goal.distance = this.now.distance = share * this.home.distance;
+    this.camera.updateProjectionMatrix();
+  }
+
+  turn(dx, dy) {
+    this.goal.azimuth -= 0.006 * dx;
+    this.goal.elevation = Math.min(Math.max(this.goal.elevation + 0.006 * dy, -HIGHEST), HIGHEST);
+  }
+
+  zoom(factor) {
+    const { distance } = this.home;
+    this.goal.distance = Math.min(Math.max(this.goal.distance * factor, 0.12 * distance), 3 * distance);
+  }
+
+  pan(dx, dy, height) {
+    const scale = this.metresPerPixel(height, this.goal.distance);
+    const [x, y] = [0, 1].map((k) => new three.Vector3().setFromMatrixColumn(this.camera.matrixWorld, k));
+    this.goal.target.addScaledVector(x, -dx * scale).addScaledVector(y, dy * scale);
+    const off = this.goal.target.clone().sub(this.home.target);
+    this.goal.target.copy(this.home.target).add(off.clampLength(0, 1.5 * this.radius));
+  }
+
+  reset() {
+    const turns = Math.round((this.goal.azimuth - this.home.azimuth) / (2 * Math.PI));
+    this.goal = clone(this.home);
+    this.goal.azimuth += 2 * Math.PI * turns;
+  }
+
+  /** Metres that a pixel shows at a distance from the eye. */
+  metresPerPixel(height, distance = this.now.distance) {
+    return (2 * distance * Math.tan(three.MathUtils.degToRad(this.camera.fov / 2))) / height;
+  }
+
+  /** Move on by some seconds; returns whether anything moved. */
+  glide(seconds) {
+    const share = this.still ? 1 : 1 - Math.exp(-seconds / GLIDE);
+    const { now, goal } = this;
+    const rest = Math.abs(goal.azimuth - now.azimuth) + Math.abs(goal.elevation - now.elevation)
+      + Math.abs(goal.distance - now.distance) / this.radius + goal.target.distanceTo(now.target) / this.radius;
+    for (const name of ["azimuth", "elevation", "distance"]) now[name] += share * (goal[name] - now[name]);
+    now.target.lerp(goal.target, share);
+    const flat = Math.cos(now.elevation);
+    const away = [flat * Math.cos(now.azimuth), flat * Math.sin(now.azimuth), Math.sin(now.elevation)];
+    this.camera.position.fromArray(away).multiplyScalar(now.distance).add(now.target);
+    this.camera.near = Math.max(now.distance - 4 * this.radius, 0.02 * this.radius);
+    this.camera.far = now.distance + 6 * this.radius;
+    this.camera.lookAt(now.target);
+    this.camera.updateProjectionMatrix();
+    this.camera.updateMatrixWorld();
+    return rest > 1e-4;
+  }
+}
+
+const clone = ({ target, ...numbers }) => ({ ...numbers, target: target.clone() });

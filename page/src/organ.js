@@ -1,0 +1,246 @@
+// The body: positions go into one buffer and one texture of the same memory; normals are found on the graphics card.
+import * as three from "three";
+import { normals as normalsShader, organ as organShader } from "./shaders.js";
+
+const WIDTH = 128; // vertices in a row of the textures
+const FAN = 12; // triangles around a vertex that count for its normal
+const ENOUGH = 60_000; // triangles that are drawn, to which a coarse surface is refined
+const ENOUGH_IN_SOFTWARE = 16_000;
+const FINEST = 5; // parts of an edge
+
+export const TISSUE = [0.43, 0.15, 0.12]; // sRGB
+
+const linear = (parts) => new three.Vector3(...parts.map((part) => part ** 2.2));
+
+export class Organ {
+  constructor(renderer, geometry, { fine }) {
+    this.renderer = renderer;
+    this.triangles = geometry.triangles;
+    this.count = geometry.positions.length / 3;
+    this.rows = Math.ceil(this.count / WIDTH);
+    const size = 3 * WIDTH * this.rows;
+    this.memory = new Float32Array(size);
+    this.memory.set(geometry.positions);
+    this.positions = this.memory.subarray(0, 3 * this.count); // what picking reads: the current ones
+    this.rest = new Float32Array(geometry.positions);
+    this.fans = fans(this.triangles, this.count, this.rows);
+    this.smooth = renderer.extensions.has("EXT_color_buffer_float") || renderer.extensions.has("EXT_color_buffer_half_float");
+    const wanted = Math.sqrt((fine ? ENOUGH : ENOUGH_IN_SOFTWARE) / (this.triangles.length / 3));
+    this.parts = this.smooth ? Math.min(Math.max(Math.floor(wanted), 1), FINEST) : 1;
+    this.material = this.makeMaterial(fine);
+    this.mesh = this.makeMesh();
+    if (this.smooth) this.makeNormals();
+    if (this.parts > 1) this.refine();
+    this.refresh();
+  }
+
+  makeMesh() {
+    const shape = new three.BufferGeometry();
+    const changing = (array, width) => new three.BufferAttribute(array, width).setUsage(three.DynamicDrawUsage);
+    this.place = changing(this.memory, 3);
+    this.scalar = changing(new Float32Array(WIDTH * this.rows), 1);
+    shape.setAttribute("position", this.place);
+    shape.setAttribute("scalar", this.scalar);
+    shape.setAttribute("rest", new three.BufferAttribute(this.rest, 3));
+    shape.setIndex(new three.BufferAttribute(this.triangles, 1));
+    const box = new three.Box3().setFromArray(this.rest);
+    this.sphere = box.getBoundingSphere(new three.Sphere());
+    this.box = box;
+    this.material.uniforms.size.value = 2 * this.sphere.radius;
+    this.shape = shape; // as it came, of which the shadow is made
+    const mesh = new three.Mesh(shape, this.material);
+    mesh.frustumCulled = false; // no bounds are kept up to date
+    return mesh;
+  }
+
+  makeMaterial(fine) {
+    const defines = { WIDTH, ...(this.smooth && { SMOOTH: 1 }), ...(fine && { FINE: 1 }), ...(this.parts > 1 && { REFINED: 1 }) };
+    return new three.ShaderMaterial({
+      glslVersion: three.GLSL3,
+      vertexShader: organShader.vertex,
+      fragmentShader: organShader.fragment,
+      defines,
+      side: closed(this.triangles) ? three.FrontSide : three.DoubleSide,
+      uniforms: {
+        ...Object.fromEntries(["normals", "positions", "rests", "scalars"].map((name) => [name, { value: null }])),
+        tissue: { value: linear(TISSUE) },
+        range: { value: new three.Vector2(0, 1) },
+        shown: { value: 0 },
+        size: { value: 1 },
+        veil: { value: 1 },
+        viewMatrixOf: { value: new three.Matrix4() },
+      },
+    });
+  }
+
+  makeTexture(array, width, format = three.RedFormat, type = three.FloatType) {
+    const made = new three.DataTexture(array, width, this.rows, format, type);
+    made.needsUpdate = true;
+    return made;
+  }
+
+  /** Draw curved patches instead of triangles: an instance each, whose corners the shader looks up. */
+  refine() {
+    const shape = new three.InstancedBufferGeometry();
+    const { places, index } = grid(this.parts);
+    shape.setAttribute("position", new three.BufferAttribute(places, 3));
+    shape.setIndex(index);
+    shape.setAttribute("corners", new three.InstancedBufferAttribute(new Float32Array(this.triangles), 3));
+    shape.instanceCount = this.triangles.length / 3;
+    const rest = new Float32Array(this.memory.length);
+    rest.set(this.rest);
+    const { positions, rests, scalars } = this.material.uniforms;
+    positions.value = this.texture;
+    rests.value = this.makeTexture(rest, 3 * WIDTH);
+    this.values = scalars.value = this.makeTexture(this.scalar.array, WIDTH);
+    this.mesh.geometry = shape;
+  }
+
+  makeNormals() {
+    this.texture = this.makeTexture(this.memory, 3 * WIDTH);
+    this.target = new three.WebGLRenderTarget(WIDTH, this.rows, {
+      type: three.HalfFloatType,
+      minFilter: three.NearestFilter,
+      magFilter: three.NearestFilter,
+      depthBuffer: false,
+    });
+    const material = new three.ShaderMaterial({
+      glslVersion: three.GLSL3,
+      vertexShader: normalsShader.vertex,
+      fragmentShader: normalsShader.fragment,
+      defines: { WIDTH, FAN },
+      uniforms: {
+        positions: { value: this.texture },
+        fans: { value: this.makeTexture(this.fans, FAN * WIDTH, three.RGIntegerFormat, three.UnsignedIntType) },
+      },
+      depthTest: false,
+      depthWrite: false,
+    });
+    const screen = new three.Mesh(new three.PlaneGeometry(2, 2), material);
+    screen.frustumCulled = false;
+    this.pass = new three.Scene().add(screen);
+    this.flat = new three.Camera();
+    this.material.uniforms.normals.value = this.target.texture;
+  }
+
+  /** Take a state frame's positions and scalar. */
+  update({ positions, scalar }) {
+    this.memory.set(positions);
+    if (scalar) {
+      this.scalar.array.set(scalar);
+      this.scalar.needsUpdate = true;
+      if (this.values) this.values.needsUpdate = true;
+    }
+    this.refresh();
+  }
+
+  refresh() {
+    this.place.needsUpdate = true;
+    if (!this.smooth) return;
+    this.texture.needsUpdate = true;
+    this.renderer.setRenderTarget(this.target);
+    this.renderer.render(this.pass, this.flat);
+    this.renderer.setRenderTarget(null);
+  }
+
+  /** Colour by the scalar over a range, or not at all. */
+  colour(range) {
+    const { shown, range: uniform } = this.material.uniforms;
+    shown.value = range ? 1 : 0;
+    if (range) uniform.value.set(...range);
+  }
+
+  /** Unit normal, outwards, of the surface around a vertex now. */
+  normalAt(vertex, result = new three.Vector3()) {
+    const at = (k, into) => into.fromArray(this.positions, 3 * k);
+    const [here, b, c] = [at(vertex, new three.Vector3()), new three.Vector3(), new three.Vector3()];
+    result.set(0, 0, 0);
+    const start = 2 * FAN * vertex;
+    for (let k = start; k < start + 2 * FAN && this.fans[k] !== this.fans[k + 1]; k += 2) {
+      at(this.fans[k], b).sub(here);
+      at(this.fans[k + 1], c).sub(here);
+      const weight = 1 / Math.max(b.lengthSq() * c.lengthSq(), 1e-30);
+      result.addScaledVector(b.cross(c), weight);
+    }
+    return result.normalize();
+  }
+
+  dispose() {
+    const { rests, scalars } = this.material.uniforms;
+    const own = [this.mesh.geometry, this.shape, this.material, this.target, this.texture, rests.value, scalars.value];
+    for (const each of own) each?.dispose();
+  }
+}
+
+/** A triangle in so many parts along each edge: places (u, v, 0) and the triangles between them. */
+function grid(parts) {
+  const [places, index] = [[], []];
+  const at = (i, j) => (i * (2 * parts + 3 - i)) / 2 + j; // rows get shorter by one
+  for (let i = 0; i <= parts; i++) {
+    for (let j = 0; j <= parts - i; j++) {
+      places.push(i / parts, j / parts, 0);
+      if (i + j < parts) index.push(at(i, j), at(i + 1, j), at(i, j + 1));
+      if (i + j < parts - 1) index.push(at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
+    }
+  }
+  return { places: new Float32Array(places), index };
+}
+
+/** Whether each edge has a triangle on either side. */
+function closed(triangles) {
+  const seen = new Set();
+  for (let k = 0; k < triangles.length; k += 3) {
+    for (let j = 0; j < 3; j++) {
+      const [a, b] = [triangles[k + j], triangles[k + ((j + 1) % 3)]];
+      const other = b * 2 ** 26 + a;
+      if (!seen.delete(other)) seen.add(a * 2 ** 26 + b);
+    }
+  }
+  return seen.size === 0;
+}
+
+/** For each vertex the two other corners of the triangles around it, in their order. */
+function fans(triangles, count, rows) {
+  const found = new Uint32Array(2 * FAN * WIDTH * rows);
+  const filled = new Uint8Array(count);
+  for (let k = 0; k < triangles.length; k += 3) {
+    for (let j = 0; j < 3; j++) {
+      const vertex = triangles[k + j];
+      if (filled[vertex] === FAN) continue;
+      const at = 2 * (FAN * vertex + filled[vertex]++);
+      found[at] = triangles[k + ((j + 1) % 3)];
+      found[at + 1] = triangles[k + ((j + 2) % 3)];
+    }
+  }
+  return found;
+}
+
+/** The full model's surface, drawn as fine lines over the reduced one's. */
+export class Overlay {
+  constructor(organ, colour) {
+    const shape = new three.BufferGeometry();
+    this.place = new three.BufferAttribute(new Float32Array(organ.rest), 3).setUsage(three.DynamicDrawUsage);
+    shape.setAttribute("position", this.place);
+    shape.setIndex(new three.BufferAttribute(edges(organ.triangles), 1));
+    const material = new three.LineBasicMaterial({ color: colour, transparent: true, opacity: 0.32, depthWrite: false });
+    this.lines = new three.LineSegments(shape, material);
+    this.lines.frustumCulled = false;
+    this.lines.visible = false;
+  }
+
+  update(positions) {
+    this.place.array.set(positions);
+    this.place.needsUpdate = true;
+  }
+}
+
+function edges(triangles) {
+  const found = [];
+  for (let k = 0; k < triangles.length; k += 3) {
+    for (let j = 0; j < 3; j++) {
+      const [a, b] = [triangles[k + j], triangles[k + ((j + 1) % 3)]];
+      if (a < b) found.push(a, b); // a closed surface has each edge in either direction
+    }
+  }
+  return new Uint32Array(found);
+}

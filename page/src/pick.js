@@ -1,0 +1,53 @@
+// Where a ray meets the body as it is now.
+import * as three from "three";
+
+const ray = new three.Raycaster();
+const hit = new three.Vector3();
+const [a, b, c] = [new three.Vector3(), new three.Vector3(), new three.Vector3()];
+
+/** The nearest point of the surface under a place of the picture (-1..1 each), its normal and vertex; or null. */
+export function pick(organ, camera, x, y) {
+  ray.setFromCamera({ x, y }, camera);
+  const { positions, triangles } = organ;
+  const { origin, direction } = ray.ray;
+  let [nearest, found] = [Infinity, -1];
+  for (let k = 0; k < triangles.length; k += 3) {
+    const distance = crossing(positions, 3 * triangles[k], 3 * triangles[k + 1], 3 * triangles[k + 2], origin, direction);
+    if (distance < nearest) [nearest, found] = [distance, k];
+  }
+  if (found < 0) return null;
+  ray.ray.at(nearest, hit);
+  const corners = [0, 1, 2].map((j) => triangles[found + j]);
+  const point = hit.clone();
+  return { point, distance: nearest, vertex: closest(organ, corners, point), normal: normalIn(organ, corners, point) };
+}
+
+/** Distance along a ray to a triangle (Moeller and Trumbore 1997), infinite where it misses or sees the back. */
+function crossing(p, i, j, k, o, d) {
+  const [ux, uy, uz] = [p[j] - p[i], p[j + 1] - p[i + 1], p[j + 2] - p[i + 2]];
+  const [vx, vy, vz] = [p[k] - p[i], p[k + 1] - p[i + 1], p[k + 2] - p[i + 2]];
+  const [qx, qy, qz] = [d.y * vz - d.z * vy, d.z * vx - d.x * vz, d.x * vy - d.y * vx];
+  const determinant = ux * qx + uy * qy + uz * qz;
+  if (!(determinant > 1e-20)) return Infinity;
+  const [tx, ty, tz] = [o.x - p[i], o.y - p[i + 1], o.z - p[i + 2]];
+  const s = (tx * qx + ty * qy + tz * qz) / determinant;
+  if (s < 0 || s > 1) return Infinity;
+  const [rx, ry, rz] = [ty * uz - tz * uy, tz * ux - tx * uz, tx * uy - ty * ux];
+  const t = (d.x * rx + d.y * ry + d.z * rz) / determinant;
+  if (t < 0 || s + t > 1) return Infinity;
+  const distance = (vx * rx + vy * ry + vz * rz) / determinant;
+  return distance > 0 ? distance : Infinity;
+}
+
+function closest(organ, corners, point) {
+  const far = (k) => a.fromArray(organ.positions, 3 * k).distanceToSquared(point);
+  return corners.reduce((best, k) => (far(k) < far(best) ? k : best));
+}
+
+function normalIn(organ, corners, point) {
+  [a, b, c].forEach((corner, j) => corner.fromArray(organ.positions, 3 * corners[j]));
+  const shares = three.Triangle.getBarycoord(point, a, b, c, new three.Vector3());
+  const sum = new three.Vector3();
+  shares?.toArray().forEach((share, j) => sum.addScaledVector(organ.normalAt(corners[j]), share));
+  return sum.lengthSq() > 1e-12 ? sum.normalize() : new three.Triangle(a, b, c).getNormal(sum);
+}

@@ -1,0 +1,82 @@
+// Three strips of the last ten seconds.
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+
+const SECONDS = 10;
+const EVERY = 100; // [ms] between two drawings
+const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+class Strip {
+  constructor(element, least, colours, fill) {
+    this.element = element;
+    this.columns = [[], ...colours.map(() => [])];
+    const series = colours.map((name, k) => ({
+      stroke: () => style(name),
+      width: 1.5,
+      points: { show: false },
+      ...(fill && k === 0 && { fill: () => `color-mix(in srgb, ${style(name)} 12%, transparent)` }),
+    }));
+    const axis = {
+      side: 1, size: 30, gap: 5, font: '10px system-ui, "Liberation Sans", sans-serif', ticks: { show: false },
+      stroke: () => style("--faint"), grid: { stroke: () => style("--line"), width: 1 }, space: 26,
+      values: (_, ticks) => ticks.map((tick) => Number(tick.toPrecision(4)).toString()),
+    };
+    this.plot = new uPlot({
+      width: 200, height: 60, padding: [6, 0, 4, 0], cursor: { show: false }, legend: { show: false },
+      scales: {
+        x: { time: false, range: () => [-SECONDS, 0] },
+        y: { range: (_, low, high) => [0, Math.max(least, 1.15 * (high ?? 0))] },
+      },
+      axes: [{ show: false }, axis],
+      series: [{}, ...series],
+    }, this.columns, element);
+    new ResizeObserver(() => this.resize()).observe(element);
+    this.resize();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    if (width && height) this.plot.setSize({ width, height });
+  }
+
+  draw(times, values, now) {
+    this.plot.setData([times.map((time) => (time - now) / 1000), ...values]);
+  }
+}
+
+export class Plots {
+  constructor(byId) {
+    this.strips = [
+      [new Strip(byId("plot-force"), 0.5, ["--accent"], true), ["newtons"]],
+      [new Strip(byId("plot-energy"), 0.1, ["--accent", "--faint"], false), ["strain", "kinetic"]],
+      [new Strip(byId("plot-step"), 0.1, ["--accent"], false), ["computing"]],
+    ];
+    this.times = [];
+    this.values = { newtons: [], strain: [], kinetic: [], computing: [] };
+    this.last = 0;
+  }
+
+  add(now, state) {
+    if (now - (this.times.at(-1) ?? -Infinity) < 15) return;
+    this.times.push(now);
+    this.values.newtons.push(state.newtons);
+    this.values.strain.push(1e3 * state.strain);
+    this.values.kinetic.push(1e3 * state.kinetic);
+    this.values.computing.push(1e3 * state.computing);
+    const old = this.times.findIndex((time) => time > now - 1000 * SECONDS - 200);
+    if (old < 60) return; // thrown away in one go
+    this.times.splice(0, old);
+    for (const column of Object.values(this.values)) column.splice(0, old);
+  }
+
+  draw(now, again = false) {
+    if (!again && now - this.last < EVERY) return;
+    this.last = now;
+    for (const [strip, names] of this.strips) strip.draw(this.times, names.map((name) => this.values[name]), now);
+  }
+
+  clear() {
+    this.times.length = 0;
+    for (const column of Object.values(this.values)) column.length = 0;
+  }
+}

@@ -1,0 +1,203 @@
+import { COVER, VIRIDIS } from "./colours.js";
+
+/** Normals of the vertices, drawn into a small picture: one pixel each, a mean over the triangles around it. */
+export const normals = {
+  vertex: `void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }`,
+  fragment: `
+    precision highp float; precision highp usampler2D;
+    uniform sampler2D positions; uniform usampler2D fans;
+    out vec4 result;
+    vec3 at(uint vertex) {
+      ivec2 place = ivec2(3 * (int(vertex) % WIDTH), int(vertex) / WIDTH);
+      return vec3(texelFetch(positions, place, 0).r, texelFetch(positions, place + ivec2(1, 0), 0).r,
+                  texelFetch(positions, place + ivec2(2, 0), 0).r);
+    }
+    void main() {
+      ivec2 pixel = ivec2(gl_FragCoord.xy);
+      vec3 here = at(uint(pixel.y * WIDTH + pixel.x)), sum = vec3(0.0);
+      for (int k = 0; k < FAN; k++) {
+        uvec2 others = texelFetch(fans, ivec2(pixel.x * FAN + k, pixel.y), 0).rg;
+        if (others.x == others.y) break;
+        vec3 a = at(others.x) - here, b = at(others.y) - here;
+        sum += cross(a, b) / max(dot(a, a) * dot(b, b), 1e-30); // exact on a sphere (Max 1999)
+      }
+      result = vec4(sum * inversesqrt(max(dot(sum, sum), 1e-30)), 1.0);
+    }`,
+};
+
+/** Lights that stay with the eye, as the lamp of a microscope does. */
+const LIGHTS = `
+  const vec3 KEY = normalize(vec3(-0.42, 0.68, 0.60));
+  const vec3 FILL = normalize(vec3(0.75, 0.12, 0.52));
+  vec3 srgb(vec3 c) { return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
+  vec3 linear(vec3 c) { return pow(max(c, 0.0), vec3(2.2)); }`;
+
+export const organ = {
+  vertex: `
+    uniform sampler2D normals;
+    out vec3 eye, smoothed, place; out float value;
+    vec3 normalOf(int k) { return texelFetch(normals, ivec2(k % WIDTH, k / WIDTH), 0).xyz; }
+    #ifdef REFINED
+      // a cubic patch over each triangle that has the normals at its corners (Vlachos et al. 2001); position: u, v
+      uniform sampler2D positions, rests, scalars;
+      in vec3 corners;
+      vec3 three(sampler2D numbers, int k) {
+        ivec2 at = ivec2(3 * (k % WIDTH), k / WIDTH);
+        return vec3(texelFetch(numbers, at, 0).r, texelFetch(numbers, at + ivec2(1, 0), 0).r,
+                    texelFetch(numbers, at + ivec2(2, 0), 0).r);
+      }
+      vec3 bent(vec3 p, vec3 n, vec3 to) { // a third of the way along an edge, in the tangent plane if it is no crease
+        vec3 along = to - p;
+        float rise = dot(along, n);
+        float smoothly = 1.0 - smoothstep(0.4, 0.65, abs(rise) * inversesqrt(max(dot(along, along), 1e-30)));
+        return p + (along - smoothly * rise * n) / 3.0;
+      }
+      vec3 patched(vec3 w, vec3 a, vec3 b, vec3 c, vec3 na, vec3 nb, vec3 nc) {
+        vec3 ab = bent(a, na, b), ba = bent(b, nb, a), bc = bent(b, nb, c), cb = bent(c, nc, b);
+        vec3 ca = bent(c, nc, a), ac = bent(a, na, c);
+        vec3 edges = (ab + ba + bc + cb + ca + ac) / 6.0, centre = 1.5 * edges - (a + b + c) / 6.0;
+        return w.x * w.x * (w.x * a + 3.0 * (w.y * ab + w.z * ac)) + w.y * w.y * (w.y * b + 3.0 * (w.x * ba + w.z * bc))
+             + w.z * w.z * (w.z * c + 3.0 * (w.x * ca + w.y * cb)) + 6.0 * w.x * w.y * w.z * centre;
+      }
+    #else
+      in float scalar; in vec3 rest;
+    #endif
+    void main() {
+      #ifdef REFINED
+        ivec3 k = ivec3(corners + 0.5);
+        vec3 w = vec3(1.0 - position.x - position.y, position.xy);
+        vec3 na = normalOf(k.x), nb = normalOf(k.y), nc = normalOf(k.z);
+        vec3 here = patched(w, three(positions, k.x), three(positions, k.y), three(positions, k.z), na, nb, nc);
+        vec3 mean = w.x * na + w.y * nb + w.z * nc;
+        place = w.x * three(rests, k.x) + w.y * three(rests, k.y) + w.z * three(rests, k.z);
+        value = 0.0;
+        for (int j = 0; j < 3; j++) value += w[j] * texelFetch(scalars, ivec2(k[j] % WIDTH, k[j] / WIDTH), 0).r;
+      #else
+        vec3 here = position;
+        place = rest; value = scalar;
+        #ifdef SMOOTH
+          vec3 mean = normalOf(gl_VertexID);
+        #else
+          vec3 mean = vec3(0.0);
+        #endif
+      #endif
+      vec4 seen = modelViewMatrix * vec4(here, 1.0);
+      eye = seen.xyz;
+      smoothed = normalMatrix * mean;
+      gl_Position = projectionMatrix * seen;
+    }`,
+  fragment: `
+    precision highp float;
+    uniform vec3 tissue; uniform vec2 range; uniform float shown, size, veil; uniform mat4 viewMatrixOf;
+    in vec3 eye, smoothed, place; in float value;
+    out vec4 result;
+    ${LIGHTS} ${VIRIDIS} ${COVER}
+    float hash(vec3 p) { p = fract(p * 0.3183099 + 0.1); p *= 17.0; return fract(p.x * p.y * p.z * (p.x + p.y + p.z)); }
+    float noise(vec3 x) {
+      vec3 i = floor(x), f = fract(x); f = f * f * (3.0 - 2.0 * f);
+      vec2 e = vec2(0.0, 1.0);
+      return mix(mix(mix(hash(i), hash(i + e.yxx), f.x), mix(hash(i + e.xyx), hash(i + e.yyx), f.x), f.y),
+                 mix(mix(hash(i + e.xxy), hash(i + e.yxy), f.x), mix(hash(i + e.xyy), hash(i + 1.0), f.x), f.y), f.z);
+    }
+    /** A normal on a surface of a height, by what both change from pixel to pixel (Mikkelsen 2010). */
+    vec3 uneven(vec3 n, float height) {
+      vec3 x = dFdx(eye), y = dFdy(eye), across = cross(y, n), along = cross(n, x);
+      float area = dot(x, across);
+      return normalize(abs(area) * n - sign(area) * (dFdx(height) * across + dFdy(height) * along));
+    }
+    void main() {
+      vec3 facet = normalize(cross(dFdx(eye), dFdy(eye)));
+      vec3 n = facet;
+      #ifdef SMOOTH
+        // the mean of the triangles around, but the triangle itself where the surface has a sharp edge
+        vec3 mean = normalize(smoothed);
+        mean *= dot(mean, facet) < 0.0 ? -1.0 : 1.0;
+        n = normalize(mix(facet, mean, smoothstep(0.35, 0.7, dot(mean, facet))));
+      #endif
+      vec3 view = normalize(-eye);
+      vec3 albedo = tissue;
+      float wet = 1.0;
+      #ifdef FINE
+        vec3 at = place / size;
+        float mottled = 0.6 * noise(9.0 * at) + 0.4 * noise(31.0 * at);
+        albedo *= 0.84 + 0.32 * mottled;
+        wet = 0.6 + 0.7 * noise(14.0 * at + 7.0);
+        n = uneven(n, size * (0.0011 * noise(38.0 * at) + 0.0028 * noise(16.0 * at)));
+      #endif
+      float t = clamp((value - range.x) / max(range.y - range.x, 1e-30), 0.0, 1.0);
+      float covered = shown * cover(value, range);
+      albedo = mix(albedo, linear(viridis(t)), covered);
+      // light goes some way through tissue: red farther than the rest
+      vec3 wrap = mix(vec3(0.52, 0.24, 0.20), vec3(0.35), covered);
+      vec3 key = pow(max((dot(n, KEY) + wrap) / (1.0 + wrap), 0.0), vec3(1.3));
+      vec3 fill = max((dot(n, FILL) + wrap) / (1.0 + wrap), 0.0);
+      float sky = 0.5 + 0.5 * dot(n, viewMatrixOf[2].xyz);
+      vec3 light = 1.75 * key * vec3(1.0, 0.97, 0.93) + 0.38 * fill * vec3(0.88, 0.94, 1.0)
+                 + mix(vec3(0.20, 0.17, 0.16), vec3(0.40, 0.42, 0.46), sky);
+      light = mix(light, 0.42 + 0.36 * light, covered); // a colour is to be read off the legend
+      float edge = pow(1.0 - clamp(dot(n, view), 0.0, 1.0), 4.0);
+      float gloss = wet * (1.0 - 0.7 * covered);
+      vec3 half1 = normalize(KEY + view);
+      float shine = 0.24 * pow(max(dot(n, half1), 0.0), 90.0);
+      #ifdef FINE
+        shine += 0.035 * pow(max(dot(n, half1), 0.0), 16.0);
+        shine += 0.03 * pow(max(dot(n, normalize(FILL + view)), 0.0), 26.0);
+      #endif
+      vec3 colour = albedo * light + gloss * shine
+                  + edge * (1.0 - 0.6 * covered) * (0.07 * vec3(1.0, 0.84, 0.80) + 0.6 * albedo) * (0.3 + 0.7 * sky);
+      result = vec4(srgb(clamp(colour, 0.0, 1.0)), 1.0) * veil;
+    }`,
+};
+
+/** Instruments: pale ceramic, or what is only hinted at. */
+export const instrument = {
+  vertex: `
+    out vec3 eye, n;
+    void main() {
+      vec4 seen = modelViewMatrix * vec4(position, 1.0);
+      eye = seen.xyz; n = normalMatrix * normal;
+      gl_Position = projectionMatrix * seen;
+    }`,
+  fragment: `
+    precision highp float;
+    uniform vec3 colour; uniform float opacity;
+    in vec3 eye, n;
+    out vec4 result;
+    ${LIGHTS}
+    void main() {
+      vec3 m = normalize(n), view = normalize(-eye);
+      float facing = clamp(dot(m, view), 0.0, 1.0);
+      float key = max((dot(m, KEY) + 0.35) / 1.35, 0.0), fill = max((dot(m, FILL) + 0.3) / 1.3, 0.0);
+      float sharp = pow(max(dot(m, normalize(KEY + view)), 0.0), 120.0);
+      vec3 lit = linear(colour) * (0.85 * key + 0.22 * fill + 0.20) + 0.5 * sharp + 0.16 * pow(1.0 - facing, 3.0);
+      float alpha = opacity * mix(1.0, 0.35 + 0.65 * pow(1.0 - facing, 1.5), step(opacity, 0.99));
+      result = vec4(srgb(clamp(lit, 0.0, 1.0)) * alpha, alpha);
+    }`,
+};
+
+/** What the shadow's picture is blurred with, one direction at a time. */
+export const blur = {
+  vertex: `out vec2 at; void main() { at = 0.5 * position.xy + 0.5; gl_Position = vec4(position.xy, 0.0, 1.0); }`,
+  fragment: `
+    precision highp float;
+    uniform sampler2D picture; uniform vec2 along;
+    in vec2 at; out vec4 result;
+    void main() {
+      float sum = 0.0, weights = 0.0;
+      for (int k = -8; k <= 8; k++) {
+        float weight = exp(-float(k * k) / 26.0);
+        sum += weight * texture(picture, at + float(k) * along).r; weights += weight;
+      }
+      result = vec4(vec3(sum / weights), 1.0);
+    }`,
+};
+
+export const ground = {
+  vertex: `
+    out vec2 at; void main() { at = uv; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
+  fragment: `
+    precision highp float;
+    uniform sampler2D picture; uniform float strength;
+    in vec2 at; out vec4 result;
+    void main() { result = vec4(vec3(0.0), strength * texture(picture, at).r); }`,
+};

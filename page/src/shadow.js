@@ -1,0 +1,68 @@
+// A soft shadow on the ground below: the body seen from above, blurred.
+import * as three from "three";
+import { blur, ground } from "./shaders.js";
+
+const PIXELS = 128;
+const OFTEN = 120; // [ms] between two of its pictures; in software it costs as much as the body
+
+const shader = ({ vertex, fragment }, uniforms, more) =>
+  new three.ShaderMaterial({ glslVersion: three.GLSL3, vertexShader: vertex, fragmentShader: fragment, uniforms, ...more });
+
+export class Shadow {
+  constructor(renderer, fine) {
+    Object.assign(this, { renderer, every: fine ? OFTEN : 8 * OFTEN });
+    this.strength = 0.34;
+    this.last = -Infinity;
+    const target = () => new three.WebGLRenderTarget(PIXELS, PIXELS, { depthBuffer: false });
+    this.targets = [target(), target()];
+    this.silhouette = new three.MeshBasicMaterial({ color: 0xffffff, side: three.DoubleSide });
+    this.blurred = shader(blur, { picture: { value: null }, along: { value: new three.Vector2() } }, { depthTest: false });
+    const screen = new three.Mesh(new three.PlaneGeometry(2, 2), this.blurred);
+    screen.frustumCulled = false;
+    this.pass = new three.Scene().add(screen);
+    this.flat = new three.Camera();
+    this.above = new three.OrthographicCamera(-1, 1, 1, -1, 0, 10);
+    this.uniforms = { picture: { value: this.targets[0].texture }, strength: { value: 0 } };
+    const material = shader(ground, this.uniforms, { transparent: true, depthWrite: false, premultipliedAlpha: true });
+    this.plane = new three.Mesh(new three.PlaneGeometry(1, 1), material);
+    this.plane.renderOrder = -1;
+    this.plane.visible = false;
+  }
+
+  /** Lie below a body. */
+  fit({ box, sphere }) {
+    const half = 1.7 * sphere.radius;
+    this.floor = box.min.z - 0.1 * sphere.radius;
+    this.plane.scale.setScalar(2 * half);
+    this.plane.position.set(sphere.center.x, sphere.center.y, this.floor);
+    Object.assign(this.above, { left: -half, right: half, top: half, bottom: -half, far: 8 * half });
+    this.above.position.set(sphere.center.x, sphere.center.y, sphere.center.z + 4 * half);
+    this.above.up.set(0, 1, 0);
+    this.above.lookAt(sphere.center);
+    this.above.updateProjectionMatrix();
+    this.plane.visible = true;
+    this.last = -Infinity;
+  }
+
+  update(organ, camera) {
+    const over = (camera.position.z - this.floor) / organ.sphere.radius;
+    this.uniforms.strength.value = this.strength * Math.min(Math.max(over, 0), 1); // none seen from below
+    const now = performance.now();
+    if (now - this.last < this.every) return;
+    this.last = now;
+    const { renderer, targets } = this;
+    const scene = new three.Scene();
+    const body = new three.Mesh(organ.shape, this.silhouette);
+    body.frustumCulled = false;
+    renderer.setRenderTarget(targets[0]);
+    renderer.clear();
+    renderer.render(scene.add(body), this.above);
+    for (const [from, to, along] of [[0, 1, [1.6 / PIXELS, 0]], [1, 0, [0, 1.6 / PIXELS]]]) {
+      this.blurred.uniforms.picture.value = targets[from].texture;
+      this.blurred.uniforms.along.value.set(...along);
+      renderer.setRenderTarget(targets[to]);
+      renderer.render(this.pass, this.flat);
+    }
+    renderer.setRenderTarget(null);
+  }
+}

@@ -1,0 +1,53 @@
+"""What `palpate view` shows: a scene by its name, or a model from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from palpate.app.console import Console
+from palpate.faults import InputError
+from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.storage import load
+from palpate.scenes.beam import COARSEST
+
+__all__ = ["opened"]
+
+SCENES = ("liver", "beam")
+MODES = 24  # of the beam
+POISSON = 0.45
+
+
+def opened(what: str, console: Console) -> tuple[ReducedModel, str]:
+    """Return a model that takes a tool, and its title.
+
+    Parameters
+    ----------
+    what : str
+        ``"liver"``: the small model from the user's cache, trained at first use; ``"beam"``: the paper's, held at its
+        end by a hand, trained now; or a file of `palpate train`.
+    console : Console
+
+    Raises
+    ------
+    InputError, FileFormatError, FileNotFoundError
+        No such scene or file, or a model that takes no tool.
+    """
+    if what == "liver":
+        from palpate.app.run.liver import cached
+
+        return cached(console), "Liver"
+    if what == "beam":
+        from palpate.app.run.grasp import trained
+
+        return trained(COARSEST, POISSON, MODES, console), "Beam"
+    path = Path(what)
+    if not path.suffix and not path.exists():
+        raise InputError(f"SCENE = {what!r}: allowed are {', '.join(SCENES)}, or a file of `palpate train`")
+    model = load(path)
+    if model.parts.dents is None and len(model.parts.driven) != 1:
+        raise InputError(
+            f"{path}: this model takes no tool: it was trained without one that touches it and holds "
+            f"{len(model.parts.driven)} groups; train it with a Contact, or with driven='GROUP'"
+        )
+    name = str(model.report.get("scene", {}).get("name", path.stem))
+    return model, name.rpartition(":")[2].replace("_", " ").capitalize()

@@ -1,0 +1,313 @@
+"""The server: several viewers watch a session, one of them drives it. See docs/protocol.md."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import socket
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from palpate.app.view import frames
+from palpate.app.view.messages import LONGEST, PROTOCOL, Message, parsed
+from palpate.app.view.page import Page
+from palpate.app.view.snapshot import Snapshot
+from palpate.app.view.viewer import Viewer
+from palpate.faults import InputError
+from palpate.reduction.surface import Surface
+
+__all__ = ["SUBPROTOCOL", "Server", "Show"]
+
+SUBPROTOCOL = Subprotocol("palpate.v1")
+WRONG_TOKEN, TOO_MANY_MISTAKES, FULL = 4401, 4400, 4429
+PATIENCE = 5.0  # [s] for the first message
+SILENT = 10.0  # [s] after which another viewer may drive
+FASTEST = 1 / 60  # [s] between two frames of a viewer
+IDLE = 0.01  # [s] between two looks whether anything has changed
+TICK, TOLD = 0.1, 0.5  # [s] between looks at the clock and at the status; between statistics
+MOST_VIEWERS = 16
+DRIVING = ("pose", "tool", "release", "control", "speed", "material", "record", "replay")
+
+
+class Show(Protocol):
+    """What is shown: a session, or a replay."""
+
+    mode: str
+    title: str
+    surface: Surface
+    paused_because: str | None
+    news: list[dict[str, Any]]  # what all are still to be told
+
+    def snapshot(self) -> Snapshot:
+        """Return what is to be seen now."""
+
+    def hello(self) -> dict[str, Any]:
+        """Return what does not change."""
+
+    def status(self) -> dict[str, Any]:
+        """Return what changes seldom."""
+
+    def statistics(self) -> dict[str, Any]:
+        """Return how the engine keeps its deadlines."""
+
+    def handle(self, message: Message) -> None:
+        """Do what a message of the driver says."""
+
+    def tick(self) -> None:
+        """Be called several times a second."""
+
+    def pause(self, because: str | None = None) -> None:
+        """Let time stand still."""
+
+    def resume(self) -> None:
+        """Let time go on."""
+
+    def release(self) -> None:
+        """Take the tool away."""
+
+    def overlay(self) -> Any:
+        """Return positions (n, 3) of the full model now, or None."""
+
+
+class Server:
+    """Serves the page and the socket.
+
+    Parameters
+    ----------
+    show : Session or Replay
+    page : Page
+    token : str
+        Who knows it may watch.
+    """
+
+    def __init__(self, show: Show, page: Page, token: str) -> None:
+        self.show, self.page, self._token = show, page, token
+        self.viewers: list[Viewer] = []
+        self.driver: Viewer | None = None
+        self._told = ""
+        self._made: dict[str, tuple[Any, float, bytes]] = {}
+
+    async def run(self, listening: socket.socket, ready: Callable[[], None] = lambda: None) -> None:
+        """Serve on a socket that listens, until cancelled; `ready` is called when clients are answered."""
+        async with serve(
+            self._meet, sock=listening, process_request=self._answer, subprotocols=[SUBPROTOCOL], compression=None,
+            max_size=LONGEST, max_queue=32, server_header=None,
+        ):  # fmt: skip
+            ready()
+            await self._watch()
+
+    async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        return self.page.answer(request)
+
+    # the clock
+
+    async def _watch(self) -> None:
+        told = 0.0
+        if not self.viewers:
+            self.show.pause("nobody watches")
+        while True:
+            self.show.tick()
+            if time.monotonic() - told > TOLD:
+                told = time.monotonic()
+                self._broadcast({"type": "statistics", **self.show.statistics()})
+            while self.show.news:
+                self._broadcast(self.show.news.pop(0))
+            await self._tell_status()
+            await asyncio.sleep(TICK)
+
+    async def _tell_status(self) -> None:
+        status = self.show.status()
+        still = {name: value for name, value in status["tool"].items() if name not in ("position", "quaternion")}
+        told = repr(({**status, "tool": still}, len(self.viewers), id(self.driver)))
+        if told == self._told:
+            return
+        self._told = told
+        for viewer in self._welcomed():
+            await self._say_to(viewer, self._status(viewer, status))
+
+    def _status(self, viewer: Viewer, status: dict[str, Any]) -> dict[str, Any]:
+        about = {"driver": viewer is self.driver, "viewers": len(self.viewers), "recording": False}
+        return {"type": "status", **about, **status}
+
+    def _welcomed(self) -> list[Viewer]:
+        return [viewer for viewer in self.viewers if viewer.welcomed]
+
+    def _broadcast(self, message: dict[str, Any]) -> None:
+        for viewer in self._welcomed():
+            task = asyncio.ensure_future(self._say_to(viewer, message))
+            viewer.tasks.add(task)
+            task.add_done_callback(viewer.tasks.discard)
+
+    @staticmethod
+    async def _say_to(viewer: Viewer, message: dict[str, Any]) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            await viewer.say(message)
+
+    # viewers
+
+    async def _meet(self, connection: ServerConnection) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            viewer = await self._admitted(connection)
+            if viewer is None:
+                return
+            self._enter(viewer)
+            try:
+                await viewer.say(self._hello(viewer))
+                await connection.send(frames.geometry_frame(self.show.surface))
+                await viewer.say(self._status(viewer, self.show.status()))
+                viewer.welcomed = True
+                async with asyncio.TaskGroup() as group:
+                    streams = [group.create_task(self._stream(viewer)), group.create_task(self._stream_force(viewer))]
+                    await self._listen(viewer)
+                    for stream in streams:
+                        stream.cancel()
+            except* ConnectionClosed:
+                pass
+            finally:
+                self._leave(viewer)
+
+    async def _admitted(self, connection: ServerConnection) -> Viewer | None:
+        """Return a viewer that said hello with the token in time; close the connection of another one."""
+        try:
+            async with asyncio.timeout(PATIENCE):
+                hello = parsed(await connection.recv())
+        except TimeoutError:
+            await connection.close(WRONG_TOKEN, "no hello in time")
+            return None
+        except InputError as error:
+            await connection.close(WRONG_TOKEN, str(error)[:100])
+            return None
+        if hello["type"] != "hello" or not hmac.compare_digest(hello["token"].encode(), self._token.encode()):
+            await connection.close(WRONG_TOKEN, "wrong token: open the address that palpate view prints")
+            return None
+        if hello["protocol"] != PROTOCOL:
+            await connection.close(TOO_MANY_MISTAKES, f"this server speaks protocol {PROTOCOL}")
+            return None
+        if len(self.viewers) >= MOST_VIEWERS:
+            await connection.close(FULL, f"{MOST_VIEWERS} viewers watch already")
+            return None
+        return Viewer(connection)
+
+    def _enter(self, viewer: Viewer) -> None:
+        self.viewers.append(viewer)
+        if self.driver is None:
+            self.driver, viewer.heard = viewer, time.monotonic()
+        if len(self.viewers) == 1 and self.show.paused_because in ("nobody watches", "closed tab"):
+            self.show.resume()
+
+    def _leave(self, viewer: Viewer) -> None:
+        self.viewers.remove(viewer)
+        if viewer is self.driver:
+            self.driver = None
+            self.show.release()
+        if not self.viewers:
+            self.show.pause("closed tab")
+
+    def _hello(self, viewer: Viewer) -> dict[str, Any]:
+        surface = self.show.surface
+        return {
+            "type": "hello", "protocol": PROTOCOL, "title": self.show.title, "driver": viewer is self.driver,
+            "viewers": len(self.viewers), "mode": self.show.mode, "vertices": len(surface.rest),
+            "triangles": len(surface.triangles), "spacing": surface.model.cloud.spacing,
+            "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()], **self.show.hello(),
+        }  # fmt: skip
+
+    # what viewers say
+
+    async def _listen(self, viewer: Viewer) -> None:
+        async for text in viewer.socket:
+            try:
+                message = parsed(text)
+            except InputError as error:
+                if viewer.mistaken():
+                    await viewer.socket.close(TOO_MANY_MISTAKES, "too many messages that are not understood")
+                    return
+                await viewer.say({"type": "error", "reason": str(error)})
+                continue
+            viewer.mistakes = 0
+            try:
+                await self._heed(viewer, message)
+            except InputError as error:
+                await viewer.say({"type": "error", "reason": str(error)})
+
+    async def _heed(self, viewer: Viewer, message: Message) -> None:
+        kind = message["type"]
+        if kind == "ack":
+            if not viewer.acknowledge(message["sequence"]):
+                raise InputError(f"ack: frame {message['sequence']} was never sent")
+        elif kind == "latency":
+            await viewer.say(message)
+        elif kind == "show":
+            allowed = (*self.show.surface.scalars, "none")
+            if message["scalar"] not in allowed:
+                raise InputError(f"show: allowed here are {', '.join(map(repr, allowed))}")
+            viewer.scalar = message["scalar"]
+        elif kind == "force":
+            viewer.rate = message["rate"]
+        elif kind == "drive":
+            self._hand_over(viewer)
+        elif kind in DRIVING:
+            if viewer is not self.driver:
+                raise InputError(f"{kind}: another viewer drives, or none; ask for it by 'drive'")
+            viewer.heard = time.monotonic()
+            self.show.handle(message)
+        else:
+            raise InputError(f"{kind}: was said already")
+
+    def _hand_over(self, viewer: Viewer) -> None:
+        now = time.monotonic()
+        if self.driver is not None and self.driver is not viewer and now - self.driver.heard < SILENT:
+            raise InputError("drive: another viewer drives; it may be asked for 10 s after its last message")
+        if self.driver is not viewer:
+            self.show.release()
+        self.driver, viewer.heard = viewer, now
+
+    # what viewers see
+
+    async def _stream(self, viewer: Viewer) -> None:
+        """Send the newest state whenever there is one and the viewer has drawn enough of those before."""
+        shown: Any = None
+        while True:
+            await viewer.room.wait()
+            began = time.monotonic()
+            key, body = self._frame(viewer.scalar)
+            if key == shown:
+                await asyncio.sleep(IDLE)
+                continue
+            shown, sequence, vertices = key, viewer.next_frame(), len(self.show.surface.rest)
+            positions = self.show.overlay()
+            if positions is not None:
+                await viewer.socket.send(frames.headed(frames.OVERLAY, sequence, vertices, frames.overlay(positions)))
+            await viewer.socket.send(frames.headed(frames.STATE, sequence, vertices, body))
+            await asyncio.sleep(max(0.0, began + FASTEST - time.monotonic()))
+
+    def _frame(self, scalar: str) -> tuple[Any, bytes]:
+        """Return what tells a frame from others, and its body; made once for all who want it within a moment."""
+        snapshot = self.show.snapshot()
+        key = (scalar, snapshot.steps, snapshot.time, snapshot.state, snapshot.tool, snapshot.sequence,
+               *snapshot.position)  # fmt: skip
+        made = self._made.get(scalar)
+        if made is None or (made[0] != key and time.monotonic() - made[1] > 0.5 * FASTEST):
+            made = key, time.monotonic(), frames.state(self.show.surface, snapshot, scalar)
+            self._made[scalar] = made
+        return made[0], made[2]
+
+    async def _stream_force(self, viewer: Viewer) -> None:
+        """Send force frames at the rate that the viewer asked for."""
+        sequence, due = 0, time.monotonic()
+        while True:
+            if viewer.rate <= 0.0:
+                await asyncio.sleep(TICK)
+                due = time.monotonic()
+                continue
+            due = max(due + 1 / viewer.rate, time.monotonic())
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
+            sequence += 1
+            await viewer.socket.send(frames.force_frame(self.show.snapshot(), sequence))

@@ -1,0 +1,406 @@
+"""The page in a real browser: it draws the body, a hand presses it, others watch, and it comes back by itself.
+
+Most tests let it speak to a session made by a formula, whose forces are known; the last ones to real sessions.
+With PALPATE_SCREENSHOTS=DIR the pictures of the documentation are left there, of the liver that ``palpate view liver``
+keeps in the user's cache, else of a block.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from pathlib import Path
+from time import sleep
+
+import numpy as np
+import pytest
+
+import palpate.app
+from palpate import load
+from palpate.app.bench.chromium import Chromium, find_chromium
+from palpate.app.run.liver import cache
+from palpate.app.train.campaign import MODEL
+from palpate.app.view.session import Session
+
+sys.path.append(str(Path(__file__).parent))
+
+from synthetic_session import SyntheticSession
+
+PAGE = Path(palpate.app.__file__).parent / "view" / "page"
+WIDE, NARROW = (1024, 640), (360, 740)
+TOKEN = "a-token-of-tests"  # of `site`
+
+pytestmark = pytest.mark.skipif(
+    find_chromium() is None, reason="no Chromium on this machine; on Debian: apt-get install chromium"
+)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with Chromium() as made:
+        yield made
+
+
+@pytest.fixture
+def synthetic():
+    assert (PAGE / "index.html").is_file(), f"{PAGE} holds no page: pip install -e . bundles it"
+    with SyntheticSession(PAGE) as made:
+        yield made
+
+
+@pytest.fixture
+def opened(browser, synthetic):
+    """A function that opens the page and waits for the body; tabs are closed and their errors looked at afterwards."""
+    tabs = []
+
+    def open_tab(size=WIDE, **options):
+        tab = browser.open(synthetic.address, *size, **options)
+        tabs.append(tab)
+        tab.wait("window.palpate?.ready", 60)
+        return tab
+
+    yield open_tab
+    errors = [error for tab in tabs for error in tab.errors]
+    for tab in tabs:
+        tab.close()
+    assert not errors
+
+
+def middle(tab):
+    """Where the middle of the body is in the window [px]."""
+    place = "(() => { const b = document.getElementById('view').getBoundingClientRect();"
+    return tab.evaluate(f"{place} const [x, y] = palpate.project([0, 0, 0]); return [b.x + x, b.y + y]; }})()")
+
+
+def picture(tab):
+    from matplotlib.image import imread
+
+    return imread(io.BytesIO(tab.screenshot()))[..., :3]
+
+
+def around(image, x, y, half=8):
+    return image[int(y) - half : int(y) + half, int(x) - half : int(x) + half].mean(axis=(0, 1))
+
+
+def press(tab, depth=40, steps=6):
+    """Hold on the middle of the body and drag down by some pixels."""
+    x, y = middle(tab)
+    tab.mouse("Moved", x, y, "none")
+    tab.mouse("Pressed", x, y)
+    for k in range(1, steps + 1):
+        tab.mouse("Moved", x, y + depth * k / steps)
+        sleep(0.02)
+    return x, y + depth
+
+
+def test_the_body_is_drawn_in_its_colour_on_a_calm_ground(opened):
+    tab = opened()
+    tab.evaluate("document.querySelector('#scalars [value=none]').click()")
+    tab.wait("palpate.session.state.scalar === null")
+    sleep(0.5)
+    image, (x, y) = picture(tab), middle(tab)
+    red, green, blue = around(image, x, y)
+    assert red > 1.8 * green  # tissue
+    assert red > 1.8 * blue
+    corner = around(image, 20, WIDE[1] // 2)
+    assert corner.min() > 0.9  # light ground
+    assert image.std() > 0.05
+
+
+def test_a_drag_presses_and_letting_go_ends_the_force(opened):
+    tab = opened()
+    assert tab.evaluate("palpate.force") == 0
+    x, y = press(tab, 20)
+    first = tab.wait("palpate.force > 0.05 && palpate.force")
+    for k in range(8):
+        tab.mouse("Moved", x, y + 8 * k)
+        sleep(0.02)
+    tab.wait(f"palpate.force > {1.5 * first}")  # deeper is more
+    assert float(tab.evaluate("document.getElementById('force').textContent")) > 0
+    assert tab.evaluate("palpate.stage.arrow.group.visible && palpate.stage.tool.group.visible")
+    tab.mouse("Released", x, y)
+    tab.wait("palpate.force === 0")
+    tab.wait("document.getElementById('force').textContent === '0.00'")
+
+
+def test_what_is_pressed_moves_in_the_picture(opened, synthetic):
+    tab = opened()
+    sleep(0.5)
+    before = tab.evaluate("[...palpate.stage.organ.positions]")
+    x, y = press(tab, 60)
+    tab.wait("palpate.force > 0.05")
+    moved = np.array(tab.evaluate("[...palpate.stage.organ.positions]")) - before
+    assert 0.001 < np.linalg.norm(moved.reshape(-1, 3), axis=1).max() < synthetic.size
+    tab.mouse("Released", x, y)
+
+
+def test_the_wheel_presses_deeper_while_held_and_zooms_otherwise(opened):
+    tab = opened()
+    x, y = press(tab, 0)
+    before = tab.wait("palpate.force > 0.05 && palpate.force")
+    eye = tab.evaluate("palpate.stage.orbit.goal.distance")
+    tab.mouse("Wheel", x, y, deltaX=0, deltaY=-240)
+    tab.wait(f"palpate.force > {before} + 0.5")
+    assert tab.evaluate("palpate.stage.orbit.goal.distance") == eye
+    tab.mouse("Released", x, y)
+    tab.mouse("Wheel", x, y, "none", deltaX=0, deltaY=240)
+    tab.wait(f"palpate.stage.orbit.goal.distance > {1.05 * eye}")
+
+
+def test_the_right_button_turns_the_eye_and_presses_nothing(opened):
+    tab = opened()
+    x, y = middle(tab)
+    before = tab.evaluate("palpate.stage.orbit.goal.azimuth")
+    tab.mouse("Pressed", x, y, "right")
+    tab.mouse("Moved", x + 60, y, "right")
+    tab.mouse("Released", x + 60, y, "right")
+    assert tab.evaluate("palpate.stage.orbit.goal.azimuth") == pytest.approx(before - 0.36, abs=0.05)
+    assert tab.evaluate("palpate.force") == 0
+
+
+def test_forceps_pull(opened, synthetic):
+    tab = opened()
+    tab.key("3")
+    tab.wait("document.querySelector('#kinds [value=grasp]').ariaChecked === 'true'")
+    x, y = press(tab, -40)
+    tab.wait("palpate.force > 0.5 && palpate.session.state.tool === 'grasp'")
+    told = [message for message in synthetic.received if message["type"] == "tool" and message["kind"] == "grasp"]
+    assert len(told) == 1
+    assert np.linalg.norm(told[0]["position"]) == pytest.approx(0.05, rel=0.02)  # a place of the surface
+    tab.mouse("Released", x, y)
+    tab.wait("palpate.force === 0")
+
+
+def test_keys_press_move_let_go_and_reset(opened, synthetic):
+    tab = opened()
+    tab.evaluate("document.getElementById('view').focus()")
+    for _ in range(4):
+        tab.key("+")
+    before = tab.wait("palpate.force > 0.3 && palpate.force")
+    for _ in range(3):
+        tab.key("+")
+    tab.wait(f"palpate.force > {before} + 0.5")
+    tab.key(" ")
+    tab.wait("palpate.force === 0")
+    tab.key("+")
+    tab.wait("palpate.force > 0.3")
+    tab.key("r")
+    tab.wait("palpate.force === 0")
+    assert {"type": "control", "action": "reset"} in synthetic.received
+    tab.key("p")
+    tab.wait("document.getElementById('pause-text').textContent === 'Go on'")
+
+
+def test_one_finger_presses_and_two_zoom(opened):
+    tab = opened(NARROW, touch=True)
+    x, y = middle(tab)
+    tab.touch("Start", (x, y))
+    tab.touch("Move", (x, y + 20))
+    tab.wait("palpate.force > 0.05")
+    tab.touch("End")
+    tab.wait("palpate.force === 0")
+    far = tab.evaluate("palpate.stage.orbit.goal.distance")
+    tab.touch("Start", (x - 20, y), (x + 20, y))
+    tab.touch("Move", (x - 40, y), (x + 40, y))
+    tab.touch("End")
+    assert tab.evaluate("palpate.stage.orbit.goal.distance") < 0.8 * far
+    assert tab.evaluate("palpate.force") == 0
+
+
+def test_the_reset_button_says_so(opened, synthetic):
+    tab = opened()
+    press(tab)
+    tab.wait("palpate.force > 0.05")
+    tab.evaluate("document.getElementById('reset').click()")
+    tab.wait("palpate.force === 0")
+    assert {"type": "control", "action": "reset"} in synthetic.received
+
+
+def test_a_second_viewer_watches(opened):
+    first, second = opened(), opened((640, 480))
+    first.wait("palpate.viewers === 2")
+    assert first.evaluate("palpate.driver") is True
+    assert second.evaluate("palpate.driver") is False
+    assert second.evaluate("document.getElementById('watching').hidden") is False
+    x, y = press(first)
+    second.wait("palpate.force > 0.05 && palpate.stage.tool.group.visible")
+    first.mouse("Released", x, y)
+    second.wait("palpate.force === 0")
+    own_x, own_y = press(second)  # is told that it only watches
+    second.wait("palpate.notices.said.includes('Someone else holds the tool.')")
+    assert second.evaluate("palpate.force") == 0
+    second.mouse("Released", own_x, own_y)
+
+
+def test_a_dropped_connection_comes_back(opened, synthetic):
+    tab = opened()
+    synthetic.drop()
+    tab.wait("document.getElementById('connection').textContent === 'Not connected'")
+    tab.wait("document.getElementById('connection').textContent.startsWith('Live')")
+    assert tab.evaluate("document.getElementById('notice').hidden") is True
+    x, y = press(tab)
+    tab.wait("palpate.force > 0.05")
+    tab.mouse("Released", x, y)
+    tab.errors.clear()  # the browser's own note of the failed connection
+
+
+def test_an_address_with_another_token_is_said_to_have_expired(browser, synthetic):
+    tab = browser.open(synthetic.address[:-2], *WIDE)
+    tab.wait("document.getElementById('notice').textContent.includes('expired')", 60)
+    tab.close()
+
+
+def test_a_phone_shows_everything_without_scrolling_sideways(opened):
+    tab = opened(NARROW)
+    wide = "[...document.querySelectorAll('body *')].filter(e => e.getBoundingClientRect().right > innerWidth + 0.5"
+    assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert tab.evaluate(f"{wide} && !e.closest('.hidden')).map(e => e.id || e.className || e.tagName)") == []
+    assert tab.evaluate("document.getElementById('panel').scrollHeight > innerHeight / 3")
+
+
+def test_it_is_dark_where_the_system_is_and_the_switch_changes_it(opened):
+    tab = opened(dark=True)
+    assert around(picture(tab), 20, WIDE[1] // 2).max() < 0.2
+    tab.evaluate("document.getElementById('theme').click()")
+    sleep(0.3)
+    assert around(picture(tab), 20, WIDE[1] // 2).min() > 0.9
+    tab.evaluate("document.getElementById('theme').click()")
+
+
+def test_every_control_has_a_name(opened):
+    tab = opened()
+    tree = tab.call("Accessibility.getFullAXTree")["nodes"]
+    asked = {"button", "slider", "radio", "combobox", "checkbox", "radiogroup", "application"}
+    nodes = [node for node in tree if node.get("role", {}).get("value") in asked and not node.get("ignored")]
+    assert len(nodes) > 12
+    assert [node for node in nodes if not node.get("name", {}).get("value")] == []
+
+
+def test_the_panel_sends_what_is_chosen(opened, synthetic):
+    tab = opened()
+    tab.evaluate("document.querySelector('#kinds [value=capsule]').click()")
+    tab.evaluate("document.querySelector('#scalars [value=pressure]').click()")
+    tab.wait("!document.getElementById('legend').hidden")
+    slide = "(e => { e.value = 4; e.oninput(); e.onchange(); })(document.querySelector('#material-sliders input'))"
+    tab.evaluate(slide)
+    tab.evaluate("(e => { e.value = '0.25'; e.onchange({ target: e }); })(document.getElementById('speed'))")
+    tab.evaluate("document.getElementById('record').click()")
+    tab.wait("document.getElementById('record-text').textContent === 'Stop'")
+    tab.evaluate("document.getElementById('record').click()")
+    tab.wait("[...document.querySelectorAll('.toast')].some(e => e.textContent.includes('run.h5'))")
+    told = {message["type"]: message for message in synthetic.received}
+    assert synthetic.tool["kind"] == "capsule"
+    assert told["show"]["scalar"] == "pressure"
+    assert told["material"] == {"type": "material", "name": "shear modulus", "value": 4}
+    assert told["speed"]["factor"] == 0.25
+
+
+def test_a_replay_has_a_line_of_time_and_no_tools(browser):
+    with SyntheticSession(PAGE, mode="replay", duration=4.0, overlay=True) as replay:
+        tab = browser.open(replay.address, *WIDE)
+        tab.wait("window.palpate?.ready", 60)
+        assert tab.evaluate("document.getElementById('replay').hidden") is False
+        assert tab.evaluate("document.getElementById('transport').hidden") is True
+        assert tab.evaluate("document.getElementById('overlay-row').hidden") is False
+        tab.evaluate("(e => { e.value = 2.5; e.oninput({ target: e }); })(document.getElementById('time'))")
+        tab.evaluate("1")
+        sleep(0.2)
+        assert {"type": "replay", "action": "seek", "time": 2.5} in replay.received
+        assert not tab.errors
+        tab.close()
+
+
+# real sessions
+
+
+@pytest.fixture
+def pressed_body(browser, site):
+    """A function that opens the page on the real session of a block."""
+    tabs = []
+
+    def open_tab(size=WIDE, address="", **options):
+        tab = browser.open(address or f"http://127.0.0.1:{site.port}/#{TOKEN}", *size, **options)
+        tabs.append(tab)
+        tab.wait("window.palpate?.ready", 60)
+        return tab
+
+    yield open_tab
+    errors = [error for tab in tabs for error in tab.errors]
+    for tab in tabs:
+        tab.close()
+    assert not errors
+
+
+def test_a_real_body_is_pressed_let_go_and_reset(pressed_body, session):
+    tab = pressed_body()
+    x, y = hold(tab)
+    first = tab.wait("palpate.force > 0.02 && palpate.force")
+    for k in range(10):
+        tab.mouse("Moved", x, y + 2 * k)
+        sleep(0.02)
+    tab.wait(f"palpate.force > {1.2 * first}")
+    assert tab.evaluate("palpate.session.state.tool") == "sphere"
+    tab.mouse("Released", x, y + 20)
+    tab.wait("palpate.force === 0 && palpate.session.state.tool === 'none'")
+    hold(tab)
+    tab.wait("palpate.force > 0.02")
+    tab.evaluate("document.getElementById('reset').click()")
+    tab.wait("palpate.force === 0")
+    tab.wait(
+        "Math.max(...palpate.stage.organ.positions.map((x, k) => Math.abs(x - palpate.stage.organ.rest[k]))) < 1e-6"
+    )
+    assert tab.evaluate("palpate.notices.errors") == []
+
+
+def test_a_real_body_answers_every_tool_without_a_complaint(pressed_body):
+    tab = pressed_body()
+    for kind in ("capsule", "grasp", "sphere"):
+        tab.evaluate(f"document.querySelector('#kinds [value={kind}]').click()")
+        x, y = hold(tab)
+        tab.mouse("Moved", x, y + (-25 if kind == "grasp" else 15))
+        tab.wait(f"palpate.force > 0.01 && palpate.session.state.tool === '{kind}'")
+        tab.mouse("Released", x, y)
+        tab.wait("palpate.force === 0")
+    assert tab.evaluate("palpate.notices.errors") == []
+
+
+def hold(tab):
+    """Hold on the middle of what is seen of the body."""
+    x, y = tab.evaluate(
+        "(() => { const b = document.getElementById('view').getBoundingClientRect(), { sphere } = palpate.stage.organ;"
+        "const [x, y] = palpate.project(sphere.center.toArray()); return [b.x + x, b.y + y]; })()"
+    )
+    tab.mouse("Moved", x, y, "none")
+    tab.mouse("Pressed", x, y)
+    return x, y
+
+
+@pytest.mark.skipif("PALPATE_SCREENSHOTS" not in os.environ, reason="PALPATE_SCREENSHOTS names no folder")
+def test_pictures_of_the_documentation(browser, session, site_of):
+    folder = Path(os.environ["PALPATE_SCREENSHOTS"])
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = cache() / MODEL
+    show = Session(load(kept), "Liver") if kept.is_file() else session
+    show.start()
+    try:
+        address = f"http://127.0.0.1:{site_of(show).port}/?still#{TOKEN}"
+        for name, size, dark in (
+            ("page", (1280, 800), False),
+            ("page_dark", (1280, 800), True),
+            ("page_narrow", NARROW, False),
+        ):
+            tab = browser.open(address, *size, dark=dark)
+            tab.wait("window.palpate?.ready", 60)
+            x, y = hold(tab)
+            tab.wait("palpate.session.state.tool !== 'none'")
+            for k in range(20):
+                tab.mouse("Moved", x, y + 2 * k)
+                sleep(0.05)
+            tab.wait("palpate.force > 0.05")
+            sleep(6.0)  # a still picture is drawn at leisure in software
+            assert picture(tab).std() > 0.05
+            tab.screenshot(folder / f"{name}.png")
+            tab.close()
+    finally:
+        show.stop()

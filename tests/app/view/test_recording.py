@@ -1,0 +1,197 @@
+"""Recordings: what was seen is what is replayed, drawn, and run again on the full model."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+
+import h5py
+import numpy as np
+import pytest
+from view_scenes import BALL, MIDDLE, block
+
+import palpate as pt
+from palpate.app.cli import main
+from palpate.app.view.fullrun import run_full
+from palpate.app.view.messages import checked
+from palpate.app.view.recording import load_recording
+from palpate.app.view.replay import Replay
+from palpate.app.view.session import Session
+
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
+
+
+@pytest.fixture(scope="module")
+def recorded(model, tmp_path_factory, until):
+    """A recorded press, and the moment that was seen in the end."""
+    path = tmp_path_factory.mktemp("recorded") / "press.h5"
+    session = Session(model, "Block")
+    session.start()
+    session.handle(checked({"type": "record", "action": "start"}))
+    session.handle(
+        checked({"type": "tool", "kind": "sphere", "radius": BALL, "position": ABOVE.tolist(), "friction": 0.2})
+    )
+    steps = 30
+    for k in range(steps + 1):
+        before = len(session._recorder.times)
+        deep = 0.005 * np.sin(np.pi * k / steps)
+        session.handle(checked({"type": "pose", "position": (ABOVE - np.array([0, 0, deep])).tolist()}))
+        until(lambda before=before: len(session._recorder.times) > before)
+    with pytest.raises(pt.InputError, match="already"):
+        session.record()
+    session.pause()
+    seen = session.snapshot()
+    time.sleep(0.1)
+    session.finish_recording(path, wait=True)
+    session.stop()
+    (news,) = session.news
+    assert news == {"type": "recorded", "file": str(path), "frames": news["frames"]}
+    assert news["frames"] > 20
+    return path, seen, session.surface
+
+
+def test_what_is_loaded_is_what_was_seen(recorded, model):
+    path, seen, surface = recorded
+    recording = load_recording(path)
+    assert recording.title == "Block"
+    last = recording.moments[-1]
+    for name in ("time", "steps", "coordinates", "nodes", "forces", "position", "quaternion", "tool", "state"):
+        np.testing.assert_array_equal(getattr(last, name), getattr(seen, name))
+    np.testing.assert_array_equal(recording.model.parts.cubature.weights, model.parts.cubature.weights)
+    assert {moment.tool for moment in recording.moments} == {"none", "sphere"}
+    own = Replay(recording).surface
+    strained = max(recording.moments, key=lambda moment: moment.force[2])
+    assert len(strained.nodes) > 0
+    # the model in the file keeps its columns in single precision
+    moved = strained.displacements(surface)
+    np.testing.assert_allclose(strained.displacements(own), moved, atol=1e-5 * np.abs(moved).max())
+
+
+def test_a_replay_shows_the_recorded_positions(recorded, site_of):
+    path, _, _ = recorded
+    recording = load_recording(path)
+    show = Replay(recording)
+    deepest = max(range(len(recording.moments)), key=lambda k: recording.moments[k].force[2])
+
+    async def visit():
+        async with site_of(show).client() as client:
+            assert client.messages[0]["mode"] == "replay"
+            assert client.messages[0]["duration"] == pytest.approx(recording.times[-1])
+            await client.say(type="replay", action="pause")
+            await client.say(type="replay", action="seek", time=float(recording.times[deepest]) + 1e-6)
+            await client.hear_until(lambda c: c.states and c.states[-1][1][0] == recording.times[deepest])
+            state = client.states[-1]
+            client.messages.clear()
+            await client.say(type="tool", kind="sphere", position=[0, 0, 1])
+            assert "this is a replay" in (await client.told("error"))["reason"]
+            await client.say(type="replay", action="play")
+            await client.hear_until(lambda c: c.states[-1][1][20] == 1 and c.states[-1][1][0] != state[1][0])
+            return state
+
+    _, head, points, _ = asyncio.run(visit())
+    moment = recording.moments[deepest]
+    np.testing.assert_array_equal(points, show.surface.rest + moment.displacements(show.surface))
+    np.testing.assert_array_equal(head[2:5], moment.force)
+    np.testing.assert_array_equal(head[8:11], moment.position)
+
+
+def test_the_surface_is_written_for_paraview(recorded):
+    path, _, surface = recorded
+    with h5py.File(path.with_suffix(".vtkhdf")) as file:
+        root = file["VTKHDF"]
+        np.testing.assert_allclose(root["Points"][:], surface.rest, rtol=1e-6)
+        frames = root["Steps"].attrs["NSteps"]
+        moved = root["PointData/displacement"][:].reshape(frames, -1, 3)
+        assert set(root["PointData"]) == {"displacement", "stress", "pressure"}
+    assert moved[:, :, 2].min() < -0.0015
+    assert frames > 5
+
+
+def test_the_full_model_feels_nearly_the_same(recorded, capsys):
+    path, _, _ = recorded
+    full = run_full(load_recording(path), block().model)
+    assert full["errors"]["force"] < 0.15
+    assert abs(full["errors"]["peak"]) < 0.25
+    assert full["errors"]["displacement"] < 0.45  # twelve modes do not swing as the body does
+    deepest = int(np.argmax(full["force"][:, 2]))
+    assert full["force"][deepest, 2] > 0.05
+    assert full["positions"][deepest, :, 2].max() <= MIDDLE[2] + 0.002
+    assert main(["replay", str(path), "--full"]) == 0  # by the scene that the file names
+    assert "largest force over the full model's" in capsys.readouterr().out
+    replay = Replay(load_recording(path))
+    replay.pause()
+    assert replay.hello()["overlay"] is True
+    assert replay.overlay().shape == replay.surface.rest.shape
+
+
+def test_pictures_and_films(recorded, tmp_path, assert_drawn, assert_refused, monkeypatch, capsys):
+    import imageio.v3 as imageio
+
+    path, _, _ = recorded
+    picture, film = tmp_path / "press.png", tmp_path / "press.gif"
+    assert main(["replay", str(path), "--png", str(picture), "--movie", str(film), "--scalar", "stress"]) == 0
+    assert_drawn(picture)
+    frames = imageio.imread(film, index=None)
+    assert len(frames) >= 10
+    assert np.abs(frames[0].astype(float) - frames[len(frames) // 2]).max() > 50  # something moves
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    capsys.readouterr()
+    assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.mp4")], "palpate[film]", ".gif")
+    assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.avi")], ".gif", ".mp4")
+
+
+def test_what_is_no_recording_is_refused(recorded, tmp_path, assert_refused):
+    path, _, _ = recorded
+    assert_refused(["replay", str(tmp_path / "none.h5")], "no recording at")
+    (tmp_path / "text.h5").write_text("hello")
+    assert_refused(["replay", str(tmp_path / "text.h5")], "cannot be read as a recording")
+    content = path.read_bytes()
+    (tmp_path / "cut.h5").write_bytes(content[: len(content) // 2])
+    assert_refused(["replay", str(tmp_path / "cut.h5")], "cannot be read as a recording")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file.attrs["format"] = "another"
+    assert_refused(["replay", str(tmp_path / "other.h5")], "is no recording")
+
+
+def test_several_tools_are_not_run_on_the_full_model(recorded):
+    from dataclasses import replace
+
+    recording = load_recording(recorded[0])
+    gone = [replace(m, tool="none") if k == len(recording.moments) // 2 else m for k, m in enumerate(recording.moments)]
+    with pytest.raises(pt.InputError, match="released or changed"):
+        run_full(replace(recording, moments=gone), block().model)
+    never = [replace(moment, tool="none") for moment in recording.moments]
+    with pytest.raises(pt.InputError, match="no tool was held"):
+        run_full(replace(recording, moments=never), block().model)
+
+
+# without a page
+
+
+def test_a_script_drives_a_session(model, tmp_path, capsys, assert_refused):
+    model.save(tmp_path / "block.rom")
+    ball = {"type": "tool", "kind": "sphere", "radius": BALL, "position": ABOVE.tolist()}
+    lines = [
+        {"time": 0.0, **ball},
+        {"time": 0.1, "type": "pose", "position": (ABOVE - np.array([0, 0, 0.005])).tolist()},
+        {"time": 2.0, "type": "release"},
+        {"time": 2.1, "type": "material", "name": "colour", "value": 1},
+        {"time": 99.0, "type": "control", "action": "reset"},
+    ]
+    script = tmp_path / "script.jsonl"
+    script.write_text("\n".join(map(json.dumps, lines)) + "\n\n")
+    view = ["view", str(tmp_path / "block.rom"), "--headless"]
+    record = tmp_path / "run.h5"
+    assert main([*view, "--seconds", "3", "--script", str(script), "--json", "--record", str(record)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["largest_force"] > 0.05
+    assert told["last_force"] == 0.0
+    assert told["periods"] > 100
+    assert told["messages"] == 4
+    assert [refused["time"] for refused in told["refused"]] == [2.1]
+    assert max(moment.force[2] for moment in load_recording(record).moments) > 0.05
+    script.write_text('{"time": 0, "type": "pose"}\n')
+    assert_refused([*view, "--script", str(script)], "line 1", "position is missing")
+    assert_refused(["view", str(tmp_path / "block.rom"), "--seconds", "3"], "--headless")
+    assert_refused(["view", "spleen"], "liver, beam")

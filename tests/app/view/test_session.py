@@ -1,0 +1,192 @@
+"""What a session does with the tool in a hand."""
+
+from __future__ import annotations
+
+import runpy
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from view_scenes import BALL, MIDDLE, SIZE
+
+import palpate as pt
+from palpate.app.view.messages import checked
+from palpate.app.view.session import Session
+
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
+PRESSED = MIDDLE + np.array([0, 0, BALL - 0.003])
+
+
+def pose(position, **more):
+    return checked({"type": "pose", "position": list(position), **more})
+
+
+def calm(moment):
+    return moment.force[2] > 0.01 and moment.kinetic < 1e-4 * moment.strain
+
+
+@pytest.fixture
+def pressed(session, ball, until):
+    """A session whose ball stands 3 mm deep."""
+    session.handle(checked(ball))
+    session.handle(pose(PRESSED))
+    until(lambda: session.snapshot().position[2] == pytest.approx(PRESSED[2]))
+    until(lambda: calm(session.snapshot()))
+    return session
+
+
+def test_a_press_is_felt_and_seen_and_a_release_gives_way(pressed, until):
+    moment = pressed.snapshot()
+    moved = moment.displacements(pressed.surface)
+    assert moment.tool == "sphere"
+    assert len(moment.nodes) > 0
+    middle = int(np.argmin(np.linalg.norm(pressed.surface.rest - MIDDLE, axis=1)))
+    assert -0.0035 < moved[middle, 2] < -0.0025  # the ball's lowest point is 3 mm deep
+    np.testing.assert_allclose(moment.hand, moment.force, atol=1e-3 * abs(moment.force[2]))  # held firmly
+    pressed.release()
+    until(lambda: not pressed.snapshot().force.any())
+    until(lambda: np.abs(pressed.snapshot().displacements(pressed.surface)).max() < 1e-4)
+    assert pressed.snapshot().tool == "none"
+
+
+def test_forces_on_nodes_are_of_the_same_period_as_the_force_on_the_tool(pressed):
+    for _ in range(50):
+        moment = pressed.snapshot()
+        assert moment.state == "running"
+        np.testing.assert_allclose(-moment.forces.sum(axis=0), moment.force, atol=0.05 * abs(moment.force[2]))
+
+
+def test_a_released_ball_comes_back_where_it_is_outside(pressed, until):
+    pressed.release()
+    pressed.handle(pose(PRESSED))  # inside: it stays away
+    assert pressed.snapshot().tool == "none"
+    pressed.handle(pose(ABOVE))
+    assert pressed.snapshot().tool == "sphere"
+    np.testing.assert_allclose(pressed.snapshot().position, ABOVE)
+    pressed.handle(pose(PRESSED))
+    until(lambda: pressed.snapshot().force[2] > 0.01)
+
+
+def test_reset_is_rest(pressed):
+    pressed.reset()
+    moment = pressed.snapshot()
+    assert not moment.displacements(pressed.surface).any()
+    assert moment.tool == "none"
+    assert moment.time < 0.1
+    assert moment.state == "running"
+
+
+def test_another_tool_goes_on_from_the_present_state(pressed, until):
+    before = pressed.snapshot()
+    began = time.perf_counter()
+    aside = [0.040, 0.008, SIZE[2] + 0.02]
+    pressed.handle(checked({"type": "tool", "kind": "capsule", "radius": 0.01, "length": 0.01, "position": aside}))
+    took = time.perf_counter() - began
+    moment = pressed.snapshot()
+    assert moment.tool == "capsule"
+    assert moment.steps >= before.steps
+    assert took < 2.0  # nothing is compiled or made anew
+    np.testing.assert_allclose(moment.position, aside)
+
+
+def test_a_grasp_pulls_and_lets_go(session, until):
+    session.handle(checked({"type": "tool", "kind": "grasp", "radius": 0.008, "position": MIDDLE.tolist(),
+                            "quaternion": [0.0, 1.0, 0.0, 0.0]}))  # fmt: skip
+    held = session.snapshot()
+    np.testing.assert_allclose(held.position, MIDDLE, atol=1e-6)
+    np.testing.assert_allclose(np.abs(held.quaternion), [0.0, 1.0, 0.0, 0.0], atol=1e-9)
+    session.handle(pose(MIDDLE + np.array([0, 0, 0.003]), quaternion=[0.0, 1.0, 0.0, 0.0]))
+    until(lambda: session.snapshot().position[2] == pytest.approx(MIDDLE[2] + 0.003))
+    until(lambda: session.snapshot().force[2] < -0.05)  # the body pulls it down
+    moment = session.snapshot()
+    middle = int(np.argmin(np.linalg.norm(session.surface.rest - MIDDLE, axis=1)))
+    np.testing.assert_allclose(moment.displacements(session.surface)[middle], [0, 0, 0.003], atol=1e-4)
+    session.release()
+    until(lambda: not session.snapshot().force.any())
+    session.handle(pose(ABOVE))  # forceps do not come back by themselves
+    assert session.snapshot().tool == "none"
+
+
+@pytest.mark.parametrize(
+    ("tool", "said"),
+    [
+        ({"kind": "sphere", "position": [0.024, 0.024, 0.012]}, "inside the body"),
+        ({"kind": "sphere", "radius": 0.003, "position": [0.024, 0.024, 0.015]}, "inside the body"),
+        ({"kind": "grasp", "position": [0.024, 0.024, 0.09]}, "mm from there"),
+        ({"kind": "grasp", "position": [0.0, 0.024, 0.006], "radius": 0.008}, "held by its support"),
+    ],
+)
+def test_a_tool_is_put_only_where_it_can_be(session, tool, said):
+    with pytest.raises(pt.InputError, match=said):
+        session.handle(checked({"type": "tool", **tool}))
+
+
+def test_slow_motion_is_slow(session, until):
+    session.handle(checked({"type": "speed", "factor": 0.1}))
+    first = session.snapshot()
+    until(lambda: session.snapshot().steps >= first.steps + 100)
+    last = session.snapshot()
+    assert last.time - first.time == pytest.approx(1e-4 * (last.steps - first.steps), rel=1e-6)
+
+
+def test_pause_stands_still_and_a_sleeping_machine_pauses(session, monkeypatch, until):
+    session.handle(checked({"type": "control", "action": "pause"}))
+    still = session.snapshot().steps
+    time.sleep(0.05)
+    assert session.snapshot().steps == still
+    session.handle(checked({"type": "control", "action": "resume"}))
+    until(lambda: session.snapshot().steps > still)
+    session.tick()
+    assert session.status()["state"] == "running"
+    now = time.time()
+    monkeypatch.setattr("palpate.app.view.session.time.time", lambda: now + 3600.0)  # the lid was closed for an hour
+    session.tick()
+    assert session.status()["state"] == "paused"
+    assert session.status()["paused_because"] == "sleep"
+
+
+def test_twice_the_moduli_are_twice_the_force_at_the_same_depth(pressed, until):
+    soft = pressed.snapshot()
+    own = pressed.hello()["materials"][0]
+    assert own["value"] == pytest.approx(4.0)  # 2 C1
+    pressed.handle(checked({"type": "material", "name": "shear modulus", "value": 8.0}))
+    until(lambda: pressed.snapshot().steps > soft.steps + 300 and calm(pressed.snapshot()))
+    firm = pressed.snapshot()
+    assert firm.force[2] == pytest.approx(2 * soft.force[2], rel=0.02)
+    assert firm.strain == pytest.approx(2 * soft.strain, rel=0.02)
+    np.testing.assert_allclose(
+        firm.displacements(pressed.surface), soft.displacements(pressed.surface), atol=0.02 * 0.003
+    )
+    stress = [m.scalar(pressed.surface, "stress", m.displacements(pressed.surface)).max() for m in (soft, firm)]
+    assert stress[1] == pytest.approx(2 * stress[0], rel=0.03)
+    with pytest.raises(pt.InputError, match="allowed is from 1 to 16 kPa"):
+        pressed.handle(checked({"type": "material", "name": "shear modulus", "value": 100.0}))
+
+
+def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, until):
+    session.handle(checked({**ball, "stiffness": 200.0}))
+    session.handle(pose(PRESSED))
+    until(lambda: session.snapshot().steps > 500 and calm(session.snapshot()))
+    moment = session.snapshot()
+    np.testing.assert_allclose(moment.force[2], 200.0 * (moment.position - PRESSED)[2], rtol=0.05)
+    np.testing.assert_allclose(moment.hand[2], moment.force[2], rtol=0.05)
+
+
+def test_a_coupling_makes_no_energy(model):
+    """The example's books, in periods of 1 ms without a clock."""
+    path = Path(__file__).parents[3] / "examples" / "virtual_coupling.py"
+    example = runpy.run_path(str(path))
+    books = example["balance"](model, 300.0, radius=BALL, depth=0.004)
+    most = books["body"].max()
+    assert most > 1e-4  # [J]: it was pressed
+    assert books["work"].min() > -1e-3 * most  # the hand never gets more than it gave
+    assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
+    assert books["work"][-1] > 0.0
+
+
+def test_a_model_without_tools_is_refused(model):
+    bare = pt.ReducedModel(replace(model.parts, dents=None))
+    with pytest.raises(pt.InputError, match="the engine moves one tool"):
+        Session(bare, "Bare")
