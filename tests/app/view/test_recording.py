@@ -134,8 +134,8 @@ def test_pictures_and_films(recorded, tmp_path, assert_drawn, assert_refused, mo
     assert main(["replay", str(path), "--png", str(picture), "--movie", str(film), "--scalar", "stress"]) == 0
     assert_drawn(picture)
     frames = imageio.imread(film, index=None)
-    assert len(frames) == 6
-    assert np.abs(frames[0].astype(float) - frames[3]).max() > 50  # something moves
+    assert 3 <= len(frames) <= 6  # those that are alike are one
+    assert np.abs(frames[0].astype(float) - frames[len(frames) // 2]).max() > 50  # something moves
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     capsys.readouterr()
     assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.mp4")], "palpate[film]", ".gif")
