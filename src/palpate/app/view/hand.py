@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from palpate.app.view.messages import Message
 from palpate.dynamics.contact import gaps
@@ -58,8 +57,13 @@ class Held:
 
 def turned(first: Floats, then: Floats, back: bool = False) -> Floats:
     """Return the quaternion (4,), w x y z, of one turn after another, the first one undone if `back`."""
-    one, two = (Rotation.from_quat(turn, scalar_first=True) for turn in (first, then))
-    return np.asarray((two * (one.inv() if back else one)).as_quat(scalar_first=True))
+    a, b, c, d = (-first if back else first).tolist()
+    a = -a if back else a
+    w, x, y, z = then.tolist()
+    return np.array(
+        [w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c,
+         w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a]
+    )  # fmt: skip
 
 
 def shape(message: Message) -> Tool:

@@ -223,6 +223,7 @@ class Server:
 
     async def _listen(self, viewer: Viewer) -> None:
         async for text in viewer.socket:
+            await asyncio.sleep(0)  # a client that talks without pause must not keep others, or its frames, waiting
             try:
                 message = parsed(text)
             except InputError as error:

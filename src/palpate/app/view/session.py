@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -76,6 +75,7 @@ class Session:
             self.held = self.chosen = Held("group", None)
         self._watched = watched(self._ready)
         self.engine = Engine(self._watched, rate, most_speed=MOST_SPEED)
+        self.engine._warned = True  # every frame tells the trust number
         self.paused_because: str | None = None
         self.speed, self.sequence, self.firmness = 1.0, 0, 1.0
         self.news: list[dict[str, Any]] = []  # what all who watch are still to be told
@@ -97,12 +97,10 @@ class Session:
             )  # fmt: skip
 
     def _together(self) -> tuple[Reading, Seen]:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # about trust: every frame tells it
-            for _ in range(TRIES):
-                row, seen = self.engine.read(), self._watched.seen()
-                if np.array_equal(row.coordinates, seen.coordinates):
-                    break
+        for _ in range(TRIES):
+            row, seen = self.engine.read(), self._watched.seen()
+            if np.array_equal(row.coordinates, seen.coordinates):
+                break
         return row, seen  # of periods side by side if the processor is so busy that they never were of one
 
     def hello(self) -> dict[str, Any]:
