@@ -312,7 +312,10 @@ def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
     """Return the displacements (t, 3) [m] of some nodes by statics, for forces (j, 3) [N] on others."""
     if not dents.flexibility.size:
         return np.zeros((len(there), 3))
-    spread = (dents.flexibility @ gathered(dents, forces, on).reshape(-1)).reshape(-1, 3)
+    loads = gathered(dents, forces, on)
+    loaded = np.flatnonzero(loads.any(axis=1))
+    rows = (3 * loaded[:, None] + np.arange(3)).ravel()  # it is symmetric: its rows lie together
+    spread = (loads[loaded].ravel() @ dents.flexibility[rows]).reshape(-1, 3)
     moved = np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]])
     if dents.close.size:  # as it is symmetric, a node's row also tells how its force moves the others
         nearby = np.zeros((len(dents.nodes), 3))

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import njit
 from numpy.typing import NDArray
 
 from palpate.faults import InputError
-from palpate.reduction.compliance import softness
+from palpate.reduction.compliance import carried, softness
 
 if TYPE_CHECKING:
     from palpate.reduction.reduced import ReducedModel
@@ -28,23 +27,6 @@ Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 SCALARS = ("displacement", "stress", "pressure")
-FALLEN = 1e-3  # of the kernel at no distance: where it is taken as over
-
-
-@njit(cache=True, fastmath={"contract"})
-def _add_falling(points, near, forces, kernel, interval, own, out):  # type: ignore[no-untyped-def]
-    """Add to out (k, 3) [m] what forces (j, 3) [N] at points near (j,) do by the kernel."""
-    for e in range(near.shape[0]):
-        j = near[e]
-        for i in range(points.shape[0]):
-            x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
-            at = np.sqrt(x * x + y * y + z * z) / interval
-            s = int(at)
-            if s + 1 >= kernel.shape[0]:
-                continue
-            g = own if i == j else kernel[s] + (at - s) * (kernel[s + 1] - kernel[s])
-            for d in range(3):
-                out[i, d] += g * forces[e, d]
 
 
 class Surface:
@@ -86,14 +68,10 @@ class Surface:
         place[self.nodes] = np.arange(len(self.nodes))
         self._vertex = place[dents.nodes]
         self._drawn = self._vertex >= 0
-        self._dented = np.ascontiguousarray(cloud.points[dents.nodes])
         rows = np.repeat(np.arange(len(dents.nodes)), dents.patches.shape[1])
         shares = dents.shares.ravel().astype(np.float32), (rows, dents.patches.ravel())
         own = dents.patches.shape[1] == 1 and np.array_equal(dents.patches[:, 0], np.arange(len(dents.nodes)))
         self._patches = None if own or not self._drawn.all() else sparse.csr_array(shares)
-        kernel = skin.compliance.kernel
-        last = int(np.argmax(kernel < FALLEN * kernel[0])) if kernel[-1] < FALLEN * kernel[0] else len(kernel)
-        self._kernel = kernel[: max(last, 2)].copy()
 
     def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, held: bool = False) -> Singles:
         """Return the displacements (n, 3) [m] of the vertices.
@@ -123,30 +101,18 @@ class Surface:
 
     def _dent(self, nodes: Ints, forces: Floats, held: bool) -> Floats:
         """Return what forces do beside the modes (k, 3) [m], as `palpate.reduction.compliance.dents_of`."""
-        dents, laid = self._dents, self.model._skin.compliance
+        dents = self._dents
         assert dents is not None
         touched, own = self._touched[nodes], np.zeros((len(dents.nodes), 3))
         if held:
             np.add.at(own, touched, forces)
         else:
             np.add.at(own, dents.patches[touched], dents.shares[touched][:, :, None] * forces[:, None])
-        on, result = np.flatnonzero(own.any(axis=1)), np.zeros_like(own)
+        on = np.flatnonzero(own.any(axis=1))
         if not len(on):
-            return result
-        _add_falling(self._dented, on, own[on], self._kernel, laid.interval, laid.own, result)
-        if dents.flexibility.size:
-            result += self._carried(own, on)
-        return np.asarray(result * softness(dents.hardening, float(np.linalg.norm(forces.sum(axis=0)))))
-
-    def _carried(self, own: Floats, on: Ints) -> Floats:
-        dents = self._dents
-        assert dents is not None
-        gathered = np.zeros((len(dents.flexibility) // 3, 3), dtype=np.float32)
-        np.add.at(gathered, dents.carriers[on], (dents.weights[on][:, :, None] * own[on][:, None]).astype(np.float32))
-        used = np.flatnonzero(gathered.any(axis=1))
-        rows = (3 * used[:, None] + np.arange(3)).ravel()  # the matrix is symmetric: its rows lie together
-        spread = (gathered[used].ravel() @ dents.flexibility[rows]).reshape(-1, 3)
-        return np.asarray(np.einsum("kw,kwc->kc", dents.weights, spread[dents.carriers]))
+            return np.zeros_like(own)
+        soft = dents.grip if held else softness(dents.hardening, float(np.linalg.norm(forces.sum(axis=0))))
+        return np.asarray(soft * carried(dents, own[on], on, np.arange(len(own))))
 
     # scalars
 
