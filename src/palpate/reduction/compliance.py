@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from palpate.reduction.inside import Inside, moved_inside
+from palpate.reduction.inside import Inside, moved_inside, spread
 
 __all__ = [
     "NO_DENTS",
@@ -94,6 +94,7 @@ class Dents(NamedTuple):
         return self._replace(
             compliances=factor * self.compliances, own=factor * self.own,
             flexibility=(factor * self.flexibility).astype(np.float32),
+            inside=self.inside and self.inside._replace(factor=factor * self.inside.factor),
         )  # fmt: skip
 
 
@@ -302,7 +303,8 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
         moved *= softness(dents.hardening, total)
         result[dents.nodes] += moved
         if dents.inside is not None:
-            result[dents.inside.nodes] += moved_inside(dents.inside, gathered(dents, forces[on], on), moved)
+            own = gathered(dents, forces[on], on)
+            result[dents.inside.nodes] += moved_inside(dents.inside, own, spread(dents.flexibility, own))
         energy += 0.5 * stored(dents.hardening, total) * float(np.sum(forces[on] * moved[on]))
     return result, energy
 
@@ -311,8 +313,8 @@ def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
     """Return the displacements (t, 3) [m] of some nodes by the flexibility, for forces (j, 3) [N] on others."""
     if not dents.flexibility.size:
         return np.zeros((len(there), 3))
-    spread = (dents.flexibility @ gathered(dents, forces, on).reshape(-1)).reshape(-1, 3)
-    return np.asarray(np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]]))
+    moved = spread(dents.flexibility, gathered(dents, forces, on))
+    return np.asarray(np.einsum("tw,twc->tc", dents.weights[there], moved[dents.carriers[there]]))
 
 
 def gathered(dents: Dents, forces: Floats, on: Ints) -> Floats:

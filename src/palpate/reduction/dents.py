@@ -165,7 +165,7 @@ def fitted_dents(model: ReducedModel, snapshots: Snapshots, statics: FullModel) 
     blank = NO_DENTS._replace(
         nodes=nodes, lengths=lengths, compliances=np.zeros(len(lengths)), carriers=places, weights=weights,
         flexibility=flexibility.astype(np.float32),
-        inside=inside(statics.cloud, deeper, follow, cloud, deep, nodes) if len(deep) and len(deeper) else None,
+        inside=inside(statics.cloud, deeper, those, follow, cloud, deep) if len(deep) and len(deeper) else None,
     )  # fmt: skip
     frames = _frames(model, snapshots, nodes)
     if not frames:
@@ -261,9 +261,11 @@ def _fitted(blank: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Den
         factor, hardening = _hardening(size, depth, linear)
     explained = 1.0 - (residual / float(np.linalg.norm(target))) ** 2
     statics, falls, own = found[0], found[1:-1], found[-1]
+    known = blank.inside if statics > 0 else None  # else the surface tells nothing of R
     dents = blank._replace(
         lengths=blank.lengths[falls > 0], compliances=falls[falls > 0], own=float(own), hardening=hardening,
         flexibility=(statics * blank.flexibility).astype(np.float32),
+        inside=known and known._replace(factor=float(statics)),
     )  # fmt: skip
     return dents.scaled(factor), explained
 
