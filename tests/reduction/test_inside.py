@@ -36,7 +36,7 @@ def dents_from(statics, body, modes):
     count = 3 * len(those)
     return NO_DENTS._replace(
         nodes=nodes, carriers=places, weights=weights, flexibility=rows[:count].astype(np.float32),
-        inside=inside(statics.cloud, deeper, rows[count:], body.cloud, deep, nodes),
+        inside=inside(statics.cloud, deeper, those, rows[count:], body.cloud, deep),
     )  # fmt: skip
 
 
@@ -90,17 +90,28 @@ def test_two_tools_add_up(own, fine):
     np.testing.assert_allclose(both, one + alone, atol=1e-12)
 
 
+def test_a_softer_surface_leaves_the_inside_at_its_statics(own, fine):
+    body, modes = fine
+    carried = dents_from(block(0.0075), body, modes)
+    for dents in (own, carried):
+        _, _, whole = pressed(dents, body.cloud.points)
+        _, _, half = pressed(dents.scaled(0.5), body.cloud.points)
+        np.testing.assert_allclose(half[dents.nodes], 0.5 * whole[dents.nodes], rtol=1e-6)
+        np.testing.assert_allclose(half[dents.inside.nodes], whole[dents.inside.nodes], rtol=1e-5, atol=1e-12)
+
+
 def test_linear_fields_are_carried_over():
-    """By the fits to known nodes inside and on the surface; those that lie in a plane leave no slope undefined."""
+    """By fits to known nodes; those that lie in a plane leave no slope undefined."""
     random = np.random.default_rng(0)
-    known, surface = random.random((400, 3)), np.column_stack([random.random((200, 2)), np.ones(200)])
-    points = 0.2 + 0.6 * random.random((50, 3))
-    sources, shares = _followed(points, known, surface, 0.14)
-    np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=0.02)
-    all_points = np.concatenate([known, surface])
+    known, points = random.random((400, 3)), 0.2 + 0.6 * random.random((50, 3))
     slope = random.standard_normal((3, 3))
-    found = np.einsum("iw,iwc->ic", shares, all_points[sources] @ slope)
-    np.testing.assert_allclose(found, points @ slope, atol=0.02)
+    sources, shares = _followed(points, known, 0.14)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=0.02)
+    np.testing.assert_allclose(np.einsum("iw,iwc->ic", shares, known[sources] @ slope), points @ slope, atol=0.03)
+    known[:, 2] = 0.5
+    sources, shares = _followed(points, known, 0.14)
+    assert np.isfinite(shares).all()
+    assert np.abs(shares).max() < 2.0
 
 
 def test_a_coarser_model_tells_how_a_finer_ones_inside_follows(own, fine):

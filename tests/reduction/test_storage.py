@@ -79,6 +79,7 @@ def trained(bar, tissue, push):
         Inside(
             np.setdiff1d(np.arange(len(bar)), touched), made_up.standard_normal((12, 15)).astype(np.float32),
             made_up.integers(0, 5, (len(bar) - len(touched), 2)), np.full((len(bar) - len(touched), 2), 0.5),
+            0.7,
         ),
     )  # fmt: skip
     return pt.ReducedModel(replace(model.parts, dents=dents))
@@ -388,6 +389,7 @@ CASES = {
     "what follows nothing": (entry("inside/sources", (0, 0), 5000), "inside/sources names more than 5 nodes inside"),
     "half a node": (put("inside/flexibility", lambda a: a[:, 1:]), "holds 14 columns, not 3 a node"),
     "forces of other carriers": (put("inside/flexibility", lambda a: a[1:]), r"\(11, 15\) .* expected \(12, moved"),
+    "a surface that tells nothing": (entry("inside/factor", 0, 0.0), "inside/factor = 0.* is out of range"),
     "inner nodes alone": (lambda file: file.pop("inside/shares"), "dataset inside/shares is missing"),
     "a tool that is no group": (attribute("driven", ["w+"]), "unknown group 'w\\+'"),
     "volumes that are not positive": (entry("volumes", 3, 0.0), "volumes holds volumes that are not positive"),

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from palpate.reduction.inside import Inside, moved_inside
+from palpate.reduction.inside import Inside, moved_inside, spread
 
 __all__ = [
     "NO_DENTS",
@@ -89,6 +89,7 @@ class Dents(NamedTuple):
         return self._replace(
             flexibility=(factor * self.flexibility).astype(np.float32),
             between=(factor * self.between).astype(np.float32),
+            inside=self.inside and self.inside._replace(factor=factor * self.inside.factor),
         )  # fmt: skip
 
 
@@ -302,7 +303,8 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
         moved *= dents.grip if nodal else softness(dents.hardening, total)
         result[dents.nodes] += moved
         if dents.inside is not None:
-            result[dents.inside.nodes] += moved_inside(dents.inside, gathered(dents, forces[on], on), moved)
+            own = gathered(dents, forces[on], on)
+            result[dents.inside.nodes] += moved_inside(dents.inside, own, spread(dents.flexibility, own))
         share = 1.0 if nodal else stored(dents.hardening, total)
         energy += 0.5 * share * float(np.sum(forces[on] * moved[on]))
     return result, energy
@@ -312,11 +314,8 @@ def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
     """Return the displacements (t, 3) [m] of some nodes by statics, for forces (j, 3) [N] on others."""
     if not dents.flexibility.size:
         return np.zeros((len(there), 3))
-    loads = gathered(dents, forces, on)
-    loaded = np.flatnonzero(loads.any(axis=1))
-    rows = (3 * loaded[:, None] + np.arange(3)).ravel()  # it is symmetric: its rows lie together
-    spread = (loads[loaded].ravel() @ dents.flexibility[rows]).reshape(-1, 3)
-    moved = np.einsum("tw,twc->tc", dents.weights[there], spread[dents.carriers[there]])
+    spreading = spread(dents.flexibility, gathered(dents, forces, on))
+    moved = np.einsum("tw,twc->tc", dents.weights[there], spreading[dents.carriers[there]])
     if dents.close.size:  # as it is symmetric, a node's row also tells how its force moves the others
         nearby = np.zeros((len(dents.nodes), 3))
         np.add.at(nearby, dents.close[on], np.einsum("jqdc,jd->jqc", dents.between[on], forces))

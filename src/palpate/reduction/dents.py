@@ -182,7 +182,7 @@ def fitted_dents(model: ReducedModel, body: FullModel, snapshots: Snapshots, sta
     blank = NO_DENTS._replace(
         nodes=nodes, carriers=places, weights=weights, flexibility=flexibility.astype(np.float32),
         close=close, between=between, patches=patches, shares=shares,
-        inside=inside(statics.cloud, deeper, follow, cloud, deep, nodes) if len(deep) and len(deeper) else None,
+        inside=inside(statics.cloud, deeper, those, follow, cloud, deep) if len(deep) and len(deeper) else None,
     )  # fmt: skip
     return _fitted(blank, cloud.points, frames)
 

@@ -222,6 +222,7 @@ def _arrays(parts: ReducedParts) -> Arrays:
     if dents.inside is not None:
         layout = layout | WITHIN
         listed |= {f"inside/{name}": array for name, array in dents.inside._asdict().items()}
+        listed["inside/factor"] = [dents.inside.factor]
     return {
         name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
         for name, (dtype, _) in layout.items()

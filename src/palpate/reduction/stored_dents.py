@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError
+from palpate.faults import InputError, number_in_range
 from palpate.reduction.compliance import Dents
 from palpate.reduction.inside import Inside
 
@@ -22,6 +22,7 @@ WITHIN: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "inside/flexibility": ("<f4", ("carriers", "moved")),
     "inside/sources": ("<i8", ("followers", "followed")),
     "inside/shares": ("<f8", ("followers", "followed")),
+    "inside/factor": ("<f8", (1,)),
 }
 
 
@@ -53,10 +54,12 @@ def stored_dents(arrays: Arrays, grip: float) -> Dents | None:
 
 
 def _inside(arrays: Arrays, dents: Dents) -> Inside:
-    inside = Inside(*(arrays[name] for name in WITHIN))
-    count, more = divmod(inside.flexibility.shape[1], 3)
+    nodes, flexibility, sources, shares, factor = (arrays[name] for name in WITHIN)
+    count, more = divmod(flexibility.shape[1], 3)
     if more:
         raise InputError(f"dataset inside/flexibility holds {3 * count + more} columns, not 3 a node")
-    if not np.all((inside.sources >= 0) & (inside.sources < count + len(dents.nodes))):
-        raise InputError(f"dataset inside/sources names more than {count} nodes inside and {len(dents.nodes)} touched")
-    return inside._replace(flexibility=inside.flexibility.astype(np.float32))
+    carriers = len(dents.flexibility) // 3
+    if not np.all((sources >= 0) & (sources < count + carriers)):
+        raise InputError(f"dataset inside/sources names more than {count} nodes inside and {carriers} carriers")
+    whole = number_in_range("inside/factor", factor[0], 0.0, open_low=True)
+    return Inside(nodes, flexibility.astype(np.float32), sources, shares, whole)
