@@ -292,7 +292,7 @@ def _leapfrog(
 ) -> float:
     """Displacement error of explicit steps with a sampled force; infinite if it blows up."""
     drive, density = model.drive(loads), model.material.density
-    forces = rom._loads(rom.drive(loads), np.arange(0.0, DURATION + 1e-9, 1e-4))[:, : len(shapes)] / density
+    forces = rom._loads(rom.drive(loads)).at(np.arange(0.0, DURATION + 1e-9, 1e-4))[:, : len(shapes)] / density
     a, v, frames = np.zeros(len(shapes)), np.zeros(len(shapes)), [np.zeros(len(shapes))]
     del drive
     for s in range(round(DURATION / 1e-4)):

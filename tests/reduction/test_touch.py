@@ -323,34 +323,6 @@ def test_a_grasp_of_what_is_fixed_or_of_nothing_is_refused(pressed):
         pt.rollout(model, [pt.Grasp((0.03, 0.03, 0.05), 0.001, (0.03, 0.03, 0.05))], duration=0.01, every=0.01)
 
 
-def test_the_stiffness_is_what_a_slow_hand_feels(pressed):
-    _, _, model = pressed
-    home = np.array((0.024, 0.038, SIZE[2] + BALL + 0.001))
-    ready = model.realtime(contact=pt.Contact(pt.Sphere(BALL), home))
-    q, v, report = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(20)
-
-    def settled(place, periods):
-        for _ in range(periods):
-            ready.advance(ready.data, q, v, np.concatenate([place, np.zeros(9)]), 1e-3, report)
-        return report[8:11].copy()
-
-    for depth in np.linspace(0.0, 0.004, 60):
-        settled((0.0, 0.0, -depth), 1)
-    settled((0.0, 0.0, -0.004), 400)
-    found = np.zeros((12, 12))
-    ready.stiffness(ready.data, q, found)
-    known = found.copy()
-    by = 2e-4
-    wanted = (settled((0.0, 0.0, -0.004 - by), 400) - settled((0.0, 0.0, -0.004 + by), 400)) / (-2 * by)
-    assert found[2, 2] == pytest.approx(wanted[2], rel=0.1)
-    np.testing.assert_allclose(found[:2, 2], wanted[:2], atol=0.1 * wanted[2])
-    ready.stiffness(ready.data, q, found)
-    assert (found != known).any(axis=0).sum() <= 1  # a column a call
-    settled((0.0, 0.0, 0.0), 50)
-    ready.stiffness(ready.data, q, found)
-    assert not found.any()
-
-
 def test_an_engine_presses_and_lets_go(pressed):
     _, _, model = pressed
     home = (0.03, 0.03, SIZE[2] + BALL + 0.001)

@@ -50,6 +50,7 @@ KERNELS = (
     "dynamics/stepping.py",
     "reduction/compliance.py",
     "reduction/contact_stiffness.py",
+    "reduction/foundation.py",
     "reduction/projection.py",
     "reduction/points.py",
     "reduction/samples.py",

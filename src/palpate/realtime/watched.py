@@ -31,19 +31,14 @@ from palpate.faults import number_in_range
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
 from palpate.realtime.exchange import Slot, publish, snapshot
 from palpate.realtime.loop import _name, _sources
-from palpate.reduction.period import RealtimeModel
+from palpate.reduction.realtime import RealtimeModel
 
 __all__ = ["Seen", "WatchedModel", "watched"]
 
 Floats = NDArray[np.float64]
 
 MOST = 4096  # touched nodes that are told
-HAND, PLACE, COUNT, HEAD = (
-    0,
-    3,
-    6,
-    7,
-)  # where numbers stand: force on the hand, tool's place, touched nodes; coordinates
+HAND, PLACE, COUNT, HEAD = 0, 3, 6, 7  # where force on the hand, tool's place, touched nodes and coordinates stand
 STIFFNESS, DAMPING, MASS = range(3)
 TOOL_MASS = 0.05  # [kg] of a coupled tool
 

@@ -1,92 +1,261 @@
-"""How the force on a tool that touches a reduced body rises with its displacement, compiled.
+"""How the force on a tool that touches a reduced body rises with its displacement, compiled: what a slow hand feels.
 
-A tool is moved a little, and the forces are found anew with the law of contact that the steps use, the modes following
-without inertia along their present tangent: what a hand that moves slowly feels.
+With the modes' tangent K, the columns C of touched patches, directions E along which the forces on them can change,
+and the surface's compliance h G (`palpate.reduction.touch`), forces f and coordinates a follow the tool by d:
+
+    E^T h G E f + E^T C a = E^T d,    C^T E f - K a = 0.
+
+A patch that sticks, or that forceps hold, moves with the tool: E has all three directions. One that slides keeps its
+friction; E has the normal, and where the tool is curved (k) the normal force p turns with the normal, as springs of
+stiffness -p k along the surface would. The surface softens (h) with the whole force, a term of rank one. All is solved
+at once for the three directions of d, by one factorisation L D L^T: the matrix is quasi-definite, so that it needs no
+pivoting (Vanderbei, SIAM J. Optim. 5, 1995). A call does a bounded part of it, and the next goes on.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
 from palpate.dynamics.compiled import kernel_njit
+from palpate.dynamics.contact import gap
+from palpate.dynamics.tools import HELD
 from palpate.reduction.compliance import refresh
-from palpate.reduction.stepping import cholesky_factor, cholesky_solve
-from palpate.reduction.touch import relax
 
-__all__ = ["contact_stiffness"]
+__all__ = ["ContactSystem", "contact_stiffness", "contact_system"]
 
-PART = 0.03  # of the deepest dent: by how much the tool is moved
-SWEEPS = 12
-STEP = 1e-3  # [s] in which the tool moves, for the law of friction
+Floats = NDArray[np.float64]
+
+SIDES = 4  # right-hand sides: a displacement along each axis, and softening
+PART = 300_000  # multiplications a call, about
+PANEL = 4  # unknowns that are eliminated at once
+STICKING = 1.0 - 1e-6  # of Coulomb's limit
+FLAT = 1e-3  # spring of a curved tool times a patch's compliance below which the tool counts as flat
+APART = 1e-4  # of a tool's size: points whose normals tell its curvature
+
+
+class ContactSystem(NamedTuple):
+    """The equations for forces and coordinates, and how far they are solved."""
+
+    table: Floats  # upper triangle of a symmetric matrix row by row, each with its right-hand sides behind it
+    direction: Floats  # (r, 3) of the forces
+    entry: NDArray[np.int64]  # (r,) which of the touched patches they are of
+    point: NDArray[np.int64]  # (r,) these, or the held nodes, in the compliance
+    spring: Floats  # (r,) what a curved tool adds to the compliance along a direction [m/N]
+    numbers: NDArray[np.int64]  # (3,) forces, unknowns, next pivot
+    gram: Floats  # (4, 4) right-hand sides times solutions
+    pull: Floats  # (4,) the whole force's direction, and h
+
+
+def contact_system(modes: int, patches: int) -> ContactSystem:
+    """Allocate for a number of modes and of patches that are touched at once."""
+    rows = 3 * patches
+    return ContactSystem(
+        np.zeros((rows + modes) * (rows + modes + SIDES)), np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64),
+        np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(3, dtype=np.int64), np.zeros((SIDES, SIDES)),
+        np.zeros(4),
+    )  # fmt: skip
 
 
 @kernel_njit()
 def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
     """Write derivatives of the force [N] on the body by the tool's displacement [m] into out (12, 12).
 
-    One column a call, in turn, once all three are known; zero where nothing is touched. Columns stay as they were where
-    the modes' tangent is not positive definite.
+    A call computes for a bounded time; the derivatives are written, all at once, by the call that ends what another
+    began. They are zero where nothing is touched, or more patches than are kept (`palpate.reduction.compliance`), and
+    stay as they were where the modes' tangent is not positive definite.
     """
-    touch, count, modes = data.touch, data.touch.numbers[0], data.modes
-    for m in range(modes):
-        for k in range(modes):
-            data.condensed[m, k] = 0.5 * (data.tangent[m, k] + data.tangent[k, m])
-    deepest, known = 0.0, False
-    for e in range(count):
+    touch, system = data.touch, data.system
+    numbers, pressed = system.numbers, False
+    for e in range(touch.numbers[0]):
         for d in range(3):
-            deepest = max(deepest, abs(touch.now[e, d] - touch.modal[e, d]))
-    for i in range(3):
-        known = known or out[i, i] != 0.0
-    if deepest == 0.0:
+            pressed = pressed or touch.push[e, d] != 0.0
+    if not pressed:
         out[:] = 0.0
+        numbers[:] = 0
         return
-    if not cholesky_factor(data.condensed, modes):
+    if numbers[2] == numbers[1] and not _begin(data):
+        out[:] = 0.0
+        numbers[:] = 0
         return
-    kept = refresh(data.skin.compliance, touch.near, touch.point, count)
-    for e in range(count):
-        for d in range(3):
-            touch.old[0, e, d], touch.old[1, e, d] = touch.now[e, d], touch.push[e, d]
-    for column in range(3):
-        if known and column != touch.numbers[3]:
-            continue
-        settled = _moved(data, kept, column, 0.0)
-        moved = _moved(data, kept, column, PART * deepest)
+    size, spent = numbers[1], 0
+    table = system.table[: size * (size + SIDES)].reshape(size, size + SIDES)
+    while numbers[2] < size and spent < PART:
+        left = size - numbers[2]
+        if not _eliminate(system, touch.near, table, numbers[2], min(PANEL, left)):
+            numbers[:] = 0
+            return
+        numbers[2] += min(PANEL, left)
+        spent += PANEL * left * left // 2
+    if numbers[2] == size:
+        _tell(system.gram, system.pull, out)
+
+
+@njit(cache=True)
+def _tell(gram, pull, out):  # type: ignore[no-untyped-def]
+    """Write the derivatives, with softening: its right-hand side times the change of the whole force is one more."""
+    softened = 1.0
+    for i in range(3):
+        softened += pull[i] * gram[i, 3]
+    for j in range(3):
+        grown = 0.0
         for i in range(3):
-            out[i, column] = (moved[i] - settled[i]) / (PART * deepest)
-    touch.numbers[3] = (touch.numbers[3] + 1) % 3
-    for e in range(count):
-        for d in range(3):
-            touch.now[e, d], touch.push[e, d] = touch.old[0, e, d], touch.old[1, e, d]
+            grown += pull[i] * gram[i, j]
+        for i in range(3):
+            out[i, j] = gram[i, j] - gram[i, 3] * grown / softened
 
 
-@kernel_njit()
-def _moved(data, kept, column, by):  # type: ignore[no-untyped-def]
-    """Return the tool's force (3) [N] on the body when it is moved [m] from where it is, all others following."""
-    touch, tools, skin, modes = data.touch, data.tools, data.skin, data.modes
-    count, response = touch.numbers[0], data.vectors[4]
+@njit(cache=True, fastmath={"contract"})
+def _eliminate(system, near, table, first, rows):  # type: ignore[no-untyped-def]
+    """Eliminate a few unknowns; return False where that cannot be."""
+    size, forces, gram = table.shape[0], system.numbers[0], system.gram
+    end = size + SIDES
+    for k in range(first, min(first + rows, forces)):
+        if not _between(system, near, table, k):
+            return False
+    for k in range(first, first + rows):
+        pivot = table[k, k]
+        if pivot == 0.0 or (k >= forces and not pivot < 0.0):
+            return False
+        for i in range(k + 1, first + rows):
+            factor = table[k, i] / pivot
+            for j in range(i, end):
+                table[i, j] -= factor * table[k, j]
+        for i in range(SIDES):
+            for j in range(SIDES):
+                gram[i, j] += table[k, size + i] * table[k, size + j] / pivot
+    if rows < PANEL:  # the last ones
+        return True
+    a, b, c, d = table[first], table[first + 1], table[first + 2], table[first + 3]
+    p, q, r, s = a[first], b[first + 1], c[first + 2], d[first + 3]
+    for i in range(first + PANEL, size):
+        x, y, z, w, row = a[i] / p, b[i] / q, c[i] / r, d[i] / s, table[i]
+        for j in range(i, end):
+            row[j] -= x * a[j] + y * b[j] + z * c[j] + w * d[j]
+    return True
+
+
+@njit(cache=True, fastmath={"contract"})
+def _between(system, near, table, k):  # type: ignore[no-untyped-def]
+    """Add to a row what other forces move its patch by; return False where that is not known any more."""
+    s, h, direction = near.slot[system.point[k]], system.pull[3], system.direction
+    x, y, z = h * direction[k, 0], h * direction[k, 1], h * direction[k, 2]
+    for j in range(k, system.numbers[0]):
+        r = near.slot[system.point[j]]
+        if s < 0 or r < 0:
+            return False
+        block = near.matrix[s, r]
+        for d in range(3):
+            table[k, j] += (block[0, d] * x + block[1, d] * y + block[2, d] * z) * direction[j, d]
+    return True
+
+
+@njit(cache=True)
+def _begin(data):  # type: ignore[no-untyped-def]
+    """Set the equations up, but for what stands between patches; return False where there is no room for them."""
+    touch, system, modes, compliance = data.touch, data.system, data.modes, data.skin.compliance
+    count, numbers, pull = touch.numbers[0], system.numbers, system.pull
+    if not refresh(compliance, touch.near, touch.point, count):
+        return False
+    pull[:] = 0.0
     for e in range(count):
         for d in range(3):
-            touch.now[e, d], touch.push[e, d] = touch.old[0, e, d], touch.old[1, e, d]
-    tools.frames[0, 1, column, 3] += by
-    for _ in range(SWEEPS):
-        for e in range(count):
-            for d in range(3):
-                touch.old[2, e, d] = touch.push[e, d]
-        for e in range(count):
-            relax(skin, touch, tools, kept, STEP, e)
-        for m in range(modes):
-            response[m] = 0.0
-        for e in range(count):
-            for d in range(3):
-                change = touch.push[e, d] - touch.old[2, e, d]
-                if change != 0.0:
-                    for m in range(modes):
-                        response[m] += skin.columns[touch.node[e], d, m] * change
-        cholesky_solve(data.condensed, modes, response)
-        for e in range(count):
-            for d in range(3):
-                for m in range(modes):
-                    touch.now[e, d] += skin.columns[touch.node[e], d, m] * response[m]
-    tools.frames[0, 1, column, 3] -= by
-    x, y, z = 0.0, 0.0, 0.0
+            pull[d] += touch.push[e, d]
+    whole = np.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
+    for d in range(3):
+        pull[d] /= max(whole, 1e-300)
+    pull[3] = touch.soft[0]
+    rows = 0
     for e in range(count):
-        x, y, z = x + touch.push[e, 0], y + touch.push[e, 1], z + touch.push[e, 2]
-    return x, y, z
+        rows = _directions(data, e, rows)
+    numbers[0], numbers[1], numbers[2] = rows, rows + modes, 0
+    size, softening = rows + modes, -compliance.hardening[0] / (compliance.hardening[1] + whole)
+    table = system.table[: size * (size + SIDES)].reshape(size, size + SIDES)
+    for k in range(size):
+        for j in range(k, size + SIDES):
+            table[k, j] = 0.0
+    system.gram[:] = 0.0
+    for k in range(rows):
+        e, direction = system.entry[k], system.direction[k]
+        table[k, k] = system.spring[k]
+        for d in range(3):
+            for m in range(modes if direction[d] != 0.0 else 0):
+                table[k, rows + m] += direction[d] * data.skin.columns[touch.node[e], d, m]
+            table[k, size + d] = direction[d]
+            table[k, size + 3] += softening * direction[d] * (touch.now[e, d] - touch.modal[e, d])
+    for m in range(modes):
+        for k in range(m, modes):
+            table[rows + m, rows + k] = -0.5 * (data.tangent[m, k] + data.tangent[k, m])
+    return True
+
+
+@njit(cache=True)
+def _directions(data, e, rows):  # type: ignore[no-untyped-def]
+    """List the directions along which the force on a touched patch can change; return how many rows there are now."""
+    touch, tools, system = data.touch, data.tools, data.system
+    t, push, place = touch.tool[e], touch.push[e], touch.now[e]
+    kind, sizes, frame = tools.kind[t], tools.sizes[t], tools.frames[t, 1]
+    if kind == HELD:
+        return _all_three(touch, system, e, rows)
+    _, nx, ny, nz = gap(kind, sizes, frame, place[0], place[1], place[2])
+    normal = push[0] * nx + push[1] * ny + push[2] * nz
+    along = np.sqrt(max(push[0] ** 2 + push[1] ** 2 + push[2] ** 2 - normal * normal, 0.0))
+    if normal <= 0.0:
+        return rows
+    if along < STICKING * tools.friction[t] * normal:
+        return _all_three(touch, system, e, rows)
+    rows = _row(touch, system, e, rows, nx, ny, nz, 0.0)
+    s = touch.near.slot[touch.point[e]]
+    own = touch.near.matrix[s, s]
+    own_compliance = touch.soft[t] * (own[0, 0] + own[1, 1] + own[2, 2]) / 3.0
+    for curvature, x, y, z in _curved(kind, sizes, frame, place, nx, ny, nz):
+        if normal * curvature * own_compliance > FLAT:
+            rows = _row(touch, system, e, rows, x, y, z, -1.0 / (normal * curvature))
+    return rows
+
+
+@njit(cache=True)
+def _all_three(touch, system, e, rows):  # type: ignore[no-untyped-def]
+    rows = _row(touch, system, e, rows, 1.0, 0.0, 0.0, 0.0)
+    rows = _row(touch, system, e, rows, 0.0, 1.0, 0.0, 0.0)
+    return _row(touch, system, e, rows, 0.0, 0.0, 1.0, 0.0)
+
+
+@njit(cache=True)
+def _row(touch, system, e, rows, x, y, z, spring):  # type: ignore[no-untyped-def]
+    system.direction[rows, 0], system.direction[rows, 1], system.direction[rows, 2] = x, y, z
+    system.entry[rows], system.point[rows], system.spring[rows] = e, touch.point[e], spring
+    return rows + 1
+
+
+@njit(cache=True)
+def _curved(kind, sizes, frame, place, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """Return a tool's two principal curvatures [1/m] at a place, each with its direction."""
+    ax, ay, az = (0.0, -nz, ny) if abs(nx) < 0.6 else (nz, 0.0, -nx)  # across the normal and an axis
+    size = np.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax / size, ay / size, az / size
+    bx, by, bz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+    apart = max(APART * sizes[0], 1e-12)
+    p, q, r = _turned(kind, sizes, frame, place, ax, ay, az, apart)
+    aa, ab = p * ax + q * ay + r * az, p * bx + q * by + r * bz
+    p, q, r = _turned(kind, sizes, frame, place, bx, by, bz, apart)
+    bb = p * bx + q * by + r * bz
+    angle = 0.5 * np.arctan2(2.0 * ab, aa - bb)
+    c, s = np.cos(angle), np.sin(angle)
+    one, other = aa * c * c + 2.0 * ab * c * s + bb * s * s, aa * s * s - 2.0 * ab * c * s + bb * c * c
+    return (
+        (one, c * ax + s * bx, c * ay + s * by, c * az + s * bz),
+        (other, c * bx - s * ax, c * by - s * ay, c * bz - s * az),
+    )
+
+
+@njit(cache=True)
+def _turned(kind, sizes, frame, place, x, y, z, apart):  # type: ignore[no-untyped-def]
+    """Return how a tool's normal changes along a direction (3) [1/m]."""
+    x, y, z = apart * x, apart * y, apart * z
+    _, p, q, r = gap(kind, sizes, frame, place[0] + x, place[1] + y, place[2] + z)
+    _, a, b, c = gap(kind, sizes, frame, place[0] - x, place[1] - y, place[2] - z)
+    return (p - a) / (2.0 * apart), (q - b) / (2.0 * apart), (r - c) / (2.0 * apart)

@@ -1,9 +1,9 @@
 """What dents do inside a body: the residual flexibility of its inner nodes, for displacements of the whole body.
 
-A tool's forces on the surface move a node inside, beside what the modes do, by the statics at rest that modes leave, R f,
-with R as for the surface (`palpate.reduction.flexibility`), its rows those of nodes inside. Little of it is large strain:
-unlike near the tool on the surface, R needs neither a factor nor hardening to be what runs under known forces show. A
-coarser model's displacements are carried to the nodes inside a finer one by linear fits.
+A tool's forces on the surface move a node inside, beside what the modes do, by the statics at rest that modes leave,
+R f, with R as for the surface (`palpate.reduction.flexibility`), its rows those of nodes inside. Little of it is large
+strain: unlike near the tool on the surface, R needs neither a factor nor hardening to be what runs under known forces
+show. A coarser model's displacements are carried to the nodes inside a finer one by linear fits.
 """
 
 from __future__ import annotations

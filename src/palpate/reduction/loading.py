@@ -37,8 +37,6 @@ def ready_drive(parts: ReducedParts, loads: Sequence[Load], *, implicit: bool) -
     ready = drive(parts.cloud, parts.fixed, loads, areas)
     if len(ready.places.pressure_node):
         raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
-    if len(ready.places.foundation_node):
-        raise InputError("a reduced model knows no Foundation yet: run the full model with it")
     if ready.tools and (parts.driven or about.sheet):
         raise InputError(
             "tools do not touch reduced membranes, nor reduced models that tools hold (driven): run the full model"

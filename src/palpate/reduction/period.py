@@ -8,27 +8,22 @@ over the period. Nothing here allocates or asks Python.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.relaxation import forget
-from palpate.dynamics.tools import Contact, Grasp
-from palpate.faults import InputError
-from palpate.reduction.contact_stiffness import contact_stiffness
-from palpate.reduction.dents import Handling
+from palpate.reduction.contact_stiffness import ContactSystem
+from palpate.reduction.foundation import Springs, draw_back
 from palpate.reduction.points import PointLaw
-from palpate.reduction.samples import Samples, Scratch, sampled_energy, scratch
-from palpate.reduction.skin import Skin, Tools, Touch, tools_of, touched
-from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, newton, sampled_step
+from palpate.reduction.samples import Samples, Scratch, sampled_energy
+from palpate.reduction.skin import Skin, Tools, Touch
+from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, sampled_step
 from palpate.reduction.touch import aim, dent_energy, press
 
-if TYPE_CHECKING:
-    from palpate.reduction.reduced import ReducedModel
-
-__all__ = ["PeriodData", "RealtimeModel", "period_functions", "realtime_model"]
+__all__ = ["PeriodData", "period_functions"]
 
 Floats = NDArray[np.float64]
 
@@ -71,6 +66,10 @@ class PeriodData(NamedTuple):
         Of a tool that touches the body (`palpate.reduction.touch`); none where it holds a group.
     home : (3,) array [m]
         Where that tool stands when its pose is none.
+    system : tuple
+        Of the contact stiffness (`palpate.reduction.contact_stiffness`).
+    springs : tuple
+        On the coordinates and the witnesses.
     """
 
     modes: int
@@ -102,27 +101,8 @@ class PeriodData(NamedTuple):
     touch: Touch
     tools: Tools
     home: Floats
-
-
-class RealtimeModel(NamedTuple):
-    """A model as the engine takes it.
-
-    Parameters
-    ----------
-    advance, stiffness : functions
-        Compiled; see `period_functions`.
-    data : PeriodData
-    rest : (m,) array
-        Coordinates at rest.
-    tool : (l, 12) array
-        Tool coordinates of a rigid pose, see `ReducedModel.tool_map`.
-    """
-
-    advance: Any
-    stiffness: Any
-    data: PeriodData
-    rest: Floats
-    tool: Floats
+    system: ContactSystem
+    springs: Springs
 
 
 @cache
@@ -183,14 +163,16 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         force(moved, data.samples, data.scratch, ahead)
         for m in range(count):
             data.tangent[m, column] = (behind[m] - ahead[m]) / data.differences[column]
+            if data.springs.stiffness.shape[0] > 0:
+                data.tangent[m, column] += data.springs.stiffness[m, column]
 
     @law_njit(digest, fastmath={"contract"})
     def substeps(data, q, v, speeds, period, report):  # type: ignore[no-untyped-def]
         """Explicit steps over a period; return their number."""
         modes, count = data.modes, q.shape[0]
         at, result, rate = data.vectors[1], data.vectors[2], data.vectors[3]
-        frequency = max(data.follow[0], data.follow[1])
-        z = data.beta * frequency
+        frequency = np.sqrt(max(data.follow[0], data.follow[1]) ** 2 + data.springs.square)
+        z = data.beta * frequency + data.springs.rate / frequency
         stable = SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency
         steps = min(MOST_SUBSTEPS, int(np.ceil(period / stable)))
         step = period / steps
@@ -200,6 +182,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
             clock = data.scratch.memory.interval
             clock[0] = clock[1]
             force(at, data.samples, data.scratch, result)
+            draw_back(data.springs, q, v, result)
             clock[0], clock[1] = 0.0, step
             for m in range(modes):
                 value = 0.0
@@ -229,17 +212,16 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for j in range(data.modes, count):
             for s in range(steps + 3):
                 lifting[s, j - data.modes] = q[j] + (s - 1) * step * v[j]
-        result = data.newton.vectors[5]
-        rate = data.newton.vectors[6]
+        result, rate, load = data.newton.vectors[5], data.newton.vectors[6], data.newton.vectors[9]
         for s in range(steps):
             _, _, _, taken = average(
                 q, v, lifting[s : s + 4], holds[s : s + 1], step, data.beta, loads[s : s + 1], data.mass,
-                data.differences, data.tolerance, data.samples, data.scratch, data.newton,
+                data.differences, data.tolerance, data.samples, data.scratch, data.springs, data.newton,
             )  # fmt: skip
             if taken < 1:
                 return -1
             for j in range(data.modes, count):
-                value = -result[j]
+                value = -result[j] - load[j]
                 for m in range(data.modes):
                     value += data.mass[j, m] * rate[m]
                 report[8 + j - data.modes] += value / steps
@@ -269,6 +251,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for m in range(count):
             at[m] = q[m] + data.beta * v[m]
         force(at, data.watched, data.watch, result)
+        draw_back(data.springs, q, v, result)
         for m in range(data.modes):
             value = 0.0
             for k in range(data.modes):
@@ -292,6 +275,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         if still:  # at rest: begun, or begun again
             forget(data.scratch.memory)
             data.touch.force[:] = 0.0
+            data.system.numbers[:] = 0
         follow(data, q)
         change = data.vectors[4]  # of the velocities, at the start of the period
         for j in range(modes, count):
@@ -357,38 +341,3 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 out[i, j] = value
 
     return advance, stiffness
-
-
-def realtime_model(model: ReducedModel, longest: float, contact: Contact | Grasp | None) -> RealtimeModel:
-    """Make what `ReducedModel.realtime` returns."""
-    parts, count = model.parts, model.count
-    handling = None if contact is None else Handling(model._skin, model.drive([contact]))
-    if contact is None and len(parts.driven) != 1:
-        raise InputError(
-            f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP', "
-            "or give it a tool to touch it with"
-        )
-    home, tools, touch = np.zeros(3), tools_of(None, model._skin), touched(model._skin, 0)
-    if handling is not None:
-        handling.begun(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
-        home, tools, touch = handling.drive.schedule(np.zeros(1)).poses[0, 0, :3], handling.tools, handling.touch
-    root = np.linalg.cholesky(model.mass / model.masses.sum()).T
-    which = np.r_[:count, len(parts.columns) - parts.witnesses : len(parts.columns)]
-    watched = model.sampled(which)
-    frequency, steps = model._highest(np.zeros(count)), int(np.ceil(longest / (model.step or longest)))
-    own, vectors = scratch(model._samples), np.zeros((8, count))
-    vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
-    data = PeriodData(
-        parts.modes, model.viscosity, model.step or 0.0, model.tolerance, model.mass, model._held,
-        model._differences, model._samples, own, newton(count),
-        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, np.inf if contact else parts.leeway,
-        watched, scratch(watched, own.memory),
-        model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
-        model.stiffness(np.zeros(count)), np.zeros((count, count)), np.array([frequency, frequency, 0.0]),
-        np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
-        model._skin, touch, tools, home,
-    )  # fmt: skip
-    advance, stiffness = period_functions(model._law, model.single)
-    if contact is None:
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.driven[0]))
-    return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12))

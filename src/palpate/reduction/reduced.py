@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.fibres import firm
+from palpate.dynamics.foundation import Foundation
 from palpate.dynamics.loads import Drive, Load
 from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.reactions import touching
@@ -25,14 +26,15 @@ from palpate.dynamics.tools import Contact, Grasp
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.dents import Handling, dented, held_nodes, skin_of
+from palpate.reduction.foundation import draw_back
 from palpate.reduction.loading import lifted, ready_drive
 from palpate.reduction.parts import ReducedParts
-from palpate.reduction.period import RealtimeModel, realtime_model
 from palpate.reduction.points import point_law
+from palpate.reduction.realtime import RealtimeModel, realtime_model
 from palpate.reduction.samples import Samples, firm_weights, sampled_energy, scratch
 from palpate.reduction.stepping import newton, sampled_step
 from palpate.reduction.trust import distance, expected_error, imbalance
-from palpate.reduction.work import load_forces, load_work, pose_map
+from palpate.reduction.work import ColumnLoads, column_loads, load_forces, pose_map
 
 __all__ = ["ReducedModel", "ReducedParts"]
 
@@ -92,7 +94,7 @@ class ReducedModel(Model):
         self._explicit, self._implicit, self._tangent = sampled_step(self._law, single)
         self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
         self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
-        self._loaded: tuple[Drive, Floats] | None = None
+        self._loaded: ColumnLoads | None = None
         self._skin = skin_of(parts)
         self._handled: Handling | None = None
         self._result, self._everything, self._frequency, self._reach = np.zeros(count), np.zeros(len(flat)), 0.0, 0.0
@@ -138,13 +140,10 @@ class ReducedModel(Model):
     def drive(self, loads: Sequence[Load]) -> Drive:
         return ready_drive(self.parts, loads, implicit=self.step is not None)
 
-    def _loads(self, ready: Drive, times: Floats) -> Floats:
-        """Generalised forces (t, all) of tractions and gravity at some times."""
-        if self._loaded is None or self._loaded[0] is not ready:
-            self._loaded = ready, load_work(ready.places, self.parts.columns, self.masses)
-        schedule, count = ready.schedule(times), len(times)
-        values = (schedule.force.reshape(count, -1), schedule.moment.reshape(count, -1), schedule.gravity)
-        return np.asarray(np.hstack(values) @ self._loaded[1])
+    def _loads(self, ready: Drive) -> ColumnLoads:
+        if self._loaded is None or self._loaded.drive is not ready:
+            self._loaded = column_loads(ready, self.parts.columns, self.masses, self.mass)
+        return self._loaded
 
     def _handling(self, ready: Drive) -> Handling:
         if self._handled is None or self._handled.drive is not ready:
@@ -193,7 +192,9 @@ class ReducedModel(Model):
         if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > MOVED * self._reach:
             held = bool(self._holds(drive, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
             self._frequency, self._frequency_at = self._highest(state.coordinates, held), moved
-        return stable_step(max(self._frequency, self.parts.slack), self.viscosity)
+        springs = self._loads(drive).own
+        highest = float(np.hypot(max(self._frequency, self.parts.slack), np.sqrt(springs.square)))
+        return stable_step(highest, self.viscosity + springs.rate / highest**2)
 
     def _highest(self, coordinates: Floats, held: bool = True) -> float:
         moving = slice(self.parts.modes if held else None)
@@ -215,22 +216,22 @@ class ReducedModel(Model):
         a, v, count, memory = state.coordinates.copy(), state.velocities.copy(), self.count, self._scratch.memory
         recall(memory, state.memory)
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
-        handling = self._handling(drive)
+        handling, of = self._handling(drive), self._loads(drive)
         if self.step is None:
-            loads = np.ascontiguousarray(self._loads(drive, times[1:-1])[:, :count] + beside)
+            loads = np.ascontiguousarray(of.at(times[1:-1])[:, :count] + beside)
             fastest = self.parts.fastest / self.sizes[self.parts.modes :]
             work, lost, tools = self._explicit(
                 a, v, lifted(self.parts, drive, times), self._holds(drive, times[1:-1]), step, self.viscosity, fastest,
-                loads, self.mass, self._held, self._free, self._samples, self._scratch, self._newton,
+                loads, self.mass, self._held, self._free, self._samples, self._scratch, of.own, self._newton,
                 handling.poses(times[1:-1], state.touch, self.cloud.spacing), self._skin, handling.touch,
                 handling.tools,
             )  # fmt: skip
         else:
             middles = times[1:-2] + 0.5 * step
-            loads = np.ascontiguousarray(self._loads(drive, middles)[:, :count])
+            loads = np.ascontiguousarray(of.at(middles)[:, :count])
             work, lost, tools, taken = self._implicit(
                 a, v, lifted(self.parts, drive, times), self._holds(drive, times[2:-1]), step, self.viscosity, loads,
-                self.mass, self._differences, self.tolerance, self._samples, self._scratch, self._newton,
+                self.mass, self._differences, self.tolerance, self._samples, self._scratch, of.own, self._newton,
             )  # fmt: skip
             if taken < steps:
                 a[:] = np.nan
@@ -254,7 +255,8 @@ class ReducedModel(Model):
         """Accelerations of the coordinates, and what internal forces and loads do on all columns."""
         recall(self._scratch.memory, state.memory)
         forces = self.forces(state.coordinates + self.viscosity * state.velocities)
-        forces += self._loads(drive, np.array([state.time]))[0]
+        forces += self._loads(drive).at(np.array([state.time]))[0]
+        draw_back(self._loads(drive).springs, state.coordinates, state.velocities, forces)
         if state.touch is not None:
             forces += np.tensordot(self.parts.columns, state.touch.forces, 2)
         modes = slice(self.parts.modes)
@@ -340,7 +342,7 @@ class ReducedModel(Model):
         return np.tensordot(self._rates(state, drive)[0], self.parts.columns[: self.count], 1)
 
     def external_force(self, state: State, drive: Drive) -> Floats:
-        forces = load_forces(drive.places, drive.schedule(np.array([state.time])), self.masses)
+        forces = load_forces(drive, self.masses, self.parts.columns, state)
         return forces if state.touch is None else forces + state.touch.forces
 
     def nodal_force(self, displacements: Floats) -> Floats:
@@ -371,7 +373,9 @@ class ReducedModel(Model):
         """Return this model stepped by the energy-conserving implicit rule of a step [s], or explicitly (None)."""
         return ReducedModel(self.parts, step=step, single=self.single)
 
-    def realtime(self, longest: float = 0.02, contact: Contact | Grasp | None = None) -> RealtimeModel:
+    def realtime(
+        self, longest: float = 0.02, contact: Contact | Grasp | None = None, foundations: Sequence[Foundation] = ()
+    ) -> RealtimeModel:
         """Return this model as `palpate.Engine` takes it, with one tool that holds the driven group, or touches it.
 
         Parameters
@@ -380,13 +384,15 @@ class ReducedModel(Model):
             Longest period that will be asked for.
         contact : Contact or Grasp, optional
             The tool that touches the body, from its place at time 0. Trust then is the distance from training alone.
+        foundations : sequence of Foundation
+            Springs that tie the body. There are no other loads in real time.
 
         Raises
         ------
         InputError
-            The model was not trained with exactly one driven group, or with tools that touch it.
+            The model was not trained with exactly one driven group, or with tools that touch it; another load.
         """
-        return realtime_model(self, longest, contact)
+        return realtime_model(self, longest, contact, foundations)
 
     def save(self, path: str | Path) -> None:
         """Write everything to one file, whole or not at all (`palpate.load` reads it)."""

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.contact import rotation
 from palpate.dynamics.tools import CAPSULE, Forceps, Tool
-from palpate.reduction.period import PeriodData, RealtimeModel
+from palpate.reduction.period import PeriodData
+from palpate.reduction.realtime import RealtimeModel
 
 __all__ = ["retool"]
 

@@ -62,8 +62,7 @@ class Touch(NamedTuple):
     wide: Floats  # (3,)
     soft: Floats  # (t,) what hardening leaves of the compliance
     near: Near
-    numbers: Ints  # (4,) pairs now, sweeps of the last step, steps whose sweeps did not end, column of the stiffness
-    old: Floats  # (3, e, 3) scratch of the stiffness
+    numbers: Ints  # (3,) pairs now, sweeps of the last step, steps whose sweeps did not end
 
 
 def skin(dents: Dents, points: Floats, columns: Floats) -> Skin:
@@ -118,6 +117,5 @@ def touched(of: Skin, tools: int) -> Touch:
     node, point, tool = np.zeros((3, most), dtype=np.int64)
     return Touch(
         np.zeros(by_tool), np.zeros(by_tool), np.ones((tools, len(of.leader)), dtype=np.bool_), node, point, tool,
-        modal, now, before, push, np.zeros(3), np.ones(tools), kept, np.zeros(4, dtype=np.int64),
-        np.zeros((3, most, 3)),
+        modal, now, before, push, np.zeros(3), np.ones(tools), kept, np.zeros(3, dtype=np.int64),
     )  # fmt: skip

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.contact import rotation
+from palpate.reduction.foundation import draw_back
 from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import sampled_energy
 from palpate.reduction.touch import settle
@@ -45,13 +46,13 @@ class Newton(NamedTuple):
     factor: Floats  # (m, m) lower Cholesky factor of the system
     kept: Floats  # (2,) the step [s] that the factor is for, and the number of coordinates; 0 for none
     counts: NDArray[np.int64]  # (3,) iterations, tangents, steps that did not converge
-    vectors: Floats  # (9, m); the first three are the tangent's
+    vectors: Floats  # (10, m); the first three are the tangent's
 
 
 def newton(coordinates: int) -> Newton:
     """Allocate for a number of coordinates."""
     return Newton(
-        np.zeros((coordinates, coordinates)), np.zeros(2), np.zeros(3, dtype=np.int64), np.zeros((9, coordinates))
+        np.zeros((coordinates, coordinates)), np.zeros(2), np.zeros(3, dtype=np.int64), np.zeros((10, coordinates))
     )
 
 
@@ -121,18 +122,39 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
             for k in range(count):
                 matrix[k, m] = (behind[k] - ahead[k]) / (2.0 * sizes[m])
 
+    @law_njit(digest)
+    def tie(step, springs, matrix, moving):  # type: ignore[no-untyped-def]
+        """Add what springs do to the system that is solved for the mean velocities."""
+        if springs.stiffness.shape[0] > 0:
+            for i in range(moving):
+                for k in range(moving):
+                    matrix[i, k] += 0.5 * step * springs.stiffness[i, k] + springs.damping[i, k]
+
+    @law_njit(digest)
+    def loaded(a, w, step, given, springs, at, load):  # type: ignore[no-untyped-def]
+        """Write the mean loads of a step with the mean velocities w: those given, and the springs'."""
+        for j in range(a.shape[0]):
+            at[j] = a[j] + 0.5 * step * w[j]
+            load[j] = given[j]
+        draw_back(springs, at, w, load)
+
     @law_njit(digest, fastmath={"contract"})
-    def refactor(a, step, beta, mass, sizes, samples, scratch, keep, moving):  # type: ignore[no-untyped-def]
-        """Take the tangent anew and factorise 2 m / dt + (dt / 2 + beta) K; where that is indefinite, its mass part."""
+    def refactor(a, step, beta, mass, sizes, samples, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
+        """Take the tangent anew and factorise 2 m / dt + (dt / 2 + beta) K; where that is indefinite, its mass part.
+
+        Springs add dt / 2 of their stiffness, and their damping, to both.
+        """
         tangent(a, sizes, samples, scratch, keep.vectors, moving, keep.factor)
         for i in range(moving):
             for k in range(moving):
                 keep.factor[i, k] = 2.0 * mass[i, k] / step + (0.5 * step + beta) * keep.factor[i, k]
+        tie(step, springs, keep.factor, moving)
         keep.counts[1] += 1
         if not cholesky_factor(keep.factor, moving):
             for i in range(moving):
                 for k in range(moving):
                     keep.factor[i, k] = 2.0 * mass[i, k] / step
+            tie(step, springs, keep.factor, moving)
             cholesky_factor(keep.factor, moving)
         keep.kept[0], keep.kept[1] = step, moving
 
@@ -149,19 +171,15 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
             result[j] = 0.5 * (result[j] + other[j])
 
     @law_njit(digest, fastmath={"contract"})
-    def solve(a, v, step, beta, load, mass, sizes, tolerance, samples, scratch, keep, moving):  # type: ignore[no-untyped-def]
+    def solve(a, v, step, beta, given, mass, sizes, tolerance, samples, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
         """Find the mean velocities w of one implicit step; those from `moving` on are given, and their rates."""
-        w, at, result, rate, change = (
-            keep.vectors[3],
-            keep.vectors[4],
-            keep.vectors[5],
-            keep.vectors[6],
-            keep.vectors[7],
-        )
+        w, at, result, rate = keep.vectors[3], keep.vectors[4], keep.vectors[5], keep.vectors[6]
+        change, load = keep.vectors[7], keep.vectors[9]
         count = a.shape[0]
         if keep.kept[0] != step or keep.kept[1] != moving:
-            refactor(a, step, beta, mass, sizes, samples, scratch, keep, moving)
+            refactor(a, step, beta, mass, sizes, samples, scratch, springs, keep, moving)
         for iteration in range(MOST):
+            loaded(a, w, step, given, springs, at, load)
             mean_force(a, w, step, beta, at, samples, scratch, change, result)
             for m in range(moving):
                 rate[m] = 2.0 * (w[m] - v[m]) / step
@@ -182,12 +200,12 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
                 return False
             for r in range(len(REFRESH)):
                 if iteration == REFRESH[r]:
-                    refactor(at, step, beta, mass, sizes, samples, scratch, keep, moving)
+                    refactor(at, step, beta, mass, sizes, samples, scratch, springs, keep, moving)
         return False
 
     @law_njit(digest, fastmath={"contract"})
     def implicit(  # type: ignore[no-untyped-def]
-        a, v, lifting, holds, step, beta, loads, mass, sizes, tolerance, samples, scratch, keep
+        a, v, lifting, holds, step, beta, loads, mass, sizes, tolerance, samples, scratch, springs, keep
     ):
         """Advance by as many steps as there are loads; return the works [J] of loads, viscosity, tools, and the steps.
 
@@ -195,13 +213,8 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
         """
         count, first = a.shape[0], a.shape[0] - lifting.shape[1]
         total, lost, tools = 0.0, 0.0, 0.0
-        w, at, result, rate, elastic = (
-            keep.vectors[3],
-            keep.vectors[4],
-            keep.vectors[5],
-            keep.vectors[6],
-            keep.vectors[8],
-        )
+        w, at, result, rate = keep.vectors[3], keep.vectors[4], keep.vectors[5], keep.vectors[6]
+        elastic, load = keep.vectors[8], keep.vectors[9]
         for s in range(loads.shape[0]):
             # lifting has one time before the first and one after the last
             moving = first if holds[s] else count
@@ -211,18 +224,19 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
                 c = lifting[:, j - first]
                 w[j] = (c[s + 2] - c[s + 1]) / step
                 rate[j] = (c[s + 3] - c[s + 2] - c[s + 1] + c[s]) / (2.0 * step * step)
-            if not solve(a, v, step, beta, loads[s], mass, sizes, tolerance, samples, scratch, keep, moving):
+            if not solve(a, v, step, beta, loads[s], mass, sizes, tolerance, samples, scratch, springs, keep, moving):
                 keep.counts[2] += 1
                 keep.kept[0] = 0.0
                 return total, lost, tools, s
             for m in range(moving):
                 rate[m] = 2.0 * (w[m] - v[m]) / step
+            loaded(a, w, step, loads[s], springs, at, load)
             mean_force(a, w, step, 0.0, at, samples, scratch, keep.vectors[7], elastic)
             for j in range(count):
-                total += step * loads[s, j] * w[j]
+                total += step * load[j] * w[j]
                 lost += step * w[j] * (elastic[j] - result[j])
             for j in range(moving, count):
-                value = -result[j] - loads[s, j]
+                value = -result[j] - load[j]
                 for k in range(count):
                     value += mass[j, k] * rate[k]
                 tools += step * value * w[j]
@@ -249,6 +263,7 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
         free_response,
         samples,
         scratch,
+        springs,
         keep,
         poses,
         skin,
@@ -258,7 +273,8 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
         """Advance by one step less than there are loads; return the works [J] of loads, viscosity and tools.
 
         Tools that touch the body (`palpate.reduction.touch`) have `poses` (s, t, 7) at the times of the loads; their
-        work is among that of the loads, and what friction takes is among that of viscosity.
+        work is among that of the loads, and what friction takes is among that of viscosity. The forces of springs are
+        added to the loads.
         """
         count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
         total, lost, tools = 0.0, 0.0, 0.0
@@ -275,6 +291,7 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
                     at[j] = a[j] + beta * np.sign(v[j]) * fastest[j - first]
             scratch.memory.interval[0] = step if s > 0 else 0.0
             force(at, samples, scratch, result)
+            draw_back(springs, a, v, loads[s])
             for m in range(count):
                 if s > 0:
                     lost += (at[m] - a[m]) * (previous[m] - result[m])
@@ -307,8 +324,11 @@ def sampled_step(law: PointLaw, single: bool) -> tuple[Any, Any, Any]:
                 works = settle(skin, touch, tooling, at, v, step)
                 total, lost = total + works[0], lost + works[1]
                 for m in range(moving):
+                    value = 0.0
                     for k in range(moving):
-                        v[m] += step * response[m, k] * tooling.load[k]
+                        value += step * response[m, k] * tooling.load[k]
+                    v[m] += value
+                    total += 0.5 * kick * loads[s, m] * value  # the loads' work is that at the mean velocity
                 for j in range(moving, count):
                     rate[j] += tooling.load[j]
             for j in range(moving, count):

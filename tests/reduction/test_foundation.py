@@ -1,0 +1,153 @@
+"""Reduced bodies on springs: beside the full model, in both steps, in real time, and their energy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+
+EVERY, DURATION = 0.0005, 0.02
+TISSUE = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.49)
+SPRINGS = pt.Foundation("z-", 2e7, 1e3)  # halve what the beam bends by
+
+
+@pytest.fixture(scope="module")
+def beam():
+    return pt.FullModel(pt.box((0.04, 0.015, 0.015), 0.005), TISSUE, "x-", form="energy", viscosity=2e-5)
+
+
+def pull(x, y, z):
+    return pt.Traction("x+", force=lambda t: np.sin(300.0 * t) ** 2 * np.array([x, y, z]))
+
+
+def rollout(model, loads, **options):
+    return pt.rollout(model, loads, duration=DURATION, every=EVERY, progress=False, **options)
+
+
+@pytest.fixture(scope="module")
+def rom(beam):
+    runs = [rollout(beam, [pull(*way), SPRINGS]) for way in ((8.0, 0.0, 0.0), (0.0, 0.4, 0.0), (0.0, 0.0, -0.8))]
+    return pt.reduce(beam, runs, modes=16)
+
+
+LOADS = [pull(3.0, 0.2, -0.6), SPRINGS]
+
+
+def test_a_reduced_beam_on_springs_bends_as_the_full_one(beam, rom):
+    full, own, bare = rollout(beam, LOADS), rollout(rom, LOADS), rollout(rom, LOADS[:1])
+    assert pt.errors(full, own).displacement < 0.05
+    assert pt.errors(full, own).reaction < 0.02
+    assert pt.errors(full, bare).displacement > 0.3
+
+
+def test_projected_springs_are_those_at_the_nodes(beam, rom):
+    rng, columns = np.random.default_rng(0), rom.parts.columns
+    drive, other = rom.drive(LOADS), beam.drive(LOADS)
+    a, v = (1e-3 * rng.standard_normal(rom.count) / rom.sizes for _ in range(2))
+    state = pt.State(a, v, 0.003)
+    same = pt.State(rom.displacement(state, drive), rom.velocity(state, drive), 0.003)
+    nodal = beam.external_force(same, other)
+    np.testing.assert_allclose(rom.external_force(state, drive), nodal, atol=1e-9 * np.abs(nodal).max())
+    forces = rom._rates(state, drive)[1] - rom.forces(a + rom.viscosity * v)
+    expected = np.tensordot(columns, nodal, 2)
+    np.testing.assert_allclose(forces, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("step", [None, 1e-4])
+def test_springs_give_back_what_they_store_and_dashpots_take(rom, step):
+    model = rom.with_step(step)
+    speed = np.zeros((len(rom.cloud), 3))
+    speed[:, 2] = 2.0 * rom.cloud.points[:, 0]
+    springs = pt.Foundation("z-", 2e7)
+    run = rollout(model, [springs], velocity=speed)
+    assert np.abs(run.balance).max() < 2e-3 * run.kinetic[0]
+    down = run.displacements[:, rom.cloud.group("z-")]
+    stored = 0.5 * 2e7 * np.einsum("n,fnc->f", np.linalg.norm(rom.cloud.area_vectors("z-"), axis=1), down**2)
+    np.testing.assert_allclose(-run.external, stored, atol=2e-3 * run.kinetic[0])
+    assert stored.max() > 0.1 * run.kinetic[0]
+    slowed = rollout(model, [SPRINGS], velocity=speed)
+    assert np.abs(slowed.balance).max() < 2e-3 * slowed.kinetic[0]
+    assert (slowed.kinetic + slowed.strain)[-1] < (run.kinetic + run.strain)[-1]
+
+
+def test_both_steps_agree(rom):
+    explicit, implicit = rollout(rom, LOADS), rollout(rom.with_step(2e-5), LOADS)
+    assert pt.errors(explicit, implicit).displacement < 5e-3
+
+
+@pytest.mark.parametrize("load", [pt.Foundation("z-", 1e11), pt.Foundation("z-", 1e6, 1e7)])
+def test_the_step_is_short_enough_for_stiff_springs(rom, load):
+    drive, free = rom.drive([load]), rom.drive(())
+    assert rom.stable_step(rom.state(drive), drive) < 0.3 * rom.stable_step(rom.state(free), free)
+    speed = np.tile([0.0, 0.0, 0.05], (len(rom.cloud), 1))
+    run = pt.rollout(rom, [load], duration=5e-3, every=1e-3, velocity=speed, progress=False)
+    energy = run.kinetic + run.strain - run.external  # the springs' own is minus the loads' work
+    assert energy.max() < 1.02 * run.kinetic[0]
+
+
+def test_a_loose_block_on_springs_swings_as_a_mass_does():
+    cloud = pt.box((0.015, 0.015, 0.015), 0.005)
+    loose = pt.FullModel(cloud, TISSUE, form="energy")
+    stiffness, speed = 2e4, np.tile([0.01, 0.0, 0.05], (len(cloud), 1))
+    springs = pt.Foundation("z-", stiffness)
+    run = pt.rollout(loose, [springs], duration=0.05, every=2e-3, velocity=speed, progress=False)
+    own = pt.reduce(loose, run, modes=2)
+    again = pt.rollout(own, [springs], duration=0.12, every=2e-3, velocity=speed, progress=False)
+    omega = np.sqrt(stiffness * 0.015**2 / loose.masses.sum())
+    mean = np.einsum("n,fnc->fc", loose.masses, again.displacements) / loose.masses.sum()
+    expected = np.sin(omega * again.times)[:, None] * [0.01, 0.0, 0.05] / omega
+    np.testing.assert_allclose(mean, expected, atol=0.03 * 0.05 / omega)
+
+
+# held by a tool
+
+
+@pytest.fixture(scope="module")
+def grasped(beam):
+    def motion(_, t):
+        share = np.sin(250 * t) ** 2
+        return (1e-3 * share, 2e-3 * share, -1e-3 * share)
+
+    loads = [pt.PrescribedMotion("x+", motion), SPRINGS]
+    run = rollout(beam, loads)
+    return loads, run, pt.reduce(beam, run, modes=12, driven="x+")
+
+
+@pytest.mark.parametrize("step", [None, 1e-4])
+def test_a_tool_feels_the_springs(grasped, step):
+    loads, full, rom = grasped
+    own, bare = (rollout(rom.with_step(step), some) for some in (loads, loads[:1]))
+    peak = np.abs(full.reactions["x+"]).max()
+    assert np.abs(own.reactions["x+"] - full.reactions["x+"]).max() < 0.05 * peak
+    assert np.abs(bare.reactions["x+"] - full.reactions["x+"]).max() > 0.2 * peak
+    assert np.abs(own.balance).max() < 0.02 * np.abs(own.external).max()
+
+
+@pytest.mark.parametrize("step", [None, 2e-4])
+def test_so_does_a_hand_in_real_time(grasped, step):
+    rom = grasped[2].with_step(step)
+    ready = rom.realtime(foundations=[SPRINGS])
+    q, v, report = np.zeros(len(ready.rest)), np.zeros(len(ready.rest)), np.zeros(8 + len(ready.tool))
+    target = ready.tool[:, :3] @ [1e-3, 5e-4, 0.0]
+    for k in range(300):
+        ready.advance(ready.data, q, v, min(1.0, k / 20) * target, 1e-3, report)
+    assert report[0] == 0
+    held = [pt.PrescribedMotion("x+", (1e-3, 5e-4, 0.0)), SPRINGS]
+    still = pt.rollout(rom.with_step(1e-3), held, duration=0.3, every=0.3, progress=False)
+    expected = still.reactions["x+"][-1]
+    felt = ready.tool[:, :3].T @ report[8:]
+    np.testing.assert_allclose(felt, expected, atol=0.01 * np.abs(expected).max())
+    out = np.zeros((rom.parts.lifted, rom.parts.lifted))
+    ready.stiffness(ready.data, q, out)
+    around = ready.tool[:, :3].T @ out @ ready.tool[:, :3]
+    nearby = [pt.PrescribedMotion("x+", (1.01e-3, 5e-4, 0.0)), SPRINGS]
+    moved = pt.rollout(rom.with_step(1e-3), nearby, duration=0.3, every=0.3, progress=False).reactions["x+"][-1]
+    np.testing.assert_allclose(around[:, 0], (moved - expected) / 1e-5, atol=0.03 * np.abs(around[0, 0]))
+    drive = rom.drive(held)
+    assert report[1] == pytest.approx(rom.trust(pt.State(q, v, 0.3), drive), rel=1e-3)
+
+
+def test_in_real_time_there_is_no_other_load(grasped):
+    with pytest.raises(pt.InputError, match=r"Gravity.*is no Foundation"):
+        grasped[2].realtime(foundations=[pt.Gravity((0.0, 0.0, -9.81))])
