@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     from palpate.reduction.parts import ReducedParts
     from palpate.reduction.reduced import ReducedModel
 
-__all__ = ["Handling", "dented", "fitted_dents", "held_nodes", "skin_of", "touch_of"]
+__all__ = ["STEEPEST", "Handling", "dented", "fitted_dents", "held_nodes", "skin_of", "touch_of"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 FRAMES = 400  # of the runs, at which the compliance is fitted
 NEAR = 5.0  # spacings from a touched node to which it is fitted
-STEEPEST = 0.45  # exponent of hardening: above a half a larger force would make a smaller dent
+STEEPEST = 0.8  # exponent of hardening: at 1 a larger force would make no deeper dent
 NO_DENT = (
     "what the modes miss under tools is no dent: give reduce smooth modes (enrichment=vibration_modes(...)), which do "
     "not hold the dents of the training runs"

@@ -18,7 +18,8 @@ from palpate.dynamics.tools import Contact, Grasp
 from palpate.dynamics.trajectory import StoredTrajectory, Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.bases import joined, main_modes
-from palpate.reduction.dents import fitted_dents
+from palpate.reduction.compliance import Dents
+from palpate.reduction.dents import STEEPEST, fitted_dents
 from palpate.reduction.errors import Errors, TouchErrors, errors, touch_errors
 from palpate.reduction.incremental import block_size
 from palpate.reduction.points import Kinematics
@@ -38,7 +39,8 @@ SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # tried when a tolerance is given
 STATES = 240  # training states that the cubature is fitted at
 PRESSURES = 4  # modes to one pressure mode: more would stiffen what the modes cannot keep at constant volume
 HELD_SHARE = 0.95
-FORCE_PASSES, FORCE_STEP = 2, 1.4  # corrections of the surface's compliance; exponent: part of a depth is the modes'
+FORCE_PASSES, FORCE_STEP = 3, 1.4  # corrections of the surface's compliance; exponent: part of a depth is the modes'
+LEAST_FORCE = 0.1  # of the largest: frames by which it is corrected
 TAUT = 16  # training states whose highest frequency a membrane is stepped by
 
 
@@ -331,34 +333,49 @@ def _over_runs(found: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[st
 
 
 def _measured(model: ReducedModel, pressed: Sequence[Trial]) -> tuple[ReducedModel, dict[str, Any]]:
-    """Scale the compliance of the surface until tools' forces are, in the mean, those of full runs.
+    """Scale the compliance of the surface, and its hardening, until tools' forces are those of full runs in the mean.
 
     It is learnt from displacements under known forces. A step asks the other way round, and forces that it finds lean
     on nodes that give way too easily: a bias that is alike all over a body. Forceps hold their nodes wherever they
     lean, and keep the compliance that was learnt.
     """
-    dents, factor = model.parts.dents, 1.0
-    ratios: list[float] = []
+    dents, whole, ratios = model.parts.dents, 1.0, []
     assert dents is not None
-    for _ in range(FORCE_PASSES + 1):
-        factor *= ratios[-1] ** FORCE_STEP if ratios else 1.0
-        model = ReducedModel(replace(model.parts, dents=dents.scaled(factor)._replace(grip=dents.grip / factor)))
-        ratios.append(float(np.mean([_force_ratio(model, *trial) for trial in pressed])))
-    return model, {"force_factor": factor, "force_ratios": ratios}
+    for number in range(FORCE_PASSES + 1):
+        model = ReducedModel(replace(model.parts, dents=dents))
+        sizes = [_force_sizes(model, *trial) for trial in pressed]
+        ratios.append(float(np.mean([mine.sum() / theirs.sum() for mine, theirs in sizes])))
+        if number < FORCE_PASSES:
+            factor, exponent = _correction(dents, np.concatenate(sizes, axis=1))
+            whole *= factor
+            hardening = np.array([exponent, dents.hardening[1]])
+            dents = dents.scaled(factor)._replace(hardening=hardening, grip=dents.grip / factor)
+    return model, {"force_factor": whole, "force_ratios": ratios}
 
 
-def _force_ratio(model: ReducedModel, loads: Sequence[Load], kept: Run) -> float:
-    """Return the mean size of the force on tools over that of the full run."""
+def _correction(dents: Dents, sizes: Floats) -> tuple[float, float]:
+    """Return a factor on a compliance, and the exponent of its hardening, by forces (2, t) [N] of it and of runs."""
+    mine, theirs = sizes[:, (sizes[1] > LEAST_FORCE * sizes[1].max()) & (sizes[0] > 0)]
+    along, ratio = np.log1p(theirs / dents.hardening[1]), np.log(mine / theirs)
+    middle, level = np.average([along, ratio], axis=1, weights=theirs)
+    spread = float(np.sum(theirs * (along - middle) ** 2))
+    slope = float(np.sum(theirs * (along - middle) * (ratio - level))) / spread if spread > 0 else 0.0
+    exponent = float(np.clip(dents.hardening[0] - slope, 0.0, STEEPEST))
+    return float(np.exp(FORCE_STEP * level + (exponent - dents.hardening[0]) * middle)), exponent
+
+
+def _force_sizes(model: ReducedModel, loads: Sequence[Load], kept: Run) -> Floats:
+    """Return the sizes (2, t) [N] of the force on tools, and of that of the full run."""
     run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
     names = [load.name for load in loads if isinstance(load, Contact)]
     if not names or not len(run.touches):
         raise InputError("pressed: no tool touches the body in one of these runs; give others")
     every = float(run.times[1] - run.times[0])
     own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
-    mine, theirs = (sum(np.linalg.norm(of.reactions[name], axis=1).sum() for name in names) for of in (own, run))
-    if not 0.0 < mine < np.inf:
+    sizes = np.array([sum(np.linalg.norm(of.reactions[name], axis=1) for name in names) for of in (own, run)])
+    if not 0.0 < sizes[0].sum() < np.inf:
         raise InputError("pressed: a tool that touches the full body does not touch the reduced one; give more modes")
-    return float(mine / theirs)
+    return sizes
 
 
 def _reach(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float:
