@@ -357,9 +357,9 @@ def _correction(dents: Dents, sizes: Floats) -> tuple[float, float]:
     """Return a factor on a compliance, and the exponent of its hardening, by forces (2, t) [N] of it and of runs."""
     mine, theirs = sizes[:, (sizes[1] > LEAST_FORCE * sizes[1].max()) & (sizes[0] > 0)]
     along, ratio = np.log1p(theirs / dents.hardening[1]), np.log(mine / theirs)
-    middle, level = np.average([along, ratio], axis=1, weights=theirs)
-    spread = float(np.sum(theirs * (along - middle) ** 2))
-    slope = float(np.sum(theirs * (along - middle) * (ratio - level))) / spread if spread > 0 else 0.0
+    middle, level = along.mean(), ratio.mean()
+    spread = float(np.sum((along - middle) ** 2))
+    slope = float((along - middle) @ (ratio - level)) / spread if spread > 0 else 0.0
     exponent = float(np.clip(dents.hardening[0] - slope, 0.0, STEEPEST))
     return float(np.exp(FORCE_STEP * level + (exponent - dents.hardening[0]) * middle)), exponent
 
