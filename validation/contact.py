@@ -26,8 +26,8 @@ import palpate as pt
 from palpate.dynamics.contact_step import push
 
 HERE = Path(__file__).parent
-OUTPUT = Path("/tmp/hz/contact.json")
-PICTURE = Path("/tmp/hz/contact.png")
+OUTPUT = HERE.parent / "docs" / "validation" / "contact.json"
+PICTURE = HERE.parent / "docs" / "images" / "contact.png"
 LAW = pt.MooneyRivlin(C1=2667.0, C2=667.0, density=1000.0, poisson=0.45)
 SHEAR, POISSON = LAW.shear_modulus, 0.45
 YOUNG = 2 * SHEAR * (1 + POISSON)
