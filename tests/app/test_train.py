@@ -19,6 +19,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.train import folder as folders
+from palpate.app.train.report import _by_load
 from palpate.scenes.training import training_scene
 
 SCENE = "training_scenes:bar"
@@ -102,7 +103,8 @@ def test_a_campaign_leaves_its_runs_a_model_and_a_report(whole, assert_drawn):
     assert held[0]["displacement"] == pytest.approx(expected.displacement, rel=1e-6)
     assert held[0]["displacement"] < 0.3
     text = (whole / "report.md").read_text()
-    assert "held_out_000000" in text
+    assert "| held_out_000000 | PrescribedMotion |" in text
+    assert "held-out paths with a" not in text  # all have one kind of load
     assert f"{report['model']['projection_error']:.2%}" in text
     assert_drawn(whole / "errors.png")
 
@@ -180,6 +182,17 @@ def test_runs_that_fail_are_recorded_and_the_others_go_on(tmp_path, capsys):
     assert "train_000001 failed: " in captured.out
     changed = [path.name for path, stamp in stamps.items() if path.stat().st_mtime_ns != stamp]
     assert changed == ["train_000002.failed.json"]  # only a process that died is tried again
+
+
+def test_errors_of_forces_are_told_apart_by_kinds_of_loads():
+    kinds = [["Contact"], ["Grasp"], ["Contact"], ["Grasp"], ["Contact"], ["Grasp"]]
+    runs = [{"kind": "train", "failed": False, "loads": ["Grasp"]}]
+    runs += [{"kind": "held_out", "failed": k == 4, "loads": loads} for k, loads in enumerate(kinds)]
+    errors = [0.1, 0.3, 0.2, 0.5, None]  # of the runs that were finished; the reduced model failed on the last
+    found = [{"failed": error is None, "reaction": error} for error in errors]
+    told = _by_load({"runs": runs, "model": {"held_out": {"runs": found}}})
+    head, tail = "error of reaction on the 2 held-out paths with a", "mean; 95 % below"
+    assert told == {f"{head} Contact, {tail}": "15.00%; 19.50%", f"{head} Grasp, {tail}": "40.00%; 49.00%"}
 
 
 def test_without_any_run_there_is_no_model(tmp_path, capsys):
