@@ -173,6 +173,8 @@ def _begin(data):  # type: ignore[no-untyped-def]
         rows = _directions(data, e, rows)
     numbers[0], numbers[1], numbers[2] = rows, rows + modes, 0
     size, softening = rows + modes, -compliance.hardening[0] / (compliance.hardening[1] + whole)
+    if data.tools.kind[0] == HELD:  # pulls do not harden
+        softening = 0.0
     table = system.table[: size * (size + SIDES)].reshape(size, size + SIDES)
     for k in range(size):
         for j in range(k, size + SIDES):
