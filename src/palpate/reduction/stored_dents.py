@@ -61,5 +61,5 @@ def _inside(arrays: Arrays, dents: Dents) -> Inside:
     carriers = len(dents.flexibility) // 3
     if not np.all((sources >= 0) & (sources < count + carriers)):
         raise InputError(f"dataset inside/sources names more than {count} nodes inside and {carriers} carriers")
-    whole = number_in_range("inside/factor", factor[0], 0.0, open_low=True)
+    whole = number_in_range("inside/factor", float(factor[0]), 0.0, open_low=True)
     return Inside(nodes, flexibility.astype(np.float32), sources, shares, whole)
