@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 OUT ?= out/beam
-PYTEST_ARGS ?= -n auto
+PYTEST_ARGS ?= -n auto --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
 PAGE := $(shell find page -name node_modules -prune -o -type f -print) hatch_build.py

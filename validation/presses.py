@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.app.train.campaign import PRESSED
+from palpate.app.train.campaign import REPEATED
 from palpate.app.train.folder import HELD_OUT, jobs
 from palpate.dynamics.tools import surface_nodes
 from palpate.reduction.linear import carried_modes
@@ -77,9 +77,8 @@ def main() -> None:
         shapes = model.parts.modes if args.shapes is None else args.shapes
         coarse = scene.coarse()
         trained = [(scene.path(job.seed)[0], path) for job, path in found if job.kind != HELD_OUT]
-        presses = [(loads, path) for loads, path in trained if isinstance(loads[0], pt.Contact)]
         model = pt.reduce(
-            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, pressed=presses[:PRESSED],
+            scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, repeated=trained[:REPEATED],
             enrichment=carried_modes(coarse, scene.model, shapes) if shapes else None, cubature=args.cubature or 1e-3,
         )  # fmt: skip
     about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}

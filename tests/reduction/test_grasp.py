@@ -10,6 +10,7 @@ import pytest
 import palpate as pt
 from palpate.reduction.compliance import dents_of
 from palpate.reduction.dents import _led
+from palpate.reduction.repeats import _correction, measured
 
 SIZE, BALL, LASTING = (0.06, 0.06, 0.03), 0.015, 0.16
 
@@ -97,10 +98,33 @@ def test_pulls_do_not_harden_the_surface_and_presses_are_scaled_apart(body, runs
     np.testing.assert_allclose(ten[0], 10 * one[0])
     assert ten[1] == pytest.approx(100 * one[1])
     assert one[1] == pytest.approx(0.5 * np.sum(push[0] * one[0][dents.nodes]))
-    scaled = pt.reduce(body, runs, modes=0, enrichment=smooth, pressed=[(LEARNT[0], runs[0])])
+    scaled = pt.reduce(body, runs, modes=0, enrichment=smooth, repeated=[(LEARNT[0], runs[0])])
     factor = scaled.report["force_factor"]
     assert abs(np.log(factor)) > 0.01
     np.testing.assert_allclose(dents_of(scaled.parts.dents, points, push, [True])[0], one[0], rtol=1e-5, atol=1e-9)
+
+
+def test_forceps_are_given_the_forces_of_runs(runs, model):
+    dents = model.parts.dents
+    off = pt.ReducedModel(replace(model.parts, dents=dents._replace(grip=1.4 * dents.grip)))
+    made, told = measured(off, [(LEARNT[1], runs[1])])
+    before, *_, after = told["force_ratios"]
+    assert before < 0.93
+    assert abs(np.log(after)) < 0.02
+    assert made.parts.dents.grip < 1.2 * dents.grip
+    assert told["force_factor"] == 1.0  # presses keep what they had
+    np.testing.assert_array_equal(made.parts.dents.flexibility, dents.flexibility)
+    np.testing.assert_array_equal(made.parts.dents.hardening, dents.hardening)
+
+
+def test_a_run_that_errs_far_more_than_the_others_moves_the_correction_little(model):
+    dents = model.parts.dents._replace(hardening=np.array([0.3, 1.0]))
+    theirs = np.tile(np.linspace(0.1, 2.0, 40), 8)
+    few = 1.03 * theirs
+    few[:40] *= 0.7
+    factor, exponent = _correction(dents, np.array([few, theirs]))
+    assert factor == pytest.approx(1.03**1.4, abs=0.006)  # the mean would be 0.98
+    assert exponent == pytest.approx(0.3, abs=0.01)
 
 
 def test_grip_and_held_nodes_are_kept(model, tmp_path):

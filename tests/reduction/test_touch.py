@@ -201,14 +201,14 @@ def test_the_inside_moves_with_its_dents(pressed):
 def test_forces_are_made_those_of_runs(pressed):
     body, runs, model = pressed
     trials = [(press(0.021, 0.027), runs[0])]
-    measured = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0], pressed=trials)
+    measured = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0], repeated=trials)
     before, *_, after = measured.report["force_ratios"]
     assert abs(np.log(after)) <= min(0.02, abs(np.log(before)))
     assert measured.parts.dents.hardening == pytest.approx(model.parts.dents.hardening)
     factor = measured.report["force_factor"]
     np.testing.assert_allclose(measured.parts.dents.flexibility, factor * model.parts.dents.flexibility, rtol=1e-5)
     with pytest.raises(pt.InputError, match="no tool touches"):
-        pt.reduce(body, runs[:1], modes=4, pressed=[([], run_without(runs[0]))])
+        pt.reduce(body, runs[:1], modes=4, repeated=[([], run_without(runs[0]))])
 
 
 def test_the_surface_of_its_own_is_needed(pressed):

@@ -149,6 +149,7 @@ class Engine:
         )
         self._lock, self._last_pose, self._warned = threading.RLock(), IDENTITY, False
         self._to_rest()
+        snapshot(self._channels.row)  # compiled here rather than in the first read, beside a loop that runs
         weakref.finalize(self, self._runner.end, STOPPED)  # when Python ends, or nobody refers to the engine any more
 
     @property

@@ -18,12 +18,12 @@ from palpate.dynamics.tools import Contact, Grasp
 from palpate.dynamics.trajectory import StoredTrajectory, Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.bases import joined, main_modes
-from palpate.reduction.compliance import Dents
-from palpate.reduction.dents import STEEPEST, fitted_dents
+from palpate.reduction.dents import fitted_dents
 from palpate.reduction.errors import Errors, TouchErrors, errors, touch_errors
 from palpate.reduction.incremental import block_size
 from palpate.reduction.points import Kinematics
 from palpate.reduction.reduced import ReducedModel, ReducedParts
+from palpate.reduction.repeats import Trial, measured
 from palpate.reduction.sampling import Fields, choose_samples, differentiated, pressure_moments
 from palpate.reduction.snapshots import Run, Snapshots
 from palpate.reduction.tools import WithoutTools, lifting_columns, support_fields
@@ -33,14 +33,11 @@ from palpate.reduction.witnesses import WITNESSES, apart, usual_imbalance, witne
 __all__ = ["Trial", "reduce"]
 
 Floats = NDArray[np.float64]
-Trial = tuple[Sequence[Load], Run]
 
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # tried when a tolerance is given
 STATES = 240  # training states that the cubature is fitted at
 PRESSURES = 4  # modes to one pressure mode: more would stiffen what the modes cannot keep at constant volume
 HELD_SHARE = 0.95
-FORCE_PASSES, FORCE_STEP = 3, 1.4  # corrections of the surface's compliance; exponent: part of a depth is the modes'
-LEAST_FORCE = 0.1  # of the largest: frames by which it is corrected
 TAUT = 16  # training states whose highest frequency a membrane is stepped by
 
 
@@ -56,7 +53,7 @@ def reduce(
     cubature: float = 1e-3,
     pressures: int | None = None,
     coarse: FullModel | None = None,
-    pressed: Sequence[Trial] = (),
+    repeated: Sequence[Trial] = (),
     seed: int = 0,
 ) -> ReducedModel:
     """Train a reduced model on runs of a full one: modes, sampled nodes and weights, errors and trust.
@@ -91,9 +88,9 @@ def reduce(
     coarse : FullModel, optional
         A coarser model of the same body, of at most 5,000 nodes, whose statics tell how its surface gives way under
         tools that touch it in the runs; by default the body itself, if it has no more nodes than that.
-    pressed : sequence of (loads, trajectory or path)
-        Some of the training runs in which tools touch the body, with their loads: the compliance of its surface is
-        scaled until tools' forces are theirs in the mean.
+    repeated : sequence of (loads, trajectory or path)
+        Some of the training runs in which tools touch or hold the body, with their loads: the compliance of its surface
+        is scaled until tools' forces are theirs in the mean.
     seed : int
         Of random combinations where the training data are many.
 
@@ -121,7 +118,7 @@ def reduce(
     share = number_in_range("cubature", cubature, 0.0, 1.0)
     body = full if full.conservative else _energy_form(full)
     tools = (driven,) if isinstance(driven, str) else tuple(driven)
-    wish = _Wish(tools, held_out, enrichment, share, pressures, seed, coarse, pressed)
+    wish = _Wish(tools, held_out, enrichment, share, pressures, seed, coarse, repeated)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
         return _trained(full, body, snapshots, count, wish)
@@ -155,7 +152,7 @@ class _Wish:
     pressures: int | None
     seed: int
     coarse: FullModel | None
-    pressed: Sequence[Trial]
+    repeated: Sequence[Trial]
 
 
 def _check(full: FullModel | Membrane, points: Sequence[Floats]) -> None:
@@ -208,9 +205,9 @@ def _trained(
     if snapshots.touched and not wish.tools and isinstance(body, FullModel):
         dents, report["dents_explained"] = fitted_dents(model, body, snapshots, wish.coarse or body)
         model = ReducedModel(replace(model.parts, dents=dents))
-        if wish.pressed:
-            model, measured = _measured(model, wish.pressed)
-            report |= measured
+        if wish.repeated:
+            model, found = measured(model, wish.repeated)
+            report |= found
     model.parts.report.update(report)
     return _tried(model, wish.held_out) if wish.held_out else model
 
@@ -330,52 +327,6 @@ def _over_runs(found: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[st
         "mean": {name: float(np.mean(own)) for name, own in values.items()},
         "percentile_95": {name: float(np.quantile(own, HELD_SHARE)) for name, own in values.items()},
     }
-
-
-def _measured(model: ReducedModel, pressed: Sequence[Trial]) -> tuple[ReducedModel, dict[str, Any]]:
-    """Scale the compliance of the surface, and its hardening, until tools' forces are those of full runs in the mean.
-
-    It is learnt from displacements under known forces. A step asks the other way round, and forces that it finds lean
-    on nodes that give way too easily: a bias that is alike all over a body. Forceps hold their nodes wherever they
-    lean, and keep the compliance that was learnt.
-    """
-    dents, whole, ratios = model.parts.dents, 1.0, []
-    assert dents is not None
-    for number in range(FORCE_PASSES + 1):
-        model = ReducedModel(replace(model.parts, dents=dents))
-        sizes = [_force_sizes(model, *trial) for trial in pressed]
-        ratios.append(float(np.mean([mine.sum() / theirs.sum() for mine, theirs in sizes])))
-        if number < FORCE_PASSES:
-            factor, exponent = _correction(dents, np.concatenate(sizes, axis=1))
-            whole *= factor
-            hardening = np.array([exponent, dents.hardening[1]])
-            dents = dents.scaled(factor)._replace(hardening=hardening, grip=dents.grip / factor)
-    return model, {"force_factor": whole, "force_ratios": ratios}
-
-
-def _correction(dents: Dents, sizes: Floats) -> tuple[float, float]:
-    """Return a factor on a compliance, and the exponent of its hardening, by forces (2, t) [N] of it and of runs."""
-    mine, theirs = sizes[:, (sizes[1] > LEAST_FORCE * sizes[1].max()) & (sizes[0] > 0)]
-    along, ratio = np.log1p(theirs / dents.hardening[1]), np.log(mine / theirs)
-    middle, level = along.mean(), ratio.mean()
-    spread = float(np.sum((along - middle) ** 2))
-    slope = float((along - middle) @ (ratio - level)) / spread if spread > 0 else 0.0
-    exponent = float(np.clip(dents.hardening[0] - slope, 0.0, STEEPEST))
-    return float(np.exp(FORCE_STEP * level + (exponent - dents.hardening[0]) * middle)), exponent
-
-
-def _force_sizes(model: ReducedModel, loads: Sequence[Load], kept: Run) -> Floats:
-    """Return the sizes (2, t) [N] of the force on tools, and of that of the full run."""
-    run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
-    names = [load.name for load in loads if isinstance(load, Contact)]
-    if not names or not len(run.touches):
-        raise InputError("pressed: no tool touches the body in one of these runs; give others")
-    every = float(run.times[1] - run.times[0])
-    own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
-    sizes = np.array([sum(np.linalg.norm(of.reactions[name], axis=1) for name in names) for of in (own, run)])
-    if not 0.0 < sizes[0].sum() < np.inf:
-        raise InputError("pressed: a tool that touches the full body does not touch the reduced one; give more modes")
-    return sizes
 
 
 def _reach(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float:

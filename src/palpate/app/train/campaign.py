@@ -14,7 +14,7 @@ from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.app.train.local import run_here
 from palpate.app.train.work import Outcome
 from palpate.dynamics.full import FullModel
-from palpate.dynamics.tools import Contact
+from palpate.dynamics.tools import Contact, Grasp
 from palpate.reduction.linear import carried_modes
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import reduce
@@ -23,7 +23,7 @@ from palpate.scenes.scene import TrainingScene
 __all__ = ["MODEL", "make_model", "make_runs"]
 
 MODEL = "model.rom"
-PRESSED = 4  # training runs in which tools touch the body, by which their forces are measured
+REPEATED = 12  # training runs in which tools touch or hold the body, by which their forces are measured
 
 
 def make_runs(
@@ -108,7 +108,7 @@ def make_model(
         reason = (folder.fault(wanted[0]) or {}).get("reason", "see its worker")
         raise ReproduceError(f"no training run was finished; the first: {reason}; {folder.runs} holds what they did")
     paths = [(scene.path(job.seed)[0], folder.file(job)) for job in done if job.kind == TRAINED]
-    pressed = [(loads, path) for loads, path in paths if any(isinstance(load, Contact) for load in loads)][:PRESSED]
+    touched = [trial for trial in paths if any(isinstance(load, Contact | Grasp) for load in trial[0])]
     share = scene.cubature if cubature is None else cubature
     with console.status(f"training {modes} modes on {len(learned)} runs, trying them on {len(tried)} others"):
         coarse = smooth = None
@@ -117,7 +117,7 @@ def make_model(
             smooth = carried_modes(coarse, scene.model, modes)
         model = reduce(
             scene.model, learned, modes=modes if smooth is None else 0, enrichment=smooth, driven=scene.tools,
-            held_out=tried, cubature=share, coarse=coarse, pressed=pressed,
+            held_out=tried, cubature=share, coarse=coarse, repeated=touched[:REPEATED],
         )  # fmt: skip
     model.report["scene"] = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
     with whole_file(folder.path / MODEL) as partial:

@@ -55,6 +55,7 @@ def manifest_of(name: str, scene: TrainingScene, seed: int) -> dict[str, Any]:
         "version": VERSION,
         "palpate": __version__,
         "scene": name,
+        "title": scene.title,  # what its paths are: they may change from version to version
         "parameters": dict(scene.parameters),
         "seed": seed,
         "every": scene.every,
