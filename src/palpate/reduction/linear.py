@@ -6,13 +6,14 @@ Comput. Methods Appl. Mech. Eng. 49, 1985) how the modes change when the body mo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
+from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from palpate.dynamics.full import FullModel
@@ -32,6 +33,7 @@ Floats = NDArray[np.float64]
 CARRIED = 40  # coarse nodes that a mode is carried over from
 DERIVATIVES = 0.55  # of all modes, at most
 AMPLITUDE = 0.02  # of the spacing: displacements for second differences
+DENSE = 0.1  # of a stiffness's entries that are not zero, from which on a dense factor is found sooner
 
 
 def rest_stiffness(body: FullModel) -> Any:
@@ -108,6 +110,25 @@ def _free(body: FullModel, groups: Sequence[str]) -> NDArray[np.int64]:
     return np.flatnonzero(np.repeat(~held, 3))
 
 
+class _Statics(NamedTuple):
+    """The stiffness of a body at rest, that of what is free of it, and the factored one's answers to forces."""
+
+    whole: Any
+    free: NDArray[np.int64]
+    stiffness: Any
+    solve: Callable[[Floats], Floats]
+
+
+def _statics(body: FullModel, held: Sequence[str]) -> _Statics:
+    free, whole = _free(body, held), rest_stiffness(body)
+    stiffness = whole[free][:, free].tocsc()
+    if stiffness.nnz < DENSE * len(free) ** 2:
+        symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+        return _Statics(whole, free, stiffness, splu(stiffness, **symmetric).solve)
+    factor = cho_factor(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
+    return _Statics(whole, free, stiffness, lambda forces: cho_solve(factor, forces, check_finite=False))
+
+
 def vibration_modes(body: FullModel, count: int, held: Sequence[str] = ()) -> tuple[Floats, Floats]:
     """Find the slowest vibrations of the body at rest.
 
@@ -131,11 +152,13 @@ def vibration_modes(body: FullModel, count: int, held: Sequence[str] = ()) -> tu
     InputError
         A strong form, a body that nothing holds, or a count out of range.
     """
-    free = _free(body, held)
-    integer_in_range("count", count, 1, len(free) - 2)
-    stiffness = rest_stiffness(body)[free][:, free].tocsc()
-    solver = splu(stiffness)
-    inverse = LinearOperator(stiffness.shape, matvec=solver.solve)
+    integer_in_range("count", count, 1, len(_free(body, held)) - 2)
+    return _vibrations(body, _statics(body, held), count)
+
+
+def _vibrations(body: FullModel, statics: _Statics, count: int) -> tuple[Floats, Floats]:
+    _, free, stiffness, solve = statics
+    inverse = LinearOperator(stiffness.shape, matvec=solve)
     masses = sparse.diags(np.repeat(body.masses, 3)[free])
     start = np.random.default_rng(0).standard_normal(len(free))
     values, vectors = eigsh(stiffness, k=count, M=masses, sigma=0.0, OPinv=inverse, v0=start)
@@ -160,9 +183,12 @@ def carried_modes(coarse: FullModel, body: FullModel, count: int) -> Floats:
         As `vibration_modes`.
     """
     bent = int((np.sqrt(8 * DERIVATIVES * count + 1) - 1) / 2)
-    shapes = vibration_modes(coarse, count - bent * (bent + 1) // 2)[0]
+    slowest = count - bent * (bent + 1) // 2
+    integer_in_range("count", slowest, 1, len(_free(coarse, ())) - 2)
+    statics = _statics(coarse, ())
+    shapes = _vibrations(coarse, statics, slowest)[0]
     if bent:
-        shapes = np.concatenate([shapes, modal_derivatives(coarse, shapes[:bent])])
+        shapes = np.concatenate([shapes, _derivatives(coarse, statics, shapes[:bent])])
     if coarse is body:
         return shapes
     flat = shapes.transpose(1, 0, 2).reshape(len(coarse.cloud), -1)
@@ -185,12 +211,11 @@ def tool_responses(body: FullModel, fields: Floats, held: Sequence[str]) -> Floa
         Read at the held groups' nodes only.
     held : sequence of str
     """
-    free = _free(body, held)
-    stiffness = rest_stiffness(body)
+    whole, free, _, solve = _statics(body, held)
     given = np.zeros((len(fields), 3 * len(body.cloud)))
     nodes = np.unique(np.concatenate([body.cloud.group(name) for name in held]))
     given.reshape(len(fields), -1, 3)[:, nodes] = fields[:, nodes]
-    given[:, free] = -splu(stiffness[free][:, free].tocsc()).solve(stiffness[free] @ given.T).T
+    given[:, free] = -solve(whole[free] @ given.T).T
     return given.reshape(len(fields), -1, 3)
 
 
@@ -200,14 +225,17 @@ def modal_derivatives(body: FullModel, modes: Floats, held: Sequence[str] = ()) 
     Each is the static response at rest to the second derivative of the internal force along two modes; its largest
     displacement is 1 m.
     """
-    free, pairs = _free(body, held), []
+    return _derivatives(body, _statics(body, held), modes)
+
+
+def _derivatives(body: FullModel, statics: _Statics, modes: Floats) -> Floats:
+    pairs = []
     body._recall(None)
-    solver = splu(rest_stiffness(body)[free][:, free].tocsc())
     shapes = AMPLITUDE * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
     for i, one in enumerate(shapes):
         for two in shapes[i:]:
             bend = body.force(one + two) - body.force(one - two) - body.force(two - one) + body.force(-one - two)
             field = np.zeros(3 * len(body.cloud))
-            field[free] = solver.solve((bend * body.volumes[:, None]).reshape(-1)[free])
+            field[statics.free] = statics.solve((bend * body.volumes[:, None]).reshape(-1)[statics.free])
             pairs.append(field.reshape(-1, 3) / np.linalg.norm(field.reshape(-1, 3), axis=1).max())
     return np.array(pairs)
