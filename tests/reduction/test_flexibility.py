@@ -32,8 +32,8 @@ def solved():
     return body, modes, nodes, residual_flexibility(body, nodes, body.cloud.points, modes)
 
 
-def test_modes_and_what_they_leave_are_the_whole_statics(solved):
-    body, modes, nodes, rest = solved
+def loaded(body, modes, nodes):
+    """Return random forces (n, 3) [N] on some nodes, and how they move all and the modes alone (n, 3) [m]."""
     free = np.flatnonzero(np.repeat(~body.held, 3))
     stiffness = rest_stiffness(body)[free][:, free].tocsc()
     load = np.zeros((len(body.cloud), 3))
@@ -42,8 +42,14 @@ def test_modes_and_what_they_leave_are_the_whole_statics(solved):
     whole[free] = splu(stiffness).solve(load.reshape(-1)[free])
     flat = modes.reshape(len(modes), -1)
     modal = flat.T @ np.linalg.solve(flat[:, free] @ (stiffness @ flat[:, free].T), flat @ load.reshape(-1))
-    both = modal.reshape(-1, 3)[nodes] + (rest @ load[nodes].reshape(-1)).reshape(-1, 3)
-    np.testing.assert_allclose(both, whole.reshape(-1, 3)[nodes], atol=1e-9 * np.abs(whole).max())
+    return load, whole.reshape(-1, 3), modal.reshape(-1, 3)
+
+
+def test_modes_and_what_they_leave_are_the_whole_statics(solved):
+    body, modes, nodes, rest = solved
+    load, whole, modal = loaded(body, modes, nodes)
+    both = modal[nodes] + (rest @ load[nodes].reshape(-1)).reshape(-1, 3)
+    np.testing.assert_allclose(both, whole[nodes], atol=1e-9 * np.abs(whole).max())
 
 
 def test_modes_and_what_they_leave_are_the_whole_statics_inside_too(solved):
@@ -51,17 +57,9 @@ def test_modes_and_what_they_leave_are_the_whole_statics_inside_too(solved):
     within = np.setdiff1d(np.flatnonzero(~body.held), nodes)
     both = residual_flexibility(body, nodes, body.cloud.points, modes, within[::2])
     np.testing.assert_array_equal(both[: len(rest)], rest)
-    free = np.flatnonzero(np.repeat(~body.held, 3))
-    stiffness = rest_stiffness(body)[free][:, free].tocsc()
-    load = np.zeros((len(body.cloud), 3))
-    load[nodes] = np.random.default_rng(0).standard_normal((len(nodes), 3))
-    whole = np.zeros(load.size)
-    whole[free] = splu(stiffness).solve(load.reshape(-1)[free])
-    flat = modes.reshape(len(modes), -1)
-    modal = flat.T @ np.linalg.solve(flat[:, free] @ (stiffness @ flat[:, free].T), flat @ load.reshape(-1))
+    load, whole, modal = loaded(body, modes, nodes)
     found = (both[len(rest) :] @ load[nodes].reshape(-1)).reshape(-1, 3)
-    wanted = (whole - modal).reshape(-1, 3)[within[::2]]
-    np.testing.assert_allclose(found, wanted, atol=1e-9 * np.abs(whole).max())
+    np.testing.assert_allclose(found, (whole - modal)[within[::2]], atol=1e-9 * np.abs(whole).max())
 
 
 def test_it_is_positive_and_smaller_with_more_modes(solved):

@@ -19,7 +19,16 @@ PRESSED = 0.1  # of a tool's largest force: frames that count
 
 
 @dataclass(frozen=True)
-class Errors:
+class _Named:
+    """Figures with names."""
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the errors by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Errors(_Named):
     """Relative errors of a run against a reference.
 
     Parameters
@@ -37,10 +46,6 @@ class Errors:
     velocity: float
     energy: float
     reaction: float
-
-    def as_dict(self) -> dict[str, float]:
-        """Return the errors by name."""
-        return asdict(self)
 
 
 def errors(full: Trajectory, other: Trajectory) -> Errors:
@@ -68,7 +73,7 @@ def errors(full: Trajectory, other: Trajectory) -> Errors:
 
 
 @dataclass(frozen=True)
-class TouchErrors:
+class TouchErrors(_Named):
     """What tools and the surface they touch miss of a reference, in frames with at least a tenth of the largest force.
 
     Parameters
@@ -84,10 +89,6 @@ class TouchErrors:
     force_95: float
     surface_95: float
     farthest_95: float
-
-    def as_dict(self) -> dict[str, float]:
-        """Return the errors by name."""
-        return asdict(self)
 
 
 def touch_errors(
