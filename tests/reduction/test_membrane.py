@@ -224,6 +224,20 @@ def test_a_sampled_sheet_has_few_points_and_repeats_the_push(sheet, push, sample
     np.testing.assert_allclose(moved, [0.0, 0.0, 0.01], atol=1e-9)
 
 
+def test_few_points_of_a_taut_sheet_feel_what_all_points_feel(sheet, push, tmp_path):
+    """At rest the stresses of a taut sheet do work on every mode, which sums to nothing."""
+    taut = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", prestretch=1.05)
+    full = pt.rollout(taut, [PUSH], duration=0.05, every=0.0025, progress=False)
+    models = [pt.reduce(taut, full, modes=6, driven="tool", cubature=share) for share in (1e-3, 0.0)]
+    few, whole = (pt.rollout(model, [PUSH], duration=0.05, every=0.0025, progress=False) for model in models)
+    found = pt.errors(whole, few)
+    assert found.reaction < 0.05
+    assert found.displacement < 0.05
+    for model in models:
+        model.save(tmp_path / "taut.rom")
+        assert len(pt.load(tmp_path / "taut.rom").parts.cubature.nodes) == len(model.parts.cubature.nodes)
+
+
 def test_few_points_feel_what_all_points_feel(sheet, push):
     few = pt.reduce(sheet, push, modes=6, driven="tool")
     runs = [

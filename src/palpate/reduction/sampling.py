@@ -26,6 +26,7 @@ __all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differ
 Floats = NDArray[np.float64]
 
 STATES = 240  # training states that pressures are taken from
+BALANCED = 1e-9  # forces that are less of what they are the sum of are none: those of a taut sheet at rest
 FELT = 0.1  # how much of their norm the forces on tools and supports have beside those on all coordinates
 ROWS, ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
 SLOPES = 60  # training states at which the moments' slopes are fitted
@@ -130,7 +131,8 @@ def choose_samples(
     count = len(mass)
     root = compliance_root(body, fields, count, moments, mass)
     if share == 0.0:
-        return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, moments, 0.0)
+        whole = moments if len(moments) else np.zeros((0, len(fields.nodes)))  # a membrane has several points a node
+        return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, whole, 0.0)
     rows = _rows(body, fields, modes, states, root, np.random.default_rng(seed))
     multiples, residual = non_negative(rows, rows.sum(axis=1), share)
     chosen = np.flatnonzero(multiples > 0)
@@ -157,7 +159,7 @@ def _rows(
         weighted = sketch(most, count, generator) @ root @ work[:count]
         for rows, into in ((weighted, moving), (work[modes:], felt)):
             size = float(np.linalg.norm(rows.sum(axis=1)))
-            if size > 0:
+            if size > BALANCED * float(np.linalg.norm(rows, axis=0).sum()):
                 into.append(rows / np.sqrt(size))
     whole = [np.concatenate(rows) for rows in (moving, felt) if rows]
     sizes = [float(np.linalg.norm(rows.sum(axis=1))) for rows in whole]
