@@ -1,7 +1,10 @@
-"""A device that feels a body which `palpate view` shows: poses in at 1 kHz; force, stiffness, trust out; latency told.
+"""A dummy device that feels a body which `palpate view` shows, in a closed loop at 1 kHz; prints rate and latency.
 
-palpate view model.rom --no-browser
-python examples/haptic_client.py 'http://127.0.0.1:8765/#TOKEN' 5
+    palpate view model.rom --no-browser
+    python examples/haptic_client.py 'http://127.0.0.1:8765/#TOKEN' 5
+
+The device is a mass between a hand, whose spring presses and lets go once a second, and the body, whose newest force
+pushes it.
 """
 
 from __future__ import annotations
@@ -10,12 +13,14 @@ import asyncio
 import json
 import struct
 import sys
-import time
+from collections import deque
+from time import perf_counter
 
 import numpy as np
 from websockets.asyncio.client import connect
 
-RATE, RADIUS, DEPTH = 1000, 0.02, 0.006  # [Hz], [m], [m]
+RATE, RADIUS, DEPTH, GAP = 1000, 0.02, 0.006, 0.003  # [Hz], [m], [m], [m]
+MASS, HAND, DAMPING = 0.1, 300.0, 8.0  # [kg], [N/m], [N s/m]
 
 
 async def main(address: str, seconds: float) -> None:
@@ -28,46 +33,46 @@ async def main(address: str, seconds: float) -> None:
         if not hello["driver"] or not hello["tools"]:
             raise SystemExit("another viewer drives, or the body takes no tool")
         points = np.frombuffer(geometry, "<f4", 3 * hello["vertices"], 16).reshape(-1, 3)
-        place = points[np.argmin(points[:, 1])] - np.array([0.0, RADIUS + 0.003, 0.0])  # before the foremost vertex
-        ball = {"kind": "sphere", "radius": RADIUS, "friction": 0.2, "stiffness": 300.0, "position": place.tolist()}
+        home = points[np.argmin(points[:, 1])] - np.array([0.0, RADIUS + GAP, 0.0])  # before the foremost vertex
+        ball = {"kind": "sphere", "radius": RADIUS, "friction": 0.2, "stiffness": None, "position": home.tolist()}
         await socket.send(json.dumps({"type": "tool", **ball}))
         await socket.send(json.dumps({"type": "force", "rate": RATE}))
-        sent: dict[int, float] = {}
-        felt: list[np.ndarray] = []
-        latencies: list[float] = []
-        hand = asyncio.create_task(move(socket, place, sent))
-        end = time.perf_counter() + seconds
-        while time.perf_counter() < end:
+        sent, felt, latencies = deque(), deque([np.zeros(23)]), []
+        device = asyncio.create_task(move(socket, home, sent, felt, seconds))
+        while not device.done():
             message = await socket.recv()
             if isinstance(message, str):
-                told = json.loads(message)
-                if told["type"] == "error":
+                if (told := json.loads(message))["type"] == "error":
                     raise SystemExit(told["reason"])
             elif struct.unpack_from("<I", message)[0] == 4:  # frames for the eye are not acknowledged: two come
-                numbers = np.frombuffer(message, "<f8", 23, 16)
-                felt.append(numbers)
-                if int(numbers[22]) in sent:
-                    latencies.append(time.perf_counter() - sent.pop(int(numbers[22])))
-        hand.cancel()
-        await socket.send(json.dumps({"type": "release"}))
-    force, stiffness = np.array([f[2:5] for f in felt]), felt[int(np.argmax([f[3] ** 2 for f in felt]))][8:17]
-    print(f"{len(felt) / seconds:.0f} forces a second; largest {np.linalg.norm(force, axis=1).max():.3g} N")
+                felt.append(np.frombuffer(message, "<f8", 23, 16))
+                while sent and sent[0][0] <= felt[-1][22]:  # this force, or one before, knew of the pose
+                    latencies.append(perf_counter() - sent.popleft()[1])
+    force, stiffness = np.array([f[2:5] for f in felt]), max(felt, key=lambda f: f[2:5] @ f[2:5])[8:17]
+    print(
+        f"{len(felt) / seconds:.0f} forces a second, of {len({f[20] for f in felt}) / seconds:.0f} periods; "
+        f"largest {np.linalg.norm(force, axis=1).max():.3g} N, {len(latencies) / seconds:.0f} poses a second"
+    )
     print(f"contact stiffness there [N/m]:\n{stiffness.reshape(3, 3).round(1)}")
     print(f"largest trust number {max(f[1] for f in felt):.2f} (above 1: not trained on)")
-    low, high = 1e3 * np.percentile(latencies, [50, 95])
-    print(f"from a pose to the force with it: {low:.2f} ms in the median, {high:.2f} ms at the 95th percentile")
+    middle, high, most = 1e3 * np.percentile(latencies, [50, 95, 100])
+    print(
+        f"from a pose to a force that knows it: {middle:.2f} ms in the median, {high:.2f} ms at the 95th percentile, "
+        f"{most:.1f} ms at most"
+    )
 
 
-async def move(socket, place, sent) -> None:
-    """Press and let go, once a second."""
-    began, number = time.perf_counter(), 0
-    while True:
-        now, number = time.perf_counter() - began, number + 1
-        deep = (DEPTH + 0.003) * np.sin(np.pi * now) ** 2
-        sent[number] = time.perf_counter()
-        pose = {"type": "pose", "position": (place + np.array([0.0, deep, 0.0])).tolist(), "sequence": number}
-        await socket.send(json.dumps(pose))
-        await asyncio.sleep(max(0.0, began + number / RATE - time.perf_counter()))
+async def move(socket, home: np.ndarray, sent: deque, felt: deque, seconds: float) -> None:
+    """Be the device: a step of its motion and a pose every millisecond."""
+    place, speed, began, number = home.copy(), np.zeros(3), perf_counter(), 0
+    while (now := perf_counter() - began) < seconds:
+        number += 1
+        goal = home + np.array([0.0, (DEPTH + GAP) * np.sin(np.pi * now) ** 2, 0.0])
+        speed += (HAND * (goal - place) - DAMPING * speed + felt[-1][2:5]) / MASS / RATE
+        place = place + speed / RATE
+        sent.append((number, perf_counter()))
+        await socket.send(json.dumps({"type": "pose", "position": place.tolist(), "sequence": number}))
+        await asyncio.sleep(max(0.0, began + number / RATE - perf_counter()))
 
 
 if __name__ == "__main__":

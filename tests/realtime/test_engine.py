@@ -149,6 +149,25 @@ def test_nothing_moves_in_a_pause_and_resuming_goes_on_from_there(engine_of):
     assert engine.statistics().count == engine.read().steps > count
 
 
+def test_a_force_tells_which_pose_it_knew(engine_of, history):
+    engine = engine_of()
+    run_steps(engine, 5)
+    assert engine.read().sequence == 0
+    for number in (7, 9):
+        engine.set_pose((1e-3 * number, 0.0, 0.0), sequence=number)
+        run_steps(engine, 5)
+        assert engine.read().sequence == number
+    with pytest.raises(pt.InputError, match="sequence = -1"):
+        engine.set_pose((0.0, 0.0, 0.0), sequence=-1)
+    run = history(engine)
+    moved = np.linalg.norm(run["position"], axis=1) > 0
+    np.testing.assert_array_equal(moved, run["sequence"] >= 7)  # it moves in the period that knows the pose
+    engine.place_tool((0.0, 0.0, 0.0), sequence=11)
+    assert engine.read().sequence == 11
+    engine.reset()
+    assert engine.read().sequence == 0
+
+
 def test_reset_puts_all_at_rest(engine_of):
     engine = engine_of()
     engine.set_pose((0.02, 0.0, 0.0), (0.9, 0.1, 0.0, 0.0))

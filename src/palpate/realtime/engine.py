@@ -213,12 +213,18 @@ class Engine:
 
     def _to_rest(self) -> None:
         self._work.reset(self._rest)
-        self._last_pose = IDENTITY
-        publish(self._channels.pose, IDENTITY)
+        self._publish_pose(IDENTITY, 0)
         publish(self._channels.row, self._work.row)
 
+    def _publish_pose(self, pose: Floats, sequence: int) -> None:
+        self._last_pose = pose
+        publish(self._channels.pose, np.append(pose, float(sequence)))
+
     def set_pose(
-        self, position: Sequence[float] | Floats, quaternion: Sequence[float] | Floats = (1.0, 0.0, 0.0, 0.0)
+        self,
+        position: Sequence[float] | Floats,
+        quaternion: Sequence[float] | Floats = (1.0, 0.0, 0.0, 0.0),
+        sequence: int = 0,
     ) -> None:
         """Tell where the tool is to be; it follows at no more than the engine's speeds.
 
@@ -228,19 +234,24 @@ class Engine:
             Of the tool's reference point, from where it stands at rest.
         quaternion : (4,), w x y z
             Rotation about the reference point; is made a unit quaternion.
+        sequence : int
+            Number of the pose, at least 0: `Reading.sequence` tells which pose a force answers.
 
         Raises
         ------
         InputError
             The pose is not finite, the quaternion has no length, or the position is more than a metre from the last
-            one. The last pose is kept.
+            one; or the number is negative. The last pose is kept.
         """
+        sequence = integer_in_range("sequence", sequence, 0)
         with self._lock:
-            self._last_pose = checked_pose(position, quaternion, self._last_pose)
-            publish(self._channels.pose, self._last_pose)
+            self._publish_pose(checked_pose(position, quaternion, self._last_pose), sequence)
 
     def place_tool(
-        self, position: Sequence[float] | Floats, quaternion: Sequence[float] | Floats = (1.0, 0.0, 0.0, 0.0)
+        self,
+        position: Sequence[float] | Floats,
+        quaternion: Sequence[float] | Floats = (1.0, 0.0, 0.0, 0.0),
+        sequence: int = 0,
     ) -> None:
         """Put the tool somewhere at once, as a hand does that lifts it off and sets it down; see `set_pose`.
 
@@ -249,17 +260,19 @@ class Engine:
         Raises
         ------
         InputError
-            The pose is not finite, or the quaternion has no length.
+            The pose is not finite, the quaternion has no length, or the number is negative.
         RuntimeError
             The engine runs; pause it.
         """
+        sequence = integer_in_range("sequence", sequence, 0)
         with self._lock:
             if self._runner.state == RUNNING:
                 raise RuntimeError("the engine runs: pause() it before its tool is put elsewhere")
             place = np.asarray(position, dtype=float)
-            self._last_pose = checked_pose(place, quaternion, np.concatenate([place, IDENTITY[3:]]))
-            self._work.place(self._last_pose)
-            publish(self._channels.pose, self._last_pose)
+            pose = checked_pose(place, quaternion, np.concatenate([place, IDENTITY[3:]]))
+            self._work.place(pose)
+            self._work.row[offset("sequence")] = sequence
+            self._publish_pose(pose, sequence)
             publish(self._channels.row, self._work.row)
 
     def slow_down(self, factor: float) -> None:

@@ -43,6 +43,7 @@ LONGEST_SLEEP = 10_000_000  # [ns]: how long a command may wait
 TIME, TAKEN, FAILED, ITERATIONS = (offset(name) for name in ("time", "steps", "failed", "iterations"))
 COMPUTING, LATENESS, TRUSTED, WORST_TRUST = (offset(n) for n in ("computing", "lateness", "trust", "worst_trust"))
 HELD, LIMITED, ENERGIES, POSE = (offset(name) for name in ("held", "limited", "kinetic", "position"))
+SEQUENCE = offset("sequence")
 FORCE, MOMENT, STIFFNESS = (offset(name) for name in ("force", "moment", "stiffness"))
 
 
@@ -66,7 +67,7 @@ class Channels(NamedTuple):
     command : flags
         The first is RUNNING as long as the loop shall go on.
     pose, row : Slot
-        The newest pose (7,), and the newest row.
+        The newest pose (7,) and its number, and the newest row.
     tally : Tally
     ring : Ring
     """
@@ -81,7 +82,7 @@ class Channels(NamedTuple):
     def of(cls, coordinates: int, history: int) -> Channels:
         """Make channels for so many coordinates and rows of history."""
         row = Slot.of(WIDTH + 2 * coordinates)
-        return cls(flags(), Slot.of(len(IDENTITY)), row, Tally.new(), Ring.of(history, coordinates))
+        return cls(flags(), Slot.of(len(IDENTITY) + 1), row, Tally.new(), Ring.of(history, coordinates))
 
 
 class Work(NamedTuple):
@@ -93,8 +94,10 @@ class Work(NamedTuple):
         Coordinates and velocities.
     tool : (l, 12)
         See `Realtime`.
-    pose, wanted, trusted, fetched : (7,)
-        Where the tool is, where it is to go, where the model was last trusted, and what was read of a new pose.
+    pose, wanted, trusted : (7,)
+        Where the tool is, where it is to go, and where the model was last trusted.
+    fetched : (8,)
+        What was read of a new pose, and its number.
     target, outward, there : (l,)
         Tool coordinates: of `pose`, from the last trusted ones to the first not trusted, and of another pose.
     report, tangent : (8 + l,), (l, l)
@@ -122,13 +125,14 @@ class Work(NamedTuple):
     def of(cls, rest: Floats, tool: Floats) -> Work:
         """Make the state at rest."""
         m, tools = len(rest), len(tool)
-        poses = {name: np.zeros(len(IDENTITY)) for name in ("pose", "wanted", "trusted", "fetched")}
+        poses = {name: np.zeros(len(IDENTITY)) for name in ("pose", "wanted", "trusted")}
         coordinates = {name: np.zeros(tools) for name in ("target", "outward", "there")}
         report, tangent, row = np.zeros(FORCES + tools), np.zeros((tools, tools)), np.zeros(WIDTH + 2 * m)
         clock = np.array([0.0, 1.0])
         work = cls(
-            np.zeros(m), np.zeros(m), tool, **poses, **coordinates, report=report, tangent=tangent, row=row, clock=clock
-        )
+            np.zeros(m), np.zeros(m), tool, **poses, fetched=np.zeros(len(IDENTITY) + 1), **coordinates, report=report,
+            tangent=tangent, row=row, clock=clock,
+        )  # fmt: skip
         work.reset(rest)
         return work
 
@@ -176,7 +180,8 @@ def _put(values, out, first):  # type: ignore[no-untyped-def]
 def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
     """Move the tool towards the newest pose, or back to where the model was last trusted while the pose is beyond."""
     if fetch(slot, work.fetched):  # else it is just being written, and the next period will read it
-        _put(work.fetched, work.wanted, 0)
+        _put(work.fetched[:7], work.wanted, 0)
+        work.row[SEQUENCE] = work.fetched[7]
     aim, row = work.wanted, work.row
     if row[HELD]:
         beyond = 0.0

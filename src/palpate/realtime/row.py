@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HEAD", "UNITS", "WIDTH", "Reading", "offset"]
+__all__ = ["HEAD", "UNITS", "WIDTH", "Period", "Reading", "offset"]
 
 Floats = NDArray[np.float64]
 
 HEAD = np.dtype(
     [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
-    + [(name, "f8") for name in ("trust", "worst_trust", "held", "limited", "kinetic", "strain")]
+    + [(name, "f8") for name in ("trust", "worst_trust", "held", "limited", "sequence", "kinetic", "strain")]
     + [("position", "f8", 3), ("quaternion", "f8", 4), ("force", "f8", 3), ("moment", "f8", 3)]
     + [("stiffness", "f8", (3, 3))]
 )
@@ -31,9 +31,9 @@ def offset(name: str) -> int:
     return int(dict(HEAD.fields or {})[name][1]) // 8
 
 
-@dataclass(frozen=True)
-class Reading:
-    """What an engine tells, all of one period.
+@dataclass(frozen=True, kw_only=True)
+class Period:
+    """What is known of one period.
 
     Parameters
     ----------
@@ -42,23 +42,20 @@ class Reading:
     steps : int
         Periods since the last reset.
     force, moment : (3,) arrays [N], [N m]
-        Of the body on the tool, about the tool's reference point: what a hand that holds the tool feels. Scaled down
-        together where the force is larger than the engine's limit; then `limited` is true.
+        Of the body on the tool, about the tool's reference point.
     stiffness : (3, 3) array [N/m]
         Derivative of the tool's force on the body by the tool's displacement, that of some periods ago; zero where the
         model tells none.
     trust : float
         Above 1 the model was not trained on such states.
-    worst_trust : float
-        The largest trust number since the last reset: `palpate.ReducedModel.expected_error` tells what errors it means.
-    held : bool
-        Whether the tool is held back from states that the model was not trained on.
     position, quaternion : (3,) array [m] and (4,) array
-        Pose of the tool in the model; it follows the given pose at no more than the engine's speed.
+        Pose of the tool; it follows the given pose at no more than the engine's speed.
+    sequence : int
+        Number that `Engine.set_pose` gave to the newest pose that the period knew.
     kinetic, strain : float [J]
     computing, lateness : float [s]
         Computing time of the period's step, and how late it began.
-    coordinates, velocities : (m,) arrays
+    coordinates : (m,) array
     state : str
         ``"stopped"``, ``"running"``, ``"paused"`` or ``"ran away"``; the numbers are the last good ones.
     """
@@ -69,18 +66,38 @@ class Reading:
     moment: Floats
     stiffness: Floats
     trust: float
-    worst_trust: float
-    held: bool
-    limited: bool
     position: Floats
     quaternion: Floats
+    sequence: int
     kinetic: float
     strain: float
     computing: float
     lateness: float
     coordinates: Floats
-    velocities: Floats
     state: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading(Period):
+    """What an engine tells, all of one period. The pose is that in the model, from where the tool stands at rest.
+
+    Where the force is larger than the engine's limit, force and moment are scaled down together.
+
+    Parameters
+    ----------
+    worst_trust : float
+        The largest trust number since the last reset: `palpate.ReducedModel.expected_error` tells what errors it means.
+    held : bool
+        Whether the tool is held back from states that the model was not trained on.
+    limited : bool
+        Whether the force was scaled down.
+    velocities : (m,) array
+    """
+
+    worst_trust: float
+    held: bool
+    limited: bool
+    velocities: Floats
 
     @classmethod
     def of(cls, row: Floats, state: str) -> Reading:
@@ -88,9 +105,10 @@ class Reading:
         head = row[:WIDTH].view(HEAD)[0]
         names = ("time", "trust", "worst_trust", "kinetic", "strain", "computing", "lateness")
         numbers: dict[str, Any] = {name: float(head[name]) for name in names}
+        numbers |= {name: int(head[name]) for name in ("steps", "sequence")}
         arrays = {name: head[name].copy() for name in ("force", "moment", "stiffness", "position", "quaternion")}
         coordinates, velocities = row[WIDTH:].reshape(2, -1).copy()
         return cls(
-            **numbers, **arrays, steps=int(head["steps"]), held=bool(head["held"]), limited=bool(head["limited"]),
-            coordinates=coordinates, velocities=velocities, state=state,
+            **numbers, **arrays, held=bool(head["held"]), limited=bool(head["limited"]), coordinates=coordinates,
+            velocities=velocities, state=state,
         )  # fmt: skip

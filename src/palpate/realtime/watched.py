@@ -81,11 +81,8 @@ class Seen(NamedTuple):
 
     Parameters
     ----------
-    coordinates : (m,) array
-    nodes : (e,) int array
-        Touched places in the model's skin.
-    forces : (e, 3) array [N]
-        On them, for the model's own moduli: what its compliance turns into dents.
+    coordinates, nodes, forces : arrays
+        As `palpate.reduction.surface.Surface.displacements` takes them; the forces for the model's own moduli.
     place : (3,) array [m]
         Displacement of the tool, which is not the hand's where a spring is between them.
     hand : (3,) array [N]

@@ -227,8 +227,53 @@ def test_a_program_gets_forces_at_its_rate(site, ball):
             return client.forces[-1]
 
     numbers = asyncio.run(visit())
-    assert numbers[22] == 3  # the pose that was applied
+    assert numbers[22] == 3  # the pose that it knew
     assert numbers[16] > 1.0  # dF_z/dz [N/m]
+
+
+def test_force_frames_are_of_one_period_each_and_go_on_in_a_pause(site, ball):
+    async def visit():
+        async with site.client() as client:
+            await client.say(**ball)
+            await client.say(type="force", rate=1000)
+            await client.hear_until(lambda c: len(c.forces) > 100)
+            running = len(client.forces)
+            await client.say(type="control", action="pause")
+            await client.hear_until(lambda c: len(c.forces) > running + 2 and c.forces[-1][20] == c.forces[-3][20])
+            return np.array([force[20] for force in client.forces[:running]]), client.forces[-1][21]
+
+    steps, state = asyncio.run(visit())
+    assert (np.diff(steps) >= 0).all()
+    assert np.mean(np.diff(steps) > 0) > 0.9  # the same one comes again only where the engine stood still for 0.1 s
+    assert state == 2  # paused
+
+
+def test_a_flood_of_poses_is_merged_and_the_last_one_counts(site, session, ball, monkeypatch):
+    heeded, handle = [], session.handle
+
+    def counted(message):
+        if message["type"] == "pose":
+            heeded.append(message["sequence"])
+        handle(message)
+
+    monkeypatch.setattr(session, "handle", counted)
+    count = 500
+
+    async def visit():
+        async with site.client(draws=False) as client:
+            await client.say(**ball)
+            await client.say(type="force", rate=1000)
+            for k in range(1, count + 1):
+                await client.say(type="pose", position=(ABOVE - np.array([0, 0, 1e-6 * k])).tolist(), sequence=k)
+            await client.hear_until(lambda c: c.forces and c.forces[-1][22] == count)
+            return [int(force[22]) for force in client.forces]
+
+    answered = asyncio.run(visit())
+    assert heeded == sorted(heeded)
+    assert heeded[-1] == count
+    assert len(heeded) < count  # the others gave way
+    assert answered == sorted(answered)
+    assert set(answered) <= {0, *heeded}
 
 
 # who drives, and what goes wrong

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from palpate.app.view.messages import Message
 from palpate.app.view.recording import Recording
-from palpate.app.view.snapshot import UNITS, Snapshot
+from palpate.app.view.snapshot import Snapshot, told_scalars, told_training
 from palpate.faults import InputError
 from palpate.reduction.surface import Surface
 
@@ -61,10 +61,9 @@ class Replay:
     def hello(self) -> dict[str, Any]:
         """Return what does not change."""
         return {
-            "tools": [], "tool": self._tool(), "materials": [], "rate": None, "trained": None,
-            "scalars": [{"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1]}
-                        for name in self.surface.scalars],
-            "duration": self.duration, "overlay": bool(self.recording.full),
+            "tools": [], "tool": self._tool(), "materials": [], "rate": None,
+            "trained": told_training(self.recording.model),
+            "scalars": told_scalars(self.surface), "duration": self.duration, "overlay": bool(self.recording.full),
             "errors": self.recording.full.get("errors"),
         }  # fmt: skip
 
@@ -77,12 +76,12 @@ class Replay:
             "quaternion": moment.quaternion.tolist(),
         }  # fmt: skip
 
-    def overlay(self) -> NDArray[np.float32] | None:
-        """Return the full model's positions (n, 3) [m] at that moment, where it was run."""
+    def overlay(self, time: float) -> NDArray[np.float32] | None:
+        """Return the full model's positions (n, 3) [m] at a time of the recording [s], where it was run."""
         full = self.recording.full
         if not full:
             return None
-        return np.asarray(full["positions"][int(np.argmin(np.abs(full["times"] - self.time)))])
+        return np.asarray(full["positions"][int(np.argmin(np.abs(full["times"] - time)))])
 
     def status(self) -> dict[str, Any]:
         """Return what changes seldom."""

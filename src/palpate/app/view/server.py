@@ -8,7 +8,7 @@ import hmac
 import socket
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
@@ -30,9 +30,12 @@ WRONG_TOKEN, TOO_MANY_MISTAKES, FULL = 4401, 4400, 4429
 PATIENCE = 5.0  # [s] for the first message
 SILENT = 10.0  # [s] after which another viewer may drive
 FASTEST = 1 / 60  # [s] between two frames of a viewer
+SHORT = 0.01  # [s]
 IDLE = 0.01  # [s] between two looks whether anything has changed
 TICK, TOLD = 0.1, 0.5  # [s] between looks at the clock and at the status; between statistics
 MOST_VIEWERS = 16
+TOGETHER = 32  # messages that are read before others have their turn
+CATCHING_UP = 0.005  # [s] of force frames that are sent late rather than left out
 DRIVING = ("pose", "tool", "release", "control", "speed", "material", "record", "replay")
 
 
@@ -72,8 +75,17 @@ class Show(Protocol):
     def release(self) -> None:
         """Take the tool away."""
 
-    def overlay(self) -> Any:
-        """Return positions (n, 3) of the full model now, or None."""
+    def overlay(self, time: float) -> Any:
+        """Return positions (n, 3) of the full model at a time that a snapshot tells, or None."""
+
+
+class _Made(NamedTuple):
+    """A frame that was made: what tells it from others, when it was made, the snapshot's time, and its body."""
+
+    key: Any
+    at: float
+    time: float
+    body: bytes
 
 
 class Server:
@@ -92,7 +104,7 @@ class Server:
         self.viewers: list[Viewer] = []
         self.driver: Viewer | None = None
         self._told = ""
-        self._made: dict[str, tuple[Any, float, bytes]] = {}
+        self._made: dict[str, _Made] = {}
 
     async def run(self, listening: socket.socket, ready: Callable[[], None] = lambda: None) -> None:
         """Serve on a socket that listens, until cancelled; `ready` is called when clients are answered."""
@@ -165,7 +177,10 @@ class Server:
                 viewer.welcomed = True
                 async with asyncio.TaskGroup() as group:
                     streams = [group.create_task(self._stream(viewer)), group.create_task(self._stream_force(viewer))]
+                    heeding = group.create_task(self._heed_all(viewer))
                     await self._listen(viewer)
+                    viewer.inbox.end()
+                    await heeding
                     for stream in streams:
                         stream.cancel()
             except* ConnectionClosed:
@@ -222,8 +237,12 @@ class Server:
     # what viewers say
 
     async def _listen(self, viewer: Viewer) -> None:
+        """Take all that a viewer says, until it has left."""
+        count = 0
         async for text in viewer.socket:
-            await asyncio.sleep(0)  # a client that talks without pause must not keep others, or its frames, waiting
+            count += 1
+            if count % TOGETHER == 0:
+                await asyncio.sleep(0)  # a client that talks without pause must not keep others, or itself, waiting
             try:
                 message = parsed(text)
             except InputError as error:
@@ -233,10 +252,15 @@ class Server:
                 await viewer.say({"type": "error", "reason": str(error)})
                 continue
             viewer.mistakes = 0
+            await viewer.inbox.put(message)
+
+    async def _heed_all(self, viewer: Viewer) -> None:
+        while (message := await viewer.inbox.next()) is not None:
             try:
                 await self._heed(viewer, message)
             except InputError as error:
                 await viewer.say({"type": "error", "reason": str(error)})
+            await asyncio.sleep(0)
 
     async def _heed(self, viewer: Viewer, message: Message) -> None:
         kind = message["type"]
@@ -278,37 +302,48 @@ class Server:
         while True:
             await viewer.room.wait()
             began = time.monotonic()
-            key, body = self._frame(viewer.scalar)
-            if key == shown:
+            made = self._frame(viewer.scalar)
+            if made.key == shown:
                 await asyncio.sleep(IDLE)
                 continue
-            shown, sequence, vertices = key, viewer.next_frame(), len(self.show.surface.rest)
-            positions = self.show.overlay()
+            shown, sequence, vertices = made.key, viewer.next_frame(), len(self.show.surface.rest)
+            positions = self.show.overlay(made.time)
             if positions is not None:
                 await viewer.socket.send(frames.headed(frames.OVERLAY, sequence, vertices, frames.overlay(positions)))
-            await viewer.socket.send(frames.headed(frames.STATE, sequence, vertices, body))
+            await viewer.socket.send(frames.headed(frames.STATE, sequence, vertices, made.body))
             await asyncio.sleep(max(0.0, began + FASTEST - time.monotonic()))
 
-    def _frame(self, scalar: str) -> tuple[Any, bytes]:
-        """Return what tells a frame from others, and its body; made once for all who want it within a moment."""
+    def _frame(self, scalar: str) -> _Made:
+        """Return a frame of the newest state; made once for all who want it within a moment."""
         snapshot = self.show.snapshot()
         key = (scalar, snapshot.steps, snapshot.time, snapshot.state, snapshot.tool, snapshot.sequence,
                *snapshot.position)  # fmt: skip
         made = self._made.get(scalar)
-        if made is None or (made[0] != key and time.monotonic() - made[1] > 0.5 * FASTEST):
-            made = key, time.monotonic(), frames.state(self.show.surface, snapshot, scalar)
-            self._made[scalar] = made
-        return made[0], made[2]
+        if made is None or (made.key != key and time.monotonic() - made.at > 0.5 * FASTEST):
+            body = frames.state(self.show.surface, snapshot, scalar)
+            made = self._made[scalar] = _Made(key, time.monotonic(), snapshot.time, body)
+        return made
 
     async def _stream_force(self, viewer: Viewer) -> None:
-        """Send force frames at the rate that the viewer asked for."""
-        sequence, due = 0, time.monotonic()
+        """Send force frames at the rate that the viewer asked for, of a body that stands still only now and then."""
+        sequence, due, steps, sent = 0, time.monotonic(), -1, 0.0
         while True:
             if viewer.rate <= 0.0:
                 await asyncio.sleep(TICK)
                 due = time.monotonic()
                 continue
-            due = max(due + 1 / viewer.rate, time.monotonic())
-            await asyncio.sleep(max(0.0, due - time.monotonic()))
-            sequence += 1
-            await viewer.socket.send(frames.force_frame(self.show.snapshot(), sequence))
+            due = max(due + 1 / viewer.rate, time.monotonic() - CATCHING_UP)
+            await _sleep(due - time.monotonic())
+            snapshot = self.show.snapshot()
+            if snapshot.steps == steps and time.monotonic() - sent < TICK:
+                continue
+            steps, sent, sequence = snapshot.steps, time.monotonic(), sequence + 1
+            await viewer.socket.send(frames.force_frame(snapshot, sequence))
+
+
+async def _sleep(seconds: float) -> None:
+    """Sleep, to a fraction of a millisecond if it is short: asyncio's own sleep is rounded up to whole ones."""
+    if 0.0 < seconds < SHORT:
+        await asyncio.to_thread(time.sleep, seconds)
+    else:
+        await asyncio.sleep(max(0.0, seconds))

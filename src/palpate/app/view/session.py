@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from palpate.app.view.hand import UNTURNED, Held, Outside, forceps, shape, turned
 from palpate.app.view.messages import Message
 from palpate.app.view.recording import Recorder, Recording, save_recording
-from palpate.app.view.snapshot import UNITS, Snapshot
+from palpate.app.view.snapshot import Snapshot, told_scalars, told_training
 from palpate.dynamics.tools import Contact, Forceps, Sphere, Tool
 from palpate.faults import InputError
 from palpate.realtime.engine import Engine
@@ -77,7 +77,7 @@ class Session:
         self.engine = Engine(self._watched, rate, most_speed=MOST_SPEED)
         self.engine._warned = True  # every frame tells the trust number
         self.paused_because: str | None = None
-        self.speed, self.sequence, self.firmness = 1.0, 0, 1.0
+        self.speed, self.firmness = 1.0, 1.0
         self.news: list[dict[str, Any]] = []  # what all who watch are still to be told
         self.folder = Path("out/view")  # of recordings
         self._recorder: Recorder | None = None
@@ -90,10 +90,11 @@ class Session:
         with self._lock:
             row, seen = self._together()
             return Snapshot(
-                row.time, row.steps, row.trust, row.force, row.moment, seen.hand, row.stiffness,
-                self._home + seen.place, turned(self._turn, row.quaternion), row.kinetic, row.strain, row.computing,
-                row.lateness, seen.coordinates, seen.nodes, seen.forces, self.firmness, self.held.kind, row.state,
-                self.sequence,
+                time=row.time, steps=row.steps, force=row.force, moment=row.moment, stiffness=row.stiffness,
+                trust=row.trust, position=self._home + seen.place, quaternion=turned(self._turn, row.quaternion),
+                sequence=row.sequence, kinetic=row.kinetic, strain=row.strain, computing=row.computing,
+                lateness=row.lateness, coordinates=seen.coordinates, state=row.state, hand=seen.hand, nodes=seen.nodes,
+                forces=seen.forces, firmness=self.firmness, tool=self.held.kind,
             )  # fmt: skip
 
     def _together(self) -> tuple[Reading, Seen]:
@@ -105,13 +106,9 @@ class Session:
 
     def hello(self) -> dict[str, Any]:
         """Return what does not change."""
-        errors = self.model.report.get("held_out", {}).get("mean", {})
-        trained = {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
         return {
             "tools": self.tools, "tool": self._described(), "materials": self._materials(), "rate": self.rate,
-            "scalars": [{"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1]}
-                        for name in self.surface.scalars],
-            "trained": trained if errors else None, "overlay": False,
+            "scalars": told_scalars(self.surface), "trained": told_training(self.model), "overlay": False,
         }  # fmt: skip
 
     def _materials(self) -> list[dict[str, Any]]:
@@ -130,7 +127,7 @@ class Session:
             now = self.snapshot()
             return now, self.chosen.described(now.position, now.quaternion, self.held is self.chosen)
 
-    def overlay(self) -> None:
+    def overlay(self, time: float) -> None:
         """Return the full model's positions: a session has none."""
         return None
 
@@ -315,8 +312,8 @@ class Session:
         with self._lock:
             if self.touched and self.held is NOTHING and not self._brought_back(position, quaternion):
                 return
-            self.engine.set_pose(position - self._home, turned(self._turn, quaternion, back=True))
-            self.sequence = message["sequence"]
+            turn = turned(self._turn, quaternion, back=True)
+            self.engine.set_pose(position - self._home, turn, message["sequence"])
 
     def _brought_back(self, position: Floats, quaternion: Floats) -> bool:
         """Put the tool that was last held down again, if it is outside of the body."""
@@ -342,22 +339,21 @@ class Session:
         self.chosen = Held(
             message["kind"], tool, message["radius"], message["length"], message["friction"], message["stiffness"]
         )
-        self._swap(self.chosen, position, turn)
-        self.sequence = message["sequence"]
+        self._swap(self.chosen, position, turn, message["sequence"])
 
     def _moved(self) -> Floats:
         return self.snapshot().displacements(self.surface).astype(float)
 
-    def _swap(self, held: Held, position: Floats, quaternion: Floats) -> None:
+    def _swap(self, held: Held, position: Floats, quaternion: Floats, sequence: int | None = None) -> None:
         """Take another tool in the hand, the body going on from the state in which it is."""
         with self._lock, self._standing():
-            self._equip(held, position, quaternion)
+            self._equip(held, position, quaternion, self.engine.read().sequence if sequence is None else sequence)
 
-    def _equip(self, held: Held, position: Floats, quaternion: Floats) -> None:
+    def _equip(self, held: Held, position: Floats, quaternion: Floats, sequence: int = 0) -> None:
         grasps = isinstance(held.shape, Forceps)  # they turn what they hold by as much as they are turned
         turn = UNTURNED if grasps else quaternion
         retool(self._ready, held.shape, np.concatenate([position, turn]), held.friction)
         self._watched.couple(held.stiffness)
         self._watched.put(self.engine.read().coordinates, np.zeros(3))
-        self.engine.place_tool(np.zeros(3), turn)
+        self.engine.place_tool(np.zeros(3), turn, sequence)
         self.held, self._home, self._turn = held, np.array(position), quaternion if grasps else UNTURNED

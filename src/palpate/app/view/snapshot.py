@@ -3,74 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.realtime.row import Period
+from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.surface import Surface
 
-__all__ = ["STATES", "TOOLS", "UNITS", "Snapshot"]
+__all__ = ["STATES", "TOOLS", "UNITS", "Snapshot", "told_scalars", "told_training"]
 
 Floats = NDArray[np.float64]
 
 STATES = ("stopped", "running", "paused", "ran away")
 UNITS = {"displacement": ("mm", 1e3), "stress": ("kPa", 1e-3), "pressure": ("kPa", 1e-3)}  # of scalars, and factors
 TOOLS = ("none", "sphere", "capsule", "grasp", "group")
+WITHOUT_DENTS = "without the tool's dent"
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """What is known of one period.
+@dataclass(frozen=True, kw_only=True)
+class Snapshot(Period):
+    """A period as it is drawn, told or recorded; the tool's place is that in the body's frame.
 
     Parameters
     ----------
-    time : float [s]
-        Of the body.
-    steps : int
-        Periods.
-    trust : float
-        Above 1 the model was not trained on such states.
-    force, moment : (3,) arrays [N], [N m]
-        Of the body on the tool.
     hand : (3,) array [N]
         Force on the hand: through the virtual coupling, if there is one.
-    stiffness : (3, 3) array [N/m]
-        Of the contact.
-    position, quaternion : (3,) array [m], (4,) array
-        Where the tool is in the body's frame, and how it is turned.
-    kinetic, strain : float [J]
-    computing, lateness : float [s]
-    coordinates : (m,) array
     nodes, forces : (e,) int array, (e, 3) array [N]
         Touched places in the model's skin, and forces on them, for the model's own moduli.
     firmness : float
         Moduli over the model's own.
-    tool, state : str
-        One of `TOOLS` and of `STATES`.
-    sequence : int
-        Number that the client gave to the pose that was last applied.
+    tool : str
+        One of `TOOLS`.
     """
 
-    time: float
-    steps: int
-    trust: float
-    force: Floats
-    moment: Floats
     hand: Floats
-    stiffness: Floats
-    position: Floats
-    quaternion: Floats
-    kinetic: float
-    strain: float
-    computing: float
-    lateness: float
-    coordinates: Floats
     nodes: NDArray[np.int64]
     forces: Floats
     firmness: float
     tool: str
-    state: str
-    sequence: int
 
     def displacements(self, surface: Surface) -> NDArray[np.float32]:
         """Return the displacements (n, 3) [m] of a surface's vertices."""
@@ -80,3 +52,20 @@ class Snapshot:
         """Return a number (n,) for every vertex, displaced by `moved` (n, 3) [m]; see `Surface.scalar`."""
         values = surface.scalar(name, self.coordinates, moved)
         return values if name == "displacement" else np.float32(self.firmness) * values
+
+
+def told_scalars(surface: Surface) -> list[dict[str, Any]]:
+    """Return what the protocol tells of the scalars of a surface; ``"note"`` says what they leave out."""
+    dented = surface.model.parts.dents is not None
+    return [
+        {"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1],
+         "note": WITHOUT_DENTS if dented and name != "displacement" else None}
+        for name in surface.scalars
+    ]  # fmt: skip
+
+
+def told_training(model: ReducedModel) -> dict[str, Any] | None:
+    """Return what the protocol tells of a model's errors on held-out runs; None where there were none."""
+    errors = model.report.get("held_out", {}).get("mean", {})
+    told = {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
+    return told if errors else None

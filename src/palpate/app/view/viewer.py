@@ -8,6 +8,8 @@ from typing import Any
 
 from websockets.asyncio.server import ServerConnection
 
+from palpate.app.view.inbox import Inbox
+
 __all__ = ["IN_FLIGHT", "Viewer"]
 
 IN_FLIGHT = 2  # state frames that are sent and not acknowledged, at most
@@ -23,7 +25,7 @@ class Viewer:
     """
 
     def __init__(self, socket: ServerConnection) -> None:
-        self.socket, self.scalar = socket, "displacement"
+        self.socket, self.scalar, self.inbox = socket, "displacement", Inbox()
         self.sent, self.acknowledged, self.mistakes = 0, 0, 0
         self.welcomed = False  # whether it was told all that it needs to understand more
         self.heard = 0.0  # [s] when it last drove
