@@ -11,10 +11,10 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.app.run.grasp import train
+from palpate.app.run.quick import train
 from palpate.app.run.realtime import FILES
 from palpate.scenes.beam import COARSEST, beam
-from palpate.scenes.grasp import GROUP, Hand, grasp
+from palpate.scenes.grasp import GROUP, Hand, grasped_beam
 
 RUN = ["run", "beam"]
 REALTIME = [*RUN, "--realtime", "--seconds", "0.5", "--rate", "200"]
@@ -24,15 +24,20 @@ REALTIME = [*RUN, "--realtime", "--seconds", "0.5", "--rate", "200"]
 def short():
     """Let training take few short runs."""
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in {"LASTING": 0.04, "EVERY": 0.002, "TRAINING": 2, "HELD_OUT": 1}.items():
-            patch.setattr(f"palpate.app.run.grasp.{name}", value)
+        for name, value in {
+            "grasp.LASTING": 0.04,
+            "grasp.EVERY": 0.002,
+            "quick.TRAINING": 2,
+            "quick.HELD_OUT": 1,
+        }.items():
+            patch.setattr(f"palpate.app.run.{name}", value)
         yield
 
 
 @pytest.fixture(scope="module")
 def grasped(short):
     """A beam whose end a tool holds, reduced."""
-    return train(grasp(), 6)
+    return train(grasped_beam(lasting=0.04, every=0.002), 6)
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,14 @@ from typing import Any
 from palpate.faults import InputError
 from palpate.scenes.grasp import grasped_beam
 from palpate.scenes.liver import pressed_liver
+from palpate.scenes.push import pushed_membrane
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["TRAINING", "training_scene", "typed"]
 
-TRAINING: dict[str, Callable[..., TrainingScene]] = {"beam": grasped_beam, "liver": pressed_liver}
+TRAINING: dict[str, Callable[..., TrainingScene]] = {
+    "beam": grasped_beam, "liver": pressed_liver, "membrane": pushed_membrane,
+}  # fmt: skip
 
 
 def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
-from palpate.app.console import Console, count_nodes
+from palpate.app.console import Console
+from palpate.app.run.quick import trained
 from palpate.app.run.realtime import Poses, run_realtime
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.loads import PrescribedMotion
-from palpate.dynamics.rollout import rollout
-from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import integer_in_range
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.storage import load
-from palpate.reduction.training import reduce
 from palpate.scenes.beam import COARSEST
-from palpate.scenes.grasp import GROUP, Hand, grasp
+from palpate.scenes.grasp import Hand, grasped_beam
+from palpate.scenes.scene import TrainingScene
 
-__all__ = ["run_grasp", "train", "trained"]
+__all__ = ["run_grasp"]
 
 LASTING, EVERY = 0.4, 0.005  # [s] of a training run
-TRAINING, HELD_OUT = 6, 2  # runs
 MOST_MODES = 96
 SEED, SLOW = 1000, 3.0  # of the hand's motion, which was not trained on, [s]
 
@@ -65,35 +60,11 @@ def run_grasp(
     """
     modes = integer_in_range("modes", modes, 1, MOST_MODES)
 
+    def scene() -> TrainingScene:
+        return grasped_beam(spacing, poisson, LASTING, EVERY)
+
     def made(console: Console) -> tuple[ReducedModel, Poses, None]:
-        body = load(model) if model is not None else trained(spacing, poisson, modes, console)
+        body = load(model) if model is not None else trained(scene, modes, console)
         return body, Hand(SEED, SLOW), None
 
     return run_realtime(made, title="Beam in real time", about={"file": model and str(model)}, **options)
-
-
-def trained(spacing: float, poisson: float, modes: int, console: Console) -> ReducedModel:
-    """Return a reduced model of a grasped beam, trained now; say how it does."""
-    start = perf_counter()
-    with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
-        full = grasp(spacing, poisson)
-    console.say(f"training {modes} modes on short runs of {len(full.cloud)} nodes whose end a tool moves ...")
-    body = train(full, modes)
-    error = body.report["held_out"]["mean"]
-    console.say(
-        f"trained in {perf_counter() - start:.3g} s, {count_nodes(body.report['nodes'])} sampled; on motions not "
-        f"trained on displacements err by {error['displacement']:.2%}, reaction forces by {error['reaction']:.2%}"
-    )
-    return body
-
-
-def train(full: FullModel, modes: int) -> ReducedModel:
-    """Train a reduced model of a grasped beam on a few short motions, and try it on others."""
-    trials = [_trial(full, seed) for seed in range(TRAINING + HELD_OUT)]
-    runs = [run for _, run in trials[:TRAINING]]
-    return reduce(full, runs, modes=modes, driven=GROUP, held_out=trials[TRAINING:])
-
-
-def _trial(full: FullModel, seed: int) -> tuple[list[PrescribedMotion], Trajectory]:
-    loads = [Hand(seed, LASTING).load(full.cloud)]
-    return loads, rollout(full, loads, duration=LASTING, every=EVERY)

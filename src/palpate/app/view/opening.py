@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from palpate.app.console import Console
 from palpate.faults import InputError
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.storage import load
-from palpate.scenes.beam import COARSEST
+from palpate.scenes.grasp import grasped_beam
+from palpate.scenes.push import pushed_membrane
+from palpate.scenes.scene import TrainingScene
 
 __all__ = ["opened"]
 
-SCENES = ("liver", "beam")
-MODES = 24  # of the beam
-POISSON = 0.45
+# of scenes that are trained now, at a hand: how they are made, and modes
+HELD: dict[str, tuple[Callable[[], TrainingScene], int]] = {
+    "beam": (grasped_beam, 24),
+    "membrane": (pushed_membrane, 24),
+}
+SCENES = ("liver", *HELD)
 
 
 def opened(what: str, console: Console) -> tuple[ReducedModel, str]:
@@ -24,7 +30,8 @@ def opened(what: str, console: Console) -> tuple[ReducedModel, str]:
     ----------
     what : str
         ``"liver"``: the small model from the user's cache, trained at first use; ``"beam"``: the paper's, held at its
-        end by a hand, trained now; or a file of `palpate train`.
+        end by a hand, and ``"membrane"``: a taut one, held at its middle, both trained now; or a file of
+        `palpate train`.
     console : Console
 
     Raises
@@ -36,10 +43,10 @@ def opened(what: str, console: Console) -> tuple[ReducedModel, str]:
         from palpate.app.run.liver import cached
 
         return cached(console), "Liver"
-    if what == "beam":
-        from palpate.app.run.grasp import trained
+    if what in HELD:
+        from palpate.app.run.quick import trained
 
-        return trained(COARSEST, POISSON, MODES, console), "Beam"
+        return trained(*HELD[what], console), what.capitalize()
     path = Path(what)
     if not path.suffix and not path.exists():
         raise InputError(f"SCENE = {what!r}: allowed are {', '.join(SCENES)}, or a file of `palpate train`")

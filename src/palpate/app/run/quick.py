@@ -1,0 +1,49 @@
+"""A reduced model of a body that a hand holds at a group, trained now, on a few short motions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+from palpate.app.console import Console, count_nodes
+from palpate.dynamics.loads import Load
+from palpate.dynamics.rollout import rollout
+from palpate.dynamics.trajectory import Trajectory
+from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.training import reduce
+from palpate.scenes.scene import TrainingScene
+
+__all__ = ["train", "trained"]
+
+TRAINING, HELD_OUT = 6, 2  # runs
+
+
+def trained(made: Callable[[], TrainingScene], modes: int, console: Console) -> ReducedModel:
+    """Return a reduced model of a scene, trained now; say how it does."""
+    start = perf_counter()
+    with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
+        scene = made()
+    console.say(
+        f"training {modes} modes on short runs of {len(scene.model.cloud)} nodes of which a tool moves some ..."
+    )
+    body = train(scene, modes)
+    error = body.report["held_out"]["mean"]
+    console.say(
+        f"trained in {perf_counter() - start:.3g} s, {count_nodes(body.report['nodes'])} sampled; on motions not "
+        f"trained on displacements err by {error['displacement']:.2%}, reaction forces by {error['reaction']:.2%}"
+    )
+    return body
+
+
+def train(scene: TrainingScene, modes: int) -> ReducedModel:
+    """Train a reduced model of a scene on a few short motions, and try it on others."""
+    trials = [_trial(scene, seed) for seed in range(TRAINING + HELD_OUT)]
+    runs = [run for _, run in trials[:TRAINING]]
+    return reduce(
+        scene.model, runs, modes=modes, driven=scene.tools, held_out=trials[TRAINING:], cubature=scene.cubature
+    )
+
+
+def _trial(scene: TrainingScene, seed: int) -> tuple[list[Load], Trajectory]:
+    loads, lasting = scene.path(seed)
+    return list(loads), rollout(scene.model, list(loads), duration=lasting, every=scene.every)

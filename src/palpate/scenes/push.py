@@ -1,0 +1,65 @@
+"""A taut membrane with a tool that holds its middle, and random motions of the hand that pushes it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.loads import Load, PrescribedMotion
+from palpate.dynamics.membrane import Membrane
+from palpate.faults import number_in_range
+from palpate.meshfree.sheets import disc
+from palpate.scenes.membrane import FINEST, RADIUS, THICKNESS
+from palpate.scenes.scene import TrainingScene
+from palpate.tissue.materials import NeoHookean
+
+__all__ = ["GROUP", "pushed_membrane"]
+
+Floats = NDArray[np.float64]
+
+GROUP = "tool"  # that the hand holds
+COARSEST, HELD, PRESTRETCH = 0.01, 0.02, 1.05  # [m], [m] radius of what the hand holds, of the sheet before it is held
+ASIDE, DEPTH = 0.004, 0.02  # [m] of one swing, in the sheet's plane and across it, at most
+SWINGS = 3  # that a motion is made of
+
+
+def pushed_membrane(
+    spacing: float = COARSEST, prestretch: float = PRESTRETCH, lasting: float = 0.4, every: float = 0.005
+) -> TrainingScene:
+    """Return the paper's membrane, taut, whose middle a tool pushes along random smooth paths, out and back.
+
+    Parameters
+    ----------
+    spacing : float [m]
+        Distance between nodes, from 1 mm to 10 mm.
+    prestretch : float
+        From 1.01 to 1.5: a slack sheet wrinkles, and few modes do not follow it.
+    lasting : float [s]
+        Of a path, at most 10.
+    every : float [s]
+        Time between snapshots.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, by its name.
+    """
+    spacing = number_in_range("spacing", spacing, FINEST, COARSEST, unit="m")
+    prestretch = number_in_range("prestretch", prestretch, 1.01, 1.5)
+    lasting = number_in_range("lasting", lasting, 0.0, 10.0, open_low=True, unit="s")
+    every = number_in_range("every", every, 0.0, lasting, open_low=True, unit="s")
+    cloud = disc(RADIUS, spacing).within(GROUP, (0.0, 0.0), HELD)
+    material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
+    model = Membrane(cloud, material, THICKNESS, "rim", prestretch=prestretch)
+
+    def path(seed: int) -> tuple[tuple[Load, ...], float]:
+        sizes = np.random.default_rng(seed).uniform(-1.0, 1.0, size=(SWINGS, 3)) * (ASIDE, ASIDE, DEPTH)
+
+        def moved(points: Floats, time: float) -> Floats:
+            shares = np.sin(np.pi * np.arange(1, SWINGS + 1) * time / lasting) ** 2
+            return np.asarray(shares @ sizes)
+
+        return (PrescribedMotion(GROUP, moved),), lasting
+
+    parameters = {"spacing": spacing, "prestretch": prestretch, "lasting": lasting, "every": every}
+    return TrainingScene(model, path, every, "Membrane pushed at its middle", parameters, (GROUP,))
