@@ -122,7 +122,7 @@ def _view(options: dict[str, Any]) -> int:
 
 
 def _replay(options: dict[str, Any]) -> int:
-    from palpate.app.view.command import replay
+    from palpate.app.view.replay_command import replay
 
     return replay(options.pop("file"), **options)
 
@@ -361,7 +361,9 @@ def _add_bench(commands: Any) -> None:
     )
     bench.add_argument("what", nargs="?", choices=["models", "page"], default="models", help="what is measured")
     bench.add_argument("--model", default="liver", metavar="SCENE", help="page: a scene, or a file of palpate train")
-    bench.add_argument("--vertices", type=int, default=10_000, metavar="N", help="page: drawn, at least")
+    bench.add_argument(
+        "--vertices", type=int, default=10_000, metavar="N", help="page: drawn, or all of the surface's own"
+    )
     bench.add_argument("--seconds", type=float, default=10.0, metavar="S", help="page: of pressing")
     bench.add_argument("--fine", action="store_true", help="models: measure the beam at 2.5 mm, too (some ten minutes)")
     bench.add_argument("--repeats", type=int, default=3, metavar="K", help="models: rounds of the long runs")

@@ -120,12 +120,11 @@ def test_the_full_model_feels_nearly_the_same(recorded, capsys):
     assert main(["replay", str(path), "--full"]) == 0  # by the scene that the file names
     assert "largest force over the full model's" in capsys.readouterr().out
     replay = Replay(load_recording(path))
-    replay.pause()
     assert replay.hello()["overlay"] is True
-    assert replay.overlay().shape == replay.surface.rest.shape
+    np.testing.assert_array_equal(replay.overlay(full["times"][deepest]), full["positions"][deepest])
 
 
-def test_pictures_and_films(recorded, tmp_path, assert_drawn, assert_refused, monkeypatch, capsys):
+def test_pictures_and_films(recorded, tmp_path, assert_drawn, monkeypatch):
     import imageio.v3 as imageio
 
     path, _, _ = recorded
@@ -136,8 +135,23 @@ def test_pictures_and_films(recorded, tmp_path, assert_drawn, assert_refused, mo
     frames = imageio.imread(film, index=None)
     assert 3 <= len(frames) <= 6  # those that are alike are one
     assert np.abs(frames[0].astype(float) - frames[len(frames) // 2]).max() > 50  # something moves
+
+
+def test_a_film_as_mp4(recorded, tmp_path, monkeypatch):
+    import imageio.v3 as imageio
+
+    pytest.importorskip("imageio_ffmpeg", reason="pip install 'palpate[film]'")
+    path, film = recorded[0], tmp_path / "press.mp4"
+    monkeypatch.setattr("palpate.app.view.film.RATE", 6.5 / float(load_recording(path).times[-1]))
+    assert main(["replay", str(path), "--movie", str(film)]) == 0
+    frames = imageio.imread(film, index=None)
+    assert len(frames) >= 6
+    assert np.abs(frames[0].astype(float) - frames[len(frames) // 2]).max() > 50
+
+
+def test_films_that_cannot_be_made_are_refused(recorded, tmp_path, assert_refused, monkeypatch):
+    path = recorded[0]
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    capsys.readouterr()
     assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.mp4")], "palpate[film]", ".gif")
     assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.avi")], ".gif", ".mp4")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import secrets
 import threading
 from collections.abc import Iterator
 from math import pi, sin
@@ -40,7 +39,7 @@ def bench_page(
     model : str
         As for `palpate.app.view.opening.opened`.
     vertices : int
-        The surface is drawn with at least so many, from 100 to 10^6: its triangles are divided.
+        The surface is drawn with so many, from 100 to 10^6: its triangles are divided. One that has more stays.
     seconds : float [s]
         Of pressing, up to 600.
     out : path
@@ -101,18 +100,13 @@ def _show(model: str, vertices: int, console: Console) -> FinelyDrawn:
 @contextlib.contextmanager
 def _served(show: Any) -> Iterator[str]:
     """Serve a show beside this thread; yields the page's address."""
-    from palpate.app.view.address import LOOPBACK, hosts, listening
-    from palpate.app.view.command import PORT
-    from palpate.app.view.page import Page
-    from palpate.app.view.server import Server
+    from palpate.app.view.stand import Stand
 
-    listener, token, ready = listening(LOOPBACK, PORT), secrets.token_urlsafe(24), threading.Event()
-    names = hosts(LOOPBACK, listener.getsockname()[1])
-    page = Page(names)
-    if not page.built:
-        raise InputError(f"{page.folder} holds no page; install palpate again: its build bundles the page")
+    stand, ready = Stand(show), threading.Event()
+    if not stand.page.built:
+        raise InputError(f"{stand.page.folder} holds no page; install palpate again: its build bundles the page")
     loop = asyncio.new_event_loop()
-    task = loop.create_task(Server(show, page, token).run(listener, ready.set))
+    task = loop.create_task(stand.run(ready.set))
 
     def run() -> None:
         with contextlib.suppress(asyncio.CancelledError):
@@ -123,7 +117,7 @@ def _served(show: Any) -> Iterator[str]:
     thread.start()
     try:
         ready.wait()
-        yield f"http://{names[0]}/#{token}"
+        yield stand.address
     finally:
         loop.call_soon_threadsafe(task.cancel)
         thread.join()

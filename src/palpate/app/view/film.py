@@ -19,9 +19,10 @@ from palpate.app.view.snapshot import UNITS, Snapshot
 from palpate.faults import InputError
 from palpate.reduction.surface import Surface
 
-__all__ = ["FILMS", "check_film", "write_film", "write_picture"]
+__all__ = ["FILMS", "Draw", "check_film", "drawn", "write_film", "write_picture"]
 
 Floats = NDArray[np.float64]
+Draw = Callable[[int], Any]
 
 FILMS = (".gif", ".mp4")
 RATE = 25  # frames a second
@@ -48,20 +49,17 @@ def check_film(path: Path) -> None:
         )
 
 
-def write_picture(path: Path, recording: Recording, scalar: str = "displacement") -> None:
+def write_picture(path: Path, recording: Recording, draw: Draw) -> None:
     """Draw the moment of the largest force on the tool, with the full model's surface as a net where it was run."""
     import imageio.v3 as imageio
 
     forces = [float(np.linalg.norm(moment.force)) for moment in recording.moments]
-    with _drawn(recording, scalar) as draw, whole_file(path) as partial:
+    with whole_file(path) as partial:
         imageio.imwrite(partial, draw(int(np.argmax(forces))))
 
 
 def write_film(
-    path: Path,
-    recording: Recording,
-    scalar: str = "displacement",
-    progress: Callable[[float, float], None] | None = None,
+    path: Path, recording: Recording, draw: Draw, progress: Callable[[float, float], None] | None = None
 ) -> None:
     """Draw a whole recording, as fast as it was."""
     import imageio
@@ -69,12 +67,10 @@ def write_film(
     maker: Any = imageio
     check_film(path)
     count = max(1, int(recording.times[-1] * RATE))
-    options: dict[str, Any] = {"fps": RATE} if path.suffix.lower() == ".mp4" else {"duration": 1000 / RATE, "loop": 0}
-    with (
-        _drawn(recording, scalar) as draw,
-        whole_file(path) as partial,
-        maker.get_writer(partial, **options) as writer,
-    ):
+    options: dict[str, Any] = {"duration": 1000 / RATE, "loop": 0}
+    if path.suffix.lower() == ".mp4":
+        options = {"fps": RATE, "macro_block_size": 4}  # pictures whose sides are multiples of it stay as they are
+    with whole_file(path) as partial, maker.get_writer(partial, **options) as writer:
         for k in range(count):
             at = k / RATE
             writer.append_data(draw(int(np.searchsorted(recording.times, at, side="right")) - 1))
@@ -82,8 +78,22 @@ def write_film(
                 progress(at, at)
 
 
-class _drawn:
-    """A plotter with the body in it, and a function that draws a moment as pixels (h, w, 3)."""
+class drawn:
+    """A plotter with the body in it; yields a function that draws a moment as pixels (h, w, 3).
+
+    Parameters
+    ----------
+    recording : Recording
+    scalar : str
+        What colours tell.
+
+    Raises
+    ------
+    InputError
+        The body has no such scalar.
+    DrawingError
+        This machine cannot draw.
+    """
 
     def __init__(self, recording: Recording, scalar: str) -> None:
         check_drawing()
