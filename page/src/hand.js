@@ -12,6 +12,7 @@ export class Hand {
     const listen = (name, answer) => canvas.addEventListener(name, answer.bind(this), { passive: false });
     listen("pointerdown", this.down);
     listen("pointermove", this.move);
+    listen("pointerrawupdate", this.hurry); // before the next picture; where the page is served from this machine
     listen("pointerup", this.up);
     listen("pointercancel", this.up);
     listen("pointerleave", () => this.point(null));
@@ -40,6 +41,11 @@ export class Hand {
     if (this.press) this.press.drag(dx, dy, event.timeStamp);
     else if (this.turning === "turn") this.stage.orbit.turn(dx, dy);
     else if (this.turning === "pan") this.stage.orbit.pan(dx, dy, this.stage.height);
+  }
+
+  /** A press follows the pointer at once; the event of the next picture then finds nothing new. */
+  hurry(event) {
+    if (this.press && this.pointers.size === 1) this.move(event);
   }
 
   up(event) {

@@ -19,7 +19,8 @@ function material(colour, opacity = 1, more = {}) {
 
 /** A sphere, a capsule or forceps of given sizes; its frame is the tool's own. */
 export class ToolMark {
-  constructor(opacity) {
+  constructor(opacity, fine) {
+    this.parts = fine ? 2 : 1; // of a step of an arc
     this.group = new three.Group();
     this.group.visible = false;
     this.material = material("#e9ecee", opacity, { depthWrite: opacity === 1 });
@@ -33,9 +34,9 @@ export class ToolMark {
     this.key = key;
     this.group.traverse((part) => part.geometry?.dispose());
     this.group.clear();
-    if (kind === "sphere") this.group.add(this.part(new three.SphereGeometry(radius, 48, 32)));
+    if (kind === "sphere") this.group.add(this.part(new three.SphereGeometry(radius, 24 * this.parts, 16 * this.parts)));
     else if (kind === "capsule") {
-      this.group.add(this.part(new three.CapsuleGeometry(radius, length, 16, 40).rotateX(Math.PI / 2)));
+      this.group.add(this.part(new three.CapsuleGeometry(radius, length, 8 * this.parts, 20 * this.parts).rotateX(Math.PI / 2)));
     } else for (const side of [1, -1]) this.group.add(this.jaw(side, 0.02 * size));
   }
 
@@ -46,7 +47,7 @@ export class ToolMark {
   jaw(side, unit) {
     const along = [[0.14, 0], [0.62, 0.7], [0.85, 2], [0.62, 4.5], [0.36, 8.5]];
     const curve = new three.CatmullRomCurve3(along.map(([x, z]) => new three.Vector3(side * x * unit, 0, z * unit)));
-    return this.part(new three.TubeGeometry(curve, 40, 0.25 * unit, 16).scale(1, 1.3, 1));
+    return this.part(new three.TubeGeometry(curve, 20 * this.parts, 0.25 * unit, 8 * this.parts).scale(1, 1.3, 1));
   }
 
   at(position, quaternion) {

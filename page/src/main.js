@@ -17,6 +17,7 @@ const meter = new Meter();
 const legend = new Legend(byId);
 const FRICTION = 0.2;
 const COUPLING = 300; // [N/m] between hand and tool: calm, and soft enough that little is lost of the force
+const READ = 60; // [ms] at least between two readings
 const SPOKEN = 1500; // [ms] at least between two readings aloud
 
 const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, tool: null, sizes: {} };
@@ -254,6 +255,7 @@ function picture(now, seconds) {
     showTool(session.state);
   }
   if (stage.draw(seconds)) showScale(byId, stage.metresPerPixel());
+  read(now);
   if (fresh) {
     meter.drawn(state);
     send({ type: "ack", sequence: state.sequence });
@@ -267,10 +269,17 @@ function take(state, now, seconds) {
   stage.organ.update(state);
   stage.organ.colour(session.scalar === "none" ? null : legend.range(state, seconds));
   stage.dirty = true;
-  panel.state(state);
   if (state.state === "running") plots.add(now, state);
   transport.time(state.time);
   speak(state, now);
+}
+
+/** Tell the numbers, not more often than they can be read. */
+let told = { at: 0, state: null };
+function read(now) {
+  if (!session.state || told.state === session.state || now - told.at < READ) return;
+  told = { at: now, state: session.state };
+  panel.state(session.state);
 }
 
 let spoken = 0;

@@ -45,12 +45,13 @@ export class Legend {
     return [low / factor, high / factor];
   }
 
-  show(low, high, { name, unit }) {
+  show(low, high, { name, unit, note }) {
     const key = [low, high, name].join();
     if (key === this.shown) return;
     this.shown = key;
     const write = (id, text) => (this.byId(id).textContent = text);
     write("legend-name", `${name[0].toUpperCase()}${name.slice(1)}, ${unit}`);
+    write("legend-note", note ?? "");
     write("legend-low", Number(low.toPrecision(3)).toString().replace("-", "−"));
     write("legend-high", Number(high.toPrecision(3)).toString());
     this.byId("legend-bar").style.background = gradient([low, high], TISSUE);

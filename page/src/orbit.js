@@ -3,6 +3,7 @@ import * as three from "three";
 
 const GLIDE = 0.09; // [s] in which it gets most of the way
 const HIGHEST = 1.5; // [rad]
+const SMALL = 450; // [px]
 
 export class Orbit {
   constructor(fov = 28) {
@@ -12,6 +13,7 @@ export class Orbit {
     this.goal = clone(this.home);
     this.now = clone(this.home);
     this.radius = 1;
+    this.room = 0.9;
     this.still = new URLSearchParams(location.search).has("still") || matchMedia("(prefers-reduced-motion)").matches;
   }
 
@@ -26,10 +28,11 @@ export class Orbit {
 
   fit() {
     const half = Math.tan(three.MathUtils.degToRad(this.camera.fov / 2)) * Math.min(1, this.camera.aspect);
-    this.home.distance = (0.9 * this.radius) / Math.sin(Math.atan(half));
+    this.home.distance = (this.room * this.radius) / Math.sin(Math.atan(half));
   }
 
-  resize(aspect) {
+  resize(aspect, height) {
+    this.room = height < SMALL ? 1.06 : 0.9; // of the radius, around which there is space for what is written
     const share = this.goal.distance / this.home.distance;
     this.camera.aspect = aspect;
     this.fit();

@@ -7,6 +7,7 @@ const FAN = 12; // triangles around a vertex that count for its normal
 const ENOUGH = 60_000; // triangles that are drawn, to which a coarse surface is refined
 const ENOUGH_IN_SOFTWARE = 16_000;
 const FINEST = 5; // parts of an edge
+const LOOKING_AWAY = 0.35; // cosine beyond which nothing of a curved patch is seen
 
 export const TISSUE = [0.43, 0.15, 0.12]; // sRGB
 
@@ -15,7 +16,7 @@ const linear = (parts) => new three.Vector3(...parts.map((part) => part ** 2.2))
 export class Organ {
   constructor(renderer, geometry, { fine }) {
     this.renderer = renderer;
-    this.triangles = geometry.triangles;
+    this.triangles = near(geometry);
     this.count = geometry.positions.length / 3;
     this.rows = Math.ceil(this.count / WIDTH);
     const size = 3 * WIDTH * this.rows;
@@ -31,6 +32,7 @@ export class Organ {
     this.mesh = this.makeMesh();
     if (this.smooth) this.makeNormals();
     if (this.parts > 1) this.refine();
+    if (!fine && this.material.side === three.FrontSide) this.leaveOut();
     this.refresh();
   }
 
@@ -54,13 +56,16 @@ export class Organ {
   }
 
   makeMaterial(fine) {
-    const defines = { WIDTH, ...(this.smooth && { SMOOTH: 1 }), ...(fine && { FINE: 1 }), ...(this.parts > 1 && { REFINED: 1 }) };
+    const double = !closed(this.triangles);
+    const lit = this.smooth && !fine; // a sharp edge between triangles that are not refined is too short to matter
+    const asked = { SMOOTH: this.smooth, FINE: fine, REFINED: this.parts > 1, LIT: lit, TWO_FACED: double };
+    const defines = { WIDTH, ...Object.fromEntries(Object.entries(asked).filter(([, on]) => on)) };
     return new three.ShaderMaterial({
       glslVersion: three.GLSL3,
       vertexShader: organShader.vertex,
       fragmentShader: organShader.fragment,
       defines,
-      side: closed(this.triangles) ? three.FrontSide : three.DoubleSide,
+      side: double ? three.DoubleSide : three.FrontSide,
       uniforms: {
         ...Object.fromEntries(["normals", "positions", "rests", "scalars"].map((name) => [name, { value: null }])),
         tissue: { value: linear(TISSUE) },
@@ -79,6 +84,13 @@ export class Organ {
     return made;
   }
 
+  /** A texture of three numbers a vertex, in the order in which they came. */
+  makeVectors(array) {
+    const made = this.makeTexture(array, WIDTH, three.RGBFormat);
+    made.internalFormat = "RGB32F";
+    return made;
+  }
+
   /** Draw curved patches instead of triangles: an instance each, whose corners the shader looks up. */
   refine() {
     const shape = new three.InstancedBufferGeometry();
@@ -91,13 +103,52 @@ export class Organ {
     rest.set(this.rest);
     const { positions, rests, scalars } = this.material.uniforms;
     positions.value = this.texture;
-    rests.value = this.makeTexture(rest, 3 * WIDTH);
+    rests.value = this.makeVectors(rest);
     this.values = scalars.value = this.makeTexture(this.scalar.array, WIDTH);
     this.mesh.geometry = shape;
   }
 
+  /** Draw only what faces the eye: in software each triangle costs, whether it is seen or not. */
+  leaveOut() {
+    if (this.parts > 1) this.facing = this.mesh.geometry.getAttribute("corners");
+    else {
+      this.mesh.geometry = new three.BufferGeometry(); // the shadow is made of all triangles
+      for (const name of ["position", "scalar", "rest"]) this.mesh.geometry.setAttribute(name, this.shape.getAttribute(name));
+      this.facing = new three.BufferAttribute(new Uint32Array(this.triangles), 1);
+      this.mesh.geometry.setIndex(this.facing);
+    }
+    this.facing.setUsage(three.DynamicDrawUsage);
+  }
+
+  /** Take note of where the eye is before a picture. */
+  seenFrom({ x, y, z }) {
+    if (!this.facing) return;
+    const { positions: p, triangles } = this;
+    const { array } = this.facing;
+    const slack = this.parts > 1 ? LOOKING_AWAY ** 2 : 0;
+    let count = 0;
+    for (let k = 0; k < triangles.length; k += 3) {
+      const [i, j, l] = [3 * triangles[k], 3 * triangles[k + 1], 3 * triangles[k + 2]];
+      const ux = p[j] - p[i], uy = p[j + 1] - p[i + 1], uz = p[j + 2] - p[i + 2];
+      const vx = p[l] - p[i], vy = p[l + 1] - p[i + 1], vz = p[l + 2] - p[i + 2];
+      const nx = uy * vz - uz * vy, ny = uz * vx - ux * vz, nz = ux * vy - uy * vx;
+      const ex = x - p[i], ey = y - p[i + 1], ez = z - p[i + 2];
+      const towards = nx * ex + ny * ey + nz * ez;
+      const away = slack && towards ** 2 > slack * (nx * nx + ny * ny + nz * nz) * (ex * ex + ey * ey + ez * ez);
+      if (towards < 0 && (away || !slack)) continue;
+      array[count++] = triangles[k];
+      array[count++] = triangles[k + 1];
+      array[count++] = triangles[k + 2];
+    }
+    this.facing.clearUpdateRanges();
+    this.facing.addUpdateRange(0, count);
+    this.facing.needsUpdate = true;
+    if (this.parts > 1) this.mesh.geometry.instanceCount = count / 3;
+    else this.mesh.geometry.setDrawRange(0, count);
+  }
+
   makeNormals() {
-    this.texture = this.makeTexture(this.memory, 3 * WIDTH);
+    this.texture = this.makeVectors(this.memory);
     this.target = new three.WebGLRenderTarget(WIDTH, this.rows, {
       type: three.HalfFloatType,
       minFilter: three.NearestFilter,
@@ -170,6 +221,27 @@ export class Organ {
     const own = [this.mesh.geometry, this.shape, this.material, this.target, this.texture, rests.value, scalars.value];
     for (const each of own) each?.dispose();
   }
+}
+
+/** Triangles ordered along a curve through space, so that those which follow each other share vertices. */
+function near({ positions, triangles }) {
+  const box = new three.Box3().setFromArray(positions);
+  const size = Math.max(...box.getSize(new three.Vector3()).toArray(), 1e-30);
+  const keys = new Float64Array(triangles.length / 3);
+  const low = box.min.toArray();
+  keys.forEach((_, k) => {
+    let key = 0;
+    const cell = low.map((start, j) => {
+      const middle = [0, 1, 2].reduce((sum, c) => sum + positions[3 * triangles[3 * k + c] + j], 0) / 3;
+      return Math.floor((1023 * (middle - start)) / size);
+    });
+    for (let bit = 9; bit >= 0; bit--) for (const part of cell) key = 2 * key + ((part >> bit) & 1);
+    keys[k] = key;
+  });
+  const order = Uint32Array.from(keys.keys()).sort((a, b) => keys[a] - keys[b]);
+  const result = new Uint32Array(triangles.length);
+  order.forEach((from, to) => result.set(triangles.subarray(3 * from, 3 * from + 3), 3 * to));
+  return result;
 }
 
 /** A triangle in so many parts along each edge: places (u, v, 0) and the triangles between them. */

@@ -7,11 +7,7 @@ export const normals = {
     precision highp float; precision highp usampler2D;
     uniform sampler2D positions; uniform usampler2D fans;
     out vec4 result;
-    vec3 at(uint vertex) {
-      ivec2 place = ivec2(3 * (int(vertex) % WIDTH), int(vertex) / WIDTH);
-      return vec3(texelFetch(positions, place, 0).r, texelFetch(positions, place + ivec2(1, 0), 0).r,
-                  texelFetch(positions, place + ivec2(2, 0), 0).r);
-    }
+    vec3 at(uint vertex) { return texelFetch(positions, ivec2(int(vertex) % WIDTH, int(vertex) / WIDTH), 0).rgb; }
     void main() {
       ivec2 pixel = ivec2(gl_FragCoord.xy);
       vec3 here = at(uint(pixel.y * WIDTH + pixel.x)), sum = vec3(0.0);
@@ -32,20 +28,54 @@ const LIGHTS = `
   vec3 srgb(vec3 c) { return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
   vec3 linear(vec3 c) { return pow(max(c, 0.0), vec3(2.2)); }`;
 
+/** Colour of the surface, as it is seen, of a normal and a place in the eye's frame and of the scalar there. */
+const SHADE = `
+  uniform vec3 tissue; uniform vec2 range; uniform float shown; uniform mat4 viewMatrixOf;
+  ${LIGHTS} ${VIRIDIS} ${COVER}
+  vec3 shade(vec3 n, vec3 eye, float value, float mottled, float wet) {
+    vec3 view = normalize(-eye), albedo = mottled * tissue;
+    float t = clamp((value - range.x) / max(range.y - range.x, 1e-30), 0.0, 1.0);
+    float covered = shown * cover(value, range);
+    albedo = mix(albedo, linear(viridis(t)), covered);
+    // light goes some way through tissue: red farther than the rest
+    vec3 wrap = mix(vec3(0.52, 0.24, 0.20), vec3(0.35), covered);
+    vec3 key = pow(max((dot(n, KEY) + wrap) / (1.0 + wrap), 0.0), vec3(1.3));
+    vec3 fill = max((dot(n, FILL) + wrap) / (1.0 + wrap), 0.0);
+    float sky = 0.5 + 0.5 * dot(n, viewMatrixOf[2].xyz);
+    vec3 light = 1.75 * key * vec3(1.0, 0.97, 0.93) + 0.38 * fill * vec3(0.88, 0.94, 1.0)
+               + mix(vec3(0.20, 0.17, 0.16), vec3(0.40, 0.42, 0.46), sky);
+    light = mix(light, 0.42 + 0.36 * light, covered); // a colour is to be read off the legend
+    float edge = pow(1.0 - clamp(dot(n, view), 0.0, 1.0), 4.0);
+    float gloss = wet * (1.0 - 0.7 * covered);
+    vec3 half1 = normalize(KEY + view);
+    float shine = 0.24 * pow(max(dot(n, half1), 0.0), 90.0);
+    #ifdef FINE
+      shine += 0.035 * pow(max(dot(n, half1), 0.0), 16.0);
+      shine += 0.03 * pow(max(dot(n, normalize(FILL + view)), 0.0), 26.0);
+    #endif
+    vec3 colour = albedo * light + gloss * shine
+                + edge * (1.0 - 0.6 * covered) * (0.07 * vec3(1.0, 0.84, 0.80) + 0.6 * albedo) * (0.3 + 0.7 * sky);
+    return srgb(clamp(colour, 0.0, 1.0));
+  }
+  /** The mean of the triangles around, but the triangle itself where the surface has a sharp edge. */
+  vec3 creased(vec3 mean, vec3 facet) { return normalize(mix(facet, mean, smoothstep(0.35, 0.7, dot(mean, facet)))); }`;
+
+/** The body. With LIT, for machines that draw in software, its colours are found at the vertices, not at the pixels. */
 export const organ = {
   vertex: `
     uniform sampler2D normals;
-    out vec3 eye, smoothed, place; out float value;
+    #ifdef LIT
+      ${SHADE}
+      out vec3 colour;
+    #else
+      out vec3 eye, smoothed, place; out float value;
+    #endif
     vec3 normalOf(int k) { return texelFetch(normals, ivec2(k % WIDTH, k / WIDTH), 0).xyz; }
     #ifdef REFINED
       // a cubic patch over each triangle that has the normals at its corners (Vlachos et al. 2001); position: u, v
       uniform sampler2D positions, rests, scalars;
       in vec3 corners;
-      vec3 three(sampler2D numbers, int k) {
-        ivec2 at = ivec2(3 * (k % WIDTH), k / WIDTH);
-        return vec3(texelFetch(numbers, at, 0).r, texelFetch(numbers, at + ivec2(1, 0), 0).r,
-                    texelFetch(numbers, at + ivec2(2, 0), 0).r);
-      }
+      vec3 three(sampler2D numbers, int k) { return texelFetch(numbers, ivec2(k % WIDTH, k / WIDTH), 0).rgb; }
       vec3 bent(vec3 p, vec3 n, vec3 to) { // a third of the way along an edge, in the tangent plane if it is no crease
         vec3 along = to - p;
         float rise = dot(along, n);
@@ -67,86 +97,83 @@ export const organ = {
         ivec3 k = ivec3(corners + 0.5);
         vec3 w = vec3(1.0 - position.x - position.y, position.xy);
         vec3 na = normalOf(k.x), nb = normalOf(k.y), nc = normalOf(k.z);
-        vec3 here = patched(w, three(positions, k.x), three(positions, k.y), three(positions, k.z), na, nb, nc);
-        vec3 mean = w.x * na + w.y * nb + w.z * nc;
-        place = w.x * three(rests, k.x) + w.y * three(rests, k.y) + w.z * three(rests, k.z);
-        value = 0.0;
-        for (int j = 0; j < 3; j++) value += w[j] * texelFetch(scalars, ivec2(k[j] % WIDTH, k[j] / WIDTH), 0).r;
+        vec3 a = three(positions, k.x), b = three(positions, k.y), c = three(positions, k.z);
+        vec3 here = patched(w, a, b, c, na, nb, nc);
+        float number = 0.0;
+        for (int j = 0; j < 3; j++) number += w[j] * texelFetch(scalars, ivec2(k[j] % WIDTH, k[j] / WIDTH), 0).r;
+        #ifdef LIT
+          vec3 facet = normalize(cross(b - a, c - a));
+          vec3 mean = w.x * creased(na, facet) + w.y * creased(nb, facet) + w.z * creased(nc, facet);
+        #else
+          vec3 mean = w.x * na + w.y * nb + w.z * nc;
+          place = w.x * three(rests, k.x) + w.y * three(rests, k.y) + w.z * three(rests, k.z);
+        #endif
       #else
         vec3 here = position;
-        place = rest; value = scalar;
+        float number = scalar;
         #ifdef SMOOTH
           vec3 mean = normalOf(gl_VertexID);
         #else
           vec3 mean = vec3(0.0);
         #endif
+        #ifndef LIT
+          place = rest;
+        #endif
       #endif
       vec4 seen = modelViewMatrix * vec4(here, 1.0);
-      eye = seen.xyz;
-      smoothed = normalMatrix * mean;
+      #ifdef LIT
+        vec3 n = normalize(normalMatrix * mean);
+        #ifdef TWO_FACED
+          n *= dot(n, seen.xyz) > 0.0 ? -1.0 : 1.0;
+        #endif
+        colour = shade(n, seen.xyz, number, 1.0, 1.0);
+      #else
+        eye = seen.xyz; value = number;
+        smoothed = normalMatrix * mean;
+      #endif
       gl_Position = projectionMatrix * seen;
     }`,
   fragment: `
     precision highp float;
-    uniform vec3 tissue; uniform vec2 range; uniform float shown, size, veil; uniform mat4 viewMatrixOf;
-    in vec3 eye, smoothed, place; in float value;
+    uniform float veil;
     out vec4 result;
-    ${LIGHTS} ${VIRIDIS} ${COVER}
-    float hash(vec3 p) { p = fract(p * 0.3183099 + 0.1); p *= 17.0; return fract(p.x * p.y * p.z * (p.x + p.y + p.z)); }
-    float noise(vec3 x) {
-      vec3 i = floor(x), f = fract(x); f = f * f * (3.0 - 2.0 * f);
-      vec2 e = vec2(0.0, 1.0);
-      return mix(mix(mix(hash(i), hash(i + e.yxx), f.x), mix(hash(i + e.xyx), hash(i + e.yyx), f.x), f.y),
-                 mix(mix(hash(i + e.xxy), hash(i + e.yxy), f.x), mix(hash(i + e.xyy), hash(i + 1.0), f.x), f.y), f.z);
-    }
-    /** A normal on a surface of a height, by what both change from pixel to pixel (Mikkelsen 2010). */
-    vec3 uneven(vec3 n, float height) {
-      vec3 x = dFdx(eye), y = dFdy(eye), across = cross(y, n), along = cross(n, x);
-      float area = dot(x, across);
-      return normalize(abs(area) * n - sign(area) * (dFdx(height) * across + dFdy(height) * along));
-    }
-    void main() {
-      vec3 facet = normalize(cross(dFdx(eye), dFdy(eye)));
-      vec3 n = facet;
-      #ifdef SMOOTH
-        // the mean of the triangles around, but the triangle itself where the surface has a sharp edge
-        vec3 mean = normalize(smoothed);
-        mean *= dot(mean, facet) < 0.0 ? -1.0 : 1.0;
-        n = normalize(mix(facet, mean, smoothstep(0.35, 0.7, dot(mean, facet))));
-      #endif
-      vec3 view = normalize(-eye);
-      vec3 albedo = tissue;
-      float wet = 1.0;
-      #ifdef FINE
-        vec3 at = place / size;
-        float mottled = 0.6 * noise(9.0 * at) + 0.4 * noise(31.0 * at);
-        albedo *= 0.84 + 0.32 * mottled;
-        wet = 0.6 + 0.7 * noise(14.0 * at + 7.0);
-        n = uneven(n, size * (0.0011 * noise(38.0 * at) + 0.0028 * noise(16.0 * at)));
-      #endif
-      float t = clamp((value - range.x) / max(range.y - range.x, 1e-30), 0.0, 1.0);
-      float covered = shown * cover(value, range);
-      albedo = mix(albedo, linear(viridis(t)), covered);
-      // light goes some way through tissue: red farther than the rest
-      vec3 wrap = mix(vec3(0.52, 0.24, 0.20), vec3(0.35), covered);
-      vec3 key = pow(max((dot(n, KEY) + wrap) / (1.0 + wrap), 0.0), vec3(1.3));
-      vec3 fill = max((dot(n, FILL) + wrap) / (1.0 + wrap), 0.0);
-      float sky = 0.5 + 0.5 * dot(n, viewMatrixOf[2].xyz);
-      vec3 light = 1.75 * key * vec3(1.0, 0.97, 0.93) + 0.38 * fill * vec3(0.88, 0.94, 1.0)
-                 + mix(vec3(0.20, 0.17, 0.16), vec3(0.40, 0.42, 0.46), sky);
-      light = mix(light, 0.42 + 0.36 * light, covered); // a colour is to be read off the legend
-      float edge = pow(1.0 - clamp(dot(n, view), 0.0, 1.0), 4.0);
-      float gloss = wet * (1.0 - 0.7 * covered);
-      vec3 half1 = normalize(KEY + view);
-      float shine = 0.24 * pow(max(dot(n, half1), 0.0), 90.0);
-      #ifdef FINE
-        shine += 0.035 * pow(max(dot(n, half1), 0.0), 16.0);
-        shine += 0.03 * pow(max(dot(n, normalize(FILL + view)), 0.0), 26.0);
-      #endif
-      vec3 colour = albedo * light + gloss * shine
-                  + edge * (1.0 - 0.6 * covered) * (0.07 * vec3(1.0, 0.84, 0.80) + 0.6 * albedo) * (0.3 + 0.7 * sky);
-      result = vec4(srgb(clamp(colour, 0.0, 1.0)), 1.0) * veil;
-    }`,
+    #ifdef LIT
+      in vec3 colour;
+      void main() { result = vec4(colour, 1.0) * veil; }
+    #else
+      uniform float size;
+      in vec3 eye, smoothed, place; in float value;
+      ${SHADE}
+      float hash(vec3 p) { p = fract(p * 0.3183099 + 0.1); p *= 17.0; return fract(p.x * p.y * p.z * (p.x + p.y + p.z)); }
+      float noise(vec3 x) {
+        vec3 i = floor(x), f = fract(x); f = f * f * (3.0 - 2.0 * f);
+        vec2 e = vec2(0.0, 1.0);
+        return mix(mix(mix(hash(i), hash(i + e.yxx), f.x), mix(hash(i + e.xyx), hash(i + e.yyx), f.x), f.y),
+                   mix(mix(hash(i + e.xxy), hash(i + e.yxy), f.x), mix(hash(i + e.xyy), hash(i + 1.0), f.x), f.y), f.z);
+      }
+      /** A normal on a surface of a height, by what both change from pixel to pixel (Mikkelsen 2010). */
+      vec3 uneven(vec3 n, float height) {
+        vec3 x = dFdx(eye), y = dFdy(eye), across = cross(y, n), along = cross(n, x);
+        float area = dot(x, across);
+        return normalize(abs(area) * n - sign(area) * (dFdx(height) * across + dFdy(height) * along));
+      }
+      void main() {
+        vec3 facet = normalize(cross(dFdx(eye), dFdy(eye)));
+        vec3 n = facet;
+        #ifdef SMOOTH
+          vec3 mean = normalize(smoothed);
+          n = creased(mean * (dot(mean, facet) < 0.0 ? -1.0 : 1.0), facet);
+        #endif
+        float mottled = 1.0, wet = 1.0;
+        #ifdef FINE
+          vec3 at = place / size;
+          mottled = 0.84 + 0.32 * (0.6 * noise(9.0 * at) + 0.4 * noise(31.0 * at));
+          wet = 0.6 + 0.7 * noise(14.0 * at + 7.0);
+          n = uneven(n, size * (0.0011 * noise(38.0 * at) + 0.0028 * noise(16.0 * at)));
+        #endif
+        result = vec4(shade(n, eye, value, mottled, wet), 1.0) * veil;
+      }
+    #endif`,
 };
 
 /** Instruments: pale ceramic, or what is only hinted at. */

@@ -3,6 +3,8 @@ import * as three from "three";
 import { blur, ground } from "./shaders.js";
 
 const PIXELS = 128;
+const ROOM = 0.6; // of the body's radius, around it
+const BLUR = 0.0425; // of the radius: a step of the blur
 const OFTEN = 120; // [ms] between two of its pictures; in software it costs as much as the body
 
 const shader = ({ vertex, fragment }, uniforms, more) =>
@@ -31,12 +33,14 @@ export class Shadow {
 
   /** Lie below a body. */
   fit({ box, sphere }) {
-    const half = 1.7 * sphere.radius;
-    this.floor = box.min.z - 0.1 * sphere.radius;
-    this.plane.scale.setScalar(2 * half);
+    const { radius } = sphere;
+    const [x, y] = [box.max.x - box.min.x, box.max.y - box.min.y].map((size) => 0.5 * size + ROOM * radius);
+    this.floor = box.min.z - 0.1 * radius;
+    this.plane.scale.set(2 * x, 2 * y, 1);
     this.plane.position.set(sphere.center.x, sphere.center.y, this.floor);
-    Object.assign(this.above, { left: -half, right: half, top: half, bottom: -half, far: 8 * half });
-    this.above.position.set(sphere.center.x, sphere.center.y, sphere.center.z + 4 * half);
+    Object.assign(this.above, { left: -x, right: x, top: y, bottom: -y, far: 14 * radius });
+    this.above.position.set(sphere.center.x, sphere.center.y, sphere.center.z + 7 * radius);
+    this.steps = [[(0.5 * BLUR * radius) / x, 0], [0, (0.5 * BLUR * radius) / y]];
     this.above.up.set(0, 1, 0);
     this.above.lookAt(sphere.center);
     this.above.updateProjectionMatrix();
@@ -57,7 +61,7 @@ export class Shadow {
     renderer.setRenderTarget(targets[0]);
     renderer.clear();
     renderer.render(scene.add(body), this.above);
-    for (const [from, to, along] of [[0, 1, [1.6 / PIXELS, 0]], [1, 0, [0, 1.6 / PIXELS]]]) {
+    for (const [from, to, along] of [[0, 1, this.steps[0]], [1, 0, this.steps[1]]]) {
       this.blurred.uniforms.picture.value = targets[from].texture;
       this.blurred.uniforms.along.value.set(...along);
       renderer.setRenderTarget(targets[to]);

@@ -28,8 +28,8 @@ export class Stage {
     this.renderer.setClearAlpha(0);
     this.sharpness = new Sharpness(this.fine ? Math.min(devicePixelRatio, 2) : 1, this.orbit.still);
     this.scene = new three.Scene();
-    this.tool = new ToolMark(1);
-    this.ghost = new ToolMark(0.5);
+    this.tool = new ToolMark(1, this.fine);
+    this.ghost = new ToolMark(0.5, this.fine);
     this.arrow = new Arrow("#0b7285");
     this.ring = new Ring("#0b7285");
     this.shadow = new Shadow(this.renderer, this.fine);
@@ -80,7 +80,7 @@ export class Stage {
     this.renderer.setSize(width, height, false);
     this.height = height;
     this.width = width;
-    this.orbit.resize(width / height);
+    this.orbit.resize(width / height, height);
     this.dirty = true;
   }
 
@@ -113,6 +113,7 @@ export class Stage {
     if (this.organ) {
       this.organ.material.uniforms.viewMatrixOf.value.copy(this.camera.matrixWorldInverse);
       this.shadow.update(this.organ, this.camera);
+      this.organ.seenFrom(this.camera.position);
     }
     this.renderer.render(this.scene, this.camera);
     return true;

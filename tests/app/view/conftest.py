@@ -21,6 +21,7 @@ from view_scenes import BALL, EVERY, LASTING, MIDDLE, block, press
 from websockets.asyncio.client import connect
 
 import palpate as pt
+from palpate.app.bench.chromium import Chromium
 from palpate.app.view.address import LOOPBACK, hosts, listening
 from palpate.app.view.page import Page
 from palpate.app.view.server import Server
@@ -38,6 +39,12 @@ def model():
     made = pt.reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
     report = {**made.report, "scene": {"name": "view_scenes:block", "parameters": {}}}
     return pt.ReducedModel(replace(made.parts, report=report))
+
+
+@pytest.fixture(scope="session")
+def browser():
+    with Chromium() as made:
+        yield made
 
 
 @pytest.fixture
@@ -128,6 +135,10 @@ class Site:
         self.thread = threading.Thread(target=self._run, args=(ready,), daemon=True)
         self.thread.start()
         assert ready.wait(SECONDS)
+
+    @property
+    def address(self):
+        return f"http://{LOOPBACK}:{self.port}/#{TOKEN}"
 
     def _run(self, ready):
         asyncio.set_event_loop(self.loop)

@@ -1,14 +1,10 @@
 """The page in a real browser: it draws the body, a hand presses it, others watch, and it comes back by itself.
 
-Most tests let it speak to a session made by a formula, whose forces are known; the last ones to real sessions.
-With PALPATE_SCREENSHOTS=DIR the pictures of the documentation are left there, of the liver that ``palpate view liver``
-keeps in the user's cache, else of a block.
+It speaks to a session made by a formula, whose forces are known; test_browser_real.py lets it speak to real ones.
 """
 
 from __future__ import annotations
 
-import io
-import os
 import sys
 from pathlib import Path
 from time import sleep
@@ -17,29 +13,15 @@ import numpy as np
 import pytest
 
 import palpate.app
-from palpate import load
-from palpate.app.bench.chromium import Chromium, find_chromium
-from palpate.app.run.liver import cache
-from palpate.app.train.campaign import MODEL
-from palpate.app.view.session import Session
 
 sys.path.append(str(Path(__file__).parent))
 
+from browser_hands import NARROW, WIDE, around, middle, needs_chromium, opening, picture, press
 from synthetic_session import SyntheticSession
 
 PAGE = Path(palpate.app.__file__).parent / "view" / "page"
-WIDE, NARROW = (1024, 640), (360, 740)
-TOKEN = "a-token-of-tests"  # of `site`
 
-pytestmark = pytest.mark.skipif(
-    find_chromium() is None, reason="no Chromium on this machine; on Debian: apt-get install chromium"
-)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with Chromium() as made:
-        yield made
+pytestmark = needs_chromium
 
 
 @pytest.fixture
@@ -51,47 +33,9 @@ def synthetic():
 
 @pytest.fixture
 def opened(browser, synthetic):
-    """A function that opens the page and waits for the body; tabs are closed and their errors looked at afterwards."""
-    tabs = []
-
-    def open_tab(size=WIDE, **options):
-        tab = browser.open(synthetic.address, *size, **options)
-        tabs.append(tab)
-        tab.wait("window.palpate?.ready", 60)
-        return tab
-
-    yield open_tab
-    errors = [error for tab in tabs for error in tab.errors]
-    for tab in tabs:
-        tab.close()
-    assert not errors
-
-
-def middle(tab):
-    """Where the middle of the body is in the window [px]."""
-    place = "(() => { const b = document.getElementById('view').getBoundingClientRect();"
-    return tab.evaluate(f"{place} const [x, y] = palpate.project([0, 0, 0]); return [b.x + x, b.y + y]; }})()")
-
-
-def picture(tab):
-    from matplotlib.image import imread
-
-    return imread(io.BytesIO(tab.screenshot()))[..., :3]
-
-
-def around(image, x, y, half=8):
-    return image[int(y) - half : int(y) + half, int(x) - half : int(x) + half].mean(axis=(0, 1))
-
-
-def press(tab, depth=40, steps=6):
-    """Hold on the middle of the body and drag down by some pixels."""
-    x, y = middle(tab)
-    tab.mouse("Moved", x, y, "none")
-    tab.mouse("Pressed", x, y)
-    for k in range(1, steps + 1):
-        tab.mouse("Moved", x, y + depth * k / steps)
-        sleep(0.02)
-    return x, y + depth
+    """A function that opens the page of the formula."""
+    with opening(browser) as open_tab:
+        yield lambda *options, **more: open_tab(synthetic.address, *options, **more)
 
 
 def test_the_body_is_drawn_in_its_colour_on_a_calm_ground(opened):
@@ -309,98 +253,3 @@ def test_a_replay_has_a_line_of_time_and_no_tools(browser):
         assert {"type": "replay", "action": "seek", "time": 2.5} in replay.received
         assert not tab.errors
         tab.close()
-
-
-# real sessions
-
-
-@pytest.fixture
-def pressed_body(browser, site):
-    """A function that opens the page on the real session of a block."""
-    tabs = []
-
-    def open_tab(size=WIDE, address="", **options):
-        tab = browser.open(address or f"http://127.0.0.1:{site.port}/#{TOKEN}", *size, **options)
-        tabs.append(tab)
-        tab.wait("window.palpate?.ready", 60)
-        return tab
-
-    yield open_tab
-    errors = [error for tab in tabs for error in tab.errors]
-    for tab in tabs:
-        tab.close()
-    assert not errors
-
-
-def test_a_real_body_is_pressed_let_go_and_reset(pressed_body, session):
-    tab = pressed_body()
-    x, y = hold(tab)
-    first = tab.wait("palpate.force > 0.02 && palpate.force")
-    for k in range(10):
-        tab.mouse("Moved", x, y + 2 * k)
-        sleep(0.02)
-    tab.wait(f"palpate.force > {1.2 * first}")
-    assert tab.evaluate("palpate.session.state.tool") == "sphere"
-    tab.mouse("Released", x, y + 20)
-    tab.wait("palpate.force === 0 && palpate.session.state.tool === 'none'")
-    hold(tab)
-    tab.wait("palpate.force > 0.02")
-    tab.evaluate("document.getElementById('reset').click()")
-    tab.wait("palpate.force === 0")
-    tab.wait(
-        "Math.max(...palpate.stage.organ.positions.map((x, k) => Math.abs(x - palpate.stage.organ.rest[k]))) < 1e-6"
-    )
-    assert tab.evaluate("palpate.notices.errors") == []
-
-
-def test_a_real_body_answers_every_tool_without_a_complaint(pressed_body):
-    tab = pressed_body()
-    for kind in ("capsule", "grasp", "sphere"):
-        tab.evaluate(f"document.querySelector('#kinds [value={kind}]').click()")
-        x, y = hold(tab)
-        tab.mouse("Moved", x, y + (-25 if kind == "grasp" else 15))
-        tab.wait(f"palpate.force > 0.01 && palpate.session.state.tool === '{kind}'")
-        tab.mouse("Released", x, y)
-        tab.wait("palpate.force === 0")
-    assert tab.evaluate("palpate.notices.errors") == []
-
-
-def hold(tab):
-    """Hold on the middle of what is seen of the body."""
-    x, y = tab.evaluate(
-        "(() => { const b = document.getElementById('view').getBoundingClientRect(), { sphere } = palpate.stage.organ;"
-        "const [x, y] = palpate.project(sphere.center.toArray()); return [b.x + x, b.y + y]; })()"
-    )
-    tab.mouse("Moved", x, y, "none")
-    tab.mouse("Pressed", x, y)
-    return x, y
-
-
-@pytest.mark.skipif("PALPATE_SCREENSHOTS" not in os.environ, reason="PALPATE_SCREENSHOTS names no folder")
-def test_pictures_of_the_documentation(browser, session, site_of):
-    folder = Path(os.environ["PALPATE_SCREENSHOTS"])
-    folder.mkdir(parents=True, exist_ok=True)
-    kept = cache() / MODEL
-    show = Session(load(kept), "Liver") if kept.is_file() else session
-    show.start()
-    try:
-        address = f"http://127.0.0.1:{site_of(show).port}/?still#{TOKEN}"
-        for name, size, dark in (
-            ("page", (1280, 800), False),
-            ("page_dark", (1280, 800), True),
-            ("page_narrow", NARROW, False),
-        ):
-            tab = browser.open(address, *size, dark=dark)
-            tab.wait("window.palpate?.ready", 60)
-            x, y = hold(tab)
-            tab.wait("palpate.session.state.tool !== 'none'")
-            for k in range(20):
-                tab.mouse("Moved", x, y + 2 * k)
-                sleep(0.05)
-            tab.wait("palpate.force > 0.05")
-            sleep(6.0)  # a still picture is drawn at leisure in software
-            assert picture(tab).std() > 0.05
-            tab.screenshot(folder / f"{name}.png")
-            tab.close()
-    finally:
-        show.stop()

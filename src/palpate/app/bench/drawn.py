@@ -10,7 +10,7 @@ from scipy.sparse import csr_array, identity, vstack
 
 from palpate.reduction.surface import Surface
 
-__all__ = ["FinelyDrawn", "divided"]
+__all__ = ["FinelyDrawn", "centred", "divided"]
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -42,15 +42,31 @@ def divided(triangles: NDArray[np.uint32], count: int) -> tuple[NDArray[np.uint3
     return fine, csr_array(vstack([identity(count), halves]))
 
 
+def centred(triangles: NDArray[np.uint32], count: int, more: int) -> tuple[NDArray[np.uint32], csr_array]:
+    """Divide the first so many triangles into three each, at their centroids; what is returned is as of `divided`."""
+    old, rest = triangles[:more], triangles[more:]
+    middle = count + np.arange(more)
+    (a, b, c) = old.T
+    parts = [np.stack(part, axis=1) for part in ((a, b, middle), (b, c, middle), (c, a, middle))]
+    rows = np.repeat(np.arange(more), 3)
+    thirds = csr_array((np.full(3 * more, 1 / 3), (rows, old.ravel())), shape=(more, count))
+    return np.concatenate([*parts, rest]).astype(np.uint32), csr_array(vstack([identity(count), thirds]))
+
+
 class FineSurface:
-    """A surface with its triangles divided until it has so many vertices; to the server it is a `Surface`."""
+    """A surface with its triangles divided until it has so many vertices, or its own; to the server it is a `Surface`.
+
+    They are divided into four as often as there is room for that, the first ones of them then into three.
+    """
 
     def __init__(self, surface: Surface, vertices: int) -> None:
         self.model, self.scalars, self._coarse = surface.model, surface.scalars, surface
         triangles, weights = surface.triangles, csr_array(identity(len(surface.rest)))
-        while weights.shape[0] < vertices:
-            triangles, more = divided(triangles, weights.shape[0])
-            weights = csr_array(more @ weights)
+        while (count := weights.shape[0]) < vertices:
+            fine, more = divided(triangles, count)
+            if more.shape[0] > vertices:
+                fine, more = centred(triangles, count, min(vertices - count, len(triangles)))
+            triangles, weights = fine, csr_array(more @ weights)
         self.triangles, self._weights = triangles, weights.astype(np.float32)
         self.rest: Singles = self._weights @ surface.rest
 

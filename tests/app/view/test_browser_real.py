@@ -1,0 +1,143 @@
+"""The page in a real browser, with real sessions, and the pictures of the documentation.
+
+With PALPATE_SCREENSHOTS=DIR the pictures are left there, of the liver that ``palpate view liver`` keeps in the user's
+cache, else of a block.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from time import sleep
+
+import numpy as np
+import pytest
+
+from palpate import load
+from palpate.app.run.liver import cache
+from palpate.app.train.campaign import MODEL
+from palpate.app.view.messages import checked
+from palpate.app.view.recording import load_recording, save_recording
+from palpate.app.view.replay import Replay
+from palpate.app.view.session import Session
+
+sys.path.append(str(Path(__file__).parent))
+
+from browser_hands import NARROW, hold, needs_chromium, opening, picture
+from view_scenes import BALL, MIDDLE
+
+pytestmark = needs_chromium
+
+
+@pytest.fixture
+def pressed_body(browser, site):
+    """A function that opens the page on the real session of a block."""
+    with opening(browser) as open_tab:
+        yield lambda *options, **more: open_tab(site.address, *options, **more)
+
+
+def test_a_real_body_is_pressed_let_go_and_reset(pressed_body, session):
+    tab = pressed_body()
+    x, y = hold(tab)
+    first = tab.wait("palpate.force > 0.02 && palpate.force")
+    for k in range(10):
+        tab.mouse("Moved", x, y + 2 * k)
+        sleep(0.02)
+    tab.wait(f"palpate.force > {1.2 * first}")
+    assert tab.evaluate("palpate.session.state.tool") == "sphere"
+    tab.mouse("Released", x, y + 20)
+    tab.wait("palpate.force === 0 && palpate.session.state.tool === 'none'")
+    hold(tab)
+    tab.wait("palpate.force > 0.02")
+    tab.evaluate("document.getElementById('reset').click()")
+    tab.wait("palpate.force === 0")
+    tab.wait(
+        "Math.max(...palpate.stage.organ.positions.map((x, k) => Math.abs(x - palpate.stage.organ.rest[k]))) < 1e-6"
+    )
+    assert tab.evaluate("palpate.notices.errors") == []
+
+
+def test_a_real_body_answers_every_tool_without_a_complaint(pressed_body):
+    tab = pressed_body()
+    for kind in ("capsule", "grasp", "sphere"):
+        tab.evaluate(f"document.querySelector('#kinds [value={kind}]').click()")
+        x, y = hold(tab)
+        tab.mouse("Moved", x, y + (-25 if kind == "grasp" else 15))
+        tab.wait(f"palpate.force > 0.01 && palpate.session.state.tool === '{kind}'")
+        tab.mouse("Released", x, y)
+        tab.wait("palpate.force === 0")
+    assert tab.evaluate("palpate.notices.errors") == []
+
+
+@pytest.fixture
+def recording(session, ball, until, tmp_path):
+    """A recorded press, with the same press moved by a millimetre as the full model's."""
+    path = tmp_path / "press.h5"
+    session.record()
+    session.handle(checked(ball))
+    for depth in (0.0, 0.003, 0.005):
+        session.handle(checked({"type": "pose", "position": [*MIDDLE[:2], MIDDLE[2] + BALL + 0.002 - depth]}))
+        before = len(session._recorder.times)
+        until(lambda before=before: len(session._recorder.times) > before + 20)
+    session.finish_recording(path, wait=True)
+    own = load_recording(path)
+    positions = np.array([session.surface.rest + m.displacements(session.surface) for m in own.moments]) + 1e-3
+    full = {"times": own.times, "positions": positions, "force": np.zeros((len(own.times), 3)), "errors": {}}
+    save_recording(path, replace(own, full=full))
+    return load_recording(path)
+
+
+def test_a_real_recording_is_replayed_with_the_full_model_over_it(browser, site_of, recording):
+    show = Replay(recording)
+    with opening(browser) as open_tab:
+        tab = open_tab(site_of(show).address)
+        tab.wait("palpate.session.state.newtons > 0.05")
+        assert tab.evaluate("document.getElementById('connection').textContent").startswith("Replay")
+        assert tab.evaluate("palpate.stage.tool.group.visible")
+        tab.evaluate("document.getElementById('play').click()")
+        tab.wait("palpate.session.state.state === 'paused'")
+        most = max(range(len(recording.moments)), key=lambda k: recording.moments[k].force[2])
+        at, newtons = float(recording.times[most]) + 1e-4, float(np.linalg.norm(recording.moments[most].force))
+        seek = f"(e => {{ e.step = 'any'; e.value = {at}; e.oninput({{ target: e }}); }})"
+        tab.evaluate(f"{seek}(document.getElementById('time'))")
+        tab.wait(f"Math.abs(palpate.session.state.newtons - {newtons}) < 1e-9")
+        assert tab.evaluate("palpate.stage.overlay.lines.visible") is False
+        tab.evaluate("document.getElementById('overlay').click()")
+        assert tab.evaluate("palpate.stage.overlay.lines.visible") is True
+        shown = np.array(tab.evaluate("[...palpate.stage.overlay.place.array]")).reshape(-1, 3)
+        own = np.array(tab.evaluate("[...palpate.stage.organ.positions]")).reshape(-1, 3)
+        np.testing.assert_allclose(shown, own + 1e-3, atol=1e-6)
+        tab.evaluate("document.getElementById('play').click()")
+        tab.wait(f"palpate.session.state.time !== {float(recording.times[most])}")
+
+
+@pytest.mark.skipif("PALPATE_SCREENSHOTS" not in os.environ, reason="PALPATE_SCREENSHOTS names no folder")
+def test_pictures_of_the_documentation(browser, session, site_of):
+    folder = Path(os.environ["PALPATE_SCREENSHOTS"])
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = cache() / MODEL
+    show = Session(load(kept), "Liver") if kept.is_file() else session
+    show.start()
+    try:
+        address = site_of(show).address.replace("/#", "/?still#")
+        for name, size, dark in (
+            ("page", (1280, 800), False),
+            ("page_dark", (1280, 800), True),
+            ("page_narrow", NARROW, False),
+        ):
+            tab = browser.open(address, *size, dark=dark)
+            tab.wait("window.palpate?.ready", 60)
+            x, y = hold(tab)
+            tab.wait("palpate.session.state.tool !== 'none'")
+            for k in range(20):
+                tab.mouse("Moved", x, y + 2 * k)
+                sleep(0.05)
+            tab.wait("palpate.force > 0.05")
+            sleep(6.0)  # a still picture is drawn at leisure in software
+            assert picture(tab).std() > 0.05
+            tab.screenshot(folder / f"{name}.png")
+            tab.close()
+    finally:
+        show.stop()
