@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from palpate.reduction.parts import ReducedParts
     from palpate.reduction.reduced import ReducedModel
 
-__all__ = ["STEEPEST", "Handling", "dented", "fitted_dents", "held_nodes", "skin_of", "touch_of"]
+__all__ = ["Handling", "dented", "fitted_dents", "fitted_hardening", "held_nodes", "skin_of", "touch_of"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -50,6 +50,7 @@ NO_DENT = (
     "not hold the dents of the training runs"
 )
 LIGHT = 0.05  # of the largest force: frames that say nothing of hardening
+SPREAD = 0.1  # of the ratio of works, from frame to frame
 
 
 def skin_of(parts: ReducedParts) -> Skin:
@@ -264,7 +265,7 @@ def _fitted(dents: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Den
     linear = np.array([np.sum(f.forces * own[h]) for f, own, h in zip(frames, fields, here, strict=True)])
     held, factor, hardening = np.array([frame.held for frame in frames]), 1.0, np.array([0.0, 1.0])
     if not held.all():
-        factor, hardening = _hardening(size[~held], depth[~held], linear[~held])
+        factor, hardening = fitted_hardening(size[~held], depth[~held], linear[~held])
     grip = float(depth[held].sum() / linear[held].sum()) if held.any() else factor
     if not grip > 0:
         raise InputError(NO_DENT)
@@ -276,7 +277,7 @@ def _fitted(dents: Dents, points: Floats, frames: Sequence[_Frame]) -> tuple[Den
     return dents._replace(hardening=hardening, grip=grip / factor).scaled(factor), 1.0 - left / whole
 
 
-def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floats]:
+def fitted_hardening(size: Floats, depth: Floats, linear: Floats, spread: float = SPREAD) -> tuple[float, Floats]:
     """Fit factor (1 + |f| / F)^-gamma to the ratio of works of forces on depths, of runs and of the linear compliance.
 
     Parameters
@@ -285,6 +286,8 @@ def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floa
         Whole forces.
     depth, linear : (t,) arrays [J]
         Works.
+    spread : float
+        Ratios that are off by more count by their sign rather than their size.
 
     Returns
     -------
@@ -303,7 +306,7 @@ def _hardening(size: Floats, depth: Floats, linear: Floats) -> tuple[float, Floa
 
     start = np.array([float(np.median(wanted)), 0.1, 0.0])
     bounds = ([-np.inf, 0.0, np.log(0.1)], [np.inf, STEEPEST, np.log(10.0)])
-    at = least_squares(missed, start, bounds=bounds, loss="soft_l1", f_scale=0.1).x
+    at = least_squares(missed, start, bounds=bounds, loss="soft_l1", f_scale=spread).x
     return float(np.exp(at[0])), np.array([at[1], largest * np.exp(at[2])])
 
 

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from palpate.dynamics.loads import Load
 from palpate.dynamics.rollout import rollout
 from palpate.dynamics.tools import Contact, Grasp
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
-from palpate.reduction.compliance import Dents
-from palpate.reduction.dents import STEEPEST
+from palpate.reduction.compliance import Dents, softness
+from palpate.reduction.dents import fitted_hardening
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.snapshots import Run
 
@@ -25,7 +24,7 @@ __all__ = ["Trial", "measured"]
 Floats = NDArray[np.float64]
 Trial = tuple[Sequence[Load], Run]
 
-FORCE_PASSES, FORCE_STEP = 3, 1.4  # corrections of the surface's compliance; exponent: part of a depth is the modes'
+FORCE_PASSES, FORCE_STEP = 2, 1.4  # corrections of the surface's compliance; exponent: part of a depth is the modes'
 LEAST_FORCE = 0.1  # of a run's largest: frames by which it is corrected
 FORCE_SPREAD = 0.02  # of the force: frames that err by more count by their sign rather than their size
 
@@ -64,14 +63,13 @@ def measured(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[ReducedMod
         ratios.append(float(np.median([mine.sum() / theirs.sum() for mine, theirs in found])))
         if number < FORCE_PASSES:
             held = np.array([any(isinstance(load, Grasp) for load in loads) for loads, _ in repeated])
-            grip, factor, exponent = dents.grip, 1.0, dents.hardening[0]
+            grip, factor, hardening = dents.grip, 1.0, dents.hardening
             if held.any():
                 grip *= _scale([sizes for sizes, own in zip(found, held, strict=True) if own])
             if not held.all():
                 presses = [sizes for sizes, own in zip(found, held, strict=True) if not own]
-                factor, exponent = _correction(dents, np.concatenate(presses, axis=1))
+                factor, hardening = _correction(dents, np.concatenate(presses, axis=1))
             whole *= factor
-            hardening = np.array([exponent, dents.hardening[1]])
             dents = dents.scaled(factor)._replace(hardening=hardening, grip=grip / factor)
     return model, {"force_factor": whole, "force_ratios": ratios}
 
@@ -82,22 +80,14 @@ def _scale(sizes: Sequence[Floats]) -> float:
     return float(np.exp(FORCE_STEP * np.median(np.log(mine / theirs))))
 
 
-def _correction(dents: Dents, sizes: Floats) -> tuple[float, float]:
-    """Return a factor on a compliance, and the exponent of its hardening, by forces (2, t) [N] of it and of runs.
+def _correction(dents: Dents, sizes: Floats) -> tuple[float, Floats]:
+    """Return a factor on a compliance, and its hardening (2,), by forces (2, t) [N] of it and of runs.
 
     By most frames: a run that errs far more than the others, where a tool meets an edge, moves it little.
     """
     mine, theirs = sizes
-    along, ratio = np.log1p(theirs / dents.hardening[1]), np.log(mine / theirs)
-    middle = along.mean()
-
-    def missed(at: Floats) -> Floats:
-        return np.asarray(at[0] + at[1] * (along - middle) - ratio)
-
-    start = np.array([float(np.median(ratio)), 0.0])
-    level, slope = least_squares(missed, start, loss="soft_l1", f_scale=FORCE_SPREAD).x
-    exponent = float(np.clip(dents.hardening[0] - (slope if np.ptp(along) > 0 else 0.0), 0.0, STEEPEST))
-    return float(np.exp(FORCE_STEP * level + (exponent - dents.hardening[0]) * middle)), exponent
+    wanted = softness(dents.hardening, theirs) * (mine / theirs) ** FORCE_STEP
+    return fitted_hardening(theirs, wanted, np.ones(len(theirs)), FORCE_SPREAD)
 
 
 def _force_sizes(model: ReducedModel, loads: Sequence[Load], kept: Run) -> Floats:

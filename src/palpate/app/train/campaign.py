@@ -23,7 +23,7 @@ from palpate.scenes.scene import TrainingScene
 __all__ = ["MODEL", "make_model", "make_runs"]
 
 MODEL = "model.rom"
-REPEATED = 12  # training runs in which tools touch or hold the body, by which their forces are measured
+REPEATED = 32  # training runs in which tools touch or hold the body, by which their forces are measured
 
 
 def make_runs(
