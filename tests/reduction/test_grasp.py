@@ -124,7 +124,7 @@ def test_a_run_that_errs_far_more_than_the_others_moves_the_correction_little(mo
     few[:40] *= 0.7
     factor, hardening = _correction(dents, np.array([few, theirs]))
     change = factor * softness(hardening, theirs) / softness(dents.hardening, theirs)
-    np.testing.assert_allclose(change, 1.03**1.4, atol=0.008)  # by the mean it would be 0.98
+    np.testing.assert_allclose(change, 1.03**1.4, atol=0.015)  # by the mean it would be 0.98
 
 
 def test_grip_and_held_nodes_are_kept(model, tmp_path):

@@ -204,7 +204,6 @@ def test_forces_are_made_those_of_runs(pressed):
     measured = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0], repeated=trials)
     before, *_, after = measured.report["force_ratios"]
     assert abs(np.log(after)) <= min(0.02, abs(np.log(before)))
-    assert measured.parts.dents.hardening == pytest.approx(model.parts.dents.hardening)
     factor = measured.report["force_factor"]
     np.testing.assert_allclose(measured.parts.dents.flexibility, factor * model.parts.dents.flexibility, rtol=1e-5)
     with pytest.raises(pt.InputError, match="no tool touches"):
