@@ -100,7 +100,8 @@ def test_the_stiffness_is_what_a_slow_hand_feels(pressed, friction, foundations)
     hand.presses(deep)
     found, _ = hand.told()
     felt = hand.feels(deep, 5e-5)
-    np.testing.assert_allclose(found, felt, atol=0.05 * felt[2, 2])
+    within = 0.05 if friction else 0.01  # some patches begin to slide
+    np.testing.assert_allclose(found, felt, atol=within * felt[2, 2])
     hand.goes(np.zeros(3))
     out = found.copy()
     hand.ready.stiffness(hand.ready.data, hand.q, out)
@@ -118,7 +119,7 @@ def test_on_a_way_on_which_patches_come_to_the_tool_its_sum_is_the_force(pressed
         pushed.append(len(hand.pushed()))
     assert pushed[-1] > pushed[0]
     rise = np.trapezoid(told, -depths)
-    assert rise == pytest.approx(forces[-1] - forces[0], rel=0.03)
+    assert rise == pytest.approx(forces[-1] - forces[0], rel=0.02)
 
 
 def test_so_it_is_of_forceps(pressed):
@@ -127,7 +128,7 @@ def test_so_it_is_of_forceps(pressed):
     hand.presses(up)
     found, _ = hand.told()
     felt = hand.feels(up, 2e-4)
-    np.testing.assert_allclose(found, felt, atol=0.03 * np.abs(felt).max())
+    np.testing.assert_allclose(found, felt, atol=0.01 * np.abs(felt).max())
 
 
 def dense(hand):
@@ -142,9 +143,8 @@ def dense(hand):
             pair(data.skin.compliance, touch.point[e], touch.point[f], block)
             matrix[i, :, j] = touch.soft[0] * block
     columns = data.skin.columns[touch.node[on]].reshape(-1, data.modes).astype(float)
-    matrix = matrix.reshape(3 * len(on), -1) + columns @ np.linalg.solve(
-        0.5 * (data.tangent + data.tangent.T), columns.T
-    )
+    matrix = matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.held @ columns.T  # steps of 1 ms
+    matrix += columns @ np.linalg.solve(0.5 * (data.tangent + data.tangent.T), columns.T)
     each, whole = np.tile(np.eye(3), (len(on), 1)), pushes.sum(axis=0)
     size = np.linalg.norm(whole)
     dent = (touch.now[on] - touch.modal[on]).ravel()

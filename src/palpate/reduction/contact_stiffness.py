@@ -1,9 +1,13 @@
 """How the force on a tool that touches a reduced body rises with its displacement, compiled: what a slow hand feels.
 
-With the modes' tangent K, the columns C of touched patches, directions E along which the forces on them can change,
-and the surface's compliance h G (`palpate.reduction.touch`), forces f and coordinates a follow the tool by d:
+With the modes' tangent K and mass matrix M, the columns C of touched patches, directions E along which the forces on
+them can change, and the surface's compliance h G (`palpate.reduction.touch`), forces f and coordinates a follow the
+tool by d:
 
-    E^T h G E f + E^T C a = E^T d,    C^T E f - K a = 0.
+    E^T (h G - dt^2 C M^-1 C^T) E f + E^T C a = E^T d,    C^T E f - K a = 0.
+
+The term with the step dt is the step's own: its forces put the patches onto the tool where the coordinates would be
+without them, and then move the coordinates, so that at rest the surface is dt^2 C M^-1 C^T f off the tool.
 
 A patch that sticks, or that forceps hold, moves with the tool: E has all three directions. One that slides keeps its
 friction; E has the normal, and where the tool is curved (k) the normal force p turns with the normal, as springs of
@@ -46,17 +50,20 @@ class ContactSystem(NamedTuple):
     point: NDArray[np.int64]  # (r,) these, or the held nodes, in the compliance
     spring: Floats  # (r,) what a curved tool adds to the compliance along a direction [m/N]
     numbers: NDArray[np.int64]  # (3,) forces, unknowns, next pivot
+    columns: NDArray[np.float32]  # (k, 3, m) C M^-1/2 of all surface nodes
+    swift: Floats  # (m, r) dt M^-1/2 C^T E
     gram: Floats  # (4, 4) right-hand sides times solutions
     pull: Floats  # (4,) the whole force's direction, and h
 
 
-def contact_system(modes: int, patches: int) -> ContactSystem:
-    """Allocate for a number of modes and of patches that are touched at once."""
-    rows = 3 * patches
+def contact_system(columns: NDArray[np.float32], mass: Floats, patches: int) -> ContactSystem:
+    """Allocate for columns (k, 3, m) of surface nodes, their mass matrix, and patches that are touched at once."""
+    rows, modes = 3 * patches, len(mass)
+    swift = columns @ np.linalg.inv(np.linalg.cholesky(mass)).T if patches else np.zeros((0, 3, modes))
     return ContactSystem(
         np.zeros((rows + modes) * (rows + modes + SIDES)), np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64),
-        np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(3, dtype=np.int64), np.zeros((SIDES, SIDES)),
-        np.zeros(4),
+        np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(3, dtype=np.int64),
+        np.ascontiguousarray(swift, dtype=np.float32), np.zeros((modes, rows)), np.zeros((SIDES, SIDES)), np.zeros(4),
     )  # fmt: skip
 
 
@@ -89,7 +96,7 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
             numbers[:] = 0
             return
         numbers[2] += min(PANEL, left)
-        spent += PANEL * left * left // 2
+        spent += PANEL * (left * left // 2 + max(left - data.modes, 0) * data.modes)
     if numbers[2] == size:
         _tell(system.gram, system.pull, out)
 
@@ -140,7 +147,7 @@ def _eliminate(system, near, table, first, rows):  # type: ignore[no-untyped-def
 
 @njit(cache=True, fastmath={"contract"})
 def _between(system, near, table, k):  # type: ignore[no-untyped-def]
-    """Add to a row what other forces move its patch by; return False where that is not known any more."""
+    """Add to a row what forces move its patch by beside the modes; return False where that is not known any more."""
     s, h, direction = near.slot[system.point[k]], system.pull[3], system.direction
     x, y, z = h * direction[k, 0], h * direction[k, 1], h * direction[k, 2]
     for j in range(k, system.numbers[0]):
@@ -150,6 +157,10 @@ def _between(system, near, table, k):  # type: ignore[no-untyped-def]
         block = near.matrix[s, r]
         for d in range(3):
             table[k, j] += (block[0, d] * x + block[1, d] * y + block[2, d] * z) * direction[j, d]
+    for m in range(system.swift.shape[0]):
+        own, others = system.swift[m, k], system.swift[m]
+        for j in range(k, system.numbers[0]):
+            table[k, j] -= own * others[j]
     return True
 
 
@@ -182,10 +193,11 @@ def _begin(data):  # type: ignore[no-untyped-def]
     system.gram[:] = 0.0
     for k in range(rows):
         e, direction = system.entry[k], system.direction[k]
-        table[k, k] = system.spring[k]
+        table[k, k], system.swift[:, k] = system.spring[k], 0.0
         for d in range(3):
             for m in range(modes if direction[d] != 0.0 else 0):
                 table[k, rows + m] += direction[d] * data.skin.columns[touch.node[e], d, m]
+                system.swift[m, k] += data.follow[3] * direction[d] * system.columns[touch.node[e], d, m]
             table[k, size + d] = direction[d]
             table[k, size + 3] += softening * direction[d] * (touch.now[e, d] - touch.modal[e, d])
     for m in range(modes):

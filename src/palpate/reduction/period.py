@@ -58,8 +58,8 @@ class PeriodData(NamedTuple):
     tangent : (m, m) array
         Of which every period takes one column anew.
     condensed : (m, m) array
-    follow : (3,) array
-        Frequency [rad/s] at rest and now; next column of the tangent.
+    follow : (4,) array
+        Frequency [rad/s] at rest and now; next column of the tangent; explicit step [s].
     path, holds, nothing : (s + 3, l), (s,), (s, m) arrays
         Of the implicit steps of a period: the tool's path, that it holds, and no loads.
     skin, touch, tools : tuples
@@ -176,6 +176,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         stable = SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency
         steps = min(MOST_SUBSTEPS, int(np.ceil(period / stable)))
         step = period / steps
+        data.follow[3] = step
         for s in range(steps):
             for m in range(count):
                 at[m] = q[m] + data.beta * v[m]

@@ -74,15 +74,17 @@ def realtime_model(
     tangent = model.stiffness(np.zeros(count))
     if springs.stiffness.size:
         tangent += springs.stiffness[:count]
+    modes = slice(parts.modes)
+    system = contact_system(model._skin.columns[:, :, modes], model.mass[modes, modes], len(touch.near.node))
     data = PeriodData(
         parts.modes, model.viscosity, model.step or 0.0, model.tolerance, model.mass, model._held,
         model._differences, model._samples, own, newton(count),
         np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, np.inf if contact else parts.leeway,
         watched, scratch(watched, own.memory),
         model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
-        tangent, np.zeros((count, count)), np.array([frequency, frequency, 0.0]),
+        tangent, np.zeros((count, count)), np.array([frequency, frequency, 0.0, 0.0]),
         np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
-        model._skin, touch, tools, home, contact_system(parts.modes, len(touch.near.node)), springs,
+        model._skin, touch, tools, home, system, springs,
     )  # fmt: skip
     advance, stiffness = period_functions(model._law, model.single)
     if contact is None:
