@@ -51,6 +51,7 @@ KERNELS = (
     "reduction/compliance.py",
     "reduction/contact_stiffness.py",
     "reduction/foundation.py",
+    "reduction/implicit.py",
     "reduction/projection.py",
     "reduction/points.py",
     "reduction/samples.py",

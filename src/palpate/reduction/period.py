@@ -17,10 +17,10 @@ from palpate.dynamics.compiled import law_digest, law_njit
 from palpate.dynamics.relaxation import forget
 from palpate.reduction.contact_stiffness import ContactSystem
 from palpate.reduction.foundation import Springs, draw_back
+from palpate.reduction.implicit import Newton, cholesky_factor, cholesky_solve, implicit_step
 from palpate.reduction.points import PointLaw
 from palpate.reduction.samples import Samples, Scratch, sampled_energy
 from palpate.reduction.skin import Skin, Tools, Touch
-from palpate.reduction.stepping import Newton, cholesky_factor, cholesky_solve, sampled_step
 from palpate.reduction.touch import aim, dent_energy, press
 
 __all__ = ["PeriodData", "period_functions"]
@@ -121,7 +121,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
     """
     digest = law_digest("period", law.digest, single)
     force, energy = sampled_energy(law, single)
-    _, average, _ = sampled_step(law, single)
+    average, _ = implicit_step(law, single)
 
     @law_njit(digest, fastmath={"contract"})
     def follow(data, q):  # type: ignore[no-untyped-def]

@@ -15,10 +15,10 @@ from palpate.faults import InputError
 from palpate.reduction.contact_stiffness import contact_stiffness, contact_system
 from palpate.reduction.dents import Handling
 from palpate.reduction.foundation import Springs, springs_of
+from palpate.reduction.implicit import newton
 from palpate.reduction.period import PeriodData, period_functions
 from palpate.reduction.samples import scratch
 from palpate.reduction.skin import tools_of, touched
-from palpate.reduction.stepping import newton
 
 if TYPE_CHECKING:
     from palpate.reduction.reduced import ReducedModel

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +27,13 @@ from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.dents import Handling, dented, held_nodes, skin_of
 from palpate.reduction.foundation import draw_back
+from palpate.reduction.implicit import implicit_step, newton
 from palpate.reduction.loading import lifted, ready_drive
 from palpate.reduction.parts import ReducedParts
 from palpate.reduction.points import point_law
 from palpate.reduction.realtime import RealtimeModel, realtime_model
 from palpate.reduction.samples import Samples, firm_weights, sampled_energy, scratch
-from palpate.reduction.stepping import newton, sampled_step
+from palpate.reduction.stepping import explicit_step
 from palpate.reduction.trust import distance, expected_error, imbalance
 from palpate.reduction.work import ColumnLoads, column_loads, load_forces, pose_map
 
@@ -76,8 +77,7 @@ class ReducedModel(Model):
         self.cloud, self.material, self.fixed = parts.cloud, parts.material, parts.fixed
         self.viscosity, self.report = parts.viscosity, parts.report
         self.fewest = 20 if step is None else 1  # the implicit step is the user's choice
-        self.count = parts.modes + parts.lifted
-        count = self.count
+        self.count = count = parts.modes + parts.lifted
         several = parts.regions is not None
         self._law, self._coefficients = point_law(parts.material, parts.kinematics, parts.fibres, several)
         flat = parts.columns.reshape(len(parts.columns), -1)
@@ -91,7 +91,8 @@ class ReducedModel(Model):
         self._scratch, self._newton = scratch(self._samples), newton(count)
         self._all_scratch = scratch(self._all, self._scratch.memory)
         self._force, self._energy = sampled_energy(self._law, single)
-        self._explicit, self._implicit, self._tangent = sampled_step(self._law, single)
+        self._explicit = explicit_step(self._law, single)
+        self._implicit, self._tangent = implicit_step(self._law, single)
         self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
         self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
         self._loaded: ColumnLoads | None = None
@@ -273,10 +274,8 @@ class ReducedModel(Model):
 
     def reactions(self, state: State, drive: Drive) -> dict[str, Floats]:
         """Return the force [N] of every support and tool on the body: what its columns need beyond the other forces."""
-        needed = self.needed(state, drive)
-        result = {}
-        for g, name in enumerate(self.fixed):
-            result[name] = needed[self.count + 3 * g : self.count + 3 * g + 3]
+        needed, first = self.needed(state, drive), self.count
+        result = {name: needed[first + 3 * g : first + 3 * g + 3] for g, name in enumerate(self.fixed)}
         holds, tools = self._holds(drive, np.array([state.time]))[0], needed[self.parts.modes : self.count]
         for name in self.parts.driven:
             result[name] = self.tool_map(name)[:, :3].T @ tools if holds else np.zeros(3)
@@ -348,13 +347,11 @@ class ReducedModel(Model):
     def nodal_force(self, displacements: Floats) -> Floats:
         raise InputError("a reduced model has no forces at nodes; ask the full model")
 
-    @property
+    @cached_property
     def stencils(self) -> Any:  # type: ignore[override]
         """Stencils of the cloud, made when first asked for."""
-        if not hasattr(self, "_stencils"):
-            stretch, space = self.parts.kinematics.prestretch, self.cloud.points.shape[1]
-            self._stencils = moving_least_squares(self.cloud.points / stretch, order=2, neighbours=NEIGHBOURS[space])
-        return self._stencils
+        stretch, space = self.parts.kinematics.prestretch, self.cloud.points.shape[1]
+        return moving_least_squares(self.cloud.points / stretch, order=2, neighbours=NEIGHBOURS[space])
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
         rest = self.parts.kinematics.prestretch * np.eye(3, self.cloud.points.shape[1])
