@@ -1,0 +1,1 @@
+"""Linear models: a body linearised, its linear reductions, and what they cost."""

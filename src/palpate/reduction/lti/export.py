@@ -1,0 +1,76 @@
+"""A linearised body as files: MATLAB's, and Matrix Market's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sparse
+
+if TYPE_CHECKING:
+    from palpate.reduction.lti.system import LinearSystem
+
+__all__ = ["matrices", "save_matlab", "save_matrix_market"]
+
+
+def matrices(system: LinearSystem) -> dict[str, Any]:
+    """Return what the files hold, by name: M, D, K, B, Cp, Cv, Df, S, Sv sparse or dense, as in `LinearSystem`."""
+    return {
+        "M": system.mass, "D": system.damping, "K": system.stiffness, "B": system.input, "Cp": system.output,
+        "Cv": system.rate_output, "Df": system.feedthrough, "S": system.static, "Sv": system.static_rate,
+    }  # fmt: skip
+
+
+def save_matlab(system: LinearSystem, path: str | Path) -> None:
+    """Write a MATLAB file (version 5), whole or not at all.
+
+    Beside the matrices it holds ``node`` and ``component`` of the unknowns, counted from 1 as MATLAB does, ``points``
+    (n, 3) [m], and ``inputs`` and ``outputs``, their names as cells.
+
+    Raises
+    ------
+    OSError
+        The place cannot be written.
+    """
+    from scipy.io import savemat
+
+    path = Path(path)
+    content = {name: sparse.csc_matrix(matrix) if sparse.issparse(matrix) else matrix
+               for name, matrix in matrices(system).items()}  # fmt: skip
+    content |= {
+        "node": (system.dofs // 3 + 1).astype(float)[:, None],
+        "component": (system.dofs % 3 + 1).astype(float)[:, None],
+        "points": system.model.cloud.points,
+        "inputs": np.array(system.inputs, dtype=object)[:, None],
+        "outputs": np.array(system.outputs, dtype=object)[:, None],
+    }
+    partial = path.with_name(f".{path.name}.partial.mat")
+    try:
+        savemat(partial, content, do_compression=True, oned_as="column")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
+    """Write ``M.mtx``, ``D.mtx``, ... and ``unknowns.txt`` (node and component, counted from 0) into a folder.
+
+    Inputs and outputs stand in the comments of ``B.mtx`` and ``Cp.mtx``.
+
+    Raises
+    ------
+    OSError
+        The place cannot be written.
+    """
+    from scipy.io import mmwrite
+
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    comments = {"B": "inputs: " + "; ".join(system.inputs), "Cp": "outputs: " + "; ".join(system.outputs)}
+    for name, matrix in matrices(system).items():
+        if 0 in matrix.shape:  # S and Sv of a body without tools
+            continue
+        kept = sparse.coo_matrix(matrix) if sparse.issparse(matrix) else matrix
+        mmwrite(folder / f"{name}.mtx", kept, comment=comments.get(name, ""), precision=17, symmetry="general")
+    np.savetxt(folder / "unknowns.txt", np.column_stack([system.dofs // 3, system.dofs % 3]), fmt="%d")

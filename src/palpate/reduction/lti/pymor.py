@@ -1,0 +1,50 @@
+"""pyMOR, an optional package: how it is asked for, and the linearised body as its second-order model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from palpate.faults import InputError
+
+if TYPE_CHECKING:
+    from palpate.reduction.lti.system import LinearSystem
+
+__all__ = ["need_pymor", "second_order_model"]
+
+HOW = "it needs pyMOR, which is not installed: pip install 'palpate[linear]' (or pip install pymor)"
+
+
+def need_pymor(what: str) -> None:
+    """Make sure that pyMOR is there, and keep it quiet.
+
+    Raises
+    ------
+    InputError
+        It is not; the message says how to install it.
+    """
+    try:
+        from pymor.core.logger import set_log_levels
+    except ImportError as error:
+        raise InputError(f"{what}: {HOW}") from error
+    set_log_levels({"pymor": "ERROR"})
+
+
+def second_order_model(system: LinearSystem, solver: Any = None) -> Any:
+    """Return a linearised body as a `SecondOrderModel`.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    solver : object, optional
+        A `pymor.solvers.matrix_equations.interface.LyapunovSolverLR` for its Gramians.
+    """
+    need_pymor("handing a linear system over")
+    from pymor.models.iosys import SecondOrderModel
+    from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
+
+    return SecondOrderModel.from_matrices(
+        system.mass, system.damping, system.stiffness, system.input.toarray(), system.output.toarray(),
+        system.rate_output.toarray(), system.feedthrough,
+        matrix_equation_solvers=None if solver is None else MatrixEquationSolvers(lyapunov_lr=solver),
+        name="palpate",
+    )  # fmt: skip

@@ -1,0 +1,368 @@
+"""A body linearised: M u'' + D u' + K u = B f with chosen inputs and outputs.
+
+The unknowns are the displacements of the nodes that are free, in the model's ordering: component c of node i is
+number 3 i + c of the body, and `LinearSystem.dofs` says which numbers the unknowns have. Rows are multiplied by the
+nodes' weights in the inner product (`NodalModel.weights`), so that M is the lumped mass, a diagonal, and B holds the
+shares of the nodes in the total forces. D = beta K, the stiffness-proportional viscosity of (29).
+
+K of the energy form is symmetric. That of the strong form is collocated: row i is the balance of momentum at node i and
+not the work on a shape function, so that K is not symmetric. Weighted as above it is nearly so; nothing here makes
+it symmetric.
+
+A tool that moves nodes is an input by its acceleration. With N the rigid motions of the tool's nodes and L their static
+continuation, K L = 0 at all free nodes, displacements are u = w + L g, g the tool's coordinates, and
+
+    M w'' + D w' + K w = B f - M L g'',
+
+because D L = beta K L = 0. The outputs y = Cp w + Cv w' + Df [f, g''] + S g + S' g' have a part that follows the tool at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from palpate.dynamics.loads import Drive, Gravity, Load, PrescribedMotion, Traction
+from palpate.dynamics.model import State
+from palpate.dynamics.nodal import NodalModel
+from palpate.dynamics.tools import Grasp
+from palpate.faults import InputError
+from palpate.reduction.lti.tangent import nodal_stiffness
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["LinearSystem", "linearise"]
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+AXES = "xyz"
+LIFTED = 1e-9  # of the spacing: rotations that move no node farther are none
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """A body linearised at a state, its nodes that are free as unknowns.
+
+    Parameters
+    ----------
+    model : NodalModel
+    loads : tuple of loads
+        Those that the inputs were made of; their values in time do not matter.
+    at : (n, 3) array [m]
+        Displacements of the state.
+    dofs : (d,) int array
+        Numbers 3 i + c of the unknowns.
+    mass, damping, stiffness : sparse (d, d) arrays [kg], [N s/m], [N/m]
+        The mass is diagonal.
+    input : sparse (d, p) array
+        Nodal forces of a unit of every input: a total force of 1 N, a gravity of 1 m/s^2, then a tool's acceleration
+        of 1 m/s^2 or 1 rad/s^2.
+    output, rate_output : sparse (q, d) arrays
+        Cp and Cv.
+    feedthrough : (q, p) array
+        Df.
+    inputs, outputs : tuples of str
+        What they are, such as ``"force x on x+"`` and ``"displacement z of x+"``.
+    lifting : (l, n, 3) array
+        Static fields L of the tools' coordinates: translations [m/m], then rotations [m/rad]; the last l inputs are
+        their accelerations.
+    static, static_rate : (q, l) arrays
+        S and S'.
+    whole : sparse (3 n, 3 n) array [N/m]
+        The stiffness with held nodes, too.
+    """
+
+    model: NodalModel
+    loads: tuple[Load, ...]
+    at: Floats
+    dofs: NDArray[np.int64]
+    mass: Any
+    damping: Any
+    stiffness: Any
+    input: Any
+    output: Any
+    rate_output: Any
+    feedthrough: Floats
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    lifting: Floats
+    static: Floats
+    static_rate: Floats
+    whole: Any = field(repr=False)
+
+    @property
+    def order(self) -> int:
+        """Number of unknowns d."""
+        return len(self.dofs)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the stiffness is symmetric: that of the energy form."""
+        return self.model.conservative
+
+    @property
+    def forces(self) -> int:
+        """Number of inputs that are no tool's."""
+        return len(self.inputs) - len(self.lifting)
+
+    def fields(self, columns: Any) -> Floats:
+        """Return nodal fields (k, n, 3) of unknowns (d, k), zero at held nodes."""
+        columns = np.asarray(columns)
+        result = np.zeros((columns.shape[1], 3 * len(self.model.cloud)))
+        result[:, self.dofs] = columns.T
+        return result.reshape(len(result), -1, 3)
+
+    def pencil(self, s: complex) -> Any:
+        """Return s^2 M + s D + K, sparse (d, d)."""
+        return (s * s * self.mass + s * self.damping + self.stiffness).tocsc()
+
+    def transfer(self, points: Any) -> Complex:
+        """Return the transfer function from inputs to outputs at complex frequencies s (k,) [1/s], shape (k, q, p).
+
+        Of tools it is that from their accelerations, without what follows their coordinates at once (`static`).
+        """
+        result = []
+        for s in np.atleast_1d(np.asarray(points, dtype=complex)):
+            solved = splu(self.pencil(s)).solve(self.input.toarray().astype(complex))
+            result.append((self.output + s * self.rate_output) @ solved + self.feedthrough)
+        return np.array(result)
+
+    def frequency_response(self, frequencies: Any) -> Complex:
+        """Return the transfer function at circular frequencies (k,) [rad/s], shape (k, q, p)."""
+        return self.transfer(1j * np.atleast_1d(np.asarray(frequencies, dtype=float)))
+
+    def to_pymor(self) -> Any:
+        """Return a `pymor.models.iosys.SecondOrderModel`: its E is the damping, its D the feedthrough."""
+        from palpate.reduction.lti.pymor import second_order_model
+
+        return second_order_model(self)
+
+    def save_matlab(self, path: str | Path) -> None:
+        """Write all matrices to a MATLAB file, ``load`` reads it; see `palpate.reduction.lti.export`."""
+        from palpate.reduction.lti.export import save_matlab
+
+        save_matlab(self, path)
+
+    def save_matrix_market(self, folder: str | Path) -> None:
+        """Write every matrix to a Matrix Market file of a folder; see `palpate.reduction.lti.export`."""
+        from palpate.reduction.lti.export import save_matrix_market
+
+        save_matrix_market(self, folder)
+
+
+def linearise(
+    model: NodalModel,
+    loads: Sequence[Load] = (),
+    outputs: Sequence[str] = (),
+    state: State | Floats | None = None,
+) -> LinearSystem:
+    """Linearise a body about a state.
+
+    Parameters
+    ----------
+    model : NodalModel
+        `FullModel` or `Membrane`.
+    loads : sequence of loads
+        What the inputs are: a `Traction` of a force gives three, in the directions of the axes, `Gravity` too, and a
+        tool that moves nodes (`PrescribedMotion`, `Grasp`) six, three translations and three rotations about the mean
+        place of its nodes. When they act and how strongly is not part of the system.
+    outputs : sequence of str
+        Groups of nodes: the mean displacement of those that are free, or the total force on the body of a support. The
+        forces of tools are outputs of themselves, as many as their coordinates, behind these.
+    state : State or (n, 3) array, optional [m]
+        Where; rest by default.
+
+    Raises
+    ------
+    InputError
+        A load that is no input of a linear system, a group that is unknown, tools on a body in its strong form, or
+        tissue that relaxes.
+    """
+    if not isinstance(model, NodalModel):
+        raise InputError(f"linearise needs a FullModel or a Membrane, not a {type(model).__name__}")
+    if model.material.prony is not None:
+        raise InputError("tissue that relaxes (prony=) remembers: M, D and K alone do not describe it")
+    loads = tuple(loads)
+    for load in loads:
+        _check_input(load, model)
+    displaced = state.coordinates if isinstance(state, State) else state
+    at = np.zeros((len(model.cloud), 3)) if displaced is None else np.array(displaced, dtype=float)
+    if at.shape != (len(model.cloud), 3) or not np.isfinite(at).all():
+        raise InputError(f"state: displacements must be finite, of shape {(len(model.cloud), 3)}, not {at.shape}")
+    drive = model.drive(loads)
+    whole = nodal_stiffness(model, at if at.any() else None)
+    free = np.flatnonzero(np.repeat(drive.places.kind == 0, 3))
+    weight = np.repeat(model.weights * model.material.density, 3)
+    stiffness = whole[free][:, free].tocsc()
+    rigid, tools = _rigid_motions(model, drive)
+    lifting = _continued(whole, free, stiffness, rigid)
+    forces, names = _force_inputs(model, drive, weight)
+    pushed = np.concatenate([forces[:, free], -weight[free] * lifting[:, free]]).T
+    system = LinearSystem(
+        model, loads, at, free, sparse.diags(weight[free]).tocsc(), (model.viscosity * stiffness).tocsc(), stiffness,
+        sparse.csc_matrix(pushed), *_outputs(model, drive, outputs, whole, free, (forces, rigid, lifting), weight),
+        (*names, *(f"acceleration of {tool}" for tool in tools)), _output_names(model, outputs, tools),
+        lifting.reshape(len(lifting), len(model.cloud), 3), *_statics(model, drive, outputs, whole, (rigid, lifting)), whole,
+    )  # fmt: skip
+    return system
+
+
+def _check_input(load: Load, model: NodalModel) -> None:
+    """Refuse what is no input of a linear system."""
+    if isinstance(load, PrescribedMotion | Grasp):
+        if not model.conservative:
+            raise InputError("a tool that moves nodes of a linearised body needs form='energy': see docs/linear.md")
+        return
+    if isinstance(load, Gravity):
+        return
+    if not isinstance(load, Traction):
+        raise InputError(
+            f"{type(load).__name__} is no input of a linear system: it knows Traction, Gravity, PrescribedMotion and Grasp"
+        )
+    if load.force is None or load.moment is not None:
+        raise InputError(f"Traction on {load.group!r}: an input of a linear system is a force, no moment or pressure")
+
+
+def _rigid_motions(model: NodalModel, drive: Drive) -> tuple[Floats, list[str]]:
+    """Unit translations and rotations of the tools' nodes (l, 3 n), and what they are."""
+    points, columns, names = model.cloud.points, [], []
+    for motion, where in drive.motions:
+        nodes = drive.places.driven[where]
+        arms = np.pad(points[nodes] - points[nodes].mean(axis=0), ((0, 0), (0, 3 - points.shape[1])))
+        for kind in ("translation", "rotation"):
+            for c in range(3):
+                own = np.broadcast_to(np.eye(3)[c], arms.shape) if kind == "translation" else np.cross(np.eye(3)[c], arms)
+                if np.abs(own).max() <= LIFTED * model.cloud.spacing:
+                    continue
+                column = np.zeros((len(points), 3))
+                column[nodes] = own
+                columns.append(column.ravel())
+                names.append(f"{motion.group}, {kind} {AXES[c]}")
+    return np.array(columns).reshape(-1, 3 * len(points)), names
+
+
+def _continued(whole: Any, free: NDArray[np.int64], stiffness: Any, rigid: Floats) -> Floats:
+    """Static continuation (l, 3 n) of the tools' motions: no force at any free node."""
+    fields = rigid.copy()
+    if len(rigid):
+        try:
+            fields[:, free] = -splu(stiffness).solve((whole[free] @ rigid.T)).T
+        except RuntimeError as error:
+            raise InputError("the body at this state has no stiffness against some motion: nothing holds it") from error
+    return fields
+
+
+def _force_inputs(model: NodalModel, drive: Drive, weight: Floats) -> tuple[Floats, list[str]]:
+    """Nodal forces (p, 3 n) of unit total forces and accelerations, and what they are, in the order of the loads."""
+    places, n, columns, names, g = drive.places, len(model.cloud), [], [], 0
+    for load in drive.loads:
+        if isinstance(load, Gravity):
+            columns += [weight * np.tile(np.eye(3)[c], n) for c in range(3)]
+            names += [f"gravity {AXES[c]}" for c in range(3)]
+        elif isinstance(load, Traction):
+            own = slice(places.force_start[g], places.force_start[g + 1])
+            for c in range(3):
+                column = np.zeros(3 * n)
+                np.add.at(column, 3 * places.force_node[own] + c, places.force_share[own])
+                columns.append(column)
+            names += [f"force {AXES[c]} on {load.group}" for c in range(3)]
+            g += 1
+    return np.array(columns).reshape(-1, 3 * n), names
+
+
+def _output_names(model: NodalModel, outputs: Sequence[str], tools: Sequence[str]) -> tuple[str, ...]:
+    names = []
+    for group in outputs:
+        what = "force {} of {}" if group in model.fixed else "displacement {} of {}"
+        names += [what.format(axis, group) for axis in AXES]
+    return (*names, *(f"force of {tool}" for tool in tools))
+
+
+def _rows(model: NodalModel, drive: Drive, group: str) -> Any:
+    """Mean of the displacements of a group, (3, 3 n)."""
+    nodes = drive.supports[group] if group in drive.supports else model.cloud.group(group)
+    n = len(model.cloud)
+    places = np.repeat(np.arange(3), len(nodes)), np.concatenate([3 * nodes + c for c in range(3)])
+    return sparse.csr_matrix((np.full(3 * len(nodes), 1.0 / len(nodes)), places), (3, 3 * n))
+
+
+def _outputs(
+    model: NodalModel, drive: Drive, outputs: Sequence[str], whole: Any, free: NDArray[np.int64],
+    inputs: tuple[Floats, Floats, Floats], weight: Floats,
+) -> tuple[Any, Any, Floats]:  # fmt: skip
+    """Return Cp, Cv (q, d) and Df (q, p)."""
+    forces, rigid, lifting = inputs
+    width, beta = len(forces) + len(lifting), model.viscosity
+    positions, rates, through = [], [], []
+    for group in outputs:
+        if group not in model.fixed:
+            positions.append(_rows(model, drive, group)[:, free])
+            rates.append(sparse.csr_matrix((3, len(free))))
+            through.append(np.zeros((3, width)))
+            continue
+        own, direct = _support_force(model, group, whole, free, forces, bool(len(rigid)))
+        positions.append(own)
+        rates.append(beta * own)
+        through.append(np.hstack([direct, np.zeros((3, len(lifting)))]))
+    if len(rigid):
+        own = sparse.csr_matrix(rigid) @ whole[:, free]
+        positions.append(own)
+        rates.append(beta * own)
+        # a tool bears what loads there are on its nodes, and accelerates their mass
+        through.append(np.hstack([-rigid @ forces.T, (rigid * weight) @ rigid.T]))
+    if not positions:
+        raise InputError("a linear system needs an output: name a group in outputs, or give a tool")
+    return (
+        sparse.vstack(positions).tocsr(),
+        sparse.vstack(rates).tocsr(),
+        np.concatenate(through),
+    )
+
+
+def _support_force(
+    model: NodalModel, group: str, whole: Any, free: NDArray[np.int64], forces: Floats, tools: bool
+) -> tuple[Any, Floats]:
+    """Total force of a support on the body by displacements (3, d), and by the inputs at once (3, forces)."""
+    n = len(model.cloud)
+    total = sparse.csr_matrix(np.tile(np.eye(3), n))
+    if model.conservative:
+        nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
+        own = total[:, nodes] @ whole.tocsr()[nodes]
+        return own[:, free], -(total[:, nodes] @ forces.T[nodes])
+    if len(model.fixed) > 1 or tools:
+        raise InputError(
+            f"the force of {group!r} is an output of a strong form's linear system only where it alone holds the body"
+        )
+    # the balance of momentum of the whole body: the collocated rows by their volumes, not by their weights
+    share = np.repeat(model.volumes / model.weights, 3)[free]
+    rows = total[:, free] @ sparse.diags(share)
+    return -(rows @ whole[free][:, free]), np.asarray(rows @ forces.T[free] - total @ forces.T)
+
+
+def _statics(
+    model: NodalModel, drive: Drive, outputs: Sequence[str], whole: Any, tools: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Return S and S' (q, l): what outputs follow the tools' coordinates and their rates at once."""
+    rigid, lifting = tools
+    statics, rates = [], []
+    for group in outputs:
+        if group in model.fixed:
+            nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
+            total = sparse.csr_matrix(np.tile(np.eye(3), len(model.cloud)))[:, nodes]
+            statics.append(np.asarray(total @ (whole.tocsr()[nodes] @ lifting.T)))
+            rates.append(model.viscosity * statics[-1])
+        else:
+            statics.append(np.asarray(_rows(model, drive, group) @ lifting.T))
+            rates.append(np.zeros((3, len(lifting))))
+    if len(rigid):
+        statics.append(np.asarray(rigid @ (whole @ lifting.T)))
+        rates.append(model.viscosity * statics[-1])
+    return np.concatenate(statics), np.concatenate(rates)
