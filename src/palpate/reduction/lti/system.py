@@ -38,7 +38,7 @@ from palpate.reduction.lti.tangent import nodal_stiffness
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["LinearSystem", "linearise"]
+__all__ = ["LinearSystem", "force_inputs", "linearise"]
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -112,6 +112,11 @@ class LinearSystem:
     def forces(self) -> int:
         """Number of inputs that are no tool's."""
         return len(self.inputs) - len(self.lifting)
+
+    @property
+    def lifts(self) -> Floats:
+        """The tools' static fields by degree of freedom, (l, 3 n)."""
+        return self.lifting.reshape(len(self.lifting), 3 * len(self.model.cloud))
 
     def fields(self, columns: Any) -> Floats:
         """Return nodal fields (k, n, 3) of unknowns (d, k), zero at held nodes."""
@@ -204,7 +209,7 @@ def linearise(
     stiffness = whole[free][:, free].tocsc()
     rigid, tools = _rigid_motions(model, drive)
     lifting = _continued(whole, free, stiffness, rigid)
-    forces, names = _force_inputs(model, drive, weight)
+    forces, names = force_inputs(model, drive, weight)
     pushed = np.concatenate([forces[:, free], -weight[free] * lifting[:, free]]).T
     system = LinearSystem(
         model, loads, at, free, sparse.diags(weight[free]).tocsc(), (model.viscosity * stiffness).tocsc(), stiffness,
@@ -260,7 +265,7 @@ def _continued(whole: Any, free: NDArray[np.int64], stiffness: Any, rigid: Float
     return fields
 
 
-def _force_inputs(model: NodalModel, drive: Drive, weight: Floats) -> tuple[Floats, list[str]]:
+def force_inputs(model: NodalModel, drive: Drive, weight: Floats) -> tuple[Floats, list[str]]:
     """Nodal forces (p, 3 n) of unit total forces and accelerations, and what they are, in the order of the loads."""
     places, n, columns, names, g = drive.places, len(model.cloud), [], [], 0
     for load in drive.loads:

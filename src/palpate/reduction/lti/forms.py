@@ -1,0 +1,119 @@
+"""What the methods of linear reduction make: few equations of second or of first order, and the fields they stand for.
+
+In both the reduced displacements are the coordinates times fields, u = sum_k c_k Phi_k + L g, g the tools' coordinates,
+which are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+__all__ = ["FirstOrder", "Reduced", "SecondOrder"]
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class SecondOrder:
+    """M c'' + D c' + K c = B f, y = Cp c + Cv c' + Df f.
+
+    Parameters
+    ----------
+    mass, damping, stiffness : (k, k) arrays
+    input, output, rate_output, feedthrough : (k, p), (q, k), (q, k), (q, p) arrays
+    fields : (k, n, 3) array
+    """
+
+    mass: Floats
+    damping: Floats
+    stiffness: Floats
+    input: Floats
+    output: Floats
+    rate_output: Floats
+    feedthrough: Floats
+    fields: Floats
+
+    @property
+    def states(self) -> int:
+        """Number of first-order equations."""
+        return 2 * len(self.mass)
+
+    def state_space(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return A, B, C, D of x' = A x + B f, y = C x + D f with x = (c, c')."""
+        k = len(self.mass)
+        solved = np.linalg.solve(self.mass, np.hstack([-self.stiffness, -self.damping, self.input]))
+        lower = np.hstack([np.zeros((k, k)), np.eye(k)])
+        a = np.vstack([lower, solved[:, : 2 * k]])
+        b = np.vstack([np.zeros_like(self.input), solved[:, 2 * k :]])
+        return a, b, np.hstack([self.output, self.rate_output]), self.feedthrough
+
+    def transfer(self, points: Complex | Floats) -> Complex:
+        """Return the transfer function at complex frequencies s (t,) [1/s], shape (t, q, p)."""
+        result = []
+        for s in np.atleast_1d(np.asarray(points, dtype=complex)):
+            solved = np.linalg.solve(s * s * self.mass + s * self.damping + self.stiffness, self.input.astype(complex))
+            result.append((self.output + s * self.rate_output) @ solved + self.feedthrough)
+        return np.array(result)
+
+    def poles(self) -> Complex:
+        """Return the poles (2 k,) [1/s]."""
+        return np.asarray(np.linalg.eigvals(self.state_space()[0]), dtype=complex)
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """c' = A c + B f, y = C c + D f.
+
+    Parameters
+    ----------
+    state, input, output, feedthrough : (k, k), (k, p), (q, k), (q, p) arrays
+    fields : (k, n, 3) array
+    """
+
+    state: Floats
+    input: Floats
+    output: Floats
+    feedthrough: Floats
+    fields: Floats
+
+    @property
+    def states(self) -> int:
+        """Number of first-order equations."""
+        return len(self.state)
+
+    def state_space(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return A, B, C, D."""
+        return self.state, self.input, self.output, self.feedthrough
+
+    def transfer(self, points: Complex | Floats) -> Complex:
+        """Return the transfer function at complex frequencies s (t,) [1/s], shape (t, q, p)."""
+        eye, result = np.eye(len(self.state)), []
+        for s in np.atleast_1d(np.asarray(points, dtype=complex)):
+            result.append(self.output @ np.linalg.solve(s * eye - self.state, self.input) + self.feedthrough)
+        return np.array(result)
+
+    def poles(self) -> Complex:
+        """Return the poles (k,) [1/s]."""
+        return np.asarray(np.linalg.eigvals(self.state), dtype=complex)
+
+
+Reduced = SecondOrder | FirstOrder
+
+
+def held_over(a: Floats, b: Floats, step: float) -> tuple[Floats, Floats, Floats]:
+    """Return E, G0, G1 of the exact step x1 = E x0 + G0 f0 + G1 f1 for inputs that go evenly from f0 to f1.
+
+    From the exponential of one matrix (Van Loan, IEEE Trans. Autom. Control 23, 1978).
+    """
+    n, p = b.shape
+    whole = np.zeros((n + 2 * p, n + 2 * p))
+    whole[:n, :n], whole[:n, n : n + p] = step * a, step * b
+    whole[n : n + p, n + p :] = np.eye(p)
+    moved = scipy.linalg.expm(whole)
+    ramp = moved[:n, n + p :]
+    return moved[:n, :n], moved[:n, n : n + p] - ramp, ramp

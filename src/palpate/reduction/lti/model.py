@@ -1,0 +1,367 @@
+"""The linear model: a linear reduction of a body, stepped, asked and shown as any other model.
+
+Its step is exact for forces that go evenly within a step: x1 = E x0 + G0 f0 + G1 f1 with E = exp(A dt), whatever the
+step and the fastest pole. A tool's coordinates go evenly, too: its acceleration is an impulse at the times of the steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from palpate.dynamics.loads import Drive, Gravity, Load, Traction
+from palpate.dynamics.model import Model, Nodes, Outputs, State
+from palpate.dynamics.reactions import evaluate
+from palpate.faults import InputError, number_in_range
+from palpate.reduction.lti.forms import FirstOrder, Reduced, SecondOrder, held_over
+from palpate.reduction.lti.system import LinearSystem, force_inputs
+
+__all__ = ["LinearModel"]
+
+Floats = NDArray[np.float64]
+
+MISSED = 1e-2  # of a tool's motion, that small translations and rotations may miss of it
+TINY = 1e-4  # of the spacing: displacements by whose stresses the linear ones are found
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What a drive's loads are to the inputs of the system."""
+
+    drive: Drive
+    forces: tuple[tuple[int, slice], ...]  # force groups of the schedule, and their inputs
+    gravity: slice | None
+
+    def at(self, times: Floats, count: int) -> Floats:
+        """Return the inputs (t, count) that are no tool's at some times [s]."""
+        schedule, values = self.drive.schedule(times), np.zeros((len(times), count))
+        for group, own in self.forces:
+            values[:, own] += schedule.force[:, group]
+        if self.gravity is not None:
+            values[:, self.gravity] += schedule.gravity
+        return values
+
+
+class LinearModel(Model):
+    """A linear reduction of a body, of the same contract as the full model and the other reduced ones.
+
+    Made by `palpate.reduce_linear`. It takes the loads that its system was made with, by kind and group, with any
+    values in time, and moves as a body at rest does: by small displacements.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        Linearised at rest.
+    reduced : SecondOrder or FirstOrder
+    report : mapping
+        What was measured when it was made.
+
+    Attributes
+    ----------
+    count : int
+        Number of coordinates k, without those of the tools.
+    """
+
+    name = "linear"
+    fewest = 20
+
+    def __init__(self, system: LinearSystem, reduced: Reduced, report: Mapping[str, Any] | None = None) -> None:
+        if system.at.any():
+            raise InputError("a linear model needs a system linearised at rest: loads hold a body elsewhere")
+        self.system, self.reduced, self.report = system, reduced, dict(report or {})
+        full = system.model
+        self.full, self.cloud, self.material, self.fixed = full, full.cloud, full.material, full.fixed
+        self.conservative, self.viscosity, self.stencils = full.conservative, full.viscosity, full.stencils
+        self.count, self.lifted = len(reduced.fields), len(system.lifting)
+        self.columns = np.concatenate([reduced.fields, system.lifting])
+        self.A, self.B, self.C, self.D = (np.ascontiguousarray(matrix) for matrix in reduced.state_space())
+        flat = self.columns.reshape(len(self.columns), -1)
+        self._lost = full.viscosity * (flat @ (system.whole @ flat.T))
+        self._steps: dict[float, tuple[Floats, ...]] = {}
+        self._ready: _Inputs | None = None
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles [1/s]; all have negative real parts where the model is stable."""
+        return self.reduced.poles()
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles have negative real parts."""
+        return bool(self.poles.real.max() < 0)
+
+    def frequency_response(self, frequencies: Any) -> NDArray[np.complex128]:
+        """Return the transfer function at circular frequencies (t,) [rad/s], as `LinearSystem.frequency_response`."""
+        return self.reduced.transfer(1j * np.atleast_1d(np.asarray(frequencies, dtype=float)))
+
+    # loads
+
+    def drive(self, loads: Sequence[Load]) -> Drive:
+        """Make loads ready.
+
+        Raises
+        ------
+        InputError
+            Loads that the system was not made with.
+        """
+        ready = self.full.drive(loads)
+        known = {load.group for load in self.system.loads if isinstance(load, Traction)}
+        weight = any(isinstance(load, Gravity) for load in self.system.loads)
+        for load in ready.loads:
+            if isinstance(load, Traction) and (load.force is None or load.moment is not None or load.group not in known):
+                raise InputError(f"this linear model was made for forces on {sorted(known) or 'no group'}, not {load!r}")
+            if isinstance(load, Gravity) and not weight:
+                raise InputError("this linear model was made without Gravity: linearise with it")
+        if len(ready.places.foundation_node) or ready.tools:
+            raise InputError("a linear model knows no Contact and no Foundation: linear bodies are neither touched nor tied")
+        names = {name: nodes for name, nodes in ready.supports.items() if name not in self.fixed}
+        own = self.full.drive(self.system.loads)
+        wanted = {name: nodes for name, nodes in own.supports.items() if name not in self.fixed}
+        same = names.keys() == wanted.keys() and all(np.array_equal(names[name], wanted[name]) for name in wanted)
+        if not same or any(motion.until < np.inf for motion, _ in ready.motions):
+            raise InputError(
+                f"this linear model was made with {sorted(wanted) or 'no group'} held by tools, which never let go, "
+                f"not with {sorted(names) or 'none'}"
+            )
+        return ready
+
+    def _inputs(self, drive: Drive) -> _Inputs:
+        if self._ready is None or self._ready.drive is not drive:
+            of, place, gravity = {}, 0, None
+            for load in self.system.loads:
+                if isinstance(load, Traction):
+                    of[load.group], place = slice(place, place + 3), place + 3
+                elif isinstance(load, Gravity):
+                    gravity, place = slice(place, place + 3), place + 3
+            groups = [load.group for load in drive.loads if isinstance(load, Traction)]
+            self._ready = _Inputs(drive, tuple((g, of[name]) for g, name in enumerate(groups)), gravity)
+        return self._ready
+
+    def tool_coordinates(self, drive: Drive, times: Floats) -> Floats:
+        """Return the coordinates (t, l) of the tools at some times [s]: translations [m], small rotations [rad].
+
+        Raises
+        ------
+        InputError
+            A motion that is not a rigid tool's, or turns too far.
+        """
+        if not self.lifted:
+            return np.zeros((len(times), 0))
+        driven = drive.places.driven
+        motion = drive.schedule(times).motion.reshape(len(times), -1)
+        span = self.system.lifting[:, driven].reshape(self.lifted, -1)
+        coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
+        missed = np.abs(coordinates @ span - motion).max()
+        if missed > MISSED * max(float(np.abs(motion).max()), 1e-3 * self.cloud.spacing):
+            raise InputError(
+                f"the tool's motion is not a small rigid one: {missed:.3g} m of it is missed at t = {times[0]:.4g} s"
+            )
+        return np.asarray(coordinates)
+
+    # stepping
+
+    def state(
+        self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
+    ) -> State:
+        nodal = self.full.state(drive, displacement, velocity, time)
+        now = np.array([time])
+        tools = self.tool_coordinates(drive, now)[0]
+        rates = drive.rates(lambda times: self.tool_coordinates(drive, times), time)[0] if self.lifted else tools
+        flat = self.reduced.fields.reshape(self.count, -1)
+        weight = np.repeat(self.full.weights * self.material.density, 3)
+        begun = []
+        for given, known in ((nodal.coordinates, tools), (nodal.velocities, rates)):
+            rest = given.ravel() - known @ self.system.lifts
+            rest[np.repeat(drive.places.kind != 0, 3)] = 0.0
+            begun.append(rest)
+        if isinstance(self.reduced, FirstOrder):
+            if any(np.abs(rest).max(initial=0.0) > 1e-12 * self.cloud.spacing for rest in begun):
+                raise InputError("a first-order linear model starts at rest: its states are not displacements")
+            own = np.zeros((2, self.count))
+            own[1] = self.B[:, : self.system.forces] @ self._inputs(drive).at(now, self.system.forces)[0]
+        else:
+            gram = (flat * weight) @ flat.T
+            own = np.linalg.solve(gram, (flat * weight) @ np.array(begun).T).T
+        return State(np.concatenate([own[0], tools]), np.concatenate([own[1], rates]), time)
+
+    def stable_step(self, state: State, drive: Drive) -> float:
+        """Return infinity: the step is exact, however long; a run takes `fewest` steps between two snapshots."""
+        return np.inf
+
+    def _propagator(self, step: float) -> tuple[Floats, ...]:
+        """E, G0 and G1 of a step for the inputs that are no tool's, and what tools' impulses do."""
+        if step not in self._steps:
+            if len(self._steps) > 16:
+                self._steps.clear()
+            forces = self.system.forces
+            own = held_over(self.A, self.B[:, :forces], step)
+            self._steps[step] = tuple(np.ascontiguousarray(m) for m in (*own, self.B[:, forces:]))
+        return self._steps[step]
+
+    def _packed(self, state: State) -> Floats:
+        """The state x of the first-order equations."""
+        if isinstance(self.reduced, SecondOrder):
+            return np.concatenate([state.coordinates[: self.count], state.velocities[: self.count]])
+        return state.coordinates[: self.count].copy()
+
+    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+        number_in_range("step", step, 0.0, open_low=True, unit="s")
+        times: Floats = state.time + step * np.arange(-1.0, steps + 2)
+        f = np.ascontiguousarray(self._inputs(drive).at(times[1:-1], self.system.forces))
+        g = np.ascontiguousarray(self.tool_coordinates(drive, times))
+        kicks = np.ascontiguousarray((g[2:] - 2 * g[1:-1] + g[:-2]) / step)
+        x = self._packed(state)
+        history = np.zeros((steps + 1, len(x)))
+        propagate(x, *self._propagator(step), f, kicks, history)
+        rates = self._rates(history, f)
+        c, speeds = history[:, : self.count], (g[2:] - g[:-2]) / (2 * step)
+        all_c, all_v = np.hstack([c, g[1:-1]]), np.hstack([rates, speeds])
+        work = self._work(all_c, f, history, (g[1:-1], speeds, kicks / step))
+        power = np.einsum("ti,ij,tj->t", all_v, self._lost, all_v)
+        lost = step * float(power.sum() - 0.5 * (power[0] + power[-1]))
+        external, dissipated = state.external_work + work, state.dissipated + lost
+        return State(all_c[-1].copy(), all_v[-1].copy(), float(times[-2]), external, dissipated)
+
+    def _rates(self, history: Floats, f: Floats) -> Floats:
+        """Rates (t, k) of the coordinates for states (t, N) and inputs that are no tool's."""
+        if isinstance(self.reduced, SecondOrder):
+            return history[:, self.count :]
+        return np.asarray(history @ self.A.T + f @ self.B[:, : self.system.forces].T)
+
+    def _work(self, c: Floats, f: Floats, history: Floats, tools: tuple[Floats, Floats, Floats]) -> float:
+        """Work [J] of loads and tools over some times, by the trapezium rule."""
+        if not hasattr(self, "_moved"):
+            nodal = self._force_columns()
+            self._moved = nodal @ self.columns.reshape(len(self.columns), -1).T
+        done = float(np.sum(0.5 * (f[1:] + f[:-1]) * np.diff(c @ self._moved.T, axis=0)))
+        if self.lifted:
+            g, speeds, bends = tools
+            pulled = self._tool_forces(history, f, g, speeds, bends)
+            done += float(np.sum(0.5 * (pulled[1:] + pulled[:-1]) * np.diff(g, axis=0)))
+        return done
+
+    def _force_columns(self) -> Floats:
+        """Nodal forces (forces, 3 n) of the inputs that are no tool's, on held nodes, too."""
+        model = self.full
+        return force_inputs(model, model.drive(self.system.loads), np.repeat(model.masses, 3))[0]
+
+    def _tool_forces(self, x: Floats, f: Floats, g: Floats, speeds: Floats, bends: Floats) -> Floats:
+        """Forces (t, l) [N], [N m] of the tools on the body, conjugate to their coordinates."""
+        own, system = slice(len(self.C) - self.lifted, None), self.system
+        inputs = np.hstack([f, bends])
+        return np.asarray(
+            x @ self.C[own].T + inputs @ self.D[own].T + g @ system.static[own].T + speeds @ system.static_rate[own].T
+        )
+
+    def responses(self, state: State, drive: Drive) -> Floats:
+        """Return the outputs y (q,) of the system at a state, as `LinearSystem.outputs` names them."""
+        f = self._inputs(drive).at(np.array([state.time]), self.system.forces)[0]
+        bends = self._bends(state, drive)
+        g, rates = state.coordinates[self.count :], state.velocities[self.count :]
+        y = self.C @ self._packed(state) + self.D @ np.concatenate([f, bends])
+        return np.asarray(y + self.system.static @ g + self.system.static_rate @ rates)
+
+    def _bends(self, state: State, drive: Drive) -> Floats:
+        """Accelerations (l,) of the tools."""
+        if not self.lifted:
+            return np.zeros(0)
+        return drive.rates(lambda times: self.tool_coordinates(drive, times), state.time)[1]
+
+    # what a state means
+
+    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        """Return the displacements [m] of some nodes, rebuilt only there."""
+        return np.tensordot(state.coordinates, self.columns[:, nodes], 1)
+
+    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+        """Return the velocities [m/s] of some nodes."""
+        return np.tensordot(state.velocities, self.columns[:, nodes], 1)
+
+    def outputs(self, state: State, drive: Drive) -> Outputs:
+        return evaluate(self, state, drive)
+
+    def acceleration(self, state: State, drive: Drive) -> Floats:
+        inputs, forces = self._inputs(drive), self.system.forces
+        bends = self._bends(state, drive)
+        if isinstance(self.reduced, SecondOrder):
+            f = np.concatenate([inputs.at(np.array([state.time]), forces)[0], bends])
+            own = (self.A @ self._packed(state) + self.B @ f)[self.count :]
+        else:
+            slope = drive.rates(lambda times: inputs.at(times, forces), state.time)[0]
+            own = self.A @ state.velocities[: self.count] + self.B[:, :forces] @ slope
+        return np.tensordot(np.concatenate([own, bends]), self.columns, 1)
+
+    def external_force(self, state: State, drive: Drive) -> Floats:
+        return self.full.external_force(State(self.displacement(state, drive), state.velocities, state.time), drive)
+
+    def nodal_force(self, displacements: Floats) -> Floats:
+        pushed = -(self.system.whole @ displacements.ravel()).reshape(-1, 3)
+        return np.asarray(pushed / self.full.weights[:, None])
+
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        return self.full.deformation_gradient(displacements)
+
+    def stress(self, displacements: Floats) -> Floats:
+        """Return the stress [Pa] that the full model's is to first order, by central differences."""
+        largest = float(np.abs(displacements).max())
+        if largest == 0:
+            return self.full.stress(displacements)
+        scale = TINY * self.cloud.spacing / largest
+        return (self.full.stress(scale * displacements) - self.full.stress(-scale * displacements)) / (2 * scale)
+
+    def strain_energy(self, displacements: Floats) -> float:
+        flat = displacements.ravel()
+        return float(0.5 * flat @ (self.system.whole @ flat))
+
+    @property
+    def volumes(self) -> Floats:
+        return self.full.volumes
+
+    def realtime(self, period: float = 1e-3) -> Any:
+        """Return this model as `palpate.Engine` takes it, with the one tool that its system was made with.
+
+        Parameters
+        ----------
+        period : float [s]
+            That the engine will mostly ask for; another one costs a matrix exponential when it is first met.
+
+        Raises
+        ------
+        InputError
+            The system was not made with exactly one tool, or has other loads.
+        """
+        from palpate.reduction.lti.realtime import realtime_model
+
+        return realtime_model(self, period)
+
+
+@njit(cache=True, fastmath={"contract"})
+def propagate(x, E, G0, G1, impulse, f, kicks, history):  # type: ignore[no-untyped-def]
+    """Advance x (N,) in place by one step less than there are inputs f (t, p); write the states (t, N).
+
+    Impulses `kicks` (t, l) act half before and half after the states that are written.
+    """
+    n = x.shape[0]
+    new = np.empty(n)
+    history[0] = x
+    for s in range(f.shape[0] - 1):
+        for i in range(n):
+            for j in range(kicks.shape[1]):
+                x[i] += 0.5 * impulse[i, j] * kicks[s, j]
+        for i in range(n):
+            value = 0.0
+            for j in range(n):
+                value += E[i, j] * x[j]
+            for j in range(f.shape[1]):
+                value += G0[i, j] * f[s, j] + G1[i, j] * f[s + 1, j]
+            for j in range(kicks.shape[1]):
+                value += 0.5 * impulse[i, j] * kicks[s + 1, j]
+            new[i] = value
+        for i in range(n):
+            x[i] = new[i]
+        history[s + 1] = x
