@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         commands = {
             "reproduce": _reproduce, "run": _run, "train": _train, "fit": _fit, "check": _check, "bench": _bench,
-            "laws": _laws, "view": _view, "replay": _replay,
+            "laws": _laws, "view": _view, "replay": _replay, "compare": _compare,
         }  # fmt: skip
         return commands[command](options)
     except (InputError, FileFormatError, FileNotFoundError) as error:
@@ -115,6 +115,12 @@ def _train(options: dict[str, Any]) -> int:
     return train(**options)
 
 
+def _compare(options: dict[str, Any]) -> int:
+    from palpate.app.compare.command import compare
+
+    return compare(**options)
+
+
 def _view(options: dict[str, Any]) -> int:
     from palpate.app.view.command import view
 
@@ -148,6 +154,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_train(commands)
     _add_fit(commands)
     _add_check(commands)
+    _add_compare(commands)
     _add_bench(commands)
     _add_laws(commands)
     return parser
@@ -348,6 +355,24 @@ def _add_check(commands: Any) -> None:
     add("--repair", action="store_true", help="close small holes, turn triangles, smooth folds, drop specks")
     add("--seed", type=int, default=0, metavar="K", help="of the nodes' places (0)")
     _add_results(check, Path("out/check"))
+
+
+def _add_compare(commands: Any) -> None:
+    compare = commands.add_parser(
+        "compare",
+        help="linear reductions side by side: modal, balanced, Hankel, Krylov, POD",
+        description="Linearise a body at rest, reduce it by every method, and compare costs, stability, frequency response "
+        "and errors at a small and a large load with the full, nonlinear body. Needs pyMOR: pip install 'palpate[linear]'. "
+        "See docs/linear.md.",
+    )
+    add = compare.add_argument
+    add("body", choices=["beam", "liver"], help="the paper's beam, pulled; or the generated liver, a tool at its front")
+    add("--modes", type=int, nargs="+", default=[4, 8, 16, 24], metavar="M", help="sizes (4 8 16 24)")
+    add("--methods", nargs="+", metavar="NAME", help="some of the methods only (all)")
+    add("--spacing", type=float, metavar="M", help="distance between nodes [m] (beam 0.005, liver 0.012)")
+    add("--poisson", type=float, metavar="NU", help="Poisson's ratio (beam 0.49, liver 0.45)")
+    add("--condense", type=int, metavar="K", help="slowest modes that are balanced instead of all unknowns (240); 0: all")
+    _add_results(compare, Path("out/compare"))
 
 
 def _add_bench(commands: Any) -> None:

@@ -113,12 +113,18 @@ class LinearModel(Model):
         known = {load.group for load in self.system.loads if isinstance(load, Traction)}
         weight = any(isinstance(load, Gravity) for load in self.system.loads)
         for load in ready.loads:
-            if isinstance(load, Traction) and (load.force is None or load.moment is not None or load.group not in known):
-                raise InputError(f"this linear model was made for forces on {sorted(known) or 'no group'}, not {load!r}")
+            if isinstance(load, Traction) and (
+                load.force is None or load.moment is not None or load.group not in known
+            ):
+                raise InputError(
+                    f"this linear model was made for forces on {sorted(known) or 'no group'}, not {load!r}"
+                )
             if isinstance(load, Gravity) and not weight:
                 raise InputError("this linear model was made without Gravity: linearise with it")
         if len(ready.places.foundation_node) or ready.tools:
-            raise InputError("a linear model knows no Contact and no Foundation: linear bodies are neither touched nor tied")
+            raise InputError(
+                "a linear model knows no Contact and no Foundation: linear bodies are neither touched nor tied"
+            )
         names = {name: nodes for name, nodes in ready.supports.items() if name not in self.fixed}
         own = self.full.drive(self.system.loads)
         wanted = {name: nodes for name, nodes in own.supports.items() if name not in self.fixed}

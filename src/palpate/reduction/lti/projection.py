@@ -20,7 +20,7 @@ from palpate.reduction.lti.forms import SecondOrder
 from palpate.reduction.lti.system import LinearSystem
 from palpate.reduction.pod import pod
 
-__all__ = ["Columns", "condensed", "eigenvectors", "modal", "moments", "proper", "projected"]
+__all__ = ["Columns", "condensed", "eigenvectors", "modal", "moments", "projected", "proper"]
 
 Floats = NDArray[np.float64]
 Columns = tuple[Floats, Floats]

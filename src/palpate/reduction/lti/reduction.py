@@ -50,6 +50,7 @@ METHODS = {
 }
 PYMOR = {"irka", "balanced", *SECOND_ORDER_BALANCING}
 CONDENSED = 240  # modes of the condensed body that large ones are balanced by
+IRKA: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
 Run = tuple[Sequence[Load], float, float]
 
 
@@ -139,7 +140,11 @@ class Reduction:
 
     def _shared(self, method: str) -> float:
         """Time [s] of what a method needs and shares with others."""
-        parts = {"modal": (), "moments": (), "pod": ("run",), "irka": ("condensed",)}
+        parts = {
+            "modal": (),
+            "moments": (),
+            "pod": ("run",),
+        }
         own = parts.get(method, ("condensed", "hankel" if method == "hankel" else "gramians"))
         return float(sum(self.seconds.get(part, 0.0) for part in own))
 
@@ -157,9 +162,7 @@ class Reduction:
         if self.training is None:
             raise InputError("POD learns from a run of the linearised body: give training=(loads, duration, every)")
         loads, duration, every = self.training
-        return np.asarray(
-            self._timed("run", lambda: linear_run(self.system, loads, duration=duration, every=every)[1])
-        )
+        return np.asarray(self._timed("run", lambda: linear_run(self.system, loads, duration=duration, every=every)[1]))
 
     @cached_property
     def source(self) -> SecondOrder:
@@ -253,12 +256,13 @@ class Reduction:
             raise InputError(f"modes = {modes}: the body to balance has only {len(self.source.mass)}; condense less")
         fom, own = self.pymor, self.scaled
         if method == "irka":
+            from pymor.reductors.bt import BTReductor
             from pymor.reductors.sor_irka import SORIRKAReductor
-            from pymor.tools.random import new_rng
 
-            with new_rng(0):
-                reductor = SORIRKAReductor(fom)
-                rom = reductor.reduce(modes, tol=1e-3, maxit=50)
+            self._gramians()
+            start = BTReductor(fom.to_lti()).reduce(modes)  # as many poles as there are points to begin with
+            reductor = SORIRKAReductor(fom)
+            rom = reductor.reduce(start, **IRKA)
             fields = _columns(reductor.V)
         else:
             from pymor.reductors import sobt
@@ -290,12 +294,16 @@ class Reduction:
         if e is not None:
             a, b = np.linalg.solve(e, a), np.linalg.solve(e, b)
         position = _columns(reductor.V.blocks[0])
-        return self._unscaled(Realisation(a, b, c, self.scaled.feedthrough), np.tensordot(position.T, self.scaled.fields, 1))
+        return self._unscaled(
+            Realisation(a, b, c, self.scaled.feedthrough), np.tensordot(position.T, self.scaled.fields, 1)
+        )
 
     def _hankel(self, modes: int) -> FirstOrder:
         own, values, into = self.realisation
         if 2 * modes >= len(values):
-            raise InputError(f"modes = {modes}: the body has {len(values)} Hankel singular values that can be told from noise")
+            raise InputError(
+                f"modes = {modes}: the body has {len(values)} Hankel singular values that can be told from noise"
+            )
         reduced = hankel_norm(own, values, 2 * modes)
         fields = np.tensordot(into[: len(self.scaled.fields)].T, self.scaled.fields, 1)
         return self._unscaled(reduced, nearest_fields(own, fields, reduced))

@@ -244,7 +244,9 @@ def _rigid_motions(model: NodalModel, drive: Drive) -> tuple[Floats, list[str]]:
         arms = np.pad(points[nodes] - points[nodes].mean(axis=0), ((0, 0), (0, 3 - points.shape[1])))
         for kind in ("translation", "rotation"):
             for c in range(3):
-                own = np.broadcast_to(np.eye(3)[c], arms.shape) if kind == "translation" else np.cross(np.eye(3)[c], arms)
+                own = (
+                    np.broadcast_to(np.eye(3)[c], arms.shape) if kind == "translation" else np.cross(np.eye(3)[c], arms)
+                )
                 if np.abs(own).max() <= LIFTED * model.cloud.spacing:
                     continue
                 column = np.zeros((len(points), 3))
@@ -259,7 +261,7 @@ def _continued(whole: Any, free: NDArray[np.int64], stiffness: Any, rigid: Float
     fields = rigid.copy()
     if len(rigid):
         try:
-            fields[:, free] = -splu(stiffness).solve((whole[free] @ rigid.T)).T
+            fields[:, free] = -splu(stiffness).solve(whole[free] @ rigid.T).T
         except RuntimeError as error:
             raise InputError("the body at this state has no stiffness against some motion: nothing holds it") from error
     return fields

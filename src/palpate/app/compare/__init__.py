@@ -1,0 +1,1 @@
+"""Linear reductions of a body side by side: ``palpate compare``."""

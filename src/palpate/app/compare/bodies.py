@@ -1,0 +1,111 @@
+"""The bodies that are compared: how they are made, pushed a little and pushed far, and by what nonlinear model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.full import FullModel
+from palpate.dynamics.loads import Load, PrescribedMotion, Traction
+from palpate.dynamics.model import Model
+from palpate.dynamics.trajectory import Trajectory
+from palpate.faults import InputError, number_in_range
+from palpate.reduction.projected import project
+from palpate.reduction.training import reduce
+from palpate.scenes.beam import beam, pull
+from palpate.scenes.liver import MARGIN, _model
+
+__all__ = ["BODIES", "Body", "compared_beam", "compared_liver"]
+
+Floats = NDArray[np.float64]
+
+SMALL_PULL, LARGE_PULL = 0.1, 100.0  # [N] of the beam; the large one is the paper's
+SMALL_WAY, LARGE_WAY = 2e-4, 0.02  # [m] of the liver's tool; the large one is the training's deepest press
+TOOL = "tool"
+LASTING = 0.6  # [s] of the liver's tool, out and back
+GRIP = 2.0  # spacings: radius of what the tool holds
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body that is compared.
+
+    Parameters
+    ----------
+    title : str
+    model : FullModel
+    loads : function
+        Of a size, the loads of a run.
+    small, large : float
+        Sizes.
+    unit : str
+        Of the sizes.
+    outputs : tuple of str
+        As of `palpate.linearise`.
+    duration, every : float [s]
+    nonlinear : function
+        Of the run with the large load and a number of modes, a nonlinear reduced model; and what it is called.
+    nonlinear_name : str
+    """
+
+    title: str
+    model: FullModel
+    loads: Callable[[float], tuple[Load, ...]]
+    small: float
+    large: float
+    unit: str
+    outputs: tuple[str, ...]
+    duration: float
+    every: float
+    nonlinear: Callable[[Trajectory, int], Model]
+    nonlinear_name: str
+
+
+def compared_beam(spacing: float = 0.005, poisson: float = 0.49) -> Body:
+    """Return the paper's beam, pulled by up to 0.1 N and up to 100 N."""
+    scene = beam(spacing=spacing, poisson=poisson)
+    model = scene.model
+    assert isinstance(model, FullModel)
+
+    def loads(size: float) -> tuple[Load, ...]:
+        return (Traction("x+", force=lambda time: (pull(time, size), 0.0, 0.0)),)
+
+    return Body(
+        f"The paper's beam, {1e3 * spacing:g} mm", model, loads, SMALL_PULL, LARGE_PULL, "N", ("x+",),
+        scene.duration, scene.every, lambda run, modes: project(model, run, modes=modes), "POD of the nonlinear run (the paper's)",
+    )  # fmt: skip
+
+
+def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> Body:
+    """Return the generated liver, a place of its front pulled by a tool by up to 0.2 mm and up to 20 mm."""
+    spacing = number_in_range("spacing", spacing, 0.006, 0.012, unit="m")
+    bare = _model(spacing, number_in_range("poisson", poisson, 0.0, 0.49))
+    cloud = bare.cloud
+    surface = np.unique(cloud.face_nodes)
+    back = cloud.points[cloud.group("back"), 1].min()
+    reachable = surface[cloud.points[surface, 1] < back - MARGIN]
+    if not len(reachable):
+        raise InputError(f"spacing = {spacing!r}: no place of this liver is away from its back")
+    at = reachable[np.argmin(cloud.points[reachable, 1])]
+    near = surface[np.linalg.norm(cloud.points[surface] - cloud.points[at], axis=1) <= GRIP * spacing]
+    model = FullModel(cloud.with_group(TOOL, near), bare.material, "back", form="energy", viscosity=bare.viscosity)
+    normals = np.zeros_like(cloud.points)
+    normals[cloud.face_nodes] = cloud.face_normals
+    along = normals[near].mean(axis=0) / np.linalg.norm(normals[near].mean(axis=0))
+
+    def loads(size: float) -> tuple[Load, ...]:
+        def pulled(points: Floats, time: float) -> Floats:
+            return np.asarray(size * np.sin(np.pi * min(time, LASTING) / LASTING) ** 2 * along)
+
+        return (PrescribedMotion(TOOL, pulled),)
+
+    return Body(
+        f"A liver pulled at its front, {1e3 * spacing:g} mm", model, loads, SMALL_WAY, LARGE_WAY, "m", (),
+        LASTING, 0.01, lambda run, modes: reduce(model, run, modes=modes, driven=TOOL), "POD of the nonlinear run, sampled",
+    )  # fmt: skip
+
+
+BODIES: dict[str, Callable[..., Body]] = {"beam": compared_beam, "liver": compared_liver}

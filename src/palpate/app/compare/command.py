@@ -1,0 +1,79 @@
+"""The command ``palpate compare``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from palpate.app.compare.bodies import BODIES
+from palpate.app.compare.figures import draw_comparison
+from palpate.app.compare.measure import compare_methods, prepare_comparison
+from palpate.app.compare.report import build_report, tables, write_markdown
+from palpate.app.console import Console, print_json, print_plain
+from palpate.app.files import check_folder, write_json
+from palpate.faults import InputError, integer_in_range
+from palpate.reduction.lti.pymor import need_pymor
+from palpate.reduction.lti.reduction import METHODS, PYMOR
+
+__all__ = ["compare"]
+
+
+def compare(
+    *,
+    body: str,
+    spacing: float | None = None,
+    poisson: float | None = None,
+    modes: list[int],
+    methods: list[str] | None = None,
+    condense: int | None = None,
+    out: Path,
+    as_json: bool = False,
+) -> int:
+    """Compare linear reductions of a body with each other and with its full, nonlinear model; return the exit code.
+
+    Parameters
+    ----------
+    body : str
+        ``"beam"`` or ``"liver"``.
+    spacing, poisson : float, optional
+        As of the scenes; by default those of `palpate.app.compare.bodies`.
+    modes : list of int
+        Sizes.
+    methods : list of str, optional
+        Of `METHODS`; by default all.
+    condense : int, optional
+        As of `Reduction`.
+    out : path
+        Folder for the report and the figures.
+    as_json : bool
+        Print the report as JSON instead of a table.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range; pyMOR missing, with how to install it.
+    """
+    chosen = methods if methods else list(METHODS)
+    unknown = [name for name in chosen if name not in METHODS]
+    if unknown:
+        raise InputError(f"methods = {unknown[0]!r}: allowed are {', '.join(METHODS)}")
+    sizes = sorted({integer_in_range("modes", size, 1, 200) for size in modes})
+    needing = [name for name in chosen if name in PYMOR]
+    if needing:
+        need_pymor(f"palpate compare with {', '.join(needing)}")
+    check_folder(out)
+    console = Console()
+    given = {"spacing": spacing, "poisson": poisson}
+    with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):
+        made_body = BODIES[body](**{name: value for name, value in given.items() if value is not None})
+    made = prepare_comparison(made_body, condense, console)
+    compare_methods(made, chosen, sizes, console)
+    report = build_report(made)
+    out.mkdir(parents=True, exist_ok=True)
+    figures = draw_comparison(made, report, out)
+    write_json(out / "report.json", report)
+    write_markdown(report, out / "report.md", figures)
+    if as_json:
+        print_json(report)
+    else:
+        print_plain(tables(report), out, ["report.md", "report.json", *figures])
+    return 1 if all(entry["failed"] for entry in report["methods"]) else 0

@@ -1,0 +1,194 @@
+"""What every method is measured by: time, memory, stability, errors at both loads, and frequency response."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.compare.bodies import Body
+from palpate.app.console import Console, percent
+from palpate.dynamics.model import Model
+from palpate.dynamics.rollout import rollout
+from palpate.dynamics.trajectory import Trajectory
+from palpate.faults import DivergenceError, InputError
+from palpate.reduction.errors import errors
+from palpate.reduction.lti.model import LinearModel, propagate
+from palpate.reduction.lti.projection import eigenvectors
+from palpate.reduction.lti.reduction import METHODS, Reduction
+from palpate.reduction.lti.system import LinearSystem, linearise
+
+__all__ = ["Comparison", "compare_methods", "prepare_comparison"]
+
+Floats = NDArray[np.float64]
+
+LOADS = ("small", "large")
+POINTS, WHOLE, RESONANCES = (
+    240,
+    10,
+    24,
+)  # frequencies: of the condensed body, of the whole one, and resonances among them
+ROUNDS, STEPS = 7, 2000  # of the timing of a step
+PERIOD = 1e-3  # [s] of the step that is timed
+
+
+@dataclass
+class Comparison:
+    """What is compared, and what came out.
+
+    Parameters
+    ----------
+    body : Body
+    system : LinearSystem
+    reduction : Reduction
+    runs : dict of str to Trajectory
+        Of the full, nonlinear body with the small and the large load.
+    frequencies : (t,) array [rad/s]
+    response : (t, q, p) array
+        Of the body that is balanced.
+    few : (w,) array [rad/s]
+    whole : (w, q, p) array
+        Of the whole linear body at a few frequencies.
+    entries : list of dict
+        One for every method and number of modes.
+    nonlinear : list of dict
+        One for every number of modes of the nonlinear reduced model.
+    models : dict
+        Linear models by method and number of modes.
+    """
+
+    body: Body
+    system: LinearSystem
+    reduction: Reduction
+    runs: dict[str, Trajectory] = field(default_factory=dict)
+    frequencies: Floats = field(default_factory=lambda: np.zeros(0))
+    response: NDArray[np.complex128] = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=complex))
+    few: Floats = field(default_factory=lambda: np.zeros(0))
+    whole: NDArray[np.complex128] = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=complex))
+    entries: list[dict[str, Any]] = field(default_factory=list)
+    nonlinear: list[dict[str, Any]] = field(default_factory=list)
+    models: dict[tuple[str, int], LinearModel] = field(default_factory=dict)
+
+
+def prepare_comparison(body: Body, condense: int | None, console: Console) -> Comparison:
+    """Run the full body with both loads, linearise it, and find its frequency response."""
+    start = perf_counter()
+    system = linearise(body.model, body.loads(body.small), body.outputs)
+    console.say(f"linearised {system.order} unknowns: {perf_counter() - start:.1f} s")
+    training = (body.loads(body.small), body.duration, body.every)
+    made = Comparison(body, system, Reduction(system, condense=condense, training=training))
+    for name, size in zip(LOADS, (body.small, body.large), strict=True):
+        run = rollout(body.model, body.loads(size), duration=body.duration, every=body.every)
+        made.runs[name] = run
+        console.say(f"full body, {size:g} {body.unit}: {run.wall_seconds:.1f} s, {int(run.steps[-1])} steps")
+    with console.status("frequency response of the linear body"):
+        _respond(made)
+    return made
+
+
+def _respond(made: Comparison) -> None:
+    source = made.reduction.source
+    poles = source.poles()
+    moving = np.sort(np.abs(poles[poles.imag > 0]))
+    low, high = 0.2 * moving[0], moving[-1]
+    spread = np.geomspace(low, high, POINTS)
+    made.frequencies = np.unique(np.concatenate([spread, moving[:RESONANCES]]))
+    made.response = source.transfer(1j * made.frequencies)
+    made.few = np.unique(np.concatenate([moving[:2], np.geomspace(low, high, WHOLE)]))
+    made.whole = made.system.frequency_response(made.few)
+
+
+def compare_methods(made: Comparison, methods: list[str], sizes: list[int], console: Console) -> None:
+    """Make and measure linear models by all methods and sizes, and nonlinear ones of the same sizes."""
+    for method in methods:
+        for size in sizes:
+            entry: dict[str, Any] = {"method": method, "name": METHODS[method], "modes": size, "failed": False}
+            try:
+                model = made.reduction.model(method, size)
+            except (InputError, np.linalg.LinAlgError, ValueError) as error:
+                entry |= {"failed": True, "reason": " ".join(str(error).split())}
+                console.say(f"{method}, {size} modes: failed: {entry['reason']}")
+            else:
+                entry |= _measured(made, model)
+                made.models[method, size] = model
+                shown = ", ".join(f"{name} load {_shown(entry['errors'][name])}" for name in LOADS)
+                console.say(f"{method}, {size} modes: {shown}")
+            made.entries.append(entry)
+    for size in sizes:
+        made.nonlinear.append(_nonlinear(made, size, console))
+
+
+def _shown(found: dict[str, Any] | None) -> str:
+    return "failed" if found is None else f"displacement error {percent(found['displacement'])}"
+
+
+def _measured(made: Comparison, model: LinearModel) -> dict[str, Any]:
+    """Measure a linear model."""
+    s = 1j * made.frequencies
+    outputs, inputs = made.reduction.scales
+    apart = outputs[:, None] * (made.response - model.reduced.transfer(s)) * inputs
+    whole = outputs[:, None] * made.response * inputs
+    wrong, size = (np.linalg.norm(matrix, 2, axis=(1, 2)) for matrix in (apart, whole))
+    poles = model.poles
+    return {
+        "states": model.reduced.states,
+        "coordinates": model.count,
+        "offline_seconds": model.report["seconds"],
+        "shared_seconds": model.report["shared_seconds"],
+        "step_seconds": _step_seconds(model),
+        "step_bytes": int(sum(array.nbytes for array in model._propagator(PERIOD))),
+        "field_bytes": int(model.columns.nbytes),
+        "stable": model.stable,
+        "growth": float(poles.real.max()),
+        "response_error": float(wrong.max() / size.max()),
+        "absolute_error": float(wrong.max()),
+        "hankel_bound": made.reduction.bound(model.reduced.states),
+        "errors": {name: _run_errors(made, model, name) for name in LOADS},
+    }
+
+
+def _run_errors(made: Comparison, model: Model, load: str) -> dict[str, float] | None:
+    """Errors against the full nonlinear body; None where the run diverged."""
+    body, full = made.body, made.runs[load]
+    size = body.small if load == "small" else body.large
+    try:
+        run = rollout(model, body.loads(size), duration=body.duration, every=body.every, progress=False)
+    except DivergenceError:
+        return None
+    found = errors(full, run)
+    return found.as_dict() | {"wall_seconds": run.wall_seconds}
+
+
+def _step_seconds(model: LinearModel) -> float:
+    """Time [s] of one compiled step of a millisecond, the median of some rounds."""
+    forces = model.system.forces
+    f, kicks = np.zeros((STEPS + 1, forces)), np.zeros((STEPS + 1, model.lifted))
+    x, parts = np.zeros(len(model.A)), model._propagator(PERIOD)
+    history, times = np.zeros((STEPS + 1, len(x))), []
+    for _ in range(ROUNDS + 1):
+        start = perf_counter()
+        propagate(x, *parts, f, kicks, history)
+        times.append((perf_counter() - start) / STEPS)
+    return float(np.median(times[1:]))
+
+
+def _nonlinear(made: Comparison, size: int, console: Console) -> dict[str, Any]:
+    """Train and run the nonlinear reduced model of a size."""
+    body, entry = made.body, {"modes": size, "failed": False}
+    start = perf_counter()
+    try:
+        model = body.nonlinear(made.runs["large"], size)
+    except InputError as error:
+        return entry | {"failed": True, "reason": " ".join(str(error).split())}
+    entry["offline_seconds"] = perf_counter() - start
+    entry["errors"] = {name: _run_errors(made, model, name) for name in LOADS}
+    console.say(f"{body.nonlinear_name}, {size} modes: large load {_shown(entry['errors']['large'])}")
+    return entry
+
+
+def resonances(system: LinearSystem, count: int) -> Floats:
+    """Return the slowest circular frequencies [rad/s]."""
+    return np.sqrt(np.abs(eigenvectors(system, count)[0]))

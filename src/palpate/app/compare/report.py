@@ -1,0 +1,150 @@
+"""The report of a comparison: for machines, as tables, and what it comes to in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.app.compare.measure import LOADS, Comparison
+from palpate.app.console import percent, quantities_table
+from palpate.app.files import whole_file
+from palpate.app.report import finite, machine
+
+__all__ = ["build_report", "summary", "tables", "write_markdown"]
+
+HEADINGS = (
+    "states", "offline s", "shared s", "us/step", "step kB", "stable", "small: displ.", "velocity", "energy", "force",
+    "response", "large: displ.", "velocity", "energy", "force",
+)  # fmt: skip
+QUANTITIES = ("displacement", "velocity", "energy", "reaction")
+
+
+def build_report(made: Comparison) -> dict[str, Any]:
+    """Return all that was measured."""
+    body, reduction = made.body, made.reduction
+    outputs, inputs = reduction.scales
+    s = 1j * made.few
+    apart = outputs[:, None] * (made.whole - reduction.source.transfer(s)) * inputs
+    size = np.linalg.norm(outputs[:, None] * made.whole * inputs, 2, axis=(1, 2)).max()
+    report = {
+        "title": body.title,
+        "parameters": {
+            "nodes": len(body.model.cloud), "unknowns": made.system.order, "spacing": body.model.cloud.spacing,
+            "form": body.model.form, "viscosity": body.model.viscosity, "small": body.small, "large": body.large,
+            "unit": body.unit, "duration": body.duration, "condensed_to": len(reduction.source.mass),
+            "inputs": list(made.system.inputs), "outputs": list(made.system.outputs),
+        },
+        "material": asdict(body.model.material),
+        "machine": machine(),
+        "full": {
+            name: {"wall_seconds": run.wall_seconds, "steps": int(run.steps[-1]),
+                   "seconds_per_step": run.wall_seconds / float(run.steps[-1]),
+                   "largest_displacement": float(np.linalg.norm(run.displacements, axis=2).max())}
+            for name, run in made.runs.items()
+        },
+        "condensing_error": float(np.linalg.norm(apart, 2, axis=(1, 2)).max() / size),
+        "shared_seconds": reduction.seconds,
+        "hankel_singular_values": reduction.hankel_singular_values.tolist(),
+        "methods": made.entries,
+        "nonlinear": {"name": body.nonlinear_name, "entries": made.nonlinear},
+    }  # fmt: skip
+    report["summary"] = summary(report)
+    return dict(finite(report))
+
+
+def _row(entry: dict[str, Any]) -> list[str]:
+    if entry["failed"]:
+        return ["failed", *[""] * (len(HEADINGS) - 1)]
+    cells = [
+        str(entry["states"]), f"{entry['offline_seconds']:.2f}", f"{entry['shared_seconds']:.1f}",
+        f"{1e6 * entry['step_seconds']:.2f}", f"{entry['step_bytes'] / 1e3:.0f}", "yes" if entry["stable"] else "no",
+    ]  # fmt: skip
+    for name in LOADS:
+        found = entry["errors"][name]
+        cells += ["diverged", "", "", ""] if found is None else [percent(found[what]) for what in QUANTITIES]
+        if name == "small":
+            cells.append(percent(entry["response_error"]))
+    return cells
+
+
+def _nonlinear_row(entry: dict[str, Any]) -> list[str]:
+    if entry["failed"]:
+        return ["failed", *[""] * (len(HEADINGS) - 1)]
+    cells = ["", f"{entry['offline_seconds']:.2f}", "", "", "", ""]
+    for name in LOADS:
+        found = entry["errors"][name]
+        cells += ["diverged", "", "", ""] if found is None else [percent(found[what]) for what in QUANTITIES]
+        if name == "small":
+            cells.append("")
+    return cells
+
+
+def _rows(report: dict[str, Any]) -> dict[str, list[str]]:
+    rows = {f"{entry['method']}, {entry['modes']}": _row(entry) for entry in report["methods"]}
+    rows |= {f"nonlinear POD, {entry['modes']}": _nonlinear_row(entry) for entry in report["nonlinear"]["entries"]}
+    return rows
+
+
+def tables(report: dict[str, Any]) -> list[Any]:
+    """Return tables and lines for people."""
+    table = quantities_table(report["title"], HEADINGS, _rows(report), first="method, modes")
+    return [table, *report["summary"]]
+
+
+def summary(report: dict[str, Any]) -> list[str]:
+    """Say in plain words what was found: every sentence is read off the figures."""
+    done = [entry for entry in report["methods"] if not entry["failed"]]
+    about, lines = report["parameters"], []
+    size = max((entry["modes"] for entry in done), default=0)
+    largest = [entry for entry in done if entry["modes"] == size]
+
+    def best(load: str, what: str) -> list[tuple[float, str]]:
+        pairs = [(e["errors"][load][what], e["method"]) for e in largest if e["errors"][load] is not None]
+        return sorted((value, name) for value, name in pairs if np.isfinite(value))
+
+    small = best("small", "displacement")
+    if small:
+        order = ", ".join(f"{name} {percent(value)}" for value, name in small)
+        lines.append(f"At {about['small']:g} {about['unit']} with {size} modes, displacements err by: {order}.")
+    response = sorted((e["response_error"], e["method"]) for e in largest if e["stable"])
+    if response:
+        order = ", ".join(f"{name} {percent(value)}" for value, name in response)
+        lines.append(f"Frequency response with {size} modes, largest error over the largest response: {order}.")
+    unstable = sorted({f"{e['method']} ({e['modes']})" for e in done if not e["stable"]})
+    lines.append(f"Unstable: {', '.join(unstable) if unstable else 'none'}.")
+    large = best("large", "displacement")
+    if large:
+        low, high = large[0][0], large[-1][0]
+        lines.append(
+            f"At {about['large']:g} {about['unit']} every linear method misses: displacements by {percent(low)} at best, "
+            f"{percent(high)} at worst, with {size} modes; more modes do not help, for the equations are not the body's."
+        )
+    forces = best("large", "reaction")
+    if forces:
+        lines.append(f"There the force errs by {percent(forces[0][0])} at best ({forces[0][1]}).")
+    nonlinear = [e for e in report["nonlinear"]["entries"] if not e["failed"] and e["errors"]["large"] is not None]
+    if nonlinear:
+        last = nonlinear[-1]
+        lines.append(
+            f"{report['nonlinear']['name']} with {last['modes']} modes errs there by "
+            f"{percent(last['errors']['large']['displacement'])}, at the small load by "
+            f"{percent(last['errors']['small']['displacement']) if last['errors']['small'] else 'nothing finite'}."
+        )
+    lines.append(
+        f"Condensing {about['unknowns']} unknowns to {about['condensed_to']} before balancing changed the frequency "
+        f"response by {percent(report['condensing_error'])} of its largest value."
+    )
+    return lines
+
+
+def write_markdown(report: dict[str, Any], path: Path, figures: list[str]) -> None:
+    """Write the report for people, whole or not at all."""
+    lines = [f"# {report['title']}", "", *report["summary"], ""]
+    lines += [f"| method, modes | {' | '.join(HEADINGS)} |", f"|---|{'---|' * len(HEADINGS)}"]
+    lines += [f"| {name} | {' | '.join(cells)} |" for name, cells in _rows(report).items()]
+    lines += ["", *(f"![{name}]({name})" for name in figures), ""]
+    with whole_file(path) as partial:
+        partial.write_text("\n".join(lines), encoding="utf-8")

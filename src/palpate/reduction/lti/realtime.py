@@ -1,0 +1,257 @@
+"""A linear model as `palpate.Engine` takes it: one period, compiled, exact for a tool that goes evenly.
+
+What changes the tool's speed at a period's start is an impulse; forces are means over the period, A^-1 (x1 - x0) / T that of
+the state.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from palpate.faults import InputError, number_in_range
+from palpate.reduction.lti.forms import SecondOrder, held_over
+
+if TYPE_CHECKING:
+    from palpate.reduction.lti.model import LinearModel
+
+__all__ = ["LinearData", "LinearRealtime", "reach", "realtime_model"]
+
+Floats = NDArray[np.float64]
+
+BENT = 0.1  # relative: what the tool's force may differ from the linear one where the trust number is 1
+HALVINGS, LARGEST = 24, 64.0  # of the search for that; in spacings, or in radians
+SMALL, TERMS = 0.5, 14  # of a matrix exponential: norm below which its series is summed, and its terms
+
+
+class LinearData(NamedTuple):
+    """What the compiled period reads and keeps.
+
+    Parameters
+    ----------
+    count : int
+        Coordinates that are no tool's.
+    second : bool
+        Whether the state holds their rates, too.
+    matrix, sizes : (N, N), (N,) arrays
+        A with states over their sizes, and these.
+    step : (N, N) array
+        exp(A T) of the period that was last asked for.
+    period : (1,) array [s]
+    impulse : (N, l) array
+    mean_force : (l, N) array
+        Forces by differences of the state over a period, times that.
+    static, static_rate, inertia : (l, l) arrays
+    mass, stiffness : (m, m) arrays
+    reach : (l,) array
+        Of the tool's coordinates, [m] and [rad], where the trust number is 1.
+    scratch : (4, N, N) array
+    vectors : (3, max(N, m)) array
+    """
+
+    count: int
+    second: bool
+    matrix: Floats
+    sizes: Floats
+    step: Floats
+    period: Floats
+    impulse: Floats
+    mean_force: Floats
+    static: Floats
+    static_rate: Floats
+    inertia: Floats
+    mass: Floats
+    stiffness: Floats
+    reach: Floats
+    scratch: Floats
+    vectors: Floats
+
+
+class LinearRealtime(NamedTuple):
+    """The contract of `palpate.realtime.contract`."""
+
+    advance: Any
+    stiffness: Any
+    data: LinearData
+    rest: Floats
+    tool: Floats
+
+
+def realtime_model(model: LinearModel, period: float) -> LinearRealtime:
+    """Make what `LinearModel.realtime` returns."""
+    number_in_range("period", period, 0.0, open_low=True, unit="s")
+    system, count, lifted = model.system, model.count, model.lifted
+    tools = {name.split(", ")[0] for name in system.inputs[system.forces :]}
+    if len(tools) != 1 or system.forces:
+        raise InputError(
+            "the engine moves one tool and nothing else: linearise with one PrescribedMotion or Grasp, and no other load"
+        )
+    flat, full = model.columns.reshape(len(model.columns), -1), model.full
+    weight, states = np.repeat(full.weights * full.material.density, 3), len(model.A)
+    sizes = np.ones(states)
+    if isinstance(model.reduced, SecondOrder):
+        sizes[count:] = np.abs(np.linalg.eigvals(model.A)).max()
+    own = slice(len(model.C) - lifted, None)
+    data = LinearData(
+        count, isinstance(model.reduced, SecondOrder), model.A * sizes / sizes[:, None], sizes,
+        np.ascontiguousarray(held_over(model.A, model.B[:, :0], period)[0]), np.array([period]), model.B.copy(),
+        np.linalg.solve(model.A.T, model.C[own].T).T.copy(), system.static[own].copy(), system.static_rate[own].copy(),
+        model.D[own].copy(), (flat * weight) @ flat.T, flat @ (system.whole @ flat.T), reach(model),
+        np.zeros((4, states, states)), np.zeros((3, max(states, count + lifted))),
+    )  # fmt: skip
+    return LinearRealtime(advance, stiffness, data, np.zeros(count + lifted), _tool_map(system.inputs))
+
+
+def _tool_map(inputs: tuple[str, ...]) -> Floats:
+    """Small translations and rotations (l, 12) of a pose, see `palpate.realtime.contract.Realtime`."""
+    rows = []
+    for name in inputs:
+        kind, axis = name.split(", ")[1].split()
+        row, c = np.zeros(12), "xyz".index(axis)
+        if kind == "translation":
+            row[c] = 1.0
+        else:
+            k, m = (c + 1) % 3, (c + 2) % 3
+            row[3 + 3 * m + k], row[3 + 3 * k + m] = 0.5, -0.5
+        rows.append(row)
+    return np.array(rows)
+
+
+def reach(model: LinearModel) -> Floats:
+    """Return how far each tool coordinate goes before the body's force on the tool bends by a tenth, (l,), [m] or [rad].
+
+    By the nonlinear forces of the tool's static fields L: a measure of how far the body's answer is linear, not of an error.
+    """
+    system, full, found = model.system, model.full, []
+    driven = np.repeat(full.drive(system.loads).places.kind == 2, 3)
+    for field in system.lifting:
+        rigid = np.where(driven, field.ravel(), 0.0)
+        straight = float(rigid @ (system.whole @ field.ravel()))
+
+        def bent(size: float, field: Floats = field, rigid: Floats = rigid, straight: float = straight) -> bool:
+            worst = 0.0
+            for sign in (-1.0, 1.0):
+                pulled = -float(rigid @ (full.force(sign * size * field) * full.volumes[:, None]).ravel())
+                worst = max(worst, abs(pulled / (sign * size * straight) - 1)) if np.isfinite(pulled) else np.inf
+            return worst > BENT
+
+        low, high = 0.0, LARGEST * full.cloud.spacing / np.abs(field).max()
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if bent(middle) else (middle, high)
+        found.append(max(low, 1e-300))
+    return np.array(found)
+
+
+@njit(cache=True)
+def _exponential(data, period):  # type: ignore[no-untyped-def]
+    """Write exp(A T) by scaling and squaring of its series."""
+    n, scaled = data.matrix.shape[0], data.scratch[0]
+    norm = 0.0
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += abs(data.matrix[i, j]) * period
+        norm = max(norm, total)
+    halvings = 0
+    while norm > SMALL:
+        norm, halvings = 0.5 * norm, halvings + 1
+    result, term, product = data.scratch[1], data.scratch[2], data.scratch[3]
+    for i in range(n):
+        for j in range(n):
+            scaled[i, j] = data.matrix[i, j] * period / 2.0**halvings
+            result[i, j] = 1.0 if i == j else 0.0
+            term[i, j] = result[i, j]
+    for k in range(1, TERMS):
+        _multiply(term, scaled, product)
+        for i in range(n):
+            for j in range(n):
+                term[i, j] = product[i, j] / k
+                result[i, j] += term[i, j]
+    for _ in range(halvings):
+        _multiply(result, result, product)
+        result[:] = product
+    for i in range(n):
+        for j in range(n):
+            data.step[i, j] = result[i, j] * data.sizes[i] / data.sizes[j]
+    data.period[0] = period
+
+
+@njit(cache=True, fastmath={"contract"})
+def _multiply(a, b, result):  # type: ignore[no-untyped-def]
+    n = a.shape[0]
+    for i in range(n):
+        for j in range(n):
+            result[i, j] = 0.0
+        for k in range(n):
+            value = a[i, k]
+            for j in range(n):
+                result[i, j] += value * b[k, j]
+
+
+@njit(cache=True, fastmath={"contract"})
+def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+    """Advance coordinates and velocities (m,) by a period [s] while the tool goes evenly to `target` (l,)."""
+    count, m, n = data.count, q.shape[0], data.matrix.shape[0]
+    before, x, new = data.vectors[0], data.vectors[1], data.vectors[2]
+    report[:] = 0.0
+    if period != data.period[0]:
+        _exponential(data, period)
+    for i in range(count):
+        x[i] = q[i]
+        if data.second:
+            x[count + i] = v[i]
+    for j in range(count, m):
+        speed = (target[j - count] - q[j]) / period
+        before[j] = speed - v[j]
+        v[j] = speed
+    for i in range(n):
+        for j in range(m - count):
+            x[i] += data.impulse[i, j] * before[count + j]
+    good = True
+    for i in range(n):
+        value = 0.0
+        for j in range(n):
+            value += data.step[i, j] * x[j]
+        new[i] = value
+        good = good and np.isfinite(value)
+    if not good:
+        report[0] = 1.0
+        return
+    for r in range(m - count):
+        force = 0.0
+        for i in range(n):
+            force += data.mean_force[r, i] * (new[i] - x[i]) / period
+        for j in range(m - count):
+            way = q[count + j] + 0.5 * period * v[count + j]
+            force += data.static[r, j] * way + data.static_rate[r, j] * v[count + j]
+            force += data.inertia[r, j] * before[count + j] / period
+        report[8 + r] = force
+    for i in range(count):
+        q[i] = new[i]
+        if data.second:
+            v[i] = new[count + i]
+        else:
+            value = 0.0
+            for j in range(n):
+                value += data.matrix[i, j] * new[j]
+            v[i] = value
+    for j in range(m - count):
+        q[count + j] = target[j]
+        report[1] = max(report[1], abs(target[j]) / data.reach[j])
+    report[2] = 1.0
+    for i in range(m):
+        for j in range(m):
+            report[3] += 0.5 * v[i] * data.mass[i, j] * v[j]
+            report[4] += 0.5 * q[i] * data.stiffness[i, j] * q[j]
+
+
+@njit(cache=True)
+def stiffness(data, q, out):  # type: ignore[no-untyped-def]
+    """Write how the tool's forces change with its coordinates when the body has come to rest, (l, l)."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = data.static[i, j]

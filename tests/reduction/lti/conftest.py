@@ -1,0 +1,44 @@
+"""A small bar, linearised in both forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+
+SMALL = 1e-4  # of the usual pull: the body then moves by micrometres, and is linear
+
+
+def small_pull(time):
+    return SMALL * np.sin(300 * time) ** 2 * np.array([0.6, 0.15, 0.05])
+
+
+@pytest.fixture(scope="session")
+def soft_pull():
+    return pt.Traction("x+", force=small_pull)
+
+
+@pytest.fixture(scope="session")
+def strong(bar, tissue, calm):
+    return pt.FullModel(bar, tissue, fixed="x-", viscosity=calm)
+
+
+@pytest.fixture(scope="session")
+def energetic(bar, tissue):
+    return pt.FullModel(bar, tissue, fixed="x-", form="energy", viscosity=2e-5)
+
+
+@pytest.fixture(scope="session")
+def strong_system(strong, soft_pull):
+    return pt.linearise(strong, [soft_pull], ["x+", "x-"])
+
+
+@pytest.fixture(scope="session")
+def system(energetic, soft_pull):
+    return pt.linearise(energetic, [soft_pull], ["x+", "x-"])
+
+
+@pytest.fixture(scope="session")
+def tool_system(energetic):
+    return pt.linearise(energetic, [pt.PrescribedMotion("tip", (0.0, 0.0, 0.0))], ["z+"])

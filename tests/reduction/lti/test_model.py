@@ -1,0 +1,187 @@
+"""Linear models against the full body, against themselves with every mode, and in the engine's loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.reduction.lti.forms import held_over
+from palpate.reduction.lti.model import LinearModel
+from palpate.reduction.lti.projection import projected
+
+HOLD = {"duration": 0.02, "every": 0.0005, "progress": False}
+
+
+def swing(points, time):
+    return np.array([1e-6, -4e-7, 6e-7]) * np.sin(250 * time) ** 2
+
+
+@pytest.fixture(scope="module")
+def whole(system):
+    """The linear model that has every motion of the body."""
+    return LinearModel(system, projected(system, np.diag(1 / np.sqrt(system.mass.diagonal()))))
+
+
+def test_a_step_is_exact_for_inputs_that_go_evenly():
+    a, b = np.array([[0.0, 1.0], [-9.0, -0.3]]), np.array([[0.0], [1.0]])
+    long, short = held_over(a, b, 0.5), held_over(a, b, 0.5 / 64)
+    x = np.array([0.3, -1.0])
+    fine = x.copy()
+    for s in range(64):
+        f = 2.0 + np.array([s, s + 1]) / 64
+        fine = short[0] @ fine + short[1] @ f[:1] + short[2] @ f[1:]
+    np.testing.assert_allclose(long[0] @ x + long[1] @ [2.0] + long[2] @ [3.0], fine, rtol=1e-12)
+
+
+def test_with_every_mode_it_moves_as_the_full_body_under_small_loads(whole, energetic, soft_pull):
+    full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (energetic, whole))
+    found = pt.errors(full, own)
+    assert max(found.displacement, found.velocity, found.energy, found.reaction) < 5e-3
+    assert np.abs(own.balance).max() < 1e-3 * own.external.max()
+    assert own.model == "linear"
+
+
+def test_with_every_mode_it_moves_as_the_strong_form(strong_system, strong, soft_pull):
+    whole = LinearModel(strong_system, projected(strong_system, np.diag(1 / np.sqrt(strong_system.mass.diagonal()))))
+    full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (strong, whole))
+    found = pt.errors(full, own)
+    assert max(found.displacement, found.velocity, found.reaction) < 1e-2
+
+
+def test_a_tool_moves_it_as_it_moves_the_full_body(tool_system, energetic):
+    tool = pt.PrescribedMotion("tip", swing)
+    model = LinearModel(tool_system, projected(tool_system, np.diag(1 / np.sqrt(tool_system.mass.diagonal()))))
+    full, own = (pt.rollout(body, [tool], **HOLD) for body in (energetic, model))
+    found = pt.errors(full, own)
+    assert max(found.displacement, found.velocity, found.reaction) < 1e-2
+    assert np.abs(own.balance).max() < 2e-3 * own.external.max()
+    # the outputs of the system are the tool's force
+    drive = model.drive([tool])
+    state = model.advance(model.state(drive), drive, 1e-4, 100)
+    np.testing.assert_allclose(
+        model.responses(state, drive)[3:6], model.outputs(state, drive).reactions["tip"], rtol=1e-3, atol=1e-9
+    )
+
+
+def test_one_long_step_is_many_short_ones(system):
+    model = pt.reduce_linear(system, "modal", 5)
+    ramp = pt.Traction("x+", force=lambda t: (1e-4 * t, 0.0, 2e-5))
+    drive = model.drive([ramp])
+    one, many = (model.advance(model.state(drive), drive, 0.01 / n, n) for n in (1, 50))
+    np.testing.assert_allclose(one.coordinates, many.coordinates, rtol=1e-9)
+    np.testing.assert_allclose(one.velocities, many.velocities, rtol=1e-9)
+
+
+def test_initial_states_are_projected(whole, energetic):
+    drive = whole.drive([])
+    u, v = 1e-6 * np.random.default_rng(0).standard_normal((2, len(energetic.cloud), 3))
+    u[energetic.held] = v[energetic.held] = 0.0
+    state = whole.state(drive, u, v)
+    np.testing.assert_allclose(whole.displacement(state, drive), u, atol=1e-15)
+    np.testing.assert_allclose(whole.velocity(state, drive, np.array([5, 7])), v[[5, 7]], atol=1e-15)
+
+
+def test_forces_energy_and_stress_are_those_of_the_linear_body(whole, energetic):
+    u = 1e-4 * energetic.cloud.spacing * np.sin(200 * energetic.cloud.points)
+    np.testing.assert_allclose(whole.nodal_force(u), energetic.force(u), atol=2e-3 * np.abs(energetic.force(u)).max())
+    assert whole.strain_energy(u) == pytest.approx(energetic.strain_energy(u), rel=1e-3)
+    np.testing.assert_allclose(whole.stress(u), energetic.stress(u), atol=2e-3 * np.abs(energetic.stress(u)).max())
+    np.testing.assert_allclose(whole.stress(1e3 * u), 1e3 * whole.stress(u), rtol=1e-6)  # linear, however far
+
+
+@pytest.mark.parametrize(
+    ("loads", "message"),
+    [
+        ([pt.Traction("z+", force=(1.0, 0.0, 0.0))], "made for forces on"),
+        ([pt.Gravity()], "without Gravity"),
+        ([pt.PrescribedMotion("tip", (0.0, 0.0, 0.0))], "held by tools"),
+        ([pt.Contact(pt.Sphere(0.01), (0.0, 0.0, 0.1))], "no Contact"),
+    ],
+)
+def test_other_loads_are_refused(whole, loads, message):
+    with pytest.raises(pt.InputError, match=message):
+        whole.drive(loads)
+
+
+def test_a_tool_that_turns_far_is_refused(tool_system):
+    model = pt.reduce_linear(tool_system, "modal", 4)
+
+    def turn(points, time):
+        arms = points - points.mean(axis=0)
+        return np.stack([0 * arms[:, 0], -2 * arms[:, 1], -2 * arms[:, 2]], axis=1)
+
+    with pytest.raises(pt.InputError, match="not a small rigid one"):
+        model.state(model.drive([pt.PrescribedMotion("tip", turn)]))
+
+
+def test_the_engine_s_period_is_the_run(tool_system):
+    model = pt.reduce_linear(tool_system, "modal", 8)
+    ready, period = model.realtime(1e-3), 1e-3
+    q, v, report = ready.rest.copy(), ready.rest.copy(), np.zeros(8 + model.lifted)
+
+    def ramped(points, time):  # evenly within every period
+        steps = time / period
+        low = np.floor(steps + 1e-9)
+        ends = [swing(points, period * s) for s in (low, low + 1)]
+        return ends[0] + (steps - low) * (ends[1] - ends[0])
+
+    tool = pt.PrescribedMotion("tip", ramped)
+    run = pt.rollout(model, [tool], duration=0.02, every=period, progress=False)
+    forces = []
+    for k in range(1, 21):
+        ready.advance(
+            ready.data, q, v, ready.tool @ np.concatenate([swing(0, k * period), np.zeros(9)]), period, report
+        )
+        forces.append(report[8:11].copy())
+        found = np.tensordot(q, model.columns, 1)
+        np.testing.assert_allclose(found, run.displacements[k], atol=1e-9 * np.abs(run.displacements).max())
+    middle = 0.5 * (run.reactions["tip"][1:] + run.reactions["tip"][:-1])
+    np.testing.assert_allclose(np.array(forces), middle, atol=0.2 * np.abs(middle).max())
+    assert report[0] == 0
+    assert 0 < report[1] < 1
+    out = np.zeros((6, 6))
+    ready.stiffness(ready.data, q, out)
+    np.testing.assert_allclose(out, tool_system.static[-6:])
+    # another period than the one made ready
+    half = (q.copy(), v.copy())
+    target = q[model.count :].copy()
+    for _ in range(2):
+        ready.advance(ready.data, *half, target, 0.5 * period, report)
+    ready.advance(ready.data, q, v, target, period, report)
+    np.testing.assert_allclose(half[0], q, atol=1e-10 * np.abs(q).max())
+
+
+def test_the_engine_runs_it(tool_system):
+    model = pt.reduce_linear(tool_system, "modal", 8)
+    with pt.Engine(model.realtime(), 200.0) as engine:
+        engine.set_pose((1e-6, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        for _ in range(200):
+            reading = engine.read()
+            if reading.steps > 5:
+                break
+    assert engine.state != "ran away"
+
+
+def test_the_engine_takes_one_tool_and_no_load(system):
+    with pytest.raises(pt.InputError, match="one tool"):
+        pt.reduce_linear(system, "modal", 4).realtime()
+
+
+def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
+    from palpate.reduction.lti.realtime import reach
+
+    found = reach(pt.reduce_linear(tool_system, "modal", 4))
+    assert np.all(found > 0)
+    full, field = tool_system.model, tool_system.lifting[0]
+    rigid = np.zeros_like(field)
+    rigid[full.cloud.group("tip")] = field[full.cloud.group("tip")]
+    straight = np.sum(rigid * (tool_system.whole @ field.ravel()).reshape(-1, 3))
+    worst = [
+        max(
+            abs(-np.sum(rigid * full.force(sign * size * field) * full.volumes[:, None]) / (sign * size * straight) - 1)
+            for sign in (-1, 1)
+        )
+        for size in (0.5 * found[0], 1.01 * found[0])
+    ]
+    assert worst[0] < 0.1 < worst[1] < 0.12
