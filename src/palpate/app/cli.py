@@ -361,9 +361,9 @@ def _add_compare(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
         help="linear reductions side by side: modal, balanced, Hankel, Krylov, POD",
-        description="Linearise a body at rest, reduce it by every method, and compare costs, stability, frequency response "
-        "and errors at a small and a large load with the full, nonlinear body. Needs pyMOR: pip install 'palpate[linear]'. "
-        "See docs/linear.md.",
+        description="Linearise a body at rest, reduce it by every method, and compare costs, stability, frequency "
+        "response and errors at a small and a large load with the full, nonlinear body. Needs pyMOR: "
+        "pip install 'palpate[linear]'. See docs/linear.md.",
     )
     add = compare.add_argument
     add("body", choices=["beam", "liver"], help="the paper's beam, pulled; or the generated liver, a tool at its front")
@@ -371,7 +371,7 @@ def _add_compare(commands: Any) -> None:
     add("--methods", nargs="+", metavar="NAME", help="some of the methods only (all)")
     add("--spacing", type=float, metavar="M", help="distance between nodes [m] (beam 0.005, liver 0.012)")
     add("--poisson", type=float, metavar="NU", help="Poisson's ratio (beam 0.49, liver 0.45)")
-    add("--condense", type=int, metavar="K", help="slowest modes that are balanced instead of all unknowns (240); 0: all")
+    add("--condense", type=int, metavar="K", help="slowest modes to balance instead of all unknowns (240); 0: all")
     _add_results(compare, Path("out/compare"))
 
 

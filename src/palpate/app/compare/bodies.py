@@ -75,7 +75,7 @@ def compared_beam(spacing: float = 0.005, poisson: float = 0.49) -> Body:
 
     return Body(
         f"The paper's beam, {1e3 * spacing:g} mm", model, loads, SMALL_PULL, LARGE_PULL, "N", ("x+",),
-        scene.duration, scene.every, lambda run, modes: project(model, run, modes=modes), "POD of the nonlinear run (the paper's)",
+        scene.duration, scene.every, lambda run, modes: project(model, run, modes=modes), "POD of the nonlinear run",
     )  # fmt: skip
 
 
@@ -104,7 +104,7 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> Body:
 
     return Body(
         f"A liver pulled at its front, {1e3 * spacing:g} mm", model, loads, SMALL_WAY, LARGE_WAY, "m", (),
-        LASTING, 0.01, lambda run, modes: reduce(model, run, modes=modes, driven=TOOL), "POD of the nonlinear run, sampled",
+        LASTING, 0.01, lambda run, modes: reduce(model, run, modes=modes, driven=TOOL), "POD of that run, sampled",
     )  # fmt: skip
 
 

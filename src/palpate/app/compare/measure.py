@@ -17,7 +17,6 @@ from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError
 from palpate.reduction.errors import errors
 from palpate.reduction.lti.model import LinearModel, propagate
-from palpate.reduction.lti.projection import eigenvectors
 from palpate.reduction.lti.reduction import METHODS, Reduction
 from palpate.reduction.lti.system import LinearSystem, linearise
 
@@ -177,7 +176,7 @@ def _step_seconds(model: LinearModel) -> float:
 
 def _nonlinear(made: Comparison, size: int, console: Console) -> dict[str, Any]:
     """Train and run the nonlinear reduced model of a size."""
-    body, entry = made.body, {"modes": size, "failed": False}
+    body, entry = made.body, dict[str, Any](modes=size, failed=False)
     start = perf_counter()
     try:
         model = body.nonlinear(made.runs["large"], size)
@@ -187,8 +186,3 @@ def _nonlinear(made: Comparison, size: int, console: Console) -> dict[str, Any]:
     entry["errors"] = {name: _run_errors(made, model, name) for name in LOADS}
     console.say(f"{body.nonlinear_name}, {size} modes: large load {_shown(entry['errors']['large'])}")
     return entry
-
-
-def resonances(system: LinearSystem, count: int) -> Floats:
-    """Return the slowest circular frequencies [rad/s]."""
-    return np.sqrt(np.abs(eigenvectors(system, count)[0]))

@@ -119,8 +119,9 @@ def summary(report: dict[str, Any]) -> list[str]:
     if large:
         low, high = large[0][0], large[-1][0]
         lines.append(
-            f"At {about['large']:g} {about['unit']} every linear method misses: displacements by {percent(low)} at best, "
-            f"{percent(high)} at worst, with {size} modes; more modes do not help, for the equations are not the body's."
+            f"At {about['large']:g} {about['unit']} every linear method misses: displacements by {percent(low)} at "
+            f"best, {percent(high)} at worst, with {size} modes; more modes do not help, for the equations are not the "
+            "body's."
         )
     forces = best("large", "reaction")
     if forces:

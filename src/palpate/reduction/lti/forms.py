@@ -7,6 +7,7 @@ which are known.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -52,7 +53,7 @@ class SecondOrder:
         b = np.vstack([np.zeros_like(self.input), solved[:, 2 * k :]])
         return a, b, np.hstack([self.output, self.rate_output]), self.feedthrough
 
-    def transfer(self, points: Complex | Floats) -> Complex:
+    def transfer(self, points: Any) -> Complex:
         """Return the transfer function at complex frequencies s (t,) [1/s], shape (t, q, p)."""
         result = []
         for s in np.atleast_1d(np.asarray(points, dtype=complex)):
@@ -90,7 +91,7 @@ class FirstOrder:
         """Return A, B, C, D."""
         return self.state, self.input, self.output, self.feedthrough
 
-    def transfer(self, points: Complex | Floats) -> Complex:
+    def transfer(self, points: Any) -> Complex:
         """Return the transfer function at complex frequencies s (t,) [1/s], shape (t, q, p)."""
         eye, result = np.eye(len(self.state)), []
         for s in np.atleast_1d(np.asarray(points, dtype=complex)):

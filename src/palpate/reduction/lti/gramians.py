@@ -1,7 +1,7 @@
 """Lyapunov equations of pyMOR's models, solved densely whatever pyMOR's own threshold is.
 
-pyMOR turns to its alternating-direction iteration from 1,000 equations on. For lightly damped bodies that converges slowly:
-every resonance wants a shift of its own.
+pyMOR turns to its alternating-direction iteration from 1,000 equations on. For lightly damped bodies that converges
+slowly: every resonance wants a shift of its own.
 """
 
 from __future__ import annotations

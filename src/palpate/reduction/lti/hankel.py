@@ -1,9 +1,9 @@
 """Balanced realisations and Hankel-norm approximations of small dense systems.
 
-K. Glover, All optimal Hankel-norm approximations of linear multivariable systems and their L-infinity error bounds, Int. J.
-Control 39, 1984, theorem 6.3: of all stable systems of order k the one made here is nearest in the Hankel norm, at the
-distance of the first discarded Hankel singular value, and its transfer function errs by at most the sum of the discarded ones
-(each counted once), where the constant D is chosen well; by at most twice that sum with any.
+K. Glover, All optimal Hankel-norm approximations of linear multivariable systems and their L-infinity error bounds,
+Int. J. Control 39, 1984, theorem 6.3: of all stable systems of order k the one made here is nearest in the Hankel norm,
+at the distance of the first discarded Hankel singular value, and its transfer function errs by at most twice the sum of
+the discarded ones.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def lyapunov_factor(a: Floats, b: Floats) -> Floats:
 
 
 def balanced(system: Realisation) -> tuple[Realisation, Floats, Floats]:
-    """Return a balanced realisation, as large as can be told from rounding, its Hankel singular values, and T: x = T z."""
+    """Return a balanced realisation, as large as rounding allows, its Hankel singular values, and T: x = T z."""
     controlled, observed = lyapunov_factor(system.A, system.B), lyapunov_factor(system.A.T, system.C.T)
     left, values, right = np.linalg.svd(observed.T @ controlled)
     kept = values > MINIMAL * values[0]
@@ -111,7 +111,7 @@ def _stable_part(system: Realisation, count: int) -> Realisation:
 
 
 def nearest_fields(full: Realisation, fields: Floats, reduced: Realisation) -> Floats:
-    """Return fields (k, ...) of reduced states, the nearest to those (n, ...) of full states when both are driven alike.
+    """Return fields (k, ...) of reduced states, nearest to those (n, ...) of full states when both are driven alike.
 
     In the mean square over white inputs: Phi X P^-1, X the states' joint Gramian and P that of the reduced ones.
     """

@@ -1,7 +1,7 @@
 """The linear model: a linear reduction of a body, stepped, asked and shown as any other model.
 
 Its step is exact for forces that go evenly within a step: x1 = E x0 + G0 f0 + G1 f1 with E = exp(A dt), whatever the
-step and the fastest pole. A tool's coordinates go evenly, too: its acceleration is an impulse at the times of the steps.
+step and the fastest pole. A tool's coordinates go evenly, too: its acceleration is an impulse at the steps' times.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Linear reductions that project the sparse equations: modal truncation, moment matching, and POD.
 
-Each finds columns V of displacements and test columns W, and reduces to W^T M V, W^T D V, W^T K V. With W = V (Galerkin) a
-symmetric, positive definite body stays so: whatever V, the reduced body is stable. The collocated stiffness of the strong
-form is not symmetric and has no such promise. Its modal truncation takes left eigenvectors as test columns, which keeps
-poles as they are.
+Each finds columns V of displacements and test columns W, and reduces to W^T M V, W^T D V, W^T K V. With W = V
+(Galerkin) a symmetric, positive definite body stays so: whatever V, the reduced body is stable. The collocated
+stiffness of the strong form is not symmetric and has no such promise. Its modal truncation takes left eigenvectors as
+test columns, which keeps poles as they are.
 """
 
 from __future__ import annotations
@@ -55,9 +55,10 @@ def factorised(system: LinearSystem, s: complex = 0.0) -> Any:
 
 
 def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex128], Floats, Floats]:
-    """Return squares of frequencies (k,) [1/s^2] of the slowest modes, and real columns (d, k) of modes and left modes.
+    """Return squares of frequencies (k,) [1/s^2] of the slowest modes, and real columns (d, k) of these and left ones.
 
-    With a complex pair, real and imaginary parts stand for both vectors; where `count` would part a pair there is one more.
+    With a complex pair, real and imaginary parts stand for both vectors; where `count` would part a pair there is one
+    more.
     """
     integer_in_range("modes", count, 1, system.order - 2)
     solver, order = factorised(system), system.stiffness.shape
@@ -138,10 +139,11 @@ def condensed(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
 def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)) -> SecondOrder:
     """Match moments of the transfer function at some points s [1/s], by Krylov spaces.
 
-    Where D = beta K, s^2 M + s D + K is a multiple of Q + d M, Q what it is at a point, so that all moments there lie in the
-    Krylov space of Q^-1 M and Q^-1 B (Beattie and Gugercin, 44th IEEE Conf. Decision and Control, 2005): half as many columns
-    as a second-order Arnoldi takes. The points take turns, a block of as many columns as inputs each, until there are
-    `modes` columns; of complex ones real and imaginary parts are taken. One-sided (W = V): a symmetric body stays stable.
+    Where D = beta K, s^2 M + s D + K is a multiple of Q + d M, Q what it is at a point, so that all moments there lie
+    in the Krylov space of Q^-1 M and Q^-1 B (Beattie and Gugercin, 44th IEEE Conf. Decision and Control, 2005): half as
+    many columns as a second-order Arnoldi takes. The points take turns, a block of as many columns as inputs each,
+    until there are `modes` columns; of complex ones real and imaginary parts are taken. One-sided (W = V): a symmetric
+    body stays stable.
 
     Raises
     ------
@@ -188,6 +190,6 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
 
 
 def proper(system: LinearSystem, snapshots: Floats, modes: int) -> SecondOrder:
-    """Proper orthogonal decomposition of displacements (t, n, 3) [m] of the linearised body, without its tools' fields."""
+    """Decompose displacements (t, n, 3) [m] of the linearised body (POD), without its tools' fields, and project."""
     basis = pod(snapshots, system.model.weights, modes=modes)
     return projected(system, np.ascontiguousarray(basis.modes.reshape(len(basis), -1)[:, system.dofs].T))

@@ -1,7 +1,7 @@
 """A linear model as `palpate.Engine` takes it: one period, compiled, exact for a tool that goes evenly.
 
-What changes the tool's speed at a period's start is an impulse; forces are means over the period, A^-1 (x1 - x0) / T that of
-the state.
+What changes the tool's speed at a period's start is an impulse; forces are means over the period, A^-1 (x1 - x0) / T
+that of the state.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class LinearData(NamedTuple):
 
     Parameters
     ----------
-    count : int
+    modes : int
         Coordinates that are no tool's.
     second : bool
         Whether the state holds their rates, too.
@@ -40,31 +40,33 @@ class LinearData(NamedTuple):
         A with states over their sizes, and these.
     step : (N, N) array
         exp(A T) of the period that was last asked for.
-    period : (1,) array [s]
+    asked : (1,) array [s]
+        That period.
     impulse : (N, l) array
     mean_force : (l, N) array
         Forces by differences of the state over a period, times that.
     static, static_rate, inertia : (l, l) arrays
-    mass, stiffness : (m, m) arrays
+    mass, elastic : (m, m) arrays
+        Mass and stiffness matrix.
     reach : (l,) array
         Of the tool's coordinates, [m] and [rad], where the trust number is 1.
     scratch : (4, N, N) array
     vectors : (3, max(N, m)) array
     """
 
-    count: int
+    modes: int
     second: bool
     matrix: Floats
     sizes: Floats
     step: Floats
-    period: Floats
+    asked: Floats
     impulse: Floats
     mean_force: Floats
     static: Floats
     static_rate: Floats
     inertia: Floats
     mass: Floats
-    stiffness: Floats
+    elastic: Floats
     reach: Floats
     scratch: Floats
     vectors: Floats
@@ -87,7 +89,7 @@ def realtime_model(model: LinearModel, period: float) -> LinearRealtime:
     tools = {name.split(", ")[0] for name in system.inputs[system.forces :]}
     if len(tools) != 1 or system.forces:
         raise InputError(
-            "the engine moves one tool and nothing else: linearise with one PrescribedMotion or Grasp, and no other load"
+            "the engine moves one tool and nothing else: linearise with one PrescribedMotion or Grasp and no other load"
         )
     flat, full = model.columns.reshape(len(model.columns), -1), model.full
     weight, states = np.repeat(full.weights * full.material.density, 3), len(model.A)
@@ -95,10 +97,11 @@ def realtime_model(model: LinearModel, period: float) -> LinearRealtime:
     if isinstance(model.reduced, SecondOrder):
         sizes[count:] = np.abs(np.linalg.eigvals(model.A)).max()
     own = slice(len(model.C) - lifted, None)
+    mean_force = np.array(np.linalg.solve(model.A.T, model.C[own].T).T, dtype=float, order="C")
     data = LinearData(
         count, isinstance(model.reduced, SecondOrder), model.A * sizes / sizes[:, None], sizes,
         np.ascontiguousarray(held_over(model.A, model.B[:, :0], period)[0]), np.array([period]), model.B.copy(),
-        np.linalg.solve(model.A.T, model.C[own].T).T.copy(), system.static[own].copy(), system.static_rate[own].copy(),
+        mean_force, system.static[own].copy(), system.static_rate[own].copy(),
         model.D[own].copy(), (flat * weight) @ flat.T, flat @ (system.whole @ flat.T), reach(model),
         np.zeros((4, states, states)), np.zeros((3, max(states, count + lifted))),
     )  # fmt: skip
@@ -121,9 +124,10 @@ def _tool_map(inputs: tuple[str, ...]) -> Floats:
 
 
 def reach(model: LinearModel) -> Floats:
-    """Return how far each tool coordinate goes before the body's force on the tool bends by a tenth, (l,), [m] or [rad].
+    """Return how far tool coordinates go before the force on the tool bends by a tenth, (l,), [m] or [rad].
 
-    By the nonlinear forces of the tool's static fields L: a measure of how far the body's answer is linear, not of an error.
+    By the nonlinear forces of the tool's static fields L: a measure of how far the body's answer is linear, not of an
+    error.
     """
     system, full, found = model.system, model.full, []
     driven = np.repeat(full.drive(system.loads).places.kind == 2, 3)
@@ -143,7 +147,7 @@ def reach(model: LinearModel) -> Floats:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if bent(middle) else (middle, high)
         found.append(max(low, 1e-300))
-    return np.array(found)
+    return np.array(found, dtype=float)
 
 
 @njit(cache=True)
@@ -177,7 +181,7 @@ def _exponential(data, period):  # type: ignore[no-untyped-def]
     for i in range(n):
         for j in range(n):
             data.step[i, j] = result[i, j] * data.sizes[i] / data.sizes[j]
-    data.period[0] = period
+    data.asked[0] = period
 
 
 @njit(cache=True, fastmath={"contract"})
@@ -195,10 +199,10 @@ def _multiply(a, b, result):  # type: ignore[no-untyped-def]
 @njit(cache=True, fastmath={"contract"})
 def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
     """Advance coordinates and velocities (m,) by a period [s] while the tool goes evenly to `target` (l,)."""
-    count, m, n = data.count, q.shape[0], data.matrix.shape[0]
+    count, m, n = data.modes, q.shape[0], data.matrix.shape[0]
     before, x, new = data.vectors[0], data.vectors[1], data.vectors[2]
     report[:] = 0.0
-    if period != data.period[0]:
+    if period != data.asked[0]:
         _exponential(data, period)
     for i in range(count):
         x[i] = q[i]
@@ -246,7 +250,7 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
     for i in range(m):
         for j in range(m):
             report[3] += 0.5 * v[i] * data.mass[i, j] * v[j]
-            report[4] += 0.5 * q[i] * data.stiffness[i, j] * q[j]
+            report[4] += 0.5 * q[i] * data.elastic[i, j] * q[j]
 
 
 @njit(cache=True)

@@ -62,9 +62,9 @@ class Reduction:
     system : LinearSystem
         At rest.
     condense : int, optional
-        Balancing and rational Krylov work on a body condensed to this many of its slowest modes and the static responses that
-        they leave (`palpate.reduction.lti.projection.condensed`). By default bodies of more unknowns than 240 are condensed
-        to that many modes; 0 takes the body itself, whatever it costs.
+        Balancing and rational Krylov work on a body condensed to this many of its slowest modes and the static
+        responses that they leave (`palpate.reduction.lti.projection.condensed`); by default 240. 0, or as many as there
+        are unknowns, takes the body itself, if the budget allows it.
     budget : Budget
         What may be spent; more is refused with an estimate.
     training : (loads, duration, every), optional
@@ -105,7 +105,8 @@ class Reduction:
         Raises
         ------
         InputError
-            An unknown method, too many modes, a cost beyond the budget, or pyMOR missing; the message says how to install it.
+            An unknown method, too many modes, a cost beyond the budget, or pyMOR missing; the message says how to
+            install it.
         """
         if method not in METHODS:
             raise InputError(f"method = {method!r}: allowed are {', '.join(map(repr, METHODS))}")
@@ -279,8 +280,8 @@ class Reduction:
         outputs, inputs = self.scales
         cv = np.zeros_like(cp) if cv is None else cv
         return SecondOrder(
-            m, e, k, b / inputs, cp / outputs[:, None], cv / outputs[:, None], own.feedthrough / outputs[:, None] / inputs,
-            np.tensordot(fields.T, own.fields, 1),
+            m, e, k, b / inputs, cp / outputs[:, None], cv / outputs[:, None],
+            own.feedthrough / outputs[:, None] / inputs, np.tensordot(fields.T, own.fields, 1),
         )  # fmt: skip
 
     def _balanced(self, modes: int) -> FirstOrder:
@@ -327,8 +328,8 @@ def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any)
     ----------
     system : LinearSystem
     method : str
-        ``"modal"``, ``"moments"``, ``"pod"``, ``"hankel"``, and by pyMOR ``"irka"``, ``"balanced"``, ``"sobt"``, ``"sobt-p"``,
-        ``"sobt-v"``, ``"sobt-pv"``, ``"sobt-vp"``, ``"sobt-fv"``: see docs/linear.md.
+        ``"modal"``, ``"moments"``, ``"pod"``, ``"hankel"``, and by pyMOR ``"irka"``, ``"balanced"``, ``"sobt"``,
+        ``"sobt-p"``, ``"sobt-v"``, ``"sobt-pv"``, ``"sobt-vp"``, ``"sobt-fv"``: see docs/linear.md.
     modes : int
         Number of displacement coordinates; methods of first order have twice as many states.
     options

@@ -14,7 +14,8 @@ continuation, K L = 0 at all free nodes, displacements are u = w + L g, g the to
 
     M w'' + D w' + K w = B f - M L g'',
 
-because D L = beta K L = 0. The outputs y = Cp w + Cv w' + Df [f, g''] + S g + S' g' have a part that follows the tool at once.
+because D L = beta K L = 0. The outputs y = Cp w + Cv w' + Df [f, g''] + S g + S' g' have a part that follows the tool
+at once.
 """
 
 from __future__ import annotations
@@ -215,7 +216,8 @@ def linearise(
         model, loads, at, free, sparse.diags(weight[free]).tocsc(), (model.viscosity * stiffness).tocsc(), stiffness,
         sparse.csc_matrix(pushed), *_outputs(model, drive, outputs, whole, free, (forces, rigid, lifting), weight),
         (*names, *(f"acceleration of {tool}" for tool in tools)), _output_names(model, outputs, tools),
-        lifting.reshape(len(lifting), len(model.cloud), 3), *_statics(model, drive, outputs, whole, (rigid, lifting)), whole,
+        lifting.reshape(len(lifting), len(model.cloud), 3),
+        *_statics(model, drive, outputs, whole, (rigid, lifting)), whole,
     )  # fmt: skip
     return system
 
@@ -230,7 +232,7 @@ def _check_input(load: Load, model: NodalModel) -> None:
         return
     if not isinstance(load, Traction):
         raise InputError(
-            f"{type(load).__name__} is no input of a linear system: it knows Traction, Gravity, PrescribedMotion and Grasp"
+            f"{type(load).__name__} is no input of a linear system: Traction, Gravity, PrescribedMotion, Grasp are"
         )
     if load.force is None or load.moment is not None:
         raise InputError(f"Traction on {load.group!r}: an input of a linear system is a force, no moment or pressure")
