@@ -8,7 +8,7 @@ import scipy.linalg
 
 import palpate as pt
 from palpate.reduction.lti.cost import Budget, dense_lyapunov, sparse_lyapunov
-from palpate.reduction.lti.hankel import Realisation, balanced, hankel_norm, lyapunov_factor
+from palpate.reduction.lti.hankel import Realisation, hankel_norm, lyapunov_factor
 from palpate.reduction.lti.projection import condensed, eigenvectors
 from palpate.reduction.lti.reduction import METHODS, PYMOR, Reduction
 
