@@ -76,6 +76,7 @@ _HOME = {
     "LinearModel": "reduction.lti.model",
     "LinearSystem": "reduction.lti.system",
     "linearise": "reduction.lti.system",
+    "load_linear": "reduction.lti.storage",
     "reduce_linear": "reduction.lti.reduction",
     "modal_derivatives": "reduction.linear",
     "vibration_modes": "reduction.linear",

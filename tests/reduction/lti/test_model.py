@@ -189,3 +189,30 @@ def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
         for size in (0.5 * found[0], 1.01 * found[0])
     ]
     assert worst[0] < 0.1 < worst[1] < 0.12
+
+
+@pytest.mark.parametrize("method", ["modal", "hankel"])
+def test_a_saved_model_is_the_model(method, system, tool_system, soft_pull, tmp_path):
+    model = pt.reduce_linear(system, method, 5, condense=40)
+    model.save(tmp_path / "bar.lti")
+    loaded = pt.load_linear(tmp_path / "bar.lti", system)
+    first, second = (pt.rollout(each, [soft_pull], duration=0.005, every=0.0005) for each in (model, loaded))
+    np.testing.assert_array_equal(first.displacements, second.displacements)
+    assert loaded.report["method"] == method
+    assert [path.name for path in tmp_path.iterdir()] == ["bar.lti"]
+    with pytest.raises(pt.InputError, match="another linear system"):
+        pt.load_linear(tmp_path / "bar.lti", tool_system)
+
+
+def test_files_that_hold_no_linear_model_are_refused(system, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        pt.load_linear(tmp_path / "none.lti", system)
+    (tmp_path / "text.lti").write_text("no model", encoding="utf-8")
+    with pytest.raises(pt.FileFormatError):
+        pt.load_linear(tmp_path / "text.lti", system)
+    model = pt.reduce_linear(system, "modal", 3)
+    model.save(tmp_path / "cut.lti")
+    content = (tmp_path / "cut.lti").read_bytes()
+    (tmp_path / "cut.lti").write_bytes(content[: len(content) // 2])
+    with pytest.raises(pt.FileFormatError):
+        pt.load_linear(tmp_path / "cut.lti", system)
