@@ -360,17 +360,16 @@ def _add_check(commands: Any) -> None:
 def _add_compare(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
-        help="linear reductions side by side: modal, balanced, Hankel, Krylov, POD",
-        description="Linearise a body at rest, reduce it by every method, and compare costs, stability, frequency "
-        "response and errors at a small and a large load with the full, nonlinear body. Needs pyMOR: "
-        "pip install 'palpate[linear]'. See docs/linear.md.",
+        help="linear reductions side by side",
+        description="Linearise a body at rest, reduce it by every method, and compare costs, stability and errors at a "
+        "small and a large load. Needs pyMOR: pip install 'palpate[linear]'. See docs/linear.md.",
     )
     add = compare.add_argument
     add("body", choices=["beam", "liver"], help="the paper's beam, pulled; or the generated liver, a tool at its front")
     add("--modes", type=int, nargs="+", default=[4, 8, 16, 24], metavar="M", help="sizes (4 8 16 24)")
-    add("--methods", nargs="+", metavar="NAME", help="some of the methods only (all)")
+    add("--methods", nargs="+", metavar="NAME", help="some of the methods (all)")
     add("--spacing", type=float, metavar="M", help="distance between nodes [m] (beam 0.005, liver 0.012)")
-    add("--poisson", type=float, metavar="NU", help="Poisson's ratio (beam 0.49, liver 0.45)")
+    add("--poisson", type=float, metavar="NU", help="Poisson's ratio (0.49; liver 0.45)")
     add("--condense", type=int, metavar="K", help="slowest modes to balance instead of all unknowns (240); 0: all")
     _add_results(compare, Path("out/compare"))
 

@@ -16,7 +16,7 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.projected import project
 from palpate.reduction.training import reduce
 from palpate.scenes.beam import beam, pull
-from palpate.scenes.liver import MARGIN, _model
+from palpate.scenes.liver import MARGIN, pressed_liver
 
 __all__ = ["BODIES", "Body", "compared_beam", "compared_liver"]
 
@@ -82,7 +82,8 @@ def compared_beam(spacing: float = 0.005, poisson: float = 0.49) -> Body:
 def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> Body:
     """Return the generated liver, a place of its front pulled by a tool by up to 0.2 mm and up to 20 mm."""
     spacing = number_in_range("spacing", spacing, 0.006, 0.012, unit="m")
-    bare = _model(spacing, number_in_range("poisson", poisson, 0.0, 0.49))
+    bare = pressed_liver(spacing=spacing, poisson=poisson, radius=2.5 * spacing).model
+    assert isinstance(bare, FullModel)
     cloud = bare.cloud
     surface = np.unique(cloud.face_nodes)
     back = cloud.points[cloud.group("back"), 1].min()

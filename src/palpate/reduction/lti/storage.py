@@ -48,8 +48,8 @@ def save(model: LinearModel, path: Path) -> None:
 
 def _header(system: LinearSystem) -> dict[str, Any]:
     return {
-        "format": FORMAT, "version": VERSION, "inputs": json.dumps(system.inputs), "outputs": json.dumps(system.outputs),
-        "unknowns": system.order,
+        "format": FORMAT, "version": VERSION, "inputs": json.dumps(system.inputs),
+        "outputs": json.dumps(system.outputs), "unknowns": system.order,
     }  # fmt: skip
 
 
