@@ -361,8 +361,7 @@ def _add_compare(commands: Any) -> None:
     compare = commands.add_parser(
         "compare",
         help="linear reductions side by side",
-        description="Linearise a body at rest, reduce it by every method, and compare costs, stability and errors at a "
-        "small and a large load. Needs pyMOR: pip install 'palpate[linear]'. See docs/linear.md.",
+        description="Reduce a linearised body by every method, with costs, stability and errors. See docs/linear.md.",
     )
     add = compare.add_argument
     add("body", choices=["beam", "liver"], help="the paper's beam, pulled; or the generated liver, a tool at its front")

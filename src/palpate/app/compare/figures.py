@@ -31,6 +31,7 @@ __all__ = ["FILES", "draw_comparison"]
 FILES = ("errors.png", "response.png", "hankel.png", "cost.png")
 STYLES = {
     "modal": (BLUE, "o", "-"), "moments": (GREEN, "s", "-"), "irka": (GREEN, "^", "--"), "balanced": (RED, "o", "-"),
+    "balanced-low-rank": (RED, "+", ":"),
     "hankel": (RED, "x", "--"), "pod": (ORANGE, "D", "-"), "sobt": (PINK, "o", "-"), "sobt-p": (PINK, "^", "--"),
     "sobt-v": (SKY, "v", "--"), "sobt-pv": (SKY, "s", ":"), "sobt-vp": (YELLOW, "<", ":"), "sobt-fv": (GREY, ">", "--"),
 }  # fmt: skip

@@ -1,14 +1,33 @@
-"""Lyapunov equations of pyMOR's models, solved densely whatever pyMOR's own threshold is.
+"""Lyapunov equations of pyMOR's models: densely whatever pyMOR's own threshold is, or of large bodies in low rank.
 
 pyMOR turns to its alternating-direction iteration from 1,000 equations on. For lightly damped bodies that converges
-slowly: every resonance wants a shift of its own.
+slowly, for every resonance wants a shift of its own; so its result is held against the equation before it is used.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["dense_solver"]
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from palpate.faults import InputError
+from palpate.reduction.lti.cost import Budget, sparse_lyapunov
+from palpate.reduction.lti.forms import FirstOrder
+
+if TYPE_CHECKING:
+    from palpate.reduction.lti.system import LinearSystem
+
+__all__ = ["balanced_in_low_rank", "dense_solver", "residual"]
+
+Floats = NDArray[np.float64]
+
+STEPS, TOLERANCE = 400, 1e-8  # of the iteration
+MISSED = 2e-2  # of the right-hand side: what a solution may miss of its equation
+PROBES = 4
+INSTEAD = "Balance the body condensed to its slowest modes instead: method 'balanced'"
 
 
 def dense_solver() -> Any:
@@ -16,3 +35,82 @@ def dense_solver() -> Any:
     from pymor.bindings.scipy import ScipyLyapunovSolverLR
 
     return ScipyLyapunovSolverLR()
+
+
+def balanced_in_low_rank(
+    system: LinearSystem,
+    modes: int,
+    scales: tuple[Floats, Floats],
+    budget: Budget,
+    timed: Callable[[str, Callable[[], Any]], Any],
+) -> FirstOrder:
+    """Balance the whole, sparse body by pyMOR's low-rank solver.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    modes : int
+        Half the number of states.
+    scales : (q,) and (p,) arrays
+        Factors of outputs and inputs.
+    budget : Budget
+    timed : function
+        Takes a name and a function, and returns what that does.
+
+    Raises
+    ------
+    InputError
+        It would cost more than the budget, or the iteration did not come near a solution.
+    """
+    from pymor.models.iosys import SecondOrderModel
+    from pymor.reductors.bt import BTReductor
+    from pymor.solvers.matrix_equations.adi import ADILyapunovSolver
+    from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
+
+    budget.check(sparse_lyapunov(system), "low-rank Lyapunov equations of this body", INSTEAD)
+    outputs, inputs = scales
+    b = system.input.toarray() * inputs
+    cp, cv = outputs[:, None] * system.output.toarray(), outputs[:, None] * system.rate_output.toarray()
+    solver = ADILyapunovSolver(adi_tol=TOLERANCE, adi_maxiter=STEPS)
+    lti = SecondOrderModel.from_matrices(
+        system.mass, system.damping, system.stiffness, b, cp, cv,
+        matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=solver), name="palpate",
+    ).to_lti()  # fmt: skip
+    factors = timed("low-rank", lambda: [_stacked(lti.gramian(kind)) for kind in ("c_lr", "o_lr")])
+    a, e = first_order(system)
+    b0, c0 = np.vstack([np.zeros_like(b), b]), np.hstack([cp, cv])
+    missed = max(residual(a, e, b0, factors[0]), residual(a.T, e.T, c0.T, factors[1]))
+    if not missed < MISSED:
+        raise InputError(
+            f"the low-rank Lyapunov solver missed its equations by {missed:.2g} of their right-hand sides after "
+            f"{STEPS} steps: the body is too lightly damped for it. {INSTEAD}"
+        )
+    if 2 * modes > min(factor.shape[1] for factor in factors):
+        raise InputError(f"modes = {modes}: the Gramians have fewer columns than twice that")
+    reductor = BTReductor(lti)
+    a, b, c, _, e = reductor.reduce(2 * modes).to_matrices()
+    if e is not None:
+        a, b = np.linalg.solve(e, a), np.linalg.solve(e, b)
+    fields = system.fields(np.asarray(reductor.V.blocks[0].to_numpy()))
+    return FirstOrder(a, b / inputs, c / outputs[:, None], system.feedthrough, fields)
+
+
+def first_order(system: LinearSystem) -> tuple[Any, Any]:
+    """Return sparse A and E of E x' = A x + B f with x = (u, u')."""
+    eye = sparse.identity(system.order)
+    return (
+        sparse.bmat([[None, eye], [-system.stiffness, -system.damping]]).tocsr(),
+        sparse.block_diag([eye, system.mass]).tocsr(),
+    )
+
+
+def _stacked(vectors: Any) -> Floats:
+    return np.vstack([np.asarray(block.to_numpy()) for block in vectors.blocks])
+
+
+def residual(a: Any, e: Any, b: Floats, factor: Floats) -> float:
+    """Return what A Z Z^T E^T + E Z Z^T A^T + B B^T is of B B^T, by products with a few random vectors."""
+    probes = np.random.default_rng(0).standard_normal((len(b), PROBES))
+    source = b @ (b.T @ probes)
+    left = a @ (factor @ (factor.T @ (e.T @ probes))) + e @ (factor @ (factor.T @ (a.T @ probes))) + source
+    return float(np.linalg.norm(left) / np.linalg.norm(source))

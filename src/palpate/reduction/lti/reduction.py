@@ -19,6 +19,7 @@ from palpate.dynamics.loads import Load
 from palpate.faults import InputError, integer_in_range
 from palpate.reduction.lti.cost import Budget, dense_lyapunov
 from palpate.reduction.lti.forms import FirstOrder, Reduced, SecondOrder
+from palpate.reduction.lti.gramians import balanced_in_low_rank, dense_solver
 from palpate.reduction.lti.hankel import Realisation, balanced, hankel_norm, nearest_fields
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.projection import condensed, modal, moments, projected, proper
@@ -39,6 +40,7 @@ METHODS = {
     "moments": "Krylov, moments matched",
     "irka": "Krylov, second-order IRKA",
     "balanced": "balanced truncation, first order",
+    "balanced-low-rank": "balanced truncation of the whole body in low rank, first order",
     "hankel": "Hankel-norm approximation, first order",
     "pod": "POD of the linearised run",
     "sobt": "second-order balanced truncation",
@@ -48,7 +50,7 @@ METHODS = {
     "sobt-vp": "the same, velocity-position",
     "sobt-fv": "the same, free velocity",
 }
-PYMOR = {"irka", "balanced", *SECOND_ORDER_BALANCING}
+PYMOR = {"irka", "balanced", "balanced-low-rank", *SECOND_ORDER_BALANCING}
 CONDENSED = 240  # modes of the condensed body that large ones are balanced by
 IRKA: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
 Run = tuple[Sequence[Load], float, float]
@@ -137,6 +139,8 @@ class Reduction:
             return self._hankel(modes)
         if method == "balanced":
             return self._balanced(modes)
+        if method == "balanced-low-rank":
+            return balanced_in_low_rank(system, modes, self.scales, self.budget, self._timed)
         return self._second_order(method, modes)
 
     def _shared(self, method: str) -> float:
@@ -145,6 +149,7 @@ class Reduction:
             "modal": (),
             "moments": (),
             "pod": ("run",),
+            "balanced-low-rank": ("low-rank",),
         }
         own = parts.get(method, ("condensed", "hankel" if method == "hankel" else "gramians"))
         return float(sum(self.seconds.get(part, 0.0) for part in own))
@@ -185,9 +190,7 @@ class Reduction:
 
         Displacements and forces each over their largest static response, and a tool's rotations over its radius.
         """
-        static = np.abs(self.system.transfer(0.0)[0].real) if self.condense == 0 else np.abs(
-            self.source.transfer(0.0)[0].real
-        )  # fmt: skip
+        static = np.abs(self.system.transfer(0.0)[0].real)
         kinds = np.array([name.split()[0] for name in self.system.outputs])
         outputs = np.ones(len(kinds))
         for kind in np.unique(kinds):
@@ -212,8 +215,6 @@ class Reduction:
         need_pymor("balancing")
         from pymor.models.iosys import SecondOrderModel
         from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
-
-        from palpate.reduction.lti.gramians import dense_solver
 
         own = self.scaled
         return SecondOrderModel.from_matrices(
@@ -328,8 +329,9 @@ def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any)
     ----------
     system : LinearSystem
     method : str
-        ``"modal"``, ``"moments"``, ``"pod"``, ``"hankel"``, and by pyMOR ``"irka"``, ``"balanced"``, ``"sobt"``,
-        ``"sobt-p"``, ``"sobt-v"``, ``"sobt-pv"``, ``"sobt-vp"``, ``"sobt-fv"``: see docs/linear.md.
+        ``"modal"``, ``"moments"``, ``"pod"``, ``"hankel"``, and by pyMOR ``"irka"``, ``"balanced"``,
+        ``"balanced-low-rank"``, ``"sobt"``, ``"sobt-p"``, ``"sobt-v"``, ``"sobt-pv"``, ``"sobt-vp"``,
+        ``"sobt-fv"``: see docs/linear.md.
     modes : int
         Number of displacement coordinates; methods of first order have twice as many states.
     options
