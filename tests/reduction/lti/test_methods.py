@@ -302,3 +302,28 @@ def test_without_pymor_the_message_says_how_to_install_it(system, monkeypatch):
     with pytest.raises(pt.InputError, match=r"pip install 'palpate\[linear\]'"):
         system.to_pymor()
     assert pt.reduce_linear(system, "modal", 4).stable  # needs none
+
+
+def test_emphasis_lets_one_input_count_more(system, soft_pull):
+    names = list(system.inputs)
+    emphasis = [1.0 if name == "force x on x+" else 1e-3 for name in names]
+    alike, along = Reduction(system, condense=CONDENSED), Reduction(system, condense=CONDENSED, emphasis=emphasis)
+    grid = np.geomspace(10.0, 2000.0, 100)
+    exact = system.frequency_response(grid)[:, :, names.index("force x on x+")]
+    missed = [
+        np.abs(own.model("hankel", 4).frequency_response(grid)[:, :, 0] - exact).max() for own in (alike, along)
+    ]
+    assert missed[1] < 0.3 * missed[0]
+    with pytest.raises(pt.InputError, match="one an input"):
+        Reduction(system, emphasis=[1.0])
+
+
+def test_the_sizes_of_inputs_are_those_of_the_run(tool_system, system, soft_pull):
+    from palpate.reduction.lti.run import input_sizes
+
+    found = input_sizes(system, [soft_pull], 0.02)
+    np.testing.assert_allclose(found, 1e-4 * np.array([0.6, 0.15, 0.05]), rtol=1e-3)
+    swung = pt.PrescribedMotion("tip", lambda points, time: (1e-5 * np.sin(200 * time), 0.0, 0.0))
+    bends = input_sizes(tool_system, [swung], 0.05)
+    np.testing.assert_allclose(bends[0], 1e-5 * 200**2, rtol=1e-3)
+    assert np.abs(bends[1:]).max() < 1e-6 * bends[0]

@@ -18,6 +18,7 @@ from palpate.faults import DivergenceError, InputError
 from palpate.reduction.errors import errors
 from palpate.reduction.lti.model import LinearModel, propagate
 from palpate.reduction.lti.reduction import METHODS, Reduction
+from palpate.reduction.lti.run import input_sizes
 from palpate.reduction.lti.system import LinearSystem, linearise
 
 __all__ = ["Comparison", "compare_methods", "prepare_comparison"]
@@ -31,6 +32,7 @@ POINTS, WHOLE, RESONANCES = (
     24,
 )  # frequencies: of the condensed body, of the whole one, and resonances among them
 ROUNDS, STEPS = 7, 2000  # of the timing of a step
+LEAST = 1e-2  # what an input counts at least, beside the one that the run drives most
 PERIOD = 1e-3  # [s] of the step that is timed
 
 
@@ -78,7 +80,9 @@ def prepare_comparison(body: Body, condense: int | None, console: Console) -> Co
     system = linearise(body.model, body.loads(body.small), body.outputs)
     console.say(f"linearised {system.order} unknowns: {perf_counter() - start:.1f} s")
     training = (body.loads(body.small), body.duration, body.every)
-    made = Comparison(body, system, Reduction(system, condense=condense, training=training))
+    sizes = input_sizes(system, body.loads(body.small), body.duration)
+    emphasis = np.maximum(sizes / sizes.max(), LEAST)
+    made = Comparison(body, system, Reduction(system, condense=condense, training=training, emphasis=emphasis))
     for name, size in zip(LOADS, (body.small, body.large), strict=True):
         run = rollout(body.model, body.loads(size), duration=body.duration, every=body.every)
         made.runs[name] = run

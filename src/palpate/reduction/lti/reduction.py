@@ -71,6 +71,8 @@ class Reduction:
         What may be spent; more is refused with an estimate.
     training : (loads, duration, every), optional
         The run that POD learns from, the linearised body's.
+    emphasis : (p,) array, optional
+        How much every input counts where several are balanced together; by default all alike.
 
     Raises
     ------
@@ -85,11 +87,16 @@ class Reduction:
         condense: int | None = None,
         budget: Budget | None = None,
         training: Run | None = None,
+        emphasis: Sequence[float] | Floats | None = None,
     ) -> None:
         if system.at.any():
             raise InputError("linear reductions are of a body at rest")
         self.system, self.budget, self.training = system, budget or Budget(), training
         self.condense = min(CONDENSED, system.order) if condense is None else integer_in_range("condense", condense, 0)
+        count = len(system.inputs)
+        self.emphasis = np.ones(count) if emphasis is None else np.array(emphasis, dtype=float)
+        if self.emphasis.shape != (count,) or not np.all(np.isfinite(self.emphasis) & (self.emphasis > 0)):
+            raise InputError(f"emphasis must be {count} positive numbers, one an input, not {emphasis!r}")
         self.seconds: dict[str, float] = {}
 
     def model(self, method: str, modes: int, **options: Any) -> LinearModel:
@@ -188,9 +195,10 @@ class Reduction:
     def scales(self) -> tuple[Floats, Floats]:
         """Factors (q,) of the outputs and (p,) of the inputs by which different units count alike in balancing.
 
-        Displacements and forces each over their largest static response, and a tool's rotations over its radius.
+        Displacements and forces each over their largest static response to the inputs as they count, and a tool's
+        rotations over its radius.
         """
-        static = np.abs(self.system.transfer(0.0)[0].real)
+        static = np.abs(self.system.transfer(0.0)[0].real) * self.emphasis
         kinds = np.array([name.split()[0] for name in self.system.outputs])
         outputs = np.ones(len(kinds))
         for kind in np.unique(kinds):
@@ -198,7 +206,7 @@ class Reduction:
         inputs = np.ones(len(self.system.inputs))
         if len(self.system.lifting):
             inputs[self.system.forces :] = 1.0 / np.abs(self.system.lifting).max(axis=(1, 2))
-        return outputs, inputs
+        return outputs, inputs * self.emphasis
 
     @cached_property
     def scaled(self) -> SecondOrder:
@@ -335,12 +343,12 @@ def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any)
     modes : int
         Number of displacement coordinates; methods of first order have twice as many states.
     options
-        `condense`, `budget` and `training` of `Reduction`; `points` of the moments.
+        `condense`, `budget`, `training` and `emphasis` of `Reduction`; `points` of the moments.
 
     Raises
     ------
     InputError
         As `Reduction.model`.
     """
-    shared = {name: options.pop(name) for name in ("condense", "budget", "training") if name in options}
+    shared = {name: options.pop(name) for name in ("condense", "budget", "training", "emphasis") if name in options}
     return Reduction(system, **shared).model(method, modes, **options)

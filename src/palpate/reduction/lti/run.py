@@ -14,9 +14,19 @@ from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.projection import projected
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["linear_run"]
+__all__ = ["input_sizes", "linear_run"]
 
 Floats = NDArray[np.float64]
+
+
+def input_sizes(system: LinearSystem, loads: Sequence[Load], duration: float, samples: int = 2000) -> Floats:
+    """Return the largest size (p,) of every input in a run: forces [N], gravity, and accelerations of tools."""
+    guide = LinearModel(system, projected(system, np.ones((system.order, 1))))
+    drive, step = guide.drive(loads), duration / samples
+    times: Floats = step * np.arange(-1.0, samples + 2)
+    g = guide.tool_coordinates(drive, times)
+    bends = np.abs(g[2:] - 2 * g[1:-1] + g[:-2]).max(axis=0) / step**2
+    return np.concatenate([np.abs(guide._inputs(drive).at(times[1:-1], system.forces)).max(axis=0), bends])
 
 
 def linear_run(
