@@ -310,9 +310,7 @@ def test_emphasis_lets_one_input_count_more(system, soft_pull):
     alike, along = Reduction(system, condense=CONDENSED), Reduction(system, condense=CONDENSED, emphasis=emphasis)
     grid = np.geomspace(10.0, 2000.0, 100)
     exact = system.frequency_response(grid)[:, :, names.index("force x on x+")]
-    missed = [
-        np.abs(own.model("hankel", 4).frequency_response(grid)[:, :, 0] - exact).max() for own in (alike, along)
-    ]
+    missed = [np.abs(own.model("hankel", 4).frequency_response(grid)[:, :, 0] - exact).max() for own in (alike, along)]
     assert missed[1] < 0.3 * missed[0]
     with pytest.raises(pt.InputError, match="one an input"):
         Reduction(system, emphasis=[1.0])

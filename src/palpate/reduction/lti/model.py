@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads import Drive, Gravity, Load, Traction
+from palpate.dynamics.loads import FREE, Drive, Gravity, Load, Traction
 from palpate.dynamics.model import Model, Nodes, Outputs, State
 from palpate.dynamics.reactions import evaluate
 from palpate.faults import InputError, number_in_range
@@ -83,6 +83,7 @@ class LinearModel(Model):
         self.A, self.B, self.C, self.D = (np.ascontiguousarray(matrix) for matrix in reduced.state_space())
         flat = self.columns.reshape(len(self.columns), -1)
         self._lost = full.viscosity * (flat @ (system.whole @ flat.T))
+        self._moved = self._force_columns() @ flat.T  # what coordinates move along the forces
         self._steps: dict[float, tuple[Floats, ...]] = {}
         self._ready: _Inputs | None = None
 
@@ -179,21 +180,18 @@ class LinearModel(Model):
         now = np.array([time])
         tools = self.tool_coordinates(drive, now)[0]
         rates = drive.rates(lambda times: self.tool_coordinates(drive, times), time)[0] if self.lifted else tools
-        flat = self.reduced.fields.reshape(self.count, -1)
-        weight = np.repeat(self.full.weights * self.material.density, 3)
-        begun = []
-        for given, known in ((nodal.coordinates, tools), (nodal.velocities, rates)):
-            rest = given.ravel() - known @ self.system.lifts
-            rest[np.repeat(drive.places.kind != 0, 3)] = 0.0
-            begun.append(rest)
+        own = np.zeros((2, self.count))
         if isinstance(self.reduced, FirstOrder):
-            if any(np.abs(rest).max(initial=0.0) > 1e-12 * self.cloud.spacing for rest in begun):
+            if any(given is not None and np.any(given) for given in (displacement, velocity)):
                 raise InputError("a first-order linear model starts at rest: its states are not displacements")
-            own = np.zeros((2, self.count))
             own[1] = self.B[:, : self.system.forces] @ self._inputs(drive).at(now, self.system.forces)[0]
         else:
-            gram = (flat * weight) @ flat.T
-            own = np.linalg.solve(gram, (flat * weight) @ np.array(begun).T).T
+            begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
+            begun -= np.stack([tools, rates]) @ self.system.lifts
+            begun[:, np.repeat(drive.places.kind != FREE, 3)] = 0.0
+            flat = self.reduced.fields.reshape(self.count, -1)
+            weighted = flat * np.repeat(self.full.weights * self.material.density, 3)
+            own = np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T
         return State(np.concatenate([own[0], tools]), np.concatenate([own[1], rates]), time)
 
     def stable_step(self, state: State, drive: Drive) -> float:
@@ -242,9 +240,6 @@ class LinearModel(Model):
 
     def _work(self, c: Floats, f: Floats, history: Floats, tools: tuple[Floats, Floats, Floats]) -> float:
         """Work [J] of loads and tools over some times, by the trapezium rule."""
-        if not hasattr(self, "_moved"):
-            nodal = self._force_columns()
-            self._moved = nodal @ self.columns.reshape(len(self.columns), -1).T
         done = float(np.sum(0.5 * (f[1:] + f[:-1]) * np.diff(c @ self._moved.T, axis=0)))
         if self.lifted:
             g, speeds, bends = tools

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from palpate.dynamics.loads import DRIVEN
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.forms import SecondOrder, held_over
 
@@ -130,7 +131,7 @@ def reach(model: LinearModel) -> Floats:
     error.
     """
     system, full, found = model.system, model.full, []
-    driven = np.repeat(full.drive(system.loads).places.kind == 2, 3)
+    driven = np.repeat(full.drive(system.loads).places.kind == DRIVEN, 3)
     for field in system.lifting:
         rigid = np.where(driven, field.ravel(), 0.0)
         straight = float(rigid @ (system.whole @ field.ravel()))

@@ -29,7 +29,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from palpate.dynamics.loads import Drive, Gravity, Load, PrescribedMotion, Traction
+from palpate.dynamics.loads import FREE, Drive, Gravity, Load, PrescribedMotion, Traction
 from palpate.dynamics.model import State
 from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.tools import Grasp
@@ -205,7 +205,7 @@ def linearise(
         raise InputError(f"state: displacements must be finite, of shape {(len(model.cloud), 3)}, not {at.shape}")
     drive = model.drive(loads)
     whole = nodal_stiffness(model, at if at.any() else None)
-    free = np.flatnonzero(np.repeat(drive.places.kind == 0, 3))
+    free = np.flatnonzero(np.repeat(drive.places.kind == FREE, 3))
     weight = np.repeat(model.weights * model.material.density, 3)
     stiffness = whole[free][:, free].tocsc()
     rigid, tools = _rigid_motions(model, drive)
