@@ -80,6 +80,7 @@ def _draw_errors(report: dict[str, Any], path: Path) -> None:
                     title=f"{name}, {about[load]:g} {about['unit']}",
                     ylabel="error [%], cut at 1000" if column == 0 else "",
                 )
+                axes.set_xticks(sorted({entry["modes"] for entry in report["methods"]}))
                 if row == 1:
                     axes.set_xlabel("number of modes")
                 percent_axis(axes)

@@ -58,6 +58,11 @@ def build_report(made: Comparison) -> dict[str, Any]:
     return dict(finite(report))
 
 
+def _share(value: float) -> str:
+    """Return a share in per cent, however small."""
+    return percent(value) if value >= 1e-4 else f"{100 * value:.0e}%"
+
+
 def _row(entry: dict[str, Any]) -> list[str]:
     if entry["failed"]:
         return ["failed", *[""] * (len(HEADINGS) - 1)]
@@ -69,7 +74,7 @@ def _row(entry: dict[str, Any]) -> list[str]:
         found = entry["errors"][name]
         cells += ["diverged", "", "", ""] if found is None else [percent(found[what]) for what in QUANTITIES]
         if name == "small":
-            cells.append(percent(entry["response_error"]))
+            cells.append(_share(entry["response_error"]))
     return cells
 
 
@@ -86,8 +91,8 @@ def _nonlinear_row(entry: dict[str, Any]) -> list[str]:
 
 
 def _rows(report: dict[str, Any]) -> dict[str, list[str]]:
-    rows = {f"{entry['method']}, {entry['modes']}": _row(entry) for entry in report["methods"]}
-    rows |= {f"nonlinear POD, {entry['modes']}": _nonlinear_row(entry) for entry in report["nonlinear"]["entries"]}
+    rows = {f"{entry['method']} {entry['modes']}": _row(entry) for entry in report["methods"]}
+    rows |= {f"nonlinear {entry['modes']}": _nonlinear_row(entry) for entry in report["nonlinear"]["entries"]}
     return rows
 
 
@@ -95,7 +100,7 @@ def tables(report: dict[str, Any]) -> list[Any]:
     """Return a table of what matters most, and the summary; `write_markdown` writes all of it."""
     rows = {name: [cells[k] for k in PRINTED] for name, cells in _rows(report).items()}
     headings = [HEADINGS[k] if k not in NAMED else NAMED[k] for k in PRINTED]
-    return [quantities_table(report["title"], headings, rows, first="method, modes"), *report["summary"]]
+    return [quantities_table(report["title"], headings, rows, first="method"), *report["summary"]]
 
 
 def summary(report: dict[str, Any]) -> list[str]:
@@ -115,7 +120,7 @@ def summary(report: dict[str, Any]) -> list[str]:
         lines.append(f"At {about['small']:g} {about['unit']} with {size} modes, displacements err by: {order}.")
     response = sorted((e["response_error"], e["method"]) for e in largest if e["stable"])
     if response:
-        order = ", ".join(f"{name} {percent(value)}" for value, name in response)
+        order = ", ".join(f"{name} {_share(value)}" for value, name in response)
         lines.append(f"Frequency response with {size} modes, largest error over the largest response: {order}.")
     unstable = sorted({f"{e['method']} ({e['modes']})" for e in done if not e["stable"]})
     lines.append(f"Unstable: {', '.join(unstable) if unstable else 'none'}.")
@@ -140,7 +145,7 @@ def summary(report: dict[str, Any]) -> list[str]:
         )
     lines.append(
         f"Condensing {about['unknowns']} unknowns to {about['condensed_to']} before balancing changed the frequency "
-        f"response by {percent(report['condensing_error'])} of its largest value."
+        f"response by {_share(report['condensing_error'])} of its largest value."
     )
     return lines
 
@@ -148,7 +153,7 @@ def summary(report: dict[str, Any]) -> list[str]:
 def write_markdown(report: dict[str, Any], path: Path, figures: list[str]) -> None:
     """Write the report for people, whole or not at all."""
     lines = [f"# {report['title']}", "", *report["summary"], ""]
-    lines += [f"| method, modes | {' | '.join(HEADINGS)} |", f"|---|{'---|' * len(HEADINGS)}"]
+    lines += [f"| method | {' | '.join(HEADINGS)} |", f"|---|{'---|' * len(HEADINGS)}"]
     lines += [f"| {name} | {' | '.join(cells)} |" for name, cells in _rows(report).items()]
     lines += ["", *(f"![{name}]({name})" for name in figures), ""]
     with whole_file(path) as partial:

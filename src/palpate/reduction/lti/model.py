@@ -348,7 +348,7 @@ class LinearModel(Model):
         return realtime_model(self, period)
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True, fastmath={"contract", "reassoc"})
 def propagate(x, E, G0, G1, impulse, f, kicks, history):  # type: ignore[no-untyped-def]
     """Advance x (N,) in place by one step less than there are inputs f (t, p); write the states (t, N).
 

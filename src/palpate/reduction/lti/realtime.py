@@ -197,7 +197,7 @@ def _multiply(a, b, result):  # type: ignore[no-untyped-def]
                 result[i, j] += value * b[k, j]
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(cache=True, fastmath={"contract", "reassoc"})
 def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
     """Advance coordinates and velocities (m,) by a period [s] while the tool goes evenly to `target` (l,)."""
     count, m, n = data.modes, q.shape[0], data.matrix.shape[0]
