@@ -126,11 +126,12 @@ def summary(report: dict[str, Any]) -> list[str]:
     lines.append(f"Unstable: {', '.join(unstable) if unstable else 'none'}.")
     large = best("large", "displacement")
     if large:
-        low, high = large[0][0], large[-1][0]
+        value, name = large[0]
+        beside = {method: missed for missed, method in small}.get(name)
+        also = f"; at the small load it misses {percent(beside)}" if beside is not None else ""
         lines.append(
-            f"At {about['large']:g} {about['unit']} every linear method misses: displacements by {percent(low)} at "
-            f"best, {percent(high)} at worst, with {size} modes; more modes do not help, for the equations are not the "
-            "body's."
+            f"At {about['large']:g} {about['unit']} every linear method misses: with {size} modes {name} is nearest "
+            f"and errs by {percent(value)} in displacements{also}. The worst errs by {percent(large[-1][0])}."
         )
     forces = best("large", "reaction")
     if forces:
