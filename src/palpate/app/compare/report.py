@@ -19,6 +19,16 @@ HEADINGS = (
     "states", "offline s", "shared s", "us/step", "step kB", "stable", "small: displ.", "velocity", "energy", "force",
     "response", "large: displ.", "velocity", "energy", "force",
 )  # fmt: skip
+WHEN = {
+    "pod": "motions like the run it learnt from; blind to what that run did not excite",
+    "moments": "slow loads: exact statics, no run needed; resonances come last",
+    "balanced": "the response at the outputs over all frequencies, with a bound, and stable",
+    "hankel": "the same, nearest in the Hankel norm; its displacements elsewhere are fitted",
+    "sobt": "as balanced with half as many coordinates, but no bound and no promise of stability; so -p, -v, -pv",
+    "sobt-fv": "as sobt, and stable where the stiffness is symmetric",
+    "modal": "resonances, whose poles it keeps; statics converge slowly",
+    "irka": "few modes, where its poles turn out stable and its errors small",
+}
 PRINTED = (1, 3, 5, 6, 9, 10, 11, 14)  # of these, what a terminal has room for
 NAMED = {6: "small: displ.", 9: "force", 11: "large: displ.", 14: "force"}
 QUANTITIES = ("displacement", "velocity", "energy", "reaction")
@@ -144,6 +154,8 @@ def summary(report: dict[str, Any]) -> list[str]:
             f"{percent(last['errors']['large']['displacement'])}, at the small load by "
             f"{percent(last['errors']['small']['displacement']) if last['errors']['small'] else 'nothing finite'}."
         )
+    lines += [f"{name} is for {what}." for name, what in WHEN.items() if any(e["method"] == name for e in done)]
+    lines.append("None is for large motions: nonlinear reduced models are.")
     lines.append(
         f"Condensing {about['unknowns']} unknowns to {about['condensed_to']} before balancing changed the frequency "
         f"response by {_share(report['condensing_error'])} of its largest value."
@@ -153,7 +165,7 @@ def summary(report: dict[str, Any]) -> list[str]:
 
 def write_markdown(report: dict[str, Any], path: Path, figures: list[str]) -> None:
     """Write the report for people, whole or not at all."""
-    lines = [f"# {report['title']}", "", *report["summary"], ""]
+    lines = [f"# {report['title']}", "", *(f"- {line}" for line in report["summary"]), ""]
     lines += [f"| method | {' | '.join(HEADINGS)} |", f"|---|{'---|' * len(HEADINGS)}"]
     lines += [f"| {name} | {' | '.join(cells)} |" for name, cells in _rows(report).items()]
     lines += ["", *(f"![{name}]({name})" for name in figures), ""]
