@@ -359,9 +359,7 @@ def _add_check(commands: Any) -> None:
 
 def _add_compare(commands: Any) -> None:
     compare = commands.add_parser(
-        "compare",
-        help="linear reductions side by side",
-        description="Reduce a linearised body by every method, with costs, stability and errors. See docs/linear.md.",
+        "compare", help="linear reductions side by side", description="Costs, stability, errors: docs/linear.md."
     )
     add = compare.add_argument
     add("body", choices=["beam", "liver"], help="the paper's beam, pulled; or the generated liver, a tool at its front")

@@ -180,7 +180,7 @@ class LinearModel(Model):
         now = np.array([time])
         tools = self.tool_coordinates(drive, now)[0]
         rates = drive.rates(lambda times: self.tool_coordinates(drive, times), time)[0] if self.lifted else tools
-        own = np.zeros((2, self.count))
+        own: Floats = np.zeros((2, self.count))
         if isinstance(self.reduced, FirstOrder):
             if any(given is not None and np.any(given) for given in (displacement, velocity)):
                 raise InputError("a first-order linear model starts at rest: its states are not displacements")
@@ -191,7 +191,7 @@ class LinearModel(Model):
             begun[:, np.repeat(drive.places.kind != FREE, 3)] = 0.0
             flat = self.reduced.fields.reshape(self.count, -1)
             weighted = flat * np.repeat(self.full.weights * self.material.density, 3)
-            own = np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T
+            own = np.asarray(np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T, dtype=float)
         return State(np.concatenate([own[0], tools]), np.concatenate([own[1], rates]), time)
 
     def stable_step(self, state: State, drive: Drive) -> float:
