@@ -185,6 +185,16 @@ def test_modal_truncation_keeps_the_slowest_poles(form, request):
     assert np.linalg.matrix_rank(cross) == len(cross)
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 20, 61, 120])
+def test_left_and_right_modes_belong_together_where_twins_are(count, strong_system):
+    """The bar is as wide as high: frequencies of its bending come in twos, and sets of them must not be parted."""
+    _, right, left = eigenvectors(strong_system, count)
+    assert count <= right.shape[1] == left.shape[1]
+    cross = left.T @ (strong_system.mass @ right)
+    sizes = [np.sqrt(np.sum(columns * (strong_system.mass @ columns), axis=0)) for columns in (left, right)]
+    assert np.linalg.cond(cross / np.outer(*sizes)) < 100
+
+
 @pytest.mark.parametrize("form", ["reduction", "strong_reduction"])
 def test_every_method_comes_nearer_with_more_modes(form, request, soft_pull):
     own = request.getfixturevalue(form)

@@ -25,6 +25,7 @@ __all__ = ["Columns", "condensed", "eigenvectors", "modal", "moments", "projecte
 Floats = NDArray[np.float64]
 Columns = tuple[Floats, Floats]
 
+TWINS, SPARE = 1e-5, 12  # relative distance of squares of frequencies that count as one; modes sought beside
 DEFLATED = 1e-10  # of its size before: what is left of a column that the others span already
 
 
@@ -57,13 +58,13 @@ def factorised(system: LinearSystem, s: complex = 0.0) -> Any:
 def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex128], Floats, Floats]:
     """Return squares of frequencies (k,) [1/s^2] of the slowest modes, and real columns (d, k) of these and left ones.
 
-    With a complex pair, real and imaginary parts stand for both vectors; where `count` would part a pair there is one
-    more.
+    With a complex pair, real and imaginary parts stand for both vectors. Where `count` would part a pair, or the twins
+    of a body of symmetric shape in its strong form, there are more.
     """
     integer_in_range("modes", count, 1, system.order - 2)
     solver, order = factorised(system), system.stiffness.shape
     start = np.random.default_rng(0).standard_normal(system.order)
-    ask = min(count + 8, system.order - 2)
+    ask = min(count + SPARE, system.order - 2)
     try:
         if system.symmetric:
             inverse = LinearOperator(order, matvec=solver.solve)
@@ -78,29 +79,32 @@ def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex12
             found.append(eigs(matrix, k=ask, M=system.mass, sigma=0.0, OPinv=inverse, v0=start))
     except ArpackNoConvergence as error:
         raise InputError(f"the slowest {count} modes were not found: {error}") from error
-    (values, right), (_, left) = (_by_size(*pair) for pair in found)
-    if count < len(values) and abs(values[count] - values[count - 1].conj()) < 1e-9 * abs(values[count]):
-        count += 1  # a complex pair stays together
-    return values[:count], _real(values, right, count), _real(values, left, count)
+    (values, right), (others, left) = (_by_size(*pair) for pair in found)
+    sizes = np.abs(values)
+    while count < len(sizes) and sizes[count] - sizes[count - 1] < TWINS * sizes[count]:
+        count += 1  # complex pairs and twins stay together: of parted ones, left and right modes need not match
+    columns, tests = _real(values, right, count), _real(others, left, count)
+    if columns.shape != tests.shape:
+        raise InputError(f"modes = {count}: left and right modes do not match there; ask for a few more or fewer")
+    return values[:count], columns, tests
 
 
 def _by_size(values: NDArray[np.complex128], vectors: NDArray[np.complex128]) -> tuple[Any, Any]:
-    order = np.lexsort((values.imag, np.round(np.abs(values) / np.abs(values).max(), 12)))
+    order = np.argsort(np.abs(values))
     return values[order], vectors[:, order]
 
 
 def _real(values: NDArray[np.complex128], vectors: NDArray[np.complex128], count: int) -> Floats:
-    """Real columns (d, count) with the span of the first eigenvectors."""
-    columns, place = [], 0
-    while place < count:
-        vector = vectors[:, place]
-        if abs(values[place].imag) > 1e-9 * abs(values[place]):
+    """Real columns (d, count) with the span of the first eigenvectors, which hold all of their conjugates.
+
+    Of every pair, however nearly real, one vector gives both columns: twins' pairs come in any order.
+    """
+    columns = []
+    for value, vector in zip(values[:count], vectors[:, :count].T, strict=True):
+        if value.imag > 0:
             columns += [vector.real, vector.imag]
-            place += 2
-        else:
-            turned = vector * np.exp(-1j * np.angle(vector[np.argmax(np.abs(vector))]))
-            columns.append(turned.real)
-            place += 1
+        elif value.imag == 0:
+            columns.append(vector.real)
     stacked = np.stack(columns, axis=1)
     return np.asarray(stacked / np.linalg.norm(stacked, axis=0))
 
