@@ -154,7 +154,7 @@ def summary(report: dict[str, Any]) -> list[str]:
             f"{percent(last['errors']['large']['displacement'])}, at the small load by "
             f"{percent(last['errors']['small']['displacement']) if last['errors']['small'] else 'nothing finite'}."
         )
-    lines += [f"{name} is for {what}." for name, what in WHEN.items() if any(e["method"] == name for e in done)]
+    lines += [f"{name}: {what}." for name, what in WHEN.items() if any(e["method"] == name for e in done)]
     lines.append("None is for large motions: nonlinear reduced models are.")
     lines.append(
         f"Condensing {about['unknowns']} unknowns to {about['condensed_to']} before balancing changed the frequency "
