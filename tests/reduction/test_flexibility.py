@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 
 import palpate as pt
 from palpate.reduction.compliance import NO_DENTS, compliance, dents_of, near, pair, refresh, softness, stored
-from palpate.reduction.dents import _hardening
+from palpate.reduction.dents import fitted_hardening
 from palpate.reduction.flexibility import carriers, residual_flexibility
 from palpate.reduction.linear import rest_stiffness, vibration_modes
 
@@ -132,7 +132,7 @@ def test_hardening_is_found_again_and_its_energy_is_the_work():
     force = np.linspace(0.01, 3.0, 60)
     hardening = np.array([0.3, 1.5])
     linear = force**2
-    factor, found = _hardening(force, 0.9 * softness(hardening, force) * linear, linear)
+    factor, found = fitted_hardening(force, 0.9 * softness(hardening, force) * linear, linear)
     assert factor == pytest.approx(0.9, rel=0.02)
     np.testing.assert_allclose(softness(found, force), softness(hardening, force), rtol=0.01)
     depth = lambda f: 2e-3 * f * softness(hardening, f)  # noqa: E731

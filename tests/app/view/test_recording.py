@@ -137,6 +137,7 @@ def test_pictures_and_films(recorded, tmp_path, assert_drawn, monkeypatch):
     assert np.abs(frames[0].astype(float) - frames[len(frames) // 2]).max() > 50  # something moves
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio's reader leaves pipes open
 def test_a_film_as_mp4(recorded, tmp_path, monkeypatch):
     import imageio.v3 as imageio
 
