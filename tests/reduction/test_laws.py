@@ -93,10 +93,10 @@ def check_galerkin(body, share=1e-7):
         assert model.energy(a) == pytest.approx(body.strain_energy(u), rel=share)
 
 
-@pytest.mark.parametrize("form", ["logarithmic", "mixed"])
-@pytest.mark.parametrize("law", [law for law in SOLID if law.name in ("Gent", "Ogden")], ids=lambda law: law.name)
-def test_all_nodes_are_the_galerkin_model_in_every_form_of_the_volumetric_part(law, form):
+@pytest.mark.parametrize(("name", "form"), [("Gent", "mixed"), ("Ogden", "logarithmic")])
+def test_all_nodes_are_the_galerkin_model_in_every_form_of_the_volumetric_part(name, form):
     # the pressures of the states span those of their projections but for what g has of higher order
+    law = next(law for law in SOLID if law.name == name)
     check_galerkin(block(law.kind(**law.example, **REST, volumetric=form)), 5e-6)
 
 

@@ -114,12 +114,18 @@ def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return law_njit(law_digest("kernels"), **options)
 
 
-def law_njit(digest: str, *, cached: bool = True, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile as `numba.njit` does, under a name of its own and, unless told otherwise, cached under `digest`."""
+def law_njit(
+    digest: str, *, cached: bool = True, inner: bool = False, **options: Any
+) -> Callable[[Callable[..., Any]], Any]:
+    """Compile as `numba.njit` does, under a name of its own and, unless told otherwise, cached under `digest`.
+
+    An `inner` function is called by compiled code alone, and never from Python: what would take Python's arguments
+    apart is not compiled, which for bodies of many arrays is a quarter of all that there is to compile.
+    """
 
     def decorate(function: Callable[..., Any]) -> Any:
         own = named_for(digest, function)
-        compiled = njit(**options)(own)
+        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **options)(own)
         if cached:
             compiled._cache = _DigestCache(own, digest)
         return compiled

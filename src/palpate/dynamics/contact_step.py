@@ -28,7 +28,7 @@ __all__ = ["push"]
 SWEEPS, ENOUGH = 30, 3e-2  # most sweeps; change of an impulse, of the largest, that ends them
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _give(first, near, weights, rate, i, x, y, z, impulse, velocity):  # type: ignore[no-untyped-def]
     """Give the nodes of a patch, with `rate` their 1 / mass, their shares of an impulse (3) [N s]."""
     for c in range(first[i], first[i + 1]):
@@ -41,7 +41,7 @@ def _give(first, near, weights, rate, i, x, y, z, impulse, velocity):  # type: i
         velocity[j, 2] += w * rate[j] * z
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _begin(contacts, ahead, again, time, u, velocity, mass):  # type: ignore[no-untyped-def]
     """Find the patches that are close to a tool, and push them `again` times as much as in the step before."""
     points, first, near, weights = contacts.points, contacts.first, contacts.near, contacts.weights
@@ -81,7 +81,7 @@ def _begin(contacts, ahead, again, time, u, velocity, mass):  # type: ignore[no-
     contacts.found[0] = count
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
     """Give every close patch the impulse that its tool asks for; return the largest change, and the largest [m/s].
 
@@ -118,7 +118,7 @@ def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
     return changed, largest
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _add_up(contacts, k, ahead, step, u, velocity, kick, loading):  # type: ignore[no-untyped-def]
     """Add one patch's impulse to what the tools have given; return works [J] as `push` does.
 

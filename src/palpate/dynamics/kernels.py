@@ -163,14 +163,14 @@ def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int
     """
     digest = law_digest("lift", name, first_numbers)
 
-    @law_njit(digest, cached=False, fastmath={"contract"})
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"})
     def lift(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
         count, shared = differences(b, u, lanes, fields), lanes.shared[b]
         rest = out[first_numbers:]
         first_sums(weights_address(first, lanes, b), fields.ctypes.data, out.ctypes.data, count, shared)
         second_sums(weights_address(second, lanes, b), fields.ctypes.data, rest.ctypes.data, count, shared)
 
-    @law_njit(digest, parallel=True)
+    @law_njit(digest, inner=True, parallel=True)
     def lift_columns(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             for m in range(modes.shape[0]):

@@ -145,6 +145,13 @@ class Model(ABC):
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
         """Advance by a number of steps of one length [s]."""
 
+    def sound(self, before: State, after: State, drive: Drive) -> bool:
+        """Return whether steps that led from one state to another may be believed: finer ones may be, if these may not.
+
+        A model whose steps can fail otherwise than by numbers that are not finite says so.
+        """
+        return bool(np.isfinite(after.coordinates).all())
+
     @abstractmethod
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes."""

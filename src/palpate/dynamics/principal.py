@@ -136,7 +136,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
     """
     slopes = _make_slopes(digest, law_first, law_second, volume, direct)
 
-    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         axes, squares = cofactor[b], shear[b]
         for v in range(LANES):

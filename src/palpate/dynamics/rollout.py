@@ -22,6 +22,7 @@ __all__ = ["rollout"]
 Floats = NDArray[np.float64]
 
 CHUNK = 50  # steps between two estimates of the stable step
+FINEST = 1 / 256  # of the stable step, below which steps that the body does not survive are not tried again
 RUNAWAY = 100.0  # displacement in body sizes
 
 
@@ -52,7 +53,8 @@ def rollout(
     displacement, velocity : (n, 3) arrays, optional [m], [m/s]
         Initial state (equations 7 and 8); at rest by default.
     step : float, optional [s]
-        Time step. By default the stable step, which follows the state of the body.
+        Time step. By default the stable step, which follows the state of the body; steps that a body crushed flat does
+        not survive are taken again, half as long.
     file : path, optional
         HDF5 file to stream the frames to; it keeps them if the run is stopped.
     progress : bool or function
@@ -104,18 +106,21 @@ def rollout(
 def _advance_to(
     model: Model, state: State, drive: Drive, time: float, fixed_step: float | None, longest: float
 ) -> tuple[State, int, float]:
-    taken, used = 0, longest
+    taken, used, share = 0, longest, 1.0
     while time - state.time > 1e-12 * abs(time):
-        wished = min(model.stable_step(state, drive), longest) if fixed_step is None else fixed_step
+        wished = share * min(model.stable_step(state, drive), longest) if fixed_step is None else fixed_step
         if not np.isfinite(wished) or (time - state.time) / wished > 1e9:
             raise _diverged(model, state, drive, "no step is stable", wished)
         left = int(np.ceil((time - state.time) / wished * (1 - 1e-9)))
         step = (time - state.time) / left
         count = min(left, CHUNK)
-        before, state = state, model.advance(state, drive, step, count)
-        if not np.isfinite(state.coordinates).all():
-            raise _diverged(model, before, drive, "the state became non-finite", step)
-        taken, used = taken + count, step
+        new = model.advance(state, drive, step, count)
+        if fixed_step is None and share > FINEST and not model.sound(state, new, drive):
+            share /= 2  # the body has stiffened since the step was estimated
+            continue
+        if not np.isfinite(new.coordinates).all():
+            raise _diverged(model, state, drive, "the state became non-finite", step)
+        state, taken, used, share = new, taken + count, step, min(1.0, 2 * share)
     return state, taken, used
 
 

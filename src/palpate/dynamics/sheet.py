@@ -195,7 +195,7 @@ def _make_energy_answer(digest: str, moduli: Any, added: Any) -> Any:
     """Make the energy form's answer of one block: mean stress about a node, its moments with xi, the energy."""
     more = added is not None
 
-    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
@@ -246,7 +246,7 @@ def _make_energy_answer(digest: str, moduli: Any, added: Any) -> Any:
 def _make_strong_answer(digest: str, moduli: Any, slopes: Any) -> Any:
     """Make the strong form's answer of one block: Div P - P b from F and H."""
 
-    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
@@ -316,7 +316,7 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
     digest = law_digest("sheet", law.variables, law.energy, law.first, law.second, relaxed, strong, added.digest)
     answer, more = _make_answer(digest, law, relaxed, strong, added.answer), added.answer is not None
 
-    @law_njit(digest, parallel=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(  # type: ignore[no-untyped-def]
         u, lanes, first, second, boundary, radius, coefficients, prestretch, extras, fields, derivatives,
         cofactor, flux, energy,
@@ -326,7 +326,7 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
             _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
             answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy)
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
         if more:
             prepare(body.relaxation, work.memory)
@@ -334,7 +334,7 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
              gathered(body.families, body.relaxation, work.memory),
              work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
-    @law_njit(digest, parallel=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each_column(  # type: ignore[no-untyped-def]
         columns, table, lanes, boundary, radius, coefficients, prestretch, extras, derivatives, cofactor, flux, energy,
     ):  # fmt: skip
@@ -343,7 +343,7 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
             combine(b, columns, table, out)
             answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy)
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
         if more:
             prepare(body.relaxation, work.memory)
@@ -351,7 +351,7 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
                     gathered(body.families, body.relaxation, work.memory),
                     work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
         if strong:
             _copy_force(work.flux, force)

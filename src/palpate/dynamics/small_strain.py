@@ -29,7 +29,7 @@ def make_linear_stress(digest: str) -> Any:
 def make_linear_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
     """Make the compiled response of one block, as `solid` does: mu (lap u + grad div u) - P b."""
 
-    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         mu, bulk = coefficients[0], lame if direct else 0.0
         for v in range(LANES):

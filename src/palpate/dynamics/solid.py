@@ -121,7 +121,7 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, di
     """
     first_of, second_of = (inlined(digest, f) for f in (law_first, law_second))
 
-    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
@@ -240,31 +240,31 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
     volume = inlined(digest, pressure_of)
     answer = make(digest, law.first, law.second, volume, direct)
 
-    @law_njit(digest, parallel=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
             answer(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
         each(u, body.lanes, body.first, body.second, body.boundary, body.coefficients, body.lame,
              work.fields, work.derivatives, work.cofactor, work.shear, work.pressure)  # fmt: skip
 
-    @law_njit(digest, parallel=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each_column(columns, table, lanes, boundary, coefficients, lame, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
             answer(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
         each_column(columns, table, body.lanes, body.boundary, body.coefficients, body.lame,
                     work.derivatives, work.cofactor, work.shear, work.pressure)  # fmt: skip
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
         _finish(body, work, direct, force)
 

@@ -77,6 +77,7 @@ class EnergyWork(NamedTuple):
     pressure: NDArray[np.float64]  # (n,) [Pa]
     memory: Memory  # of tissue that relaxes
     scaled: NDArray[np.float64]  # (n,) theta times its stiffness
+    least: NDArray[np.float64]  # (1,) the least dilatation of all evaluations since it was last set to 0
 
 
 def energy_work(
@@ -94,6 +95,7 @@ def energy_work(
         np.zeros(nodes),
         memory(branches, blocks, nodes),
         np.zeros(nodes),
+        np.zeros(1),
     )
 
 
@@ -136,9 +138,17 @@ def _stiffen(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
         scaled[i] = stiffness[i, 2] * theta[i]
 
 
-@kernel_njit()
+@njit(cache=True)
+def _keep_least(values, least):  # type: ignore[no-untyped-def]
+    for value in values:
+        if not value >= least[0]:
+            least[0] = value if value == value else -np.inf  # what is not a number compares with none
+
+
+@kernel_njit(inner=True)
 def _complete(body, work):  # type: ignore[no-untyped-def]
     """From the shear stresses and dilatations that the deformation pass left: the whole stresses."""
+    _keep_least(work.dilatation, work.least)
     smooth_field(
         body.smoothing, body.value, body.smoothing_own, work.fields, work.derivatives, work.dilatation, work.smooth
     )
@@ -262,7 +272,7 @@ def solid_energy(
     stress, stressed, at = make_stress(digest, law.first, law.variables), fibres.stressed, parameters_at(varied)
     measure = inlined(digest, measure_of)
 
-    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def answer(b, nodes, d, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             P, c, volume = stress(
@@ -288,31 +298,31 @@ def solid_energy(
                 i = nodes[b, v]
                 dilatation[i], slope[i] = measure(d[0, v])
 
-    @law_njit(digest, parallel=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(u, lanes, first, miss, law, hourglass, families, fields, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, miss, fields[get_thread_id()], out)
             answer(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
         each(u, body.lanes, body.first, body.second, body.coefficients, body.hourglass, body.families,
              work.fields, work.derivatives, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
-    @law_njit(digest, parallel=True, fastmath={"contract"})
+    @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each_column(columns, table, lanes, law, hourglass, families, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
             answer(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
         each_column(columns, table, body.lanes, body.coefficients, body.hourglass, body.families,
                     work.derivatives, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
         _complete(body, work)
         gather_fluxes(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)

@@ -10,10 +10,12 @@ integration (Chen, Hillman and Rueter, Int. J. Numer. Methods Eng. 95, 2013), wi
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import cg
+from scipy.sparse.linalg import LinearOperator, cg
 
 from palpate.faults import CloudError
 from palpate.meshfree.stencils import Stencils
@@ -69,23 +71,30 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     coupling = scaled @ exactness.T
     system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
     wanted = _balanced(boundary, points, volumes) * spacing / np.median(volumes)
-    for a in range(d):
-        missing = wanted[:, a] - divergence @ weights[:, a]
-        multiplier, _ = cg(system, missing, rtol=0.0, atol=0.1 * TOLERANCE, maxiter=20 * n)
-        change = divergence.T @ multiplier - exactness.T @ (inverse @ (coupling.T @ multiplier))
-        weights[:, a] += freedom * change
-        left = np.abs(wanted[:, a] - divergence @ weights[:, a])
-        changed = np.abs(freedom * change)
-        if left.max() > TOLERANCE or changed.max() > MOST_CHANGE:
-            worst = int(np.argmax(left)) if left.max() > TOLERANCE else int(node[np.argmax(changed)])
-            raise CloudError(
-                f"the cloud is too irregular for consistent derivatives near node {worst} at {points[worst]} m "
-                f"(weights change by {changed.max():.2g} / h, {left.max():.1g} is left): spread the points there",
-                [worst],
-            )
+    missing = wanted - divergence @ weights
+    multipliers = _solved(system, missing)
+    change = freedom[:, None] * (divergence.T @ multipliers - exactness.T @ (inverse @ (coupling.T @ multipliers)))
+    weights += change
+    left, changed = np.abs(wanted - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
+    if left.max() > TOLERANCE or changed.max() > MOST_CHANGE:
+        worst = int(np.argmax(left)) if left.max() > TOLERANCE else int(node[np.argmax(changed)])
+        raise CloudError(
+            f"the cloud is too irregular for consistent derivatives near node {worst} at {points[worst]} m "
+            f"(weights change by {changed.max():.2g} / h, {left.max():.1g} is left): spread the points there",
+            [worst],
+        )
     result = np.zeros((*near.shape, d))
     result[present] = weights / spacing
     return result
+
+
+def _solved(system: Any, sides: Floats) -> Floats:
+    """Solve for all right-hand sides (n, d) at once: reading the matrix is what takes the time."""
+    whole = LinearOperator((sides.size, sides.size), lambda x: (system @ x.reshape(sides.shape)).ravel(), dtype=float)
+    diagonal = np.repeat(system.diagonal(), sides.shape[1])
+    scaled = LinearOperator(whole.shape, lambda x: x.ravel() / diagonal, dtype=float)
+    solution, _ = cg(whole, sides.ravel(), rtol=0.0, atol=0.1 * TOLERANCE, maxiter=20 * len(sides), M=scaled)
+    return np.asarray(solution.reshape(sides.shape))
 
 
 def _balanced(boundary: Floats, points: Floats, volumes: Floats) -> Floats:

@@ -27,6 +27,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 WORST_CONDITION = 1e10  # of a scaled moment matrix; beyond it, second derivatives lose half their digits
+BATCH = 1024  # nodes fitted at once
 NEAR_DUPLICATE = 0.2  # of the median distance to the nearest neighbour
 
 
@@ -265,67 +266,49 @@ def _arrangements(points: Floats, near: Ints) -> tuple[Ints, Ints, Ints]:
     return near, row, sample
 
 
-@njit(parallel=True, cache=True)
-def _fit(offsets, present, reach, exponents, interpolating):  # type: ignore[no-untyped-def]
+def _fit(
+    offsets: Floats, present: NDArray[np.bool_], reach: Floats, exponents: NDArray[np.int64], interpolating: bool
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Weights of value, first and second derivatives, own weights, condition numbers."""
-    s, k, d = offsets.shape
-    m = exponents.shape[0]
-    skip = 1 if interpolating else 0
-    basis = m - skip
-    size = 1 + d + d * (d + 1) // 2
-    value = np.zeros((s, k))
-    first = np.zeros((s, k, d))
-    second = np.zeros((s, k, size - 1 - d))
-    own = np.zeros((s, size))
-    condition = np.zeros(s)
-    for i in prange(s):
-        monomials = np.zeros((k + 1, basis))
-        spline = np.zeros(k + 1)
-        for j in range(k + 1):
-            if j < k and not present[i, j]:
-                continue
-            distance = 0.0
-            for b in range(basis):
-                monomials[j, b] = 1.0
-            if j < k:
-                for a in range(d):
-                    x = offsets[i, j, a] / reach[i]
-                    distance += x * x
-                    for b in range(basis):
-                        monomials[j, b] *= x ** exponents[b + skip, a]
-            else:
-                for b in range(basis):
-                    monomials[j, b] = 1.0 if b + skip == 0 else 0.0
-            distance = np.sqrt(distance)
-            if distance < 1.0:
-                spline[j] = 1.0 + distance**2 * (-6.0 + distance * (8.0 - 3.0 * distance))
-        weighted = monomials * spline.reshape(-1, 1)
-        moment = np.dot(monomials.T, weighted)
-        spectrum = np.linalg.eigvalsh(moment)
-        if spectrum[0] <= 1e-14 * spectrum[-1]:
-            condition[i] = np.inf
-            continue
-        condition[i] = spectrum[-1] / spectrum[0]
-        coefficients = np.linalg.solve(moment, weighted.T)
-        for b in range(basis):
-            c = b + skip
-            if c >= size:
-                break
-            factor = 1.0
-            for a in range(d):
-                factor *= (2.0 if exponents[c, a] == 2 else 1.0) / reach[i] ** exponents[c, a]
-            for j in range(k):
-                weight = factor * coefficients[b, j]
-                if c == 0:
-                    value[i, j] = weight
-                elif c <= d:
-                    first[i, j, c - 1] = weight
-                else:
-                    second[i, j, c - 1 - d] = weight
-                if interpolating:
-                    own[i, c] -= weight
-            if not interpolating:
-                own[i, c] = factor * coefficients[b, k]
-        if interpolating:
-            own[i, 0] = 1.0
+    parts = [slice(begin, begin + BATCH) for begin in range(0, len(offsets), BATCH)]
+    fits = [_fit_some(offsets[part], present[part], reach[part], exponents, interpolating) for part in parts]
+    value, first, second, own, condition = (np.concatenate(arrays) for arrays in zip(*fits, strict=True))
     return value, first, second, own, condition
+
+
+def _fit_some(
+    offsets: Floats, present: NDArray[np.bool_], reach: Floats, exponents: NDArray[np.int64], interpolating: bool
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    s, k, d = offsets.shape
+    exponents = exponents[1:] if interpolating else exponents
+    scaled = offsets / reach[:, None, None]
+    distance = np.sqrt(np.sum(scaled**2, axis=2))
+    inside = present & (distance < 1.0)
+    spline = np.where(inside, 1.0 + distance**2 * (-6.0 + distance * (8.0 - 3.0 * distance)), 0.0)
+    powers = scaled[:, :, :, None] ** np.arange(exponents.max() + 1)
+    monomials = powers[:, :, 0, exponents[:, 0]]
+    for a in range(1, d):
+        monomials *= powers[:, :, a, exponents[:, a]]
+    weighted = (monomials * spline[:, :, None]).transpose(0, 2, 1)
+    moment = weighted @ monomials
+    if not interpolating:  # a node counts itself, where all monomials but the constant vanish
+        moment[:, 0, 0] += 1.0
+        weighted = np.concatenate([weighted, np.eye(len(exponents), 1)[None].repeat(s, axis=0)], axis=2)
+    spectrum = np.linalg.eigvalsh(moment)
+    unfit = spectrum[:, 0] <= 1e-14 * spectrum[:, -1]
+    condition = np.full(s, np.inf)
+    condition[~unfit] = spectrum[~unfit, -1] / spectrum[~unfit, 0]
+    moment[unfit], weighted[unfit] = np.eye(len(exponents)), 0.0
+    # the c-th derivative at the node is that of the c-th monomial
+    factors = np.prod(np.where(exponents == 2, 2.0, 1.0) / reach[:, None, None] ** exponents, axis=2)
+    size = 1 + d + d * (d + 1) // 2
+    found = np.zeros((s, size, weighted.shape[2]))
+    solved = (factors[:, :, None] * np.linalg.solve(moment, weighted))[:, : size - interpolating]
+    found[:, interpolating : interpolating + solved.shape[1]] = solved
+    if interpolating:
+        own = -found.sum(axis=2)
+        own[:, 0] = ~unfit
+    else:
+        own = found[:, :, k].copy()
+    weights = np.ascontiguousarray(found[:, :, :k].transpose(0, 2, 1))
+    return weights[:, :, 0].copy(), weights[:, :, 1 : 1 + d].copy(), weights[:, :, 1 + d :].copy(), own, condition

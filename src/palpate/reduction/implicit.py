@@ -116,7 +116,7 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
             for k in range(count):
                 matrix[k, m] = (behind[k] - ahead[k]) / (2.0 * sizes[m])
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def tie(step, springs, matrix, moving):  # type: ignore[no-untyped-def]
         """Add what springs do to the system that is solved for the mean velocities."""
         if springs.stiffness.shape[0] > 0:
@@ -124,7 +124,7 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 for k in range(moving):
                     matrix[i, k] += 0.5 * step * springs.stiffness[i, k] + springs.damping[i, k]
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def loaded(a, w, step, given, springs, at, load):  # type: ignore[no-untyped-def]
         """Write the mean loads of a step with the mean velocities w: those given, and the springs'."""
         for j in range(a.shape[0]):
@@ -132,7 +132,7 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
             load[j] = given[j]
         draw_back(springs, at, w, load)
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def refactor(a, step, beta, mass, sizes, samples, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
         """Take the tangent anew and factorise 2 m / dt + (dt / 2 + beta) K; where that is indefinite, its mass part.
 
@@ -152,7 +152,7 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
             cholesky_factor(keep.factor, moving)
         keep.kept[0], keep.kept[1] = step, moving
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def mean_force(a, w, step, beta, at, samples, scratch, other, result):  # type: ignore[no-untyped-def]
         """Write the mean of the force over a step with the mean velocities w."""
         for j in range(a.shape[0]):
@@ -164,7 +164,7 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for j in range(a.shape[0]):
             result[j] = 0.5 * (result[j] + other[j])
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def solve(a, v, step, beta, given, mass, sizes, tolerance, samples, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
         """Find the mean velocities w of one implicit step; those from `moving` on are given, and their rates."""
         w, at, result, rate = keep.vectors[3], keep.vectors[4], keep.vectors[5], keep.vectors[6]
