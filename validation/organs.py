@@ -134,19 +134,27 @@ def main() -> None:
 
 
 def table(cases: list[dict[str, Any]]) -> str:
-    """Return the results as a table in Markdown."""
-    lines = ["| surface | nodes | spacing | Poisson's ratio | stable | energy: release, most after, end | balance |"]
-    lines.append("|---|---|---|---|---|---|---|")
-    for case in sorted(cases, key=lambda case: (case["surface"], case["wished_nodes"], case["poisson"])):
-        row = f"| {case['surface']} | {case['nodes']} | {1e3 * case['spacing']:.3g} mm | {case['poisson']} | "
-        if "energy_at_release" in case:
-            energies = (1e3 * case[f"energy_{when}"] for when in ("at_release", "most_after", "at_end"))
-            row += f"{'yes' if case['stable'] else 'no'} | {', '.join(f'{e:.3f}' for e in energies)} mJ | "
-            row += f"{case['balance']:.2%} |"
-        else:
-            row += f"no: {case['why']} | | |"
-        lines.append(row)
+    """Return the results of the energy form as a table in Markdown, a surface and Poisson's ratio a line."""
+    cases = [case for case in cases if case["form"] == "energy"]
+    sizes = sorted({case["wished_nodes"] for case in cases})
+    found = {(case["surface"], case["poisson"], case["wished_nodes"]): case for case in cases}
+    lines = ["| surface | Poisson's ratio | " + " | ".join(f"{size:,} nodes" for size in sizes) + " |"]
+    lines.append("|---" * (2 + len(sizes)) + "|")
+    for surface, poisson in sorted({key[:2] for key in found}):
+        cells = [cell(found.get((surface, poisson, size))) for size in sizes]
+        lines.append(f"| {surface} | {poisson} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def cell(case: dict[str, Any] | None) -> str:
+    """Say in a few words what came of a case."""
+    if case is None:
+        return "not run"
+    if "energy_at_release" not in case:
+        return f"stopped: {case['why'].split(';')[0]}"
+    left = case["energy_at_end"] / case["energy_at_release"]
+    outcome = f"{left:.0%} left" if case["stable"] else "energy grows"
+    return f"{1e3 * case['spacing']:.3g} mm: {outcome}, gap {case['balance']:.2%}"
 
 
 def add(path: Path, entry: dict[str, Any]) -> None:

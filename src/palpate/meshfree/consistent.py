@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, cg
+from scipy.spatial import cKDTree
 
 from palpate.faults import CloudError
 from palpate.meshfree.stencils import Stencils
@@ -25,6 +27,9 @@ __all__ = ["consistent_gradient"]
 Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
+MOST_STEPS = 5000  # of conjugate gradients
+PATCH, MOST_PATCHES = 4.0, 800  # width in spacings, at least; how many there are, about, at most
+SHIFT = 1e-6  # of the patches' mean diagonal, which it is added to, as linear fields cost nothing
 MOST_CHANGE = 0.8  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form (0.77 ran stably)
 
 
@@ -72,7 +77,7 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
     wanted = _balanced(boundary, points, volumes) * spacing / np.median(volumes)
     missing = wanted - divergence @ weights
-    multipliers = _solved(system, missing)
+    multipliers = _solved(system, missing, points, spacing)
     change = freedom[:, None] * (divergence.T @ multipliers - exactness.T @ (inverse @ (coupling.T @ multipliers)))
     weights += change
     left, changed = np.abs(wanted - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
@@ -88,13 +93,55 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     return result
 
 
-def _solved(system: Any, sides: Floats) -> Floats:
+def _solved(system: Any, sides: Floats, points: Floats, spacing: float) -> Floats:
     """Solve for all right-hand sides (n, d) at once: reading the matrix is what takes the time."""
-    whole = LinearOperator((sides.size, sides.size), lambda x: (system @ x.reshape(sides.shape)).ravel(), dtype=float)
-    diagonal = np.repeat(system.diagonal(), sides.shape[1])
-    scaled = LinearOperator(whole.shape, lambda x: x.ravel() / diagonal, dtype=float)
-    solution, _ = cg(whole, sides.ravel(), rtol=0.0, atol=0.1 * TOLERANCE, maxiter=20 * len(sides), M=scaled)
-    return np.asarray(solution.reshape(sides.shape))
+    shape = sides.shape
+    diagonal, (patches, coarse) = system.diagonal()[:, None], _patches(system, points, spacing)
+    linear = np.linalg.qr(np.column_stack([np.ones(len(points)), points - points.mean(axis=0)]))[0]
+
+    def bent(field: Floats) -> Floats:  # without its linear part, which nothing resists
+        return field - linear @ (linear.T @ field)
+
+    def eased(residual: Floats) -> Floats:
+        rough = bent(residual.reshape(shape))
+        return bent(rough / diagonal + patches @ cho_solve(coarse, patches.T @ rough)).ravel()
+
+    size = (sides.size, sides.size)
+    whole = LinearOperator(size, lambda x: (system @ x.reshape(shape)).ravel(), dtype=float)
+    preconditioner = LinearOperator(size, eased, dtype=float)
+    found, _ = cg(whole, sides.ravel(), rtol=0.0, atol=0.1 * TOLERANCE, maxiter=MOST_STEPS, M=preconditioner)
+    return np.asarray(found.reshape(shape))
+
+
+def _patches(system: Any, points: Floats, spacing: float) -> tuple[Any, Any]:
+    """Return smooth fields (n, c) over patches some spacings wide, and the factor of the system for them alone.
+
+    The system is that of a thin plate: linear fields cost nothing and long waves next to nothing, so that conjugate
+    gradients alone need as many steps as the square of the nodes across. The fields are linear ones that fade out
+    over their neighbours (a partition of unity), which hold all long waves.
+    """
+    n, d = points.shape
+    width = spacing * max(PATCH, (n / MOST_PATCHES) ** (1 / d))
+    _, cell = np.unique(np.floor(points / width), axis=0, return_inverse=True)
+    count = np.bincount(cell.ravel())
+    centres = np.column_stack([np.bincount(cell.ravel(), points[:, a]) / count for a in range(d)])
+    tree, nodes = cKDTree(centres), cKDTree(points)
+    reach = max(1.5 * width, 1.1 * tree.query(points)[0].max())
+    near = nodes.sparse_distance_matrix(tree, reach, output_type="coo_matrix")
+    share = (1 - (near.data / reach) ** 2) ** 2
+    share /= np.bincount(near.row, share, minlength=n)[near.row]
+    offset = (points[near.row] - centres[near.col]) / width
+    columns = [share, *(share * offset[:, a] for a in range(d))]
+    fields = sparse.csr_matrix(
+        (
+            np.concatenate(columns),
+            (np.tile(near.row, d + 1), np.concatenate([near.col + a * len(centres) for a in range(d + 1)])),
+        ),
+        (n, (d + 1) * len(centres)),
+    )
+    own = (fields.T @ (system @ fields)).toarray()
+    own[np.diag_indices_from(own)] += SHIFT * own.diagonal().mean()
+    return fields, cho_factor(own, lower=True)
 
 
 def _balanced(boundary: Floats, points: Floats, volumes: Floats) -> Floats:
