@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 import palpate as pt
 from palpate.meshfree import consistent
@@ -60,3 +61,32 @@ def test_a_large_cloud_takes_no_more_steps_than_a_small_one(monkeypatch):
     monkeypatch.setattr(consistent, "MOST_STEPS", 5)
     with pytest.raises(pt.CloudError, match="too irregular"):
         pt.FullModel(cloud, pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), "x-", form="energy")
+
+
+def drop(height, seed):
+    """A flat body that tapers to a tip, filled coarsely."""
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    corners = ball.vertices.copy()
+    corners[:, 1:] *= 1 - 0.35 * (corners[:, :1] + 1)
+    return pt.fill((corners * (0.04, *height), ball.faces), 0.0035, seed=seed)
+
+
+def test_stencils_widen_where_a_tip_needs_it():
+    tissue, wide = pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), {0: 50, 1: 63}
+    for seed, neighbours in wide.items():
+        cloud = drop((0.015, 0.008), seed)
+        with pytest.raises(pt.CloudError, match="too irregular"):
+            pt.FullModel(cloud, tissue, form="energy", neighbours=42)
+        model = pt.FullModel(cloud, tissue, form="energy")
+        assert model.neighbours == neighbours
+    # and the tip holds: stretched and let go, it makes no energy
+    start = 0.2 * cloud.points * (1.0, -0.3, -0.3)
+    run = pt.rollout(model, displacement=start, duration=0.05, every=0.005, progress=False)
+    assert np.all(np.diff(run.kinetic + run.strain) < 0)
+    assert np.abs(run.balance).max() < 5e-3 * run.strain[0]
+
+
+def test_a_tip_that_no_stencil_carries_is_refused_by_the_node():
+    with pytest.raises(pt.CloudError, match=r"near node \d+ at .* spread the points there") as refused:
+        pt.FullModel(drop((0.02, 0.006), 1), pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), form="energy")
+    assert len(refused.value.nodes) == 1

@@ -26,9 +26,9 @@ from palpate.dynamics.stability import StabilityReport, choose_viscosity, stable
 from palpate.dynamics.tools import Contact
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.consistent import consistent_gradient
+from palpate.meshfree.consistent import balanced_stencils
 from palpate.meshfree.patches import surface_patches
-from palpate.meshfree.quadrature import conservative_smoothing, integration_weights, quadratic_misses
+from palpate.meshfree.quadrature import conservative_smoothing
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 DAMPING = 0.1  # viscosity of the energy form times its highest frequency
 HOURGLASS = 1.0  # modulus of what a fit misses, in shear moduli over the spacing squared
 RECOVERY = 57  # points over which a pressure that is shown is fitted
-LATTICE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
+NEIGHBOURS = (42, 50, 63)  # in a stencil by default, and where these do not do
 CRUSHED, MADE = -0.6, 1e-3  # dilatation below which steps are examined; energy that these may make, of what there is
 
 
@@ -74,8 +74,9 @@ class FullModel(NodalModel):
     half_cell : float
         The c in the balance of a boundary node, rho a = Div P + c/h (f_s - P N). The half cell itself has c = 2; c = 3
         cancels the leading error of one-sided quadratic fits (for u = z^3 it is (6 - 2 c) h) and bends truer.
-    neighbours : int
-        Wished number of points in a stencil.
+    neighbours : int, optional
+        Wished number of points in a stencil. By default 42; in the energy form 50 or 63 where fewer do not do, as in a
+        thin tip.
     smoothing : int
         Wished number of points over which the pressure is smoothed by a linear fit.
     fibres : FibreLaw, optional
@@ -102,7 +103,7 @@ class FullModel(NodalModel):
         stiffness: Mapping[str, float] | Floats | None = None,
         pressure: str = "split",
         half_cell: float = 3.0,
-        neighbours: int = 42,
+        neighbours: int | None = None,
         smoothing: int = 27,
         fibres: FibreLaw | None = None,
     ) -> None:
@@ -130,11 +131,12 @@ class FullModel(NodalModel):
         # the cloud's boundary vectors are those of the half cell, c = 2, which the energy form has by itself
         self.half_cell = 1.0 if self.conservative else number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
         integer_in_range("smoothing", smoothing, 5)
-        self.neighbours, self._volumes = neighbours, cloud.volumes
+        self._volumes = cloud.volumes
         self.smoothing: tuple[NDArray[np.int32], Floats] | None = None  # neighbours and weights, of the energy form
-        self.stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
         smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
         if self.conservative:
+            choices = NEIGHBOURS if neighbours is None else (neighbours,)
+            self.neighbours, self.stencils, self._volumes, self._lattice = balanced_stencils(cloud, choices)
             self._prepare_energy(smoother)
             self.viscosity = 0.0
             highest = self.highest_frequency(np.zeros_like(cloud.points), self.held)
@@ -142,6 +144,8 @@ class FullModel(NodalModel):
             step = stable_step(highest, used)
             self._examined(StabilityReport("the energy's slope", None, 0.0, used, highest, step))
         else:
+            self.neighbours = NEIGHBOURS[0] if neighbours is None else neighbours
+            self.stencils = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours)
             self._prepare_strong(smoother)
             self._examined(choose_viscosity(self, viscosity))
 
@@ -170,17 +174,7 @@ class FullModel(NodalModel):
     def _prepare_energy(self, smoother: Stencils) -> None:
         """Lay out the passes of the energy form."""
         cloud, material = self.cloud, self.material
-        self._volumes = integration_weights(cloud, self.stencils)
-        misses = quadratic_misses(self.stencils, cloud.points)
-        row, first = self.stencils.row, self.stencils.first
-        self._lattice = len(first) <= LATTICE * len(cloud)
-        if not self._lattice:  # few nodes share a stencil: the fit alone would not balance
-            edges = cloud.boundary_vectors() * cloud.volumes[:, None]
-            first = consistent_gradient(self.stencils, cloud.points, self._volumes, edges)
-            row = np.arange(len(cloud), dtype=np.int32)
-        self.stencils = replace(
-            self.stencils, row=row, first=first, own_first=-first.sum(axis=1), second=np.zeros((0, 0, 0)), value=misses
-        )
+        row, first, misses = self.stencils.row, self.stencils.first, self.stencils.value
         lanes, (first_weights, miss_weights) = lane_table(self.stencils.neighbours, row, first, misses)
         both = np.concatenate([first, misses[:, :, None]], axis=2)[row]
         near, weights = transposed(self.stencils.neighbours, both, self._volumes)

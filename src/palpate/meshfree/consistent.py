@@ -10,6 +10,8 @@ integration (Chen, Hillman and Rueter, Int. J. Numer. Methods Eng. 95, 2013), wi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,9 +22,11 @@ from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 
 from palpate.faults import CloudError
-from palpate.meshfree.stencils import Stencils
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.quadrature import integration_weights, quadratic_misses
+from palpate.meshfree.stencils import Stencils, moving_least_squares
 
-__all__ = ["consistent_gradient"]
+__all__ = ["balanced_stencils", "consistent_gradient"]
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +34,56 @@ TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
 MOST_STEPS = 5000  # of conjugate gradients
 PATCH, MOST_PATCHES = 4.0, 800  # width in spacings, at least; how many there are, about, at most
 SHIFT = 1e-6  # of the patches' mean diagonal, which it is added to, as linear fields cost nothing
+LATTICE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
 MOST_CHANGE = 0.8  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form (0.77 ran stably)
+
+
+def balanced_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stencils, Floats, bool]:
+    """Return stencils with consistent derivatives, as narrow as the cloud lets them be.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        In space.
+    choices : sequence of int
+        Numbers of neighbours to try, in this order.
+
+    Returns
+    -------
+    neighbours : int
+        The number taken.
+    stencils : Stencils
+        Of first derivatives; `value` holds what an even quadratic fit misses (`quadratic_misses`).
+    volumes : (n,) array [m^3]
+        Weights that integrate quadratic fields.
+    lattice : bool
+        Whether many nodes share one arrangement of neighbours: their fit is consistent as it is.
+
+    Raises
+    ------
+    CloudError
+        No choice will do; says what the first one lacks.
+    """
+    fault = None
+    for neighbours in choices:
+        try:
+            return neighbours, *_balanced_stencils(cloud, neighbours)
+        except CloudError as error:
+            fault = fault or error
+    raise fault or ValueError("no numbers of neighbours to choose from")
+
+
+def _balanced_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Floats, bool]:
+    stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
+    volumes, misses = integration_weights(cloud, stencils), quadratic_misses(stencils, cloud.points)
+    row, first = stencils.row, stencils.first
+    lattice = len(first) <= LATTICE * len(cloud)
+    if not lattice:  # few nodes share a stencil: the fit alone would not balance
+        edges = cloud.boundary_vectors() * cloud.volumes[:, None]
+        row, first = np.arange(len(cloud), dtype=np.int32), consistent_gradient(stencils, cloud.points, volumes, edges)
+    nothing = np.zeros((0, 0, 0))
+    own = -first.sum(axis=1)
+    return replace(stencils, row=row, first=first, own_first=own, second=nothing, value=misses), volumes, lattice
 
 
 def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, boundary: Floats) -> Floats:
