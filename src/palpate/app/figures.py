@@ -104,12 +104,12 @@ def _plain(value: float, _position: object = None) -> str:
     return f"{value:g}"
 
 
-def legend_below(drawn: Figure, *axes: Axes) -> None:
+def legend_below(drawn: Figure, *axes: Axes, columns: int = 2) -> None:
     """Set the common legend of some axes below the whole figure, what was drawn last first."""
     own = [pair for one in axes for pair in zip(*one.get_legend_handles_labels(), strict=True)][::-1]
     named = {label: handle for handle, label in own}
     if named:
-        drawn.legend(named.values(), named.keys(), loc="outside lower center", ncols=2, fontsize=9)
+        drawn.legend(named.values(), named.keys(), loc="outside lower center", ncols=columns, fontsize=9)
 
 
 def draw_singular_values(series: Mapping[str, Sequence[float]], title: str, path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from palpate.app.console import count_nodes, percent, print_json, print_plain, quantities_table
-from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, percent_axis
+from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
 from palpate.app.files import whole_file, write_json
 from palpate.app.report import finite, machine
 from palpate.app.train.campaign import MODEL
@@ -204,8 +204,6 @@ def _draw(folder: Folder, report: dict[str, Any], held: Sequence[str]) -> None:
         paths.set(xlabel="held-out path", ylabel="error [%]", title="by path", xlim=(-0.5, len(held) - 0.5))
         paths.xaxis.get_major_locator().set_params(integer=True)
         percent_axis(paths)
-        if paths.has_data():
-            paths.legend(fontsize=9)
         rows = found.get("trust") or []
         for name, colour in (("percentile_95", ORANGE), ("median", BLUE)):
             label = "95 % below" if name == "percentile_95" else name
@@ -213,4 +211,5 @@ def _draw(folder: Folder, report: dict[str, Any], held: Sequence[str]) -> None:
             trust.step(*points, where="pre", color=colour, label=label)
         trust.set(xlabel="trust number", ylabel="error of displacement [%]", title="by trust number")
         trust.set_ylim(bottom=0.0)
+        legend_below(drawn, paths, columns=len(KINDS))
         trust.legend(fontsize=9)
