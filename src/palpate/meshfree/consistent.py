@@ -31,7 +31,7 @@ __all__ = ["balanced_stencils", "consistent_gradient"]
 Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
-MOST_STEPS = 5000  # of conjugate gradients
+MOST_STEPS = 1000  # of conjugate gradients
 PATCH, MOST_PATCHES = 4.0, 800  # width in spacings, at least; how many there are, about, at most
 SHIFT = 1e-6  # of the patches' mean diagonal, which it is added to, as linear fields cost nothing
 LATTICE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
