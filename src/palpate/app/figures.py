@@ -96,8 +96,12 @@ def plot_errors(axes: Axes, done: Sequence[dict[str, Any]]) -> None:
 
 def percent_axis(axes: Axes) -> None:
     """Make the vertical axis logarithmic, with plain numbers."""
+    from matplotlib.ticker import LogLocator
+
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(_plain)
+    axes.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+    axes.yaxis.set_minor_formatter(_plain)
 
 
 def _plain(value: float, _position: object = None) -> str:
