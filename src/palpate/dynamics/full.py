@@ -346,18 +346,20 @@ class FullModel(NodalModel):
         F = self.deformation_gradient(displacements)
         return self.stress(displacements) @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
 
-    def sound(self, before: State, after: State, drive: Drive) -> bool:
-        """Return whether steps made no energy.
+    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+        if self.conservative:
+            self.work.least[0] = 0.0
+        return super().advance(state, drive, step, steps)
+
+    def sound(self, before: State, after: State) -> bool:
+        """Return whether the steps just taken made no energy.
 
         Tissue that is nearly crushed flat is so stiff that steps which were stable before no longer follow it. That
-        is examined only in the energy form, and where such tissue was since this was last asked.
+        is examined only in the energy form, and where there was such tissue in these steps.
         """
-        if not self.conservative:
-            return super().sound(before, after, drive)
-        least, self.work.least[0] = float(self.work.least[0]), 0.0
-        if not super().sound(before, after, drive):
+        if not super().sound(before, after):
             return False
-        if least > CRUSHED:
+        if not self.conservative or self.work.least[0] > CRUSHED:
             return True
         with np.errstate(all="ignore"):  # a body that flies apart
             first, last = (self._energy(state) for state in (before, after))

@@ -145,8 +145,8 @@ class Model(ABC):
     def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
         """Advance by a number of steps of one length [s]."""
 
-    def sound(self, before: State, after: State, drive: Drive) -> bool:
-        """Return whether steps that led from one state to another may be believed: finer ones may be, if these may not.
+    def sound(self, before: State, after: State) -> bool:
+        """Return whether the steps just taken from one state to another may be believed, or finer ones should be tried.
 
         A model whose steps can fail otherwise than by numbers that are not finite says so.
         """

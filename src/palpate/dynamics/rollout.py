@@ -54,7 +54,8 @@ def rollout(
         Initial state (equations 7 and 8); at rest by default.
     step : float, optional [s]
         Time step. By default the stable step, which follows the state of the body; steps that a body crushed flat does
-        not survive are taken again, half as long.
+        not survive are taken again, half as long, down to 1/256. What energy these still make is in the run's
+        `balance`.
     file : path, optional
         HDF5 file to stream the frames to; it keeps them if the run is stopped.
     progress : bool or function
@@ -115,7 +116,7 @@ def _advance_to(
         step = (time - state.time) / left
         count = min(left, CHUNK)
         new = model.advance(state, drive, step, count)
-        if fixed_step is None and share > FINEST and not model.sound(state, new, drive):
+        if fixed_step is None and share > FINEST and not model.sound(state, new):
             share /= 2  # the body has stiffened since the step was estimated
             continue
         if not np.isfinite(new.coordinates).all():

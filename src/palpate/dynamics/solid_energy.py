@@ -77,7 +77,7 @@ class EnergyWork(NamedTuple):
     pressure: NDArray[np.float64]  # (n,) [Pa]
     memory: Memory  # of tissue that relaxes
     scaled: NDArray[np.float64]  # (n,) theta times its stiffness
-    least: NDArray[np.float64]  # (1,) the least dilatation of all evaluations since it was last set to 0
+    least: NDArray[np.float64]  # (1,) the least dilatation of all evaluations in a call of the step
 
 
 def energy_work(
