@@ -69,23 +69,35 @@ def number_in_range(
     """Return `value` as a float, or raise `InputError` naming it and the allowed range."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} must be a number, not {value!r}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name} must be a number, got {_short(value)}") from None
     below = number <= low if open_low else number < low
     above = number >= high if open_high else number > high
     if not math.isfinite(number) or below or above:
         left = "(" if open_low or low == -math.inf else "["
         right = ")" if open_high or high == math.inf else "]"
         unit = f" {unit}" if unit else ""
-        raise InputError(f"{name} = {value!r} is out of range: allowed is {left}{low:g}, {high:g}{right}{unit}")
+        raise InputError(f"{name} = {_short(value)} is out of range: allowed is {left}{low:g}, {high:g}{right}{unit}")
     return number
 
 
 def integer_in_range(name: str, value: int, low: int, high: float = math.inf) -> int:
     """Return `value` as an int, or raise `InputError` naming it and the allowed range."""
-    if isinstance(value, bool) or int(value) != value or not low <= value <= high:
-        raise InputError(f"{name} = {value!r} is out of range: allowed is a whole number from {low} to {high:g}")
+    try:
+        whole = not isinstance(value, bool) and int(value) == value and low <= value <= high
+    except (TypeError, ValueError, OverflowError):
+        whole = False
+    if not whole:
+        raise InputError(f"{name} = {_short(value)} is out of range: allowed is a whole number from {low} to {high:g}")
     return int(value)
+
+
+def _short(value: object) -> str:
+    try:
+        text = repr(value)
+    except ValueError:  # a whole number of thousands of digits
+        text = f"a {type(value).__name__} too long to print"
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def first_few(nodes: Any, most: int = 8) -> str:

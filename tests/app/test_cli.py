@@ -15,8 +15,8 @@ import pytest
 import palpate as pt
 from palpate.app.beam.reproduce import FIGURES, FILES
 from palpate.app.cli import main
-from palpate.app.files import check_space
 from palpate.app.pictures import DrawingError, check_drawing
+from palpate.files import check_space
 
 COARSE = ["reproduce", "beam", "--spacing", str(0.02 / 3), "--load", "2"]
 
@@ -162,7 +162,7 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, assert_refused, mo
     def refuse(*_arguments, **_options):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("palpate.app.files.TemporaryDirectory", refuse)  # the superuser may write anywhere
+    monkeypatch.setattr("palpate.files.TemporaryDirectory", refuse)  # the superuser may write anywhere
     assert_refused([*COARSE, "--out", str(tmp_path / "results")], "out = ", "cannot be written (permission denied)")
     assert list(tmp_path.iterdir()) == []
 

@@ -317,7 +317,7 @@ def test_rubber_fits_give_treloars_moduli():
         ({"fixed": {"C3": 1.0}}, "C3 is no parameter of MooneyRivlin: allowed are C1, C2"),
         ({"bounds": {"C3": (0.0, 1.0)}}, "C3 is no parameter of MooneyRivlin: allowed are C1, C2"),
         ({"start": {"C1": -1.0}}, r"C1 = -1.0 is out of range: allowed is \(0, inf\) Pa"),
-        ({"start": {"C1": "soft"}}, "C1 must be a number, not 'soft'"),
+        ({"start": {"C1": "soft"}}, "C1 must be a number, got 'soft'"),
         (
             {"start": {"C1": 5.0}, "bounds": {"C1": (10.0, 20.0)}},
             r"start of C1 = .*5.0.* is out of range: allowed is \[10, 20\]",

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.files import whole_file
 from palpate.faults import InputError
+from palpate.files import whole_file
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["write_vtkhdf"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from palpate.app.files import whole_file
+from palpate.files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,8 +15,8 @@ import numpy as np
 
 from palpate import __version__
 from palpate.app.console import print_json, print_tables
-from palpate.app.files import write_json
 from palpate.app.study import PROJECTED, Study
+from palpate.files import write_json
 
 __all__ = ["Claim", "deliver", "finished", "finite", "listed", "machine", "preamble", "time_per_mode"]
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.console import Console, count_nodes
-from palpate.app.files import check_folder, check_space
 from palpate.dynamics.model import Model
 from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError
+from palpate.files import check_folder, check_space
 from palpate.reduction.errors import errors
 from palpate.reduction.reduced import ReducedModel
 from palpate.scenes.scene import Scene

@@ -50,8 +50,8 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
         return
     try:
         yield name, float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} must be a number, not {value!r}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name} must be a number, got {str(value)[:60]!r}") from None
 
 
 class Layout:

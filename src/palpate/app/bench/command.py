@@ -7,9 +7,9 @@ from typing import Any
 
 from palpate.app.bench.cases import beam_case, large_case
 from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.files import check_folder, whole_file, write_json
 from palpate.app.report import finite, machine
 from palpate.faults import DivergenceError, integer_in_range
+from palpate.files import check_folder, whole_file, write_json
 
 __all__ = ["FILES", "bench"]
 

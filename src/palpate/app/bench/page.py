@@ -14,9 +14,9 @@ from typing import Any
 from palpate.app.bench.chromium import Chromium, Tab, find_chromium
 from palpate.app.bench.drawn import FinelyDrawn
 from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.files import check_folder, write_json
 from palpate.app.report import finite, machine
 from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.files import check_folder, write_json
 
 __all__ = ["FILES", "bench_page"]
 

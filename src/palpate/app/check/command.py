@@ -11,10 +11,10 @@ import numpy as np
 
 from palpate.app.check.picture import draw_cloud, draw_surface
 from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.files import check_folder, whole_file, write_json
 from palpate.app.pictures import DrawingError, check_drawing
 from palpate.app.report import finite, machine
 from palpate.faults import InputError
+from palpate.files import check_folder, whole_file, write_json
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing

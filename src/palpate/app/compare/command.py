@@ -9,8 +9,8 @@ from palpate.app.compare.figures import draw_comparison
 from palpate.app.compare.measure import compare_methods, prepare_comparison
 from palpate.app.compare.report import build_report, tables, write_markdown
 from palpate.app.console import Console, print_json, print_plain
-from palpate.app.files import check_folder, write_json
 from palpate.faults import InputError, integer_in_range
+from palpate.files import check_folder, write_json
 from palpate.reduction.lti.pymor import need_pymor
 from palpate.reduction.lti.reduction import METHODS, PYMOR
 

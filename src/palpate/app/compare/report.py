@@ -10,8 +10,8 @@ import numpy as np
 
 from palpate.app.compare.measure import LOADS, Comparison
 from palpate.app.console import percent, quantities_table
-from palpate.app.files import whole_file
 from palpate.app.report import finite, machine
+from palpate.files import whole_file
 
 __all__ = ["build_report", "summary", "tables", "write_markdown"]
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import palpate
 from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.files import check_folder, write_json
 from palpate.app.fit.figure import draw_fit
 from palpate.app.report import finite, machine
 from palpate.faults import InputError
+from palpate.files import check_folder, write_json
 from palpate.tissue.fitting import Fit, fit
 from palpate.tissue.materials import Material
 from palpate.tissue.measurement_files import read_measurements

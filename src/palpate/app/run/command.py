@@ -10,7 +10,6 @@ from typing import Any, cast
 import numpy as np
 
 from palpate.app.console import Console, count_nodes, percent, print_json, print_plain, quantities_table
-from palpate.app.files import write_json
 from palpate.app.report import finite, machine
 from palpate.app.run.grasp import run_grasp
 from palpate.app.study import ReproduceError, prepare
@@ -19,6 +18,7 @@ from palpate.dynamics.model import Model
 from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range
+from palpate.files import write_json
 from palpate.reduction.errors import errors
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import reduce

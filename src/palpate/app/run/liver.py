@@ -16,12 +16,12 @@ import numpy as np
 
 from palpate import __version__
 from palpate.app.console import Console, count_nodes
-from palpate.app.files import check_folder
 from palpate.app.run.realtime import Poses, run_realtime
 from palpate.app.train.campaign import MODEL, make_model, make_runs
 from palpate.app.train.folder import jobs, manifest_of, opened
 from palpate.dynamics.tools import Contact
 from palpate.faults import FileFormatError, InputError
+from palpate.files import check_folder
 from palpate.reduction import storage
 from palpate.reduction.reduced import ReducedModel
 from palpate.scenes.liver import ToolPaths

@@ -6,7 +6,6 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 
 from palpate.app.console import Console, count_nodes
-from palpate.app.files import check_space, whole_file
 from palpate.app.study import ReproduceError
 from palpate.app.train.bar import Bar
 from palpate.app.train.cluster import run_on_cluster
@@ -15,6 +14,7 @@ from palpate.app.train.local import run_here
 from palpate.app.train.work import Outcome
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.tools import Contact, Grasp
+from palpate.files import check_space, whole_file
 from palpate.reduction.linear import carried_modes
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import reduce

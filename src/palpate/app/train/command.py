@@ -7,12 +7,12 @@ from pathlib import Path
 from time import perf_counter
 
 from palpate.app.console import Console
-from palpate.app.files import check_folder
 from palpate.app.train.campaign import make_model, make_runs
 from palpate.app.train.cluster import check_dask
 from palpate.app.train.folder import MOST_PATHS, jobs, manifest_of, opened
 from palpate.app.train.report import deliver
 from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.files import check_folder
 from palpate.scenes.training import training_scene
 
 __all__ = ["train"]

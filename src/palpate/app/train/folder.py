@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from palpate import __version__
-from palpate.app.files import write_json
 from palpate.faults import FileFormatError, InputError
+from palpate.files import write_json
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["HELD_OUT", "MOST_PATHS", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "opened"]

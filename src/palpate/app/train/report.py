@@ -10,10 +10,10 @@ import numpy as np
 
 from palpate.app.console import count_nodes, percent, print_json, print_plain, quantities_table
 from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
-from palpate.app.files import whole_file, write_json
 from palpate.app.report import finite, machine
 from palpate.app.train.campaign import MODEL
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
+from palpate.files import whole_file, write_json
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import HELD_SHARE
 from palpate.scenes.scene import TrainingScene

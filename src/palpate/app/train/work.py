@@ -13,10 +13,10 @@ from uuid import uuid4
 
 import numba
 
-from palpate.app.files import settle, write_json
 from palpate.app.train.folder import Folder, Job
 from palpate.dynamics.rollout import rollout
 from palpate.faults import DivergenceError, InputError
+from palpate.files import settle, write_json
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.training import training_scene
 

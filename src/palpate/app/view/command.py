@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.files import check_folder
 from palpate.app.view.address import LOOPBACK, listening
 from palpate.app.view.messages import Message
 from palpate.app.view.opening import opened
@@ -16,6 +15,7 @@ from palpate.app.view.script import read_script, run_script
 from palpate.app.view.session import Session
 from palpate.app.view.stand import PORT, serve_show
 from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.files import check_folder
 
 __all__ = ["view"]
 

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from palpate.app.files import whole_file
 from palpate.app.pictures import COLOURS, check_drawing, off_screen
 from palpate.app.view.frames import colour_range
 from palpate.app.view.recording import Recording
 from palpate.app.view.snapshot import UNITS, Snapshot
 from palpate.faults import InputError
+from palpate.files import whole_file
 from palpate.reduction.surface import Surface
 
 __all__ = ["FILMS", "Draw", "check_film", "drawn", "write_film", "write_picture"]

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.export import write_vtkhdf
-from palpate.app.files import whole_file
 from palpate.app.view.snapshot import STATES, TOOLS, Snapshot
 from palpate.faults import FileFormatError, InputError
+from palpate.files import whole_file
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.storage import load

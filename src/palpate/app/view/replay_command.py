@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.console import Console, count_nodes, percent, print_plain, quantities_table
-from palpate.app.files import check_folder
 from palpate.app.view.address import LOOPBACK
 from palpate.app.view.film import check_film, drawn, write_film, write_picture
 from palpate.app.view.fullrun import full_model, path_of, run_full
@@ -16,6 +15,7 @@ from palpate.app.view.replay import Replay
 from palpate.app.view.stand import PORT, serve_show
 from palpate.dynamics.progress import progress_bar
 from palpate.faults import InputError
+from palpate.files import check_folder
 
 __all__ = ["replay"]
 

@@ -1,0 +1,274 @@
+"""Files: written whole or not at all, and read within limits.
+
+Every file that palpate writes goes through `whole_file`; every file that it reads goes through `read_bytes` or is
+opened after `regular_file`. JSON from outside goes through `json_of`, which accepts only plain, finite, shallow values.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from uuid import uuid4
+
+from palpate.faults import FileFormatError, InputError
+
+__all__ = [
+    "check_folder", "check_space", "json_of", "read_bytes", "read_json", "read_text", "regular_file", "settle",
+    "shortened", "whole_file", "write_json",
+]  # fmt: skip
+
+DEEPEST = 32  # nested lists and objects of a JSON text
+LONGEST_TEXT = 16 << 20  # bytes of a text file
+LARGEST_WHOLE = 2**53  # whole numbers beyond are not exact in other programs
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a new temporary name next to `path`, with the same suffix; rename it to `path` on success.
+
+    The content is on the disk before the rename, so that `path` is either the old file or the whole new one, whatever
+    stops the process or the machine. Two writers of one path do not share a temporary name.
+
+    Parameters
+    ----------
+    path : path
+
+    Raises
+    ------
+    OSError
+        The file cannot be written, or `path` exists and is not a regular file; names it.
+    """
+    partial = path.with_name(f".{path.stem}.{uuid4().hex[:12]}.partial{path.suffix}")
+    try:
+        if path.exists() and not path.is_file():
+            raise OSError(f"cannot write {path}: it exists and is not a regular file; choose another name")
+        yield partial
+        settle(partial, path)
+    except OSError as error:
+        if error.strerror is None and str(error).startswith("cannot write"):
+            raise
+        why = error.strerror or error
+        raise OSError(f"cannot write {path}: {why}; free some space or choose another folder") from error
+    finally:
+        with suppress(OSError):
+            partial.unlink()
+
+
+def settle(partial: Path, path: Path) -> None:
+    """Rename a written file once its content is on the disk."""
+    with partial.open("rb+") as file:
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+    if os.name == "posix":  # elsewhere folders cannot be opened
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file, whole or not at all."""
+    with whole_file(path) as partial:
+        partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def regular_file(path: Path, what: str, most: int | None = None) -> int:
+    """Return the size of a file [bytes], which must be a regular file: not a folder, pipe, socket or device.
+
+    Parameters
+    ----------
+    path : path
+    what : str
+        Kind of the file, for messages: ``"recording"``.
+    most : int, optional
+        Largest allowed size [bytes].
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    FileFormatError
+        It is not a regular file, too large, or cannot be read.
+    """
+    try:
+        found = os.stat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileNotFoundError(f"there is no {what} at {path}") from None
+    except (OSError, ValueError) as error:  # a name that is too long, or holds a null byte
+        raise FileFormatError(f"{str(path)!r} cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    if not stat.S_ISREG(found.st_mode):
+        raise FileFormatError(f"{path} is not a regular file; give the {what} itself")
+    if most is not None and found.st_size > most:
+        raise FileFormatError(f"{path} has {found.st_size} bytes; a {what} has at most {most}")
+    return found.st_size
+
+
+def read_bytes(path: Path, what: str, most: int | None = None) -> bytes:
+    """Return the content of a regular file; raises what `regular_file` raises."""
+    regular_file(path, what, most)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FileFormatError(f"{path} cannot be read ({error.strerror or error})") from error
+
+
+def read_text(path: Path, what: str, most: int = LONGEST_TEXT) -> str:
+    """Return the text of a file in UTF-8; raises what `regular_file` raises, and `FileFormatError` for other bytes."""
+    try:
+        return read_bytes(path, what, most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path} is not text in UTF-8 (byte {error.start}); save it in UTF-8") from None
+
+
+def json_of(text: str | bytes) -> Any:
+    """Return the value of a JSON text.
+
+    Parameters
+    ----------
+    text : str or bytes
+
+    Returns
+    -------
+    dict, list, str, float, int, bool or None
+
+    Raises
+    ------
+    InputError
+        The text is not JSON, holds a number that is not finite or a whole number beyond 2^53, the same key twice in an
+        object, half a surrogate pair, or more than 32 nested levels.
+    """
+    try:
+        value = json.loads(
+            text, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole, object_pairs_hook=_once
+        )
+    except RecursionError:
+        raise InputError(f"the JSON text has more than {DEEPEST} nested levels") from None
+    except ValueError as error:
+        raise InputError(f"this is not valid JSON: {shortened(str(error))}") from None
+    _check_plain(value, DEEPEST)
+    return value
+
+
+def read_json(path: Path, what: str, most: int = LONGEST_TEXT) -> dict[str, Any]:
+    """Return the object in a JSON file; raises what `read_text` raises, and `FileFormatError` for anything else."""
+    try:
+        value = json_of(read_text(path, what, most))
+    except FileFormatError:
+        raise
+    except InputError as error:
+        raise FileFormatError(f"{path}: {error}") from error
+    if not isinstance(value, dict):
+        raise FileFormatError(f"{path} holds no JSON object")
+    return value
+
+
+def shortened(text: str, most: int = 60) -> str:
+    """Return a text that fits a message, without characters that cannot be printed."""
+    text = text if len(text) <= most else text[: most - 3] + "..."
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _refuse_constant(name: str) -> Any:
+    raise ValueError(f"{name} is not a number")
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{shortened(text)} is not finite")
+    return number
+
+
+def _whole(text: str) -> int:
+    if len(text) > 17 or abs(int(text)) > LARGEST_WHOLE:
+        raise ValueError(f"{shortened(text)} is beyond 2^53")
+    return int(text)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value = dict(pairs)
+    if len(value) != len(pairs):
+        raise ValueError("an object has the same key twice")
+    return value
+
+
+def _check_plain(value: Any, deepest: int) -> None:
+    """Refuse text that cannot be encoded, and nesting beyond a depth."""
+    if isinstance(value, str):
+        try:
+            value.encode("utf-8")
+        except UnicodeEncodeError:
+            raise InputError("the JSON text holds half a surrogate pair") from None
+    elif isinstance(value, dict | list):
+        if deepest == 0:
+            raise InputError(f"the JSON text has more than {DEEPEST} nested levels")
+        if isinstance(value, dict):
+            for key in value:
+                _check_plain(key, deepest)
+        for entry in value.values() if isinstance(value, dict) else value:
+            _check_plain(entry, deepest - 1)
+
+
+def check_folder(folder: Path, name: str = "out") -> None:
+    """Check that files can be written into a folder that exists or can be made; leave nothing behind.
+
+    Parameters
+    ----------
+    folder : path
+    name : str
+        Of the option that gave it.
+
+    Raises
+    ------
+    InputError
+        It is not a folder, or cannot be written.
+    """
+    existing = _existing(folder)
+    if not existing.is_dir():
+        raise InputError(
+            f"{name} = {str(folder)!r}: {existing} is not a folder; allowed is a folder that can be written"
+        )
+    try:
+        with TemporaryDirectory(prefix=".palpate-", dir=existing) as probe:
+            (Path(probe) / "probe").write_bytes(bytes(4096))
+    except OSError as error:
+        why = (error.strerror or str(error)).lower()
+        raise InputError(f"{name} = {str(folder)!r}: {existing} cannot be written ({why}); choose another") from error
+
+
+def check_space(folder: Path, needed: int, name: str = "out") -> None:
+    """Check that the disk of a folder, which exists or can be made, has room for a number of bytes.
+
+    Parameters
+    ----------
+    folder : path
+    needed : int
+    name : str
+        Of the option that gave the folder.
+
+    Raises
+    ------
+    InputError
+        It has not.
+    """
+    free = shutil.disk_usage(_existing(folder)).free
+    if free < needed:
+        need, has = needed / 1e6, free / 1e6
+        raise InputError(f"{name} = {str(folder)!r}: this run writes about {need:.0f} MB, {has:.0f} MB are free")
+
+
+def _existing(folder: Path) -> Path:
+    """Return the folder itself, or the nearest one above it that exists."""
+    existing = folder.absolute()
+    while not os.path.lexists(existing) and existing != existing.parent:
+        existing = existing.parent
+    return existing
