@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.sealed import open_sealed, write_sealed
 
 
 @pytest.fixture(scope="session")
@@ -71,3 +72,19 @@ def pull():
 def run(bar, tissue, calm, pull):
     """A short run of the bar under that pull."""
     return pt.rollout(pt.FullModel(bar, tissue, fixed="x-", viscosity=calm), [pull], duration=0.03, every=0.0005)
+
+
+@pytest.fixture
+def forge():
+    """Return a function that changes header and arrays of a sealed file and writes it again with right checksums."""
+
+    def forged(path, change, kind, version, to=None):
+        file = open_sealed(path, kind, version)
+        header, arrays = dict(file.header), {name: file.read(name) for name in file.arrays}
+        by_row = {name for name, entry in file.arrays.items() if entry.by_row}
+        change(header, arrays)
+        rows = {name: list(arrays.pop(name)) for name in by_row & arrays.keys() if len(arrays[name])}
+        write_sealed(to or path, kind, version, header, arrays, rows)
+        return to or path
+
+    return forged

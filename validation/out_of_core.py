@@ -24,7 +24,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +32,7 @@ from palpate.dynamics.trajectory import FORMAT, VERSION
 from palpate.reduction.bases import SMALLEST, main_modes
 from palpate.reduction.incremental import block_size
 from palpate.reduction.snapshots import Snapshots
+from palpate.sealed import write_sealed
 
 Floats = NDArray[np.float64]
 
@@ -76,16 +76,11 @@ def write(points: Floats, snapshots: int, folder: Path) -> list[Path]:
         paths.append(folder / f"{len(points)}_{k:04d}_{len(own)}.h5")
         if paths[-1].exists():
             continue
-        partial = paths[-1].with_suffix(".partial")
-        with h5py.File(partial, "w") as file:
-            file.attrs.update(format=FORMAT, version=VERSION, frames=len(own))
-            file["points"], file["times"] = points, np.linspace(0, 1, len(own))
-            data = file.create_dataset(
-                "displacements", (len(own), *points.shape), dtype="f4", chunks=(1, *points.shape)
-            )
-            for t, share in enumerate(own):
-                data[t] = (share @ fields).T
-        partial.rename(paths[-1])
+        frames, count = [(share @ fields).T for share in own], np.zeros(len(own))
+        header = {"model": "shapes", "label": "", "wall_seconds": 0.0, "viscosity": 0.0, "complete": True}
+        arrays = {"points": points, "times": np.linspace(0, 1, len(own)), "steps": count, "touches": np.zeros((0, 5)),
+                  "held": np.zeros(0, dtype=bool)}  # fmt: skip
+        write_sealed(paths[-1], FORMAT, VERSION, header, arrays, {"displacements": frames})
     return paths
 
 

@@ -6,7 +6,7 @@ Every message names what is wrong, where, and what to do.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -68,6 +68,8 @@ def number_in_range(
 ) -> float:
     """Return `value` as a float, or raise `InputError` naming it and the allowed range."""
     try:
+        if isinstance(cast(object, value), str | bytes):
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} must be a number, got {_short(value)}") from None

@@ -9,10 +9,13 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import stat
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,10 +24,11 @@ from uuid import uuid4
 from palpate.faults import FileFormatError, InputError
 
 __all__ = [
-    "check_folder", "check_space", "json_of", "read_bytes", "read_json", "read_text", "regular_file", "settle",
-    "shortened", "whole_file", "write_json",
+    "check_folder", "check_space", "digest_of", "json_of", "plain", "read_bytes", "read_json", "read_sealed_json",
+    "read_text", "regular_file", "settle", "shortened", "whole_file", "write_json", "write_sealed_json",
 ]  # fmt: skip
 
+STALE = 86400.0  # [s] after which a temporary file belongs to no writer any more
 DEEPEST = 32  # nested lists and objects of a JSON text
 LONGEST_TEXT = 16 << 20  # bytes of a text file
 LARGEST_WHOLE = 2**53  # whole numbers beyond are not exact in other programs
@@ -47,6 +51,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         The file cannot be written, or `path` exists and is not a regular file; names it.
     """
     partial = path.with_name(f".{path.stem}.{uuid4().hex[:12]}.partial{path.suffix}")
+    _sweep(path)
     try:
         if path.exists() and not path.is_file():
             raise OSError(f"cannot write {path}: it exists and is not a regular file; choose another name")
@@ -60,6 +65,15 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             partial.unlink()
+
+
+def _sweep(path: Path) -> None:
+    """Remove what writers of a file left that were killed long ago."""
+    name = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{12}}\.partial{re.escape(path.suffix)}")
+    with suppress(OSError):
+        for entry in os.scandir(path.parent):
+            if name.fullmatch(entry.name) and time.time() - entry.stat().st_mtime > STALE:
+                os.unlink(entry)
 
 
 def settle(partial: Path, path: Path) -> None:
@@ -169,6 +183,41 @@ def read_json(path: Path, what: str, most: int = LONGEST_TEXT) -> dict[str, Any]
     if not isinstance(value, dict):
         raise FileFormatError(f"{path} holds no JSON object")
     return value
+
+
+def digest_of(value: Any) -> str:
+    """Return the SHA-256 of a value that JSON has, whatever the order of its keys."""
+    return sha256(json.dumps(value, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def write_sealed_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file with the digest of its content under ``"sha256"``, whole or not at all."""
+    write_json(path, content | {"sha256": digest_of(content)})
+
+
+def read_sealed_json(path: Path, what: str, most: int = LONGEST_TEXT) -> dict[str, Any]:
+    """Return what `write_sealed_json` wrote.
+
+    Raises
+    ------
+    FileNotFoundError, FileFormatError
+        As of `read_json`; or the digest does not match.
+    """
+    content = read_json(path, what, most)
+    if content.pop("sha256", None) != digest_of(content):
+        raise FileFormatError(f"{path} does not match its checksum: the {what} is damaged or was edited")
+    return content
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: arrays as lists, numbers of NumPy as Python's, None for what is not finite."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def shortened(text: str, most: int = 60) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import h5py
 import numpy as np
 import pytest
 
@@ -106,15 +105,3 @@ def test_runs_tell_touched_nodes_from_held_ones_in_memory_and_in_files(small_clo
         for read in (pt.Trajectory.load(tmp_path / f"{name}.h5"), StoredTrajectory(tmp_path / f"{name}.h5")):
             np.testing.assert_array_equal(read.held, expected.held)
             np.testing.assert_array_equal(read.touches, expected.touches)
-
-
-def test_files_of_before_forceps_had_forces_on_nodes_are_read(small_cloud, tissue, tmp_path):
-    way = lambda time: (*TOP[:2], SIDE + 0.008 - 0.1 * min(time, 0.02))  # noqa: E731
-    model = pt.FullModel(small_cloud, tissue, "z-", form="energy")
-    pressed = run(model, pt.Contact(pt.Sphere(0.008), way), duration=0.01, file=tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5", "r+") as file:
-        del file["held"]
-    for read in (pt.Trajectory.load(tmp_path / "run.h5"), StoredTrajectory(tmp_path / "run.h5")):
-        np.testing.assert_array_equal(read.touches, pressed.touches)
-        assert read.held.shape == (len(pressed.touches),)
-        assert not read.held.any()

@@ -82,7 +82,7 @@ def test_an_old_file_survives_a_failed_write(tmp_path, monkeypatch):
     def full(*args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("palpate.realtime.blackbox.os.replace", full)
+    monkeypatch.setattr("os.replace", full)
     with pytest.raises(OSError, match=r"cannot write .*flight\.h5: No space left"):
         write_black_box(path, filled(9), {})
     assert path.read_bytes() == before

@@ -306,6 +306,7 @@ def _add_view(commands: Any) -> None:
     add = replay.add_argument
     add("file", type=Path, metavar="FILE.h5", help="the recording")
     add("--full", action="store_true", help="run the path on the full model, and print how far the recorded one was")
+    add("--scene", metavar="MODULE:FUNCTION", help="with --full: your own scene, which the recording must name")
     add("--png", type=Path, metavar="FILE.png", help="draw the moment of the largest force")
     add("--movie", type=Path, metavar="FILE", help="draw all: .gif, or .mp4 with palpate[film]")
     add("--scalar", default="displacement", metavar="NAME", help="displacement, stress or pressure, by colour")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import platform
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ from palpate.app.console import print_json, print_tables
 from palpate.app.study import PROJECTED, Study
 from palpate.files import write_json
 
-__all__ = ["Claim", "deliver", "finished", "finite", "listed", "machine", "preamble", "time_per_mode"]
+__all__ = ["Claim", "deliver", "finished", "listed", "machine", "preamble", "time_per_mode"]
 
 PACKAGES = ("numpy", "scipy", "numba", "h5py", "matplotlib", "pyvista", "vtk")
 
@@ -74,17 +73,6 @@ def time_per_mode(done: dict[int, dict[str, Any]]) -> tuple[float, float]:
     spread = np.sum((seconds - seconds.mean()) ** 2)
     fit = float(1 - np.sum((seconds - line(sizes)) ** 2) / spread) if spread > 0 else 1.0
     return float(line.convert().coef[-1]), fit
-
-
-def finite(value: Any) -> Any:
-    """Replace numbers that JSON cannot hold by None, and NumPy's numbers by Python's."""
-    if isinstance(value, dict):
-        return {name: finite(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def deliver(report: dict[str, Any], tables: Sequence[Any], out: Path, files: Sequence[str], as_json: bool) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -19,7 +18,7 @@ from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError
-from palpate.files import check_folder, check_space
+from palpate.files import check_folder, check_space, settle
 from palpate.reduction.errors import errors
 from palpate.reduction.reduced import ReducedModel
 from palpate.scenes.scene import Scene
@@ -208,7 +207,7 @@ def _joined(parts: Sequence[Trajectory]) -> Trajectory:
 def _keep(study: Study, partials: list[Path], path: Path) -> None:
     """Give the complete run its name."""
     if len(partials) == 1:
-        os.replace(partials[0], path)
+        settle(partials[0], path)
         return
     study.full.save(path)
     for partial in partials:

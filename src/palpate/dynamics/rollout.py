@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from palpate.dynamics.loads import Drive, Load
 from palpate.dynamics.model import Model, Outputs, State
 from palpate.dynamics.progress import progress_bar
-from palpate.dynamics.trajectory import Recorder, Trajectory
+from palpate.dynamics.recorder import Recorder
+from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, number_in_range
 
 __all__ = ["rollout"]
@@ -37,6 +38,7 @@ def rollout(
     velocity: Floats | None = None,
     step: float | None = None,
     file: str | Path | None = None,
+    label: str = "",
     progress: bool | Callable[[float, float], None] = True,
 ) -> Trajectory:
     """Run a model and keep a snapshot at regular times.
@@ -57,7 +59,9 @@ def rollout(
         not survive are taken again, half as long, down to 1/256. What energy these still make is in the run's
         `balance`.
     file : path, optional
-        HDF5 file to stream the frames to; it keeps them if the run is stopped.
+        File of the trajectory. It holds the frames until then if the run is stopped, whatever stops it.
+    label : str
+        Of the trajectory.
     progress : bool or function
         Whether to show a bar on standard error when that is a terminal; or a function to call at every snapshot with
         the simulated and the wall time [s] since the start.
@@ -79,9 +83,10 @@ def rollout(
         number_in_range("step", step, 0.0, every, open_low=True, unit="s")
     drive = model.drive(loads)
     state = model.state(drive, displacement, velocity, number_in_range("start", start, unit="s"))
-    recorder = Recorder(None if file is None else Path(file), model.name, model.cloud.points, model.viscosity)
+    path = None if file is None else Path(file)
+    recorder = Recorder(path, model.name, model.cloud.points, model.viscosity, label)
     frames = round(duration / every)
-    began, complete, steps = perf_counter(), False, 0
+    began, steps = perf_counter(), 0
     try:
         with nullcontext(progress) if callable(progress) else progress_bar(model.name, duration, progress) as shown:
             recorder.add(start, 0, model.outputs(state, drive))
@@ -95,13 +100,13 @@ def rollout(
                 if state.touch is not None:  # the next frame's means are of its own interval
                     state = replace(state, touch=state.touch.anew(state.time))
                 shown(state.time - start, perf_counter() - began)
-        complete = True
     except DivergenceError as error:
-        error.trajectory = recorder.trajectory(perf_counter() - began, complete=False)
+        error.trajectory = recorder.close(perf_counter() - began, complete=False)
         raise
-    finally:
-        recorder.close(perf_counter() - began, complete)
-    return recorder.trajectory(perf_counter() - began, complete=True)
+    except BaseException:
+        recorder.close(perf_counter() - began, complete=False)
+        raise
+    return recorder.close(perf_counter() - began, complete=True)
 
 
 def _advance_to(

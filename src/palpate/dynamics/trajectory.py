@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.model import Outputs
-from palpate.faults import FileFormatError, InputError
+from palpate.dynamics.journal import is_journal, read_record, records
+from palpate.faults import InputError, number_in_range
+from palpate.files import regular_file
+from palpate.sealed import loading, open_sealed, write_sealed
 
-__all__ = ["Recorder", "StoredTrajectory", "Trajectory"]
+__all__ = ["NAMED", "ROWS", "SERIES", "StoredTrajectory", "Trajectory", "stacked"]
 
 Floats = NDArray[np.float64]
 
-SPARE = 1 << 18  # bytes kept free for HDF5's own tables
-FORMAT, VERSION = "palpate trajectory", 1
+FORMAT, VERSION = "palpate trajectory", 2
+REMEDY = "run the simulation again"
 SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
+ROWS = ("displacements", "velocities")  # stored frame by frame
+NAMED = ("reactions", "moments")  # (f, 3) arrays by name
+HEADER = ("model", "label", "wall_seconds", "viscosity", "complete")
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,8 @@ class Trajectory:
         [N] of all of these on it since the frame before.
     held : (c,) bool array
         Which rows are of nodes that a `Grasp` held.
+    label : str
+        What distinguishes the run from others, such as the campaign and the number in it.
     """
 
     model: str
@@ -75,6 +79,7 @@ class Trajectory:
     moments: dict[str, Floats] = field(default_factory=dict)
     touches: Floats = field(default_factory=lambda: np.zeros((0, 5)))
     held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    label: str = ""
 
     @property
     def balance(self) -> Floats:
@@ -113,86 +118,126 @@ class Trajectory:
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
     def save(self, path: str | Path) -> None:
-        """Write to an HDF5 file, whole or not at all."""
-        path = Path(path)
-        partial = path.with_name(path.name + ".partial")
-        recorder = Recorder(partial, self.model, self.points, self.viscosity)
-        try:
-            for k in range(len(self.times)):
-                recorder.add(float(self.times[k]), int(self.steps[k]), self._outputs(k))
-            recorder.close(self.wall_seconds, self.complete)
-            os.replace(partial, path)
-        except BaseException:
-            recorder.discard()
-            raise
+        """Write to a sealed HDF5 file (`palpate.sealed`), whole or not at all.
 
-    def _outputs(self, k: int) -> Outputs:
-        energies = {name: float(getattr(self, name)[k]) for name in ("kinetic", "strain", "external", "dissipated")}
-        forces = {name: force[k] for name, force in self.reactions.items()}
-        moments = {name: moment[k] for name, moment in self.moments.items()}
-        own = self.touches[:, 0] == k
-        return Outputs(
-            self.displacements[k], self.velocities[k], forces, **energies, moments=moments,
-            touches=self.touches[own, 1:], held=self.held[own],
-        )  # fmt: skip
+        Raises
+        ------
+        InputError
+            Values that are not finite.
+        OSError
+            The file cannot be written; a file that was there is unchanged.
+        """
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*SERIES, "points", "touches", "held")}
+        arrays |= {f"reactions/{name}": force for name, force in self.reactions.items()}
+        arrays |= {f"moments/{name}": moment for name, moment in self.moments.items()}
+        rows = {name: getattr(self, name) for name in ROWS}
+        if not len(self.times):
+            arrays, rows = arrays | rows, {}
+        for name, values in (arrays | rows).items():
+            if not np.isfinite(values).all():
+                raise InputError(f"{name} is not finite: {path} was not written")
+        header = {name: getattr(self, name) for name in HEADER}
+        header |= {name: float(header[name]) for name in ("wall_seconds", "viscosity")}
+        write_sealed(Path(path), FORMAT, VERSION, header | {name: list(getattr(self, name)) for name in NAMED},
+                     arrays, rows)  # fmt: skip
 
     @staticmethod
     def load(path: str | Path) -> Trajectory:
-        """Read a trajectory, complete or interrupted.
+        """Read a trajectory.
+
+        The file of a run that was cut off gives the frames that are whole, with `complete` False: the last of `times`
+        is the time up to which the file is whole.
 
         Raises
         ------
         FileNotFoundError
             There is no such file.
         FileFormatError
-            The file is truncated, corrupt, or not a trajectory.
+            The file is truncated, damaged, or not a trajectory.
         """
-        with _opened(Path(path)) as file:
-            frames = int(file.attrs["frames"])
-            data: dict[str, Any] = {n: file[n][:frames] for n in (*SERIES, "displacements", "velocities")}
-            data["reactions"] = {n: d[:frames] for n, d in file["reactions"].items()}
-            data["moments"] = {n: d[:frames] for n, d in file.get("moments", {}).items()}
-            data["touches"], data["held"] = _touches(file, frames)
-            data["points"] = file["points"][:]
-            for name in ("model", "wall_seconds", "viscosity", "complete"):
-                data[name] = file.attrs[name]
-        n = len(data["points"])
-        shapes = dict.fromkeys(("displacements", "velocities"), (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
-        arrays: dict[str, tuple[Any, tuple[int, ...]]] = {name: (data[name], shape) for name, shape in shapes.items()}
-        arrays |= {f"reactions/{name}": (force, (frames, 3)) for name, force in data["reactions"].items()}
-        arrays |= {f"moments/{name}": (moment, (frames, 3)) for name, moment in data["moments"].items()}
-        arrays["touches"] = data["touches"], (len(data["touches"]), 5)
-        arrays["held"] = data["held"], (len(data["touches"]),)
-        arrays["points"] = data["points"], (n, data["points"].shape[-1])
-        for name, (array, shape) in arrays.items():
-            if array.shape != shape or not np.isfinite(array).all():
-                raise FileFormatError(f"{path}: {name} is not finite or has shape {array.shape}, expected {shape}")
-        data["complete"] = bool(data["complete"])
-        return Trajectory(**data)
+        path = Path(path)
+        with loading(path, REMEDY):
+            regular_file(path, FORMAT)
+            if is_journal(path):
+                return _from_journal(path)
+            file = open_sealed(path, FORMAT, VERSION)
+            return _checked(file.header, {name: file.read(name) for name in file.arrays})
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """Open a trajectory's file to read; what goes wrong inside is said of the file."""
-    import h5py
+def _from_journal(path: Path) -> Trajectory:
+    found = [record for _, _, record in records(path)]
+    (about, first), frames = found[0], found[1:]
+    points, names = first["points"], {name: listed_names(name, about.get(name)) for name in NAMED}
+    numbers = stacked([arrays["numbers"] for _, arrays in frames], (len(SERIES),))
+    data = {name: numbers[:, k] for k, name in enumerate(SERIES)} | {"points": points}
+    data |= {name: stacked([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in ROWS}
+    for name, each in names.items():
+        forces = stacked([arrays[name] for _, arrays in frames], (len(each), 3))
+        data |= {f"{name}/{of}": forces[:, k] for k, of in enumerate(each)}
+    numbered = [np.insert(arrays["touches"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
+    data["touches"] = np.concatenate([np.zeros((0, 5)), *numbered])
+    data["held"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["held"] for _, arrays in frames)])
+    return _checked(about | names | {"wall_seconds": 0.0, "complete": False}, data)
 
-    if not path.is_file():
-        raise FileNotFoundError(f"no trajectory file at {path}")
-    try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("format") != FORMAT or file.attrs.get("version") != VERSION:
-                raise FileFormatError(f"{path} is not a {FORMAT} of version {VERSION}")
-            yield file
-    except (OSError, KeyError, RuntimeError) as error:
-        raise FileFormatError(f"{path} is truncated or corrupt ({error}); run the simulation again") from error
+
+def stacked(values: list[Any], shape: tuple[int, ...]) -> Floats:
+    """Return equal arrays as one; of no frames, too."""
+    return np.stack(values) if values else np.zeros((0, *shape))
 
 
-def _touches(file: Any, frames: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Read touches and which are held; in files of before forceps had forces on nodes, none is."""
-    touches = file["touches"][:] if "touches" in file else np.zeros((0, 5))
-    held = file["held"][: len(touches)] if "held" in file else np.zeros(len(touches), dtype=np.bool_)
-    whole = touches[:, 0] < frames
-    return np.asarray(touches[whole]), np.asarray(held[whole[: len(held)]], dtype=np.bool_)
+def _checked(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
+    """Return a trajectory of what a file holds; refuse what no run leaves.
+
+    Raises
+    ------
+    InputError
+        A value is missing, not finite, or of another type, shape or range.
+    """
+    if header.keys() != {*HEADER, *NAMED}:
+        raise InputError(f"the header has {sorted(header)}, expected {sorted({*HEADER, *NAMED})}")
+    for name in ("model", "label"):
+        if not isinstance(header[name], str):
+            raise InputError(f"{name} must be text, got {header[name]!r:.60}")
+    if not isinstance(header["complete"], bool):
+        raise InputError(f"complete must be true or false, got {header['complete']!r:.60}")
+    numbers: dict[str, Any] = {
+        name: number_in_range(name, header[name], 0.0, unit="s") for name in ("wall_seconds", "viscosity")
+    }
+    names = {name: listed_names(name, header[name]) for name in NAMED}
+    frames, n = len(data["times"]), len(data["points"])
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(ROWS, (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
+    shapes |= {f"{name}/{of}": (frames, 3) for name, each in names.items() for of in each}
+    touches = len(data.get("touches", ()))
+    shapes |= {
+        "touches": (touches, 5),
+        "held": (touches,),
+        "points": (n, 2 if data["points"].shape[-1:] == (2,) else 3),
+    }
+    if data.keys() != shapes.keys():
+        raise InputError(f"the arrays are {', '.join(sorted(data))}; expected {', '.join(sorted(shapes))}")
+    for name, shape in shapes.items():
+        wanted = np.bool_ if name == "held" else np.float64
+        if data[name].shape != shape or data[name].dtype != wanted or not np.isfinite(data[name]).all():
+            raise InputError(f"{name} is not finite, or has shape {data[name].shape}, expected {shape}")
+    if not n or np.any(np.diff(data["times"]) < 0) or np.any(np.diff(data["steps"]) < 0):
+        raise InputError("times and steps must not decrease, and there must be points")
+    _check_touches(data["touches"], frames, n)
+    forces: dict[str, Any] = {name: {of: data[f"{name}/{of}"] for of in each} for name, each in names.items()}
+    arrays = {name: data[name] for name in (*SERIES, *ROWS, "points", "touches", "held")}
+    return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
+
+
+def listed_names(what: str, names: Any) -> list[str]:
+    """Return names that a file lists, each once."""
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or len({*names}) < len(names):
+        raise InputError(f"{what} must be a list of names, got {names!r:.60}")
+    return names
+
+
+def _check_touches(touches: Floats, frames: int, nodes: int) -> None:
+    which = touches[:, :2]
+    if not np.all((which >= 0) & (which < [frames, nodes]) & (which == np.floor(which))):
+        raise InputError(f"touches names a frame outside 0..{frames - 1} or a node outside 0..{nodes - 1}")
 
 
 class StoredTrajectory:
@@ -205,10 +250,12 @@ class StoredTrajectory:
     Attributes
     ----------
     path : path
+    label : str
+    wall_seconds : float [s]
     points : (n, d) array [m]
-    times : (f,) array [s]
+    times, steps : (f,) arrays [s], [-]
     displacements : Frames
-        Takes a number or a slice, as the (f, n, 3) array [m] would.
+        Takes a number or a slice, as the (f, n, 3) array [m] would. Every frame is verified when it is read.
     touches, held : (c, 5) and (c,) arrays
         As of `Trajectory`.
 
@@ -220,13 +267,40 @@ class StoredTrajectory:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        with _opened(self.path) as file:
-            frames = int(file.attrs["frames"])
-            self.points, self.times = file["points"][:], file["times"][:frames]
-            shape, (self.touches, self.held) = file["displacements"].shape[1:], _touches(file, frames)
-        if shape != (len(self.points), 3) or len(self.times) != frames:
-            raise FileFormatError(f"{self.path}: {frames} displacements of shape {shape}, {len(self.points)} points")
-        self.displacements = Frames(self.path, (frames, *shape))
+        with loading(self.path, REMEDY):
+            regular_file(self.path, FORMAT)
+            if is_journal(self.path):
+                self._open_journal()
+            else:
+                self._open_sealed()
+
+    def _open_sealed(self) -> None:
+        file = open_sealed(self.path, FORMAT, VERSION)
+        self.label = str(file.header.get("label", ""))
+        self.wall_seconds = number_in_range("wall_seconds", file.header.get("wall_seconds", 0.0), 0.0, unit="s")
+        self.points, self.times, self.steps = map(file.read, ("points", "times", "steps"))
+        self.touches, self.held = map(file.read, ("touches", "held"))
+        shape, wanted = file.arrays["displacements"].shape, (len(self.times), len(self.points), 3)
+        if shape != wanted or not len(self.points) or self.touches.shape != (len(self.held), 5):
+            raise InputError(f"displacements have shape {shape}, expected {wanted}; or touches do not fit")
+        if self.points.ndim != 2 or self.times.ndim != 1 or self.steps.shape != self.times.shape:
+            raise InputError("points, times and steps do not fit together")
+        if not all(np.isfinite(each).all() for each in (self.points, self.times, self.steps, self.touches)):
+            raise InputError("points, times, steps or touches are not finite")
+        _check_touches(self.touches, len(self.times), len(self.points))
+        self.displacements = Frames(self.path, shape, lambda k: file.row("displacements", k))
+
+    def _open_journal(self) -> None:
+        run = _from_journal(self.path)
+        places = [(place, chain) for place, chain, _ in records(self.path)][1:]
+        self.label, self.wall_seconds = run.label, run.wall_seconds
+        self.points, self.times, self.steps = run.points, run.times, run.steps
+        self.touches, self.held = run.touches, run.held
+
+        def frame(k: int) -> Floats:
+            return read_record(self.path, *places[k])[1]["displacements"]
+
+        self.displacements = Frames(self.path, run.displacements.shape, frame)
 
 
 @dataclass(frozen=True)
@@ -238,131 +312,26 @@ class Frames:
     path : path
     shape : tuple
         (f, n, 3).
+    read : function
+        Returns the (n, 3) array of a frame.
     """
 
     path: Path
     shape: tuple[int, ...]
+    read: Callable[[int], Floats]
 
     def __len__(self) -> int:
         return self.shape[0]
 
     def __getitem__(self, which: int | slice) -> Floats:
-        with _opened(self.path) as file:
-            return np.asarray(file["displacements"][which])
+        with loading(self.path, REMEDY):
+            if not isinstance(which, slice):
+                return self._frame(range(len(self))[which])
+            chosen = range(len(self))[which]
+            return np.array([self._frame(k) for k in chosen]).reshape(len(chosen), *self.shape[1:])
 
-
-@dataclass
-class Recorder:
-    """Collects the frames of a run and streams them to an HDF5 file when it has a path.
-
-    Every frame is flushed, so that whatever stops the run, the file holds the frames until then.
-
-    Raises
-    ------
-    OSError
-        The file cannot be created or the disk is full; names the file.
-    """
-
-    path: Path | None
-    model: str
-    points: Floats
-    viscosity: float
-    times: list[float] = field(default_factory=list)
-    steps: list[int] = field(default_factory=list)
-    frames: list[Outputs] = field(default_factory=list)
-    _file: Any = None
-
-    def __post_init__(self) -> None:
-        if self.path is None:
-            return
-        import h5py
-
-        try:
-            self._file = h5py.File(self.path, "w")
-            self._file["points"] = self.points
-            self._file.attrs.update(
-                format=FORMAT, version=VERSION, model=self.model, frames=0, viscosity=self.viscosity, complete=False,
-                wall_seconds=0.0,
-            )  # fmt: skip
-        except OSError as error:
-            raise OSError(f"cannot write {self.path}: {error}; choose another folder or free some space") from error
-
-    def add(self, time: float, steps: int, frame: Outputs) -> None:
-        """Keep a frame."""
-        self.times.append(time)
-        self.steps.append(steps)
-        self.frames.append(frame)
-        if self._file is None:
-            return
-        values = {
-            "times": time, "steps": steps, "kinetic": frame.kinetic, "strain": frame.strain,
-            "external": frame.external, "dissipated": frame.dissipated, "displacements": frame.displacements,
-            "velocities": frame.velocities, **{f"reactions/{name}": f for name, f in frame.reactions.items()},
-            **{f"moments/{name}": m for name, m in frame.moments.items()},
-        }  # fmt: skip
-        needed = sum(np.asarray(value).nbytes for value in values.values())
-        free = shutil.disk_usage(Path(self.path or ".").absolute().parent).free
-        if free < 2 * needed + SPARE:  # HDF5 does not survive a failed write
-            raise OSError(
-                f"cannot write {self.path}: the disk is full ({free / 1e6:.1f} MB left); earlier frames are kept"
-            )
-        try:
-            self._file.require_group("reactions")
-            for name, value in values.items():
-                array = np.asarray(value, dtype=float)
-                if name not in self._file:
-                    chunks = (1, *array.shape) if array.ndim == 2 else True  # so that a frame lies in one piece
-                    self._file.create_dataset(
-                        name, (0, *array.shape), maxshape=(None, *array.shape), dtype="f8", chunks=chunks
-                    )
-                self._file[name].resize(len(self.times), axis=0)
-                self._file[name][-1] = array
-            self._add_touches(frame.touches, frame.held)
-            self._file.attrs["frames"] = len(self.times)
-            self._file.flush()
-        except OSError as error:
-            raise OSError(f"cannot write {self.path}: {error}; its earlier frames are kept") from error
-
-    def _add_touches(self, touches: Floats, held: NDArray[np.bool_]) -> None:
-        if not len(touches):
-            return
-        if "touches" not in self._file:
-            self._file.create_dataset("touches", (0, 5), maxshape=(None, 5), dtype="f8")
-            self._file.create_dataset("held", (0,), maxshape=(None,), dtype="?")
-        frame = np.full(len(touches), float(len(self.times) - 1))
-        for name, added in (("held", held), ("touches", np.column_stack([frame, touches]))):
-            rows = self._file[name]
-            rows.resize(len(rows) + len(added), axis=0)
-            rows[-len(added) :] = added
-
-    def close(self, wall_seconds: float, complete: bool) -> None:
-        """Finish the file."""
-        if self._file is not None:
-            self._file.attrs.update(wall_seconds=wall_seconds, complete=complete)
-            self._file.close()
-            self._file = None
-
-    def discard(self) -> None:
-        """Drop the file."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-        if self.path is not None:
-            self.path.unlink(missing_ok=True)
-
-    def trajectory(self, wall_seconds: float, complete: bool) -> Trajectory:
-        """Return what was collected."""
-        kept = [f.name for f in fields(Outputs) if f.name not in ("reactions", "moments", "touches", "held")]
-        series = {name: np.array([getattr(o, name) for o in self.frames]) for name in kept}
-        names = self.frames[0].reactions if self.frames else {}
-        touching = self.frames[0].moments if self.frames else {}
-        return Trajectory(
-            model=self.model, times=np.array(self.times), steps=np.array(self.steps, dtype=float), points=self.points,
-            reactions={name: np.array([o.reactions[name] for o in self.frames]) for name in names},
-            moments={name: np.array([o.moments[name] for o in self.frames]) for name in touching},
-            touches=np.concatenate(
-                [np.zeros((0, 5)), *(np.insert(o.touches, 0, k, axis=1) for k, o in enumerate(self.frames))]
-            ),
-            held=np.concatenate([np.zeros(0, dtype=np.bool_), *(o.held for o in self.frames)]),
-            wall_seconds=wall_seconds, viscosity=self.viscosity, complete=complete, **series,
-        )  # fmt: skip
+    def _frame(self, k: int) -> Floats:
+        frame = self.read(k)
+        if not np.isfinite(frame).all():
+            raise InputError(f"frame {k} of the displacements is not finite")
+        return frame

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from palpate.files import whole_file
 from palpate.realtime.exchange import flags, get_flag, read_barrier, set_flag, write_barrier
 from palpate.realtime.row import HEAD, UNITS, WIDTH
 
@@ -90,13 +90,5 @@ def write_black_box(path: str | Path, ring: Ring, about: dict[str, Any]) -> None
                 file[name].attrs["unit"] = UNITS[name]
         file["coordinates"] = rows[:, WIDTH:]
         file.attrs.update(format=FORMAT, version=VERSION, written=time.strftime("%Y-%m-%dT%H:%M:%S%z"), **about)
-    partial = path.with_name(path.name + ".partial")
-    try:
+    with whole_file(path) as partial:
         partial.write_bytes(content.getvalue())
-        os.replace(partial, path)
-    except OSError as error:
-        raise OSError(
-            f"cannot write {path}: {error.strerror or error}; choose another folder or free some space"
-        ) from error
-    finally:
-        partial.unlink(missing_ok=True)

@@ -1,28 +1,21 @@
-"""One file for a reduced model: HDF5, with a checksum, and with nothing in it that could run.
+"""One file for a reduced model: a sealed HDF5 file (`palpate.sealed`) that holds data only.
 
-Arrays are datasets with the names they have in `ReducedParts` (``cloud/points``, ``cubature/weights`` ...); what is
-short is an attribute. Columns are kept in single precision: they say where the body is and how heavy its motions are,
-while forces come from the gradients, which are kept as they are.
-
-The first 512 bytes, which HDF5 leaves to its users, say what the file is and give the SHA-256 of all that follows. It
-is verified before HDF5 sees a byte, because a damaged table can keep HDF5 busy for ever.
+Arrays have the names they have in `ReducedParts` (``cloud/points``, ``cubature/weights`` ...); what is short is in the
+header. Columns are kept in single precision: they say where the body is and how heavy its motions are, while forces
+come from the gradients, which are kept as they are.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import re
-from contextlib import suppress
-from hashlib import sha256
-from io import BytesIO
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.faults import FileFormatError, InputError, integer_in_range, number_in_range
+from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.files import json_of, plain, shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.compliance import NO_DENTS
 from palpate.reduction.cubature import Cubature
@@ -37,14 +30,17 @@ from palpate.reduction.stored_material import (
     material_of,
     regions_of,
 )
+from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
 
-__all__ = ["load", "save"]
+__all__ = ["REMEDY", "contents", "load", "model_of", "save"]
 
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION, SEAL = "palpate reduced model", 7, 512
-PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+FORMAT, VERSION = "palpate reduced model", 8
+REMEDY = "copy the file again, or train the model again"
+LONGEST_NAME = 200  # characters of a scene's name
+LARGEST = 1e30  # of all numbers of a file, in SI units
 
 # One line a dataset: its type, and its shape in sizes that all datasets share.
 LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
@@ -97,9 +93,7 @@ ATTRIBUTES = {
 
 
 def save(parts: ReducedParts, path: str | Path, *, step: float | None = None, single: bool = True) -> None:
-    """Write a model to an HDF5 file, whole or not at all.
-
-    The file is composed and checked in memory, written beside its place, and put there at once.
+    """Write a model to a sealed HDF5 file, whole or not at all.
 
     Parameters
     ----------
@@ -117,22 +111,7 @@ def save(parts: ReducedParts, path: str | Path, *, step: float | None = None, si
     OSError
         The place cannot be written or the disk is full; a file that was there is unchanged.
     """
-    path = Path(path)
-    content, partial = (
-        _file(parts, {"step": float(step or 0.0), "single": bool(single)}),
-        path.with_name(path.name + ".partial"),
-    )
-    try:
-        with open(partial, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except OSError as error:
-        raise OSError(f"cannot write {path}: {error}; choose another folder or free some space") from error
-    finally:
-        with suppress(OSError):
-            partial.unlink()
+    write_sealed(Path(path), FORMAT, VERSION, *contents(parts, step=step, single=single))
 
 
 def load(path: str | Path) -> ReducedModel:
@@ -147,39 +126,28 @@ def load(path: str | Path) -> ReducedModel:
         names the file and what is wrong in it.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no reduced model at {path}")
-    try:
-        header, arrays = _content(path.read_bytes())
-        return ReducedModel(_parts(header, arrays), **_rule(header))
-    except (InputError, np.linalg.LinAlgError) as error:
-        raise FileFormatError(f"{path}: {error}") from error
+    with loading(path, REMEDY):
+        file = open_sealed(path, FORMAT, VERSION)
+        return model_of(file.header, file)
 
 
 # writing
 
 
-def _file(parts: ReducedParts, rule: Header) -> bytes:
-    """Return the file of a model; refuse what could not be loaded from it."""
-    import h5py
+def contents(parts: ReducedParts, *, step: float | None = None, single: bool = True) -> tuple[Header, Arrays]:
+    """Return the header and the arrays of a model's file.
 
-    memory = BytesIO()
-    with h5py.File(memory, "w", userblock_size=SEAL) as file:
-        file.attrs.update(format=FORMAT, version=VERSION, units="SI", **_header(parts), **rule)
-        for name, array in _arrays(parts).items():
-            file.create_dataset(name, data=array, **(PACKED if array.size else {}))
-        header, arrays = _read(file)
-        _rule(header)
-        if _parts(header, arrays).material != parts.material:
-            raise InputError(f"the file would not give {parts.material} back")
-    content = memory.getvalue()[SEAL:]
-    return _seal(content) + content
-
-
-def _seal(content: bytes) -> bytes:
-    """Return the first bytes of a file whose other bytes are some content."""
-    text = f"{FORMAT}\nversion {VERSION}\nsha256 {sha256(content).hexdigest()}\n"
-    return text.encode().ljust(SEAL, b"\0")
+    Raises
+    ------
+    InputError
+        Parts that `model_of` would refuse.
+    """
+    header, arrays = _header(parts) | {"step": float(step or 0.0), "single": bool(single)}, _arrays(parts)
+    _check_header(header)
+    _rule(header)
+    if _parts(header, _fitting(header, arrays)).material != parts.material:
+        raise InputError(f"the file would not give {parts.material} back")
+    return header, arrays
 
 
 def _header(parts: ReducedParts) -> Header:
@@ -204,7 +172,7 @@ def _header(parts: ReducedParts) -> Header:
         "relaxed": parts.kinematics.relaxed,
         "slack": float(parts.slack),
         "dents_grip": float((parts.dents or NO_DENTS).grip),
-        "report": json.dumps(parts.report, default=lambda value: value.tolist()),
+        "report": json.dumps(plain(parts.report)),
     }
 
 
@@ -232,34 +200,43 @@ def _arrays(parts: ReducedParts) -> Arrays:
 # reading
 
 
-def _content(data: bytes) -> tuple[Header, Arrays]:
-    """Return what the bytes of a file hold, its checksum and shapes verified."""
-    import h5py
+def model_of(header: Header, file: SealedFile, prefix: str = "") -> ReducedModel:
+    """Return the model of a header and of the arrays of a file whose names begin with a prefix.
 
-    seal, content = data[:SEAL], data[SEAL:]
-    found = re.match(rf"{FORMAT}\nversion (\d+)\n".encode(), seal)
-    if not found:
-        raise InputError(f"this is not a {FORMAT}")
-    if int(found[1]) != VERSION:
-        raise InputError(f"this is of version {int(found[1])}, and version {VERSION} is the one that is read")
-    if seal != _seal(content):
-        raise InputError("the checksum does not match: the file is truncated or was changed; copy it or train it again")
-    try:
-        with h5py.File(BytesIO(data), "r") as file:
-            return _read(file)
-    except (OSError, KeyError, RuntimeError) as error:
-        raise InputError(f"the file cannot be read as HDF5 ({error})") from error
+    Raises
+    ------
+    InputError
+        What no reduced model can hold.
+    """
+    _check_header(header)
+    layout = _layout(header, f"{prefix}inside/nodes" in file.arrays)
+    own = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
+    if own != layout.keys():
+        odd = sorted(own ^ layout.keys())[0]
+        raise InputError(f"array {shortened(odd)} is {'missing' if odd in layout else 'not one of a model'}")
+    arrays = {name: file.read(prefix + name) for name in layout}
+    return ReducedModel(_parts(header, _fitting(header, arrays)), **_rule(header))
 
 
-def _read(file: Any) -> tuple[Header, Arrays]:
-    """Return attributes as plain values, and arrays as they are stored, of the types and shapes of the layout."""
-    import h5py
+def _layout(header: Header, inside: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
+    layout = LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED
+    return layout | WITHIN if inside else layout
 
-    header = {name: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for name, v in file.attrs.items()}
-    header = {"regions": "[]"} | header  # one material, in files of before there could be others
+
+def _check_header(header: Header) -> None:
+    if header.keys() != ATTRIBUTES.keys():
+        odd = sorted(header.keys() ^ ATTRIBUTES.keys())[0]
+        raise InputError(f"header {shortened(odd)} is {'missing' if odd in ATTRIBUTES else 'not one of a model'}")
     for name, kind in ATTRIBUTES.items():
-        if not isinstance(header.get(name), kind):
-            raise InputError(f"attribute {name} is {header.get(name)!r}, expected one of type {kind.__name__}")
+        given: Any = header[name]
+        if not (type(given) is kind or (kind is float and type(given) is int)):
+            raise InputError(f"header {name} must be of type {kind.__name__}, got {given!r:.60}")
+        if isinstance(given, list) and not (all(isinstance(n, str) for n in given) and len(set(given)) == len(given)):
+            raise InputError(f"header {name} must be a list of different names, got {given!r:.60}")
+
+
+def _fitting(header: Header, arrays: Arrays) -> Arrays:
+    """Return arrays of the types and shapes of the layout; refuse others."""
     coordinates = integer_in_range("modes", header["modes"], 1) + integer_in_range("lifted", header["lifted"], 0)
     sizes: dict[str | int, int] = {
         "space": 2 if header["sheet"] else 3,
@@ -267,24 +244,17 @@ def _read(file: Any) -> tuple[Header, Arrays]:
         "coordinates": coordinates,
         "columns": coordinates + 3 * len(header["fixed"]) + integer_in_range("witnesses", header["witnesses"], 0),
     }
-    arrays = {}
-    layout = LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED
-    for name, (dtype, shape) in (layout | WITHIN if "inside" in file else layout).items():
-        data = file.get(name)
-        if not isinstance(data, h5py.Dataset):
-            raise InputError(f"dataset {name} is missing")
-        if data.external or data.is_virtual:
-            raise InputError(f"dataset {name} lies in another file")
+    for name, (dtype, shape) in _layout(header, "inside/nodes" in arrays).items():
+        data = arrays[name]
         expected = tuple(sizes.get(size, size) for size in shape)
         fits = len(expected) == data.ndim and all(
             found == size or isinstance(size, str) for found, size in zip(data.shape, expected, strict=True)
         )
         if not fits or data.dtype != dtype:
             wanted = f"({', '.join(map(str, expected))}) of {dtype}"
-            raise InputError(f"dataset {name} has shape {data.shape} of {data.dtype.str}, expected {wanted}")
+            raise InputError(f"array {name} has shape {data.shape} of {data.dtype.str}, expected {wanted}")
         sizes.update(zip(shape, data.shape, strict=True))
-        arrays[name] = data[()]
-    return header, arrays
+    return arrays
 
 
 def _parts(header: Header, arrays: Arrays) -> ReducedParts:
@@ -328,7 +298,7 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         reach=number_in_range("reach", header["reach"], 0.0, open_low=True, unit="m"),
         witnesses=header["witnesses"],
         leeway=number_in_range("leeway", header["leeway"], 0.0, open_low=True, unit="m"),
-        report=_mapping("report", header["report"]),
+        report=_report(_mapping("report", header["report"])),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
         ),
@@ -336,6 +306,22 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
         dents=stored_dents(own, number_in_range("dents_grip", header["dents_grip"], 0.0, open_low=True)),
     )
+
+
+def _report(report: dict[str, Any]) -> dict[str, Any]:
+    """Return a report, whose entries that palpate itself reads must be what `reduce` and `palpate train` write."""
+    held_out, scene = report.get("held_out", {"mean": {}}), report.get("scene")
+    mean = held_out.get("mean") if isinstance(held_out, dict) else None
+    if not isinstance(mean, dict) or not all(value is None or type(value) in (int, float) for value in mean.values()):
+        raise InputError("header report holds errors under held_out that are not numbers")
+    if scene is not None:
+        parameters = scene.get("parameters") if isinstance(scene, dict) else None
+        named = isinstance(scene, dict) and isinstance(scene.get("name"), str) and len(scene["name"]) <= LONGEST_NAME
+        if not named or not isinstance(parameters, dict):
+            raise InputError("header report holds a scene without name and parameters")
+        if not all(isinstance(value, str | int | float) for value in parameters.values()):
+            raise InputError("header report holds parameters of a scene that are neither numbers nor text")
+    return report
 
 
 def _rule(header: Header) -> Header:
@@ -348,28 +334,30 @@ def _check_values(arrays: Arrays) -> None:
     count = len(arrays["cloud/points"])
     for name, array in arrays.items():
         if not np.isfinite(array).all():
-            raise InputError(f"dataset {name} holds numbers that are not finite")
+            raise InputError(f"array {name} holds numbers that are not finite")
+        if array.dtype.kind == "f" and array.size and np.abs(array).max() > LARGEST:
+            raise InputError(f"array {name} holds numbers beyond {LARGEST:g}")
         if name in NODES and not np.all((array >= 0) & (array < count)):
-            raise InputError(f"dataset {name} names nodes outside 0..{count - 1}")
+            raise InputError(f"array {name} names nodes outside 0..{count - 1}")
     if np.any(arrays["cubature/weights"] < 0):
-        raise InputError("dataset cubature/weights holds negative weights")
+        raise InputError("array cubature/weights holds negative weights")
     for name in ("volumes", "stiffness"):
         if not np.all(arrays[name] > 0):
-            raise InputError(f"dataset {name} holds {name} that are not positive")
+            raise InputError(f"array {name} holds {name} that are not positive")
     sizes, members = arrays["cloud/group_sizes"], len(arrays["cloud/group_nodes"])
     if np.any(sizes < 1) or sizes.sum() != members:
-        raise InputError(f"dataset cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")
+        raise InputError(f"array cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")
 
 
 def _json(name: str, text: str) -> Any:
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"attribute {name} is not JSON ({error})") from error
+        return json_of(text)
+    except InputError as error:
+        raise InputError(f"header {name}: {error}") from error
 
 
 def _mapping(name: str, text: str) -> dict[str, Any]:
     values = _json(name, text)
     if not isinstance(values, dict):
-        raise InputError(f"attribute {name} is not a mapping")
+        raise InputError(f"header {name} is not a mapping")
     return values

@@ -40,14 +40,14 @@ def stored_dents(arrays: Arrays, grip: float) -> Dents | None:
         return None
     diagonal = np.diagonal(dents.flexibility)
     if not (np.all(diagonal >= 0) and diagonal.sum() > 0):
-        raise InputError("dataset dents/flexibility holds no positive compliance")
+        raise InputError("array dents/flexibility holds no positive compliance")
     if not np.all((dents.carriers >= 0) & (3 * dents.carriers + 2 < len(diagonal))):
-        raise InputError(f"dataset dents/carriers names rows outside the {len(diagonal)} of dents/flexibility")
+        raise InputError(f"array dents/carriers names rows outside the {len(diagonal)} of dents/flexibility")
     for name in ("patches", "close"):
         if not np.all((arrays[f"dents/{name}"] >= 0) & (arrays[f"dents/{name}"] < len(dents.nodes))):
-            raise InputError(f"dataset dents/{name} names rows outside the {len(dents.nodes)} of dents/nodes")
+            raise InputError(f"array dents/{name} names rows outside the {len(dents.nodes)} of dents/nodes")
     if not (dents.hardening[0] >= 0 and dents.hardening[1] > 0):
-        raise InputError("dataset dents/hardening holds no exponent of at least 0 and positive force")
+        raise InputError("array dents/hardening holds no exponent of at least 0 and positive force")
     inside = _inside(arrays, dents) if "inside/nodes" in arrays else None
     single = {name: getattr(dents, name).astype(np.float32) for name in ("flexibility", "between")}
     return dents._replace(**single, inside=inside)
@@ -57,9 +57,9 @@ def _inside(arrays: Arrays, dents: Dents) -> Inside:
     nodes, flexibility, sources, shares, factor = (arrays[name] for name in WITHIN)
     count, more = divmod(flexibility.shape[1], 3)
     if more:
-        raise InputError(f"dataset inside/flexibility holds {3 * count + more} columns, not 3 a node")
+        raise InputError(f"array inside/flexibility holds {3 * count + more} columns, not 3 a node")
     carriers = len(dents.flexibility) // 3
     if not np.all((sources >= 0) & (sources < count + carriers)):
-        raise InputError(f"dataset inside/sources names more than {count} nodes inside and {carriers} carriers")
+        raise InputError(f"array inside/sources names more than {count} nodes inside and {carriers} carriers")
     whole = number_in_range("inside/factor", float(factor[0]), 0.0, open_low=True)
     return Inside(nodes, flexibility.astype(np.float32), sources, shares, whole)

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.console import percent, quantities_table, reduced_table
-from palpate.app.report import Claim, finished, finite, listed, preamble, time_per_mode
+from palpate.app.report import Claim, finished, listed, preamble, time_per_mode
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
 from palpate.dynamics.trajectory import Trajectory
+from palpate.files import plain
 from palpate.reduction.errors import errors
 
 __all__ = ["ENERGY_FORM", "build_report", "tables", "tip_displacement"]
@@ -45,7 +46,7 @@ def build_report(study: Study, singular_values: Floats, pod_seconds: float) -> d
         "reduced": [_one_phase(entry) for entry in study.reduced],
         "paper": listed(_claims({entry["modes"]: entry for entry in finished(study, "full")})),
     }
-    return {name: finite(value) for name, value in report.items()}
+    return {name: plain(value) for name, value in report.items()}
 
 
 def tip_displacement(study: Study, run: Trajectory) -> Floats:

@@ -7,9 +7,9 @@ from typing import Any
 
 from palpate.app.bench.cases import beam_case, large_case
 from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.report import finite, machine
+from palpate.app.report import machine
 from palpate.faults import DivergenceError, integer_in_range
-from palpate.files import check_folder, whole_file, write_json
+from palpate.files import check_folder, plain, whole_file, write_json
 
 __all__ = ["FILES", "bench"]
 
@@ -59,7 +59,7 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
             report["beam"].append(beam_case(spacing, rounds or repeats, forms, console))
         except DivergenceError as error:  # what was measured stays
             console.say(f"beam, {1e3 * spacing:g} mm: failed: {' '.join(str(error).split())}")
-    report = finite(report)
+    report = plain(report)
     rows = _rows(report)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "report.json", report)

@@ -14,9 +14,9 @@ from typing import Any
 from palpate.app.bench.chromium import Chromium, Tab, find_chromium
 from palpate.app.bench.drawn import FinelyDrawn
 from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.report import finite, machine
+from palpate.app.report import machine
 from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.files import check_folder, write_json
+from palpate.files import check_folder, plain, write_json
 
 __all__ = ["FILES", "bench_page"]
 
@@ -71,7 +71,7 @@ def bench_page(
         console.say(f"pressing for {seconds:g} s, {len(show.surface.rest):,} vertices drawn ...")
         with _served(show) as address, Chromium() as browser:
             pressed = _pressed(browser.open(address, *SIZE), seconds)
-        report = finite({"title": "Page", "machine": machine(), "window": SIZE, **pressed, "engine": show.statistics()})
+        report = plain({"title": "Page", "machine": machine(), "window": SIZE, **pressed, "engine": show.statistics()})
     finally:
         show.stop()
     report["vertices"] = len(show.surface.rest)

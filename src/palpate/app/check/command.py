@@ -12,9 +12,9 @@ import numpy as np
 from palpate.app.check.picture import draw_cloud, draw_surface
 from palpate.app.console import Console, print_json, print_plain, quantities_table
 from palpate.app.pictures import DrawingError, check_drawing
-from palpate.app.report import finite, machine
+from palpate.app.report import machine
 from palpate.faults import InputError
-from palpate.files import check_folder, whole_file, write_json
+from palpate.files import check_folder, plain, whole_file, write_json
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
@@ -91,7 +91,7 @@ def check(
             draw_cloud(cloud, out / "cloud.png")
     except DrawingError as error:
         console.say(f"no pictures: {error}")
-    _deliver(finite(report), out, as_json)
+    _deliver(plain(report), out, as_json)
     return 0 if cloud is not None else 1
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from palpate.app.compare.measure import LOADS, Comparison
 from palpate.app.console import percent, quantities_table
-from palpate.app.report import finite, machine
-from palpate.files import whole_file
+from palpate.app.report import machine
+from palpate.files import plain, whole_file
 
 __all__ = ["build_report", "summary", "tables", "write_markdown"]
 
@@ -65,7 +65,7 @@ def build_report(made: Comparison) -> dict[str, Any]:
         "nonlinear": {"name": body.nonlinear_name, "entries": made.nonlinear},
     }  # fmt: skip
     report["summary"] = summary(report)
-    return dict(finite(report))
+    return dict(plain(report))
 
 
 def _share(value: float) -> str:

@@ -10,9 +10,9 @@ from typing import Any
 import palpate
 from palpate.app.console import Console, print_json, print_plain, quantities_table
 from palpate.app.fit.figure import draw_fit
-from palpate.app.report import finite, machine
+from palpate.app.report import machine
 from palpate.faults import InputError
-from palpate.files import check_folder, write_json
+from palpate.files import check_folder, plain, write_json
 from palpate.tissue.fitting import Fit, fit
 from palpate.tissue.materials import Material
 from palpate.tissue.measurement_files import read_measurements
@@ -84,7 +84,7 @@ def fit_law(
             density=density,
             poisson=poisson,
         )
-        report = finite(_report(found, data))
+        report = plain(_report(found, data))
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "report.json", report)
     draw_fit(found, out / "fit.png")

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.console import quantities_table, reduced_table
-from palpate.app.report import Claim, finished, finite, listed, preamble, time_per_mode
+from palpate.app.report import Claim, finished, listed, preamble, time_per_mode
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
 from palpate.dynamics.trajectory import Trajectory
+from palpate.files import plain
 
 __all__ = ["build_report", "tables"]
 
@@ -60,7 +61,7 @@ def build_report(
         "reduced": study.reduced,
         "paper": listed(_claims({entry["modes"]: entry for entry in finished(study, "push")})),
     }
-    return {name: finite(value) for name, value in report.items()}
+    return {name: plain(value) for name, value in report.items()}
 
 
 def _full_run(study: Study, run: Trajectory, states: States) -> dict[str, Any]:

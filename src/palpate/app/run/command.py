@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from palpate.app.console import Console, count_nodes, percent, print_json, print_plain, quantities_table
-from palpate.app.report import finite, machine
+from palpate.app.report import machine
 from palpate.app.run.grasp import run_grasp
 from palpate.app.study import ReproduceError, prepare
 from palpate.dynamics.full import FullModel
@@ -18,7 +18,7 @@ from palpate.dynamics.model import Model
 from palpate.dynamics.rollout import rollout
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range
-from palpate.files import write_json
+from palpate.files import plain, write_json
 from palpate.reduction.errors import errors
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import reduce
@@ -142,7 +142,7 @@ def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | Non
     if len(runs) == 2:
         report["errors"] = errors(runs["full"], runs["reduced"]).as_dict()
         report["ratio"] = runs["reduced"].wall_seconds / runs["full"].wall_seconds
-    return {name: finite(value) for name, value in report.items()}
+    return {name: plain(value) for name, value in report.items()}
 
 
 def _run(scene: Scene, model: Model, console: Console, file: Path | None = None) -> Trajectory:

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from palpate.app.console import Console, percent, print_json, print_plain, quantities_table
-from palpate.app.report import finite, machine
+from palpate.app.report import machine
 from palpate.app.study import ReproduceError
 from palpate.dynamics.progress import progress_bar
 from palpate.dynamics.tools import Contact
 from palpate.faults import number_in_range
-from palpate.files import check_folder, check_space, write_json
+from palpate.files import check_folder, check_space, plain, write_json
 from palpate.realtime.device import DummyDevice
 from palpate.realtime.engine import Engine
 from palpate.realtime.statistics import Distribution, Statistics
@@ -97,7 +97,7 @@ def run_realtime(
         "felt": _felt(out / BLACK_BOX, body),
         "timing": _timing(statistics),
     }
-    report = finite(report)
+    report = plain(report)
     write_json(out / "report.json", report)
     if as_json:
         print_json(report)

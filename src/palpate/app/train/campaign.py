@@ -14,7 +14,7 @@ from palpate.app.train.local import run_here
 from palpate.app.train.work import Outcome
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.tools import Contact, Grasp
-from palpate.files import check_space, whole_file
+from palpate.files import check_space
 from palpate.reduction.linear import carried_modes
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import reduce
@@ -98,10 +98,14 @@ def make_model(
         No training run was finished.
     InputError
         As `palpate.reduce`.
+    FileFormatError
+        The file of a run is damaged, or that of another run.
     OSError
-        A file could not be read or written.
+        A file could not be written.
     """
     done = [job for job in wanted if folder.file(job).exists()]
+    for job in done:
+        folder.check_run(job)
     learned = [folder.file(job) for job in done if job.kind == TRAINED]
     tried = [(scene.path(job.seed)[0], folder.file(job)) for job in done if job.kind == HELD_OUT]
     if not learned:
@@ -120,6 +124,5 @@ def make_model(
             held_out=tried, cubature=share, coarse=coarse, repeated=touched[:REPEATED],
         )  # fmt: skip
     model.report["scene"] = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
-    with whole_file(folder.path / MODEL) as partial:
-        model.save(partial)
+    model.save(folder.path / MODEL)
     return model

@@ -7,7 +7,6 @@ whole file. What is being written has a hidden name that ends in ``.partial``.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,13 +15,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from palpate import __version__
+from palpate.dynamics.trajectory import StoredTrajectory
 from palpate.faults import FileFormatError, InputError
-from palpate.files import write_json
+from palpate.files import digest_of, read_sealed_json, write_sealed_json
 from palpate.scenes.scene import TrainingScene
+from palpate.sealed import loading
 
 __all__ = ["HELD_OUT", "MOST_PATHS", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "opened"]
 
-FORMAT, VERSION = "palpate campaign", 1
+FORMAT, VERSION = "palpate campaign", 2
+LARGEST = 1 << 20  # bytes of a manifest, or of the record of a failed run
 TRAINED, HELD_OUT = "train", "held_out"
 STRIDE, MOST_PATHS = 1_000_000, 500_000  # seeds of a campaign, and of either kind of run in it
 
@@ -105,11 +107,35 @@ class Folder:
 
     def fault(self, job: Job) -> dict[str, Any] | None:
         """Return the record of a run that failed and would fail again."""
-        try:
-            record: dict[str, Any] = json.loads(self.reason(job).read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        record = self.record(job)
+        return None if record is None or record["retry"] else record
+
+    def record(self, job: Job) -> dict[str, Any] | None:
+        """Return the record of a run that failed.
+
+        Raises
+        ------
+        FileFormatError
+            It is damaged.
+        """
+        path = self.reason(job)
+        if not path.exists():
             return None
-        return None if record["retry"] else record
+        with loading(path, "delete the file, and the same command runs it again"):
+            record = read_sealed_json(path, "record of a failed run", LARGEST)
+            if record.keys() != {"seed", "reason", "retry"} or not isinstance(record["reason"], str):
+                raise InputError("this is not the record of a failed run")
+        return record
+
+    def label(self, job: Job) -> str:
+        """Label of the run's trajectory, by which a file of another campaign or run is found out."""
+        return f"{digest_of(dict(self.manifest))[:16]} {job.name}"
+
+    def check_run(self, job: Job) -> None:
+        """Raise `FileFormatError` unless the file of a finished run is a trajectory of this run."""
+        path = self.file(job)
+        if StoredTrajectory(path).label != self.label(job):
+            raise FileFormatError(f"{path} is the file of another run; delete it, and the same command runs it again")
 
     def left(self, wanted: Sequence[Job]) -> list[Job]:
         """Return those of some runs that there is no result of."""
@@ -138,20 +164,19 @@ def opened(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
     with (path / ".lock").open("a") as lock:
         _lock(lock, path)
         if not own.exists():
-            write_json(own, dict(manifest))
+            write_sealed_json(own, dict(manifest))
         folder.sweep()
         yield folder
+        folder.sweep()  # what workers left that were killed meanwhile
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"there is no {path}") from None
-    except ValueError as error:
-        raise FileFormatError(f"{path} is corrupt ({error}); choose another folder") from error
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise FileFormatError(f"{path} is no {FORMAT}; choose another folder")
+    if not path.exists():
+        raise InputError(f"there is no {path}")
+    with loading(path, "choose another folder"):
+        found = read_sealed_json(path, FORMAT, LARGEST)
+        if found.get("format") != FORMAT or not isinstance(found.get("parameters"), dict):
+            raise InputError(f"this is not a {FORMAT}")
     return found
 
 
@@ -161,7 +186,7 @@ def _compare(path: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) ->
         for name in dict.fromkeys((*wanted, *found))
         if name != "parameters" and found.get(name) != wanted.get(name)
     ]
-    there, here = found.get("parameters", {}), wanted["parameters"]
+    there, here = found["parameters"], wanted["parameters"]
     differing += [
         f"{name} is {there.get(name)!r} there, {here.get(name)!r} here"
         for name in dict.fromkeys((*here, *there))

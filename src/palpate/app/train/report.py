@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,10 +9,11 @@ import numpy as np
 
 from palpate.app.console import count_nodes, percent, print_json, print_plain, quantities_table
 from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
-from palpate.app.report import finite, machine
+from palpate.app.report import machine
 from palpate.app.train.campaign import MODEL
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
-from palpate.files import whole_file, write_json
+from palpate.dynamics.trajectory import StoredTrajectory
+from palpate.files import plain, whole_file, write_json
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.training import HELD_SHARE
 from palpate.scenes.scene import TrainingScene
@@ -40,7 +40,7 @@ def deliver(
 ) -> None:
     """Write the report and the figure into the folder, and print it as JSON or as a table."""
     runs = [_described(folder, scene, job) for job in wanted]
-    report = finite(
+    report = plain(
         {
             "title": f"Training: {scene.title}",
             "campaign": dict(folder.manifest),
@@ -70,27 +70,25 @@ def deliver(
 
 def _described(folder: Folder, scene: TrainingScene, job: Job) -> dict[str, Any]:
     """What the folder says of a run, and the kinds of its loads."""
-    import h5py
-
     loads = [type(load).__name__ for load in scene.path(job.seed)[0]]
     entry: dict[str, Any] = {"name": job.name, "kind": job.kind, "seed": job.seed, "loads": loads}
     entry |= {"failed": True, "reason": None}
     path = folder.file(job)
     if not path.exists():
-        entry["reason"] = json.loads(folder.reason(job).read_text(encoding="utf-8"))["reason"]
+        entry["reason"] = (folder.record(job) or {"reason": None})["reason"]
         path = folder.failed(job)
         if not path.exists():
             return entry | {"frames": 0, "simulated": 0.0, "steps": 0, "wall_seconds": 0.0}
     else:
         entry["failed"] = False
-    with h5py.File(path, "r") as file:
-        frames = int(file.attrs["frames"])
-        entry |= {
-            "frames": frames,
-            "simulated": float(file["times"][frames - 1]) if frames else 0.0,
-            "steps": int(file["steps"][frames - 1]) if frames else 0,
-            "wall_seconds": float(file.attrs["wall_seconds"]),
-        }
+    run = StoredTrajectory(path)
+    frames = len(run.times)
+    entry |= {
+        "frames": frames,
+        "simulated": float(run.times[-1]) if frames else 0.0,
+        "steps": int(run.steps[-1]) if frames else 0,
+        "wall_seconds": run.wall_seconds,
+    }
     return entry
 
 

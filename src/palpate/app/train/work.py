@@ -16,7 +16,7 @@ import numba
 from palpate.app.train.folder import Folder, Job
 from palpate.dynamics.rollout import rollout
 from palpate.faults import DivergenceError, InputError
-from palpate.files import settle, write_json
+from palpate.files import settle, write_sealed_json
 from palpate.scenes.scene import TrainingScene
 from palpate.scenes.training import training_scene
 
@@ -79,7 +79,8 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
 
     try:
         loads, duration = scene.path(job.seed)
-        rollout(scene.model, loads, duration=duration, every=scene.every, file=partial, progress=progress)
+        options: dict[str, Any] = {"file": partial, "label": place.label(job), "progress": progress}
+        rollout(scene.model, loads, duration=duration, every=scene.every, **options)
     except OSError:
         partial.unlink(missing_ok=True)
         raise
@@ -95,5 +96,5 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
 
 def record_fault(place: Folder, job: Job, reason: str, *, retry: bool) -> Outcome:
     """Write down why a run failed, and whether to try it again when the campaign goes on."""
-    write_json(place.reason(job), {"seed": job.seed, "reason": reason, "retry": retry})
+    write_sealed_json(place.reason(job), {"seed": job.seed, "reason": reason, "retry": retry})
     return {"job": job, "failed": reason}

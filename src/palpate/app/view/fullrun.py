@@ -16,32 +16,61 @@ from palpate.dynamics.rollout import rollout
 from palpate.dynamics.tools import Capsule, Contact, Grasp, Sphere
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
+from palpate.files import shortened
 from palpate.reduction.surface import Surface
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import TRAINING, training_scene, typed
 
 __all__ = ["compared", "full_model", "path_of", "run_full"]
 
 Floats = NDArray[np.float64]
 
 AT_REST = 0.02  # of the spacing: how far from rest a body may be that a run begins with
+SAME = 1e-6  # of the spacing: how far points of one body may be from each other
 TOOL = "tool"
 
 
-def full_model(recording: Recording) -> Model:
+def full_model(recording: Recording, named: str | None = None) -> Model:
     """Return the full model of the scene that the recorded one was trained on.
+
+    Nothing that a file names is imported: without `named` the scene must be one of palpate's own.
+
+    Parameters
+    ----------
+    recording : Recording
+    named : str, optional
+        Scene that the person names, ``"module:function"``; it must be the one that the recording names.
 
     Raises
     ------
     InputError
-        The recording does not tell the scene.
+        The recording does not name a scene, or another one than `named`, or one that is not palpate's; or the scene's
+        body is not the recorded one.
     """
-    scene = recording.model.report.get("scene")
-    if not scene:
+    about = recording.model.report.get("scene")
+    if not about:
         raise InputError(
-            "the recorded model does not tell the scene it was trained on, so that there is no full model to run: "
-            "models of `palpate train SCENE` tell it"
+            "the recorded model does not name the scene it was trained on, so that there is no full model to run: "
+            "models of `palpate train SCENE` name it"
         )
-    return training_scene(scene["name"], scene["parameters"]).model
+    scene = about["name"]
+    if named is not None and named != scene:
+        raise InputError(f"scene must be {scene!r}, which the recorded model was trained on, got {named!r}")
+    if named is None and scene not in TRAINING:
+        raise InputError(
+            f"the recording names the scene {shortened(scene)!r}, which is not one of palpate's "
+            f"({', '.join(TRAINING)}); nothing that a file names is imported: add --scene MODULE:FUNCTION if you trust "
+            "that module"
+        )
+    own, cloud = typed(scene, about["parameters"]), recording.model.cloud
+    if "spacing" in own and not np.isclose(own["spacing"], cloud.spacing, rtol=1e-6):
+        raise InputError(
+            f"the scene's spacing is {own['spacing']:g} m, and that of the recorded body {cloud.spacing:g} m"
+        )
+    model = training_scene(scene, about["parameters"]).model
+    points = model.cloud.points
+    if points.shape != cloud.points.shape or not np.allclose(points, cloud.points, atol=SAME * cloud.spacing):
+        raise InputError(f"the body of scene {scene!r} is not the recorded one: its points differ")
+    return model
 
 
 def path_of(recording: Recording) -> tuple[slice, dict[str, Any]]:

@@ -1,18 +1,17 @@
-"""What a session did, moment by moment, in one HDF5 file with the model in it, so that the file alone can be replayed.
+"""What a session did, moment by moment, in one sealed HDF5 file with the model in it, so that the file can be replayed.
 
-Moments stand in datasets of their names; what the tools were is text in an attribute. With the file goes another one,
+Numbers of moments stand in arrays of their names, the model's arrays under ``model/``. With the file goes another one,
 of the surface over time, that ParaView opens.
 """
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -20,18 +19,23 @@ from numpy.typing import NDArray
 
 from palpate.app.export import write_vtkhdf
 from palpate.app.view.snapshot import STATES, TOOLS, Snapshot
-from palpate.faults import FileFormatError, InputError
-from palpate.files import whole_file
+from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.files import plain
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.storage import load
+from palpate.reduction.storage import contents, model_of
 from palpate.reduction.surface import Surface
+from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
 
 __all__ = ["EVERY", "Recorder", "Recording", "load_recording", "save_recording"]
 
 Floats = NDArray[np.float64]
 
-FORMAT, VERSION = "palpate recording", 1
+FORMAT, VERSION = "palpate recording", 2
+REMEDY = "record the session again"
+LARGEST = 1e9  # of the numbers of a recording, in SI units
+LONGEST_TITLE = 200  # characters
+ERRORS = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of a run of the full model
 EVERY = 0.01  # [s] between moments
 LONGEST = 600.0  # [s]
 SHOWN_EVERY = 0.04  # [s] between moments in the file for ParaView
@@ -106,46 +110,39 @@ def save_recording(path: Path, recording: Recording) -> None:
     Raises
     ------
     InputError
-        There is nothing in it.
+        There is nothing in it, or a number is not finite.
     OSError
         A file cannot be written; names it.
     """
-    import h5py
-
     if not recording.moments:
         raise InputError("the recording is empty")
     path.parent.mkdir(parents=True, exist_ok=True)
-    moments = recording.moments
-    with whole_file(path) as partial, h5py.File(partial, "w") as file:
-        for name in NUMBERS:
-            file[name] = np.array([getattr(moment, name) for moment in moments], dtype=float)
-        file["wall"] = recording.times
-        file["tool"] = np.array([TOOLS.index(moment.tool) for moment in moments], dtype="u1")
-        file["state"] = np.array([STATES.index(moment.state) for moment in moments], dtype="u1")
-        file["touched/start"] = np.cumsum([0, *(len(moment.nodes) for moment in moments)])
-        file["touched/nodes"] = np.concatenate([moment.nodes for moment in moments])
-        file["touched/forces"] = np.concatenate([moment.forces for moment in moments])
-        file["model"] = np.frombuffer(_packed(recording.model), dtype="u1")
-        _write_full(file, recording.full)
-        file.attrs.update(
-            format=FORMAT, version=VERSION, title=recording.title, tools=json.dumps(recording.tools),
-            written=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        )  # fmt: skip
+    moments, model = recording.moments, recording.model
+    header, arrays = contents(model.parts, step=model.step, single=model.single)
+    arrays = {f"model/{name}": values for name, values in arrays.items()}
+    arrays |= {name: np.array([getattr(moment, name) for moment in moments], dtype=float) for name in NUMBERS}
+    arrays |= {
+        "wall": np.array(recording.times, dtype=float),
+        "tool": np.array([TOOLS.index(moment.tool) for moment in moments], dtype="u1"),
+        "state": np.array([STATES.index(moment.state) for moment in moments], dtype="u1"),
+        "touched/start": np.cumsum([0, *(len(moment.nodes) for moment in moments)], dtype="<i8"),
+        "touched/nodes": np.concatenate([moment.nodes for moment in moments]).astype("<i8"),
+        "touched/forces": np.concatenate([moment.forces for moment in moments]).astype("<f8"),
+    }
+    if recording.full:
+        full = recording.full
+        arrays |= {"full/times": np.array(full["times"], dtype=float), "full/force": np.array(full["force"], float)}
+        arrays |= {"full/positions": np.array(full["positions"], dtype="<f4")}
+    for name, values in arrays.items():
+        if not np.isfinite(values).all():
+            raise InputError(f"{name} of the recording is not finite: {path} was not written")
+    about = {
+        "title": recording.title, "tools": plain(recording.tools), "model": header,
+        "errors": plain(recording.full["errors"]) if recording.full else None,
+        "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }  # fmt: skip
+    write_sealed(path, FORMAT, VERSION, about, arrays)
     _write_surface(path.with_suffix(".vtkhdf"), recording)
-
-
-def _packed(model: ReducedModel) -> bytes:
-    with TemporaryDirectory() as folder:
-        model.save(Path(folder) / "model.rom")
-        return (Path(folder) / "model.rom").read_bytes()
-
-
-def _write_full(file: Any, full: dict[str, Any]) -> None:
-    if full:
-        group = file.create_group("full")
-        for name in ("times", "positions", "force"):
-            group[name] = full[name]
-        group.attrs["errors"] = json.dumps(full["errors"])
 
 
 def _write_surface(path: Path, recording: Recording) -> None:
@@ -176,39 +173,108 @@ def load_recording(path: Path) -> Recording:
     FileNotFoundError
         There is no such file.
     FileFormatError
-        It is no recording, or damaged.
+        It is not a recording, damaged, or holds what no session leaves.
     """
-    import h5py
-
-    if not path.is_file():
-        raise FileNotFoundError(f"no recording at {path}")
-    try:
-        with h5py.File(path) as file:
-            if file.attrs.get("format") != FORMAT:
-                raise FileFormatError(f"{path} is no recording of `palpate view`")
-            if int(file.attrs["version"]) != VERSION:
-                raise FileFormatError(f"{path}: version {file.attrs['version']} of the format is not known here")
-            numbers = {name: file[name][:] for name in (*NUMBERS, "wall", "tool", "state")}
-            start, nodes, forces = (file[f"touched/{name}"][:] for name in ("start", "nodes", "forces"))
-            model, title = file["model"][:].tobytes(), str(file.attrs["title"])
-            tools, full = json.loads(file.attrs["tools"]), _read_full(file)
-        moments = [_moment(numbers, k, nodes[a:b], forces[a:b]) for k, (a, b) in _spans(start, len(numbers["wall"]))]
-    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(f"{path} cannot be read as a recording: {error}") from error
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "model.rom").write_bytes(model)
-        own = load(Path(folder) / "model.rom")
-    if not moments or moments[0].coordinates.shape != (own.count,) or nodes.max(initial=-1) >= len(own._skin.nodes):
-        raise FileFormatError(f"{path}: its moments do not fit its model")
-    return Recording(title, own, numbers["wall"], moments, tools, full)
+    with loading(path, REMEDY):
+        file = open_sealed(path, FORMAT, VERSION)
+        return recording_of(file)
 
 
-def _spans(start: NDArray[np.int64], count: int) -> list[tuple[int, tuple[int, int]]]:
-    if len(start) != count + 1:
-        raise ValueError(f"{len(start)} spans for {count} moments")
-    return [(k, (int(start[k]), int(start[k + 1]))) for k in range(count)]
+def recording_of(file: SealedFile) -> Recording:
+    """Return the recording in a file.
+
+    Raises
+    ------
+    InputError
+        A value is missing, or none that a session leaves.
+    """
+    header = file.header
+    if header.keys() != {"title", "tools", "model", "errors", "written"} or not isinstance(header["model"], dict):
+        raise InputError("the header is not that of a recording")
+    if not isinstance(header["title"], str) or len(header["title"]) > LONGEST_TITLE:
+        raise InputError(f"title must be text of at most {LONGEST_TITLE} characters")
+    own = {name: file.read(name) for name in file.arrays if not name.startswith("model/")}
+    model = model_of(header["model"], file, "model/")
+    frames = len(own["wall"]) if "wall" in own and own["wall"].ndim else 0
+    shapes = _shapes(model, frames, header["errors"] is not None)
+    if own.keys() != shapes.keys() or not frames:
+        raise InputError(f"the arrays are {', '.join(sorted(own))}; expected {', '.join(sorted(shapes))}, of moments")
+    sizes: dict[str, int] = {}
+    for name, (kind, shape) in shapes.items():
+        wanted = tuple(sizes.setdefault(each, found) if isinstance(each, str) else each
+                       for each, found in zip(shape, own[name].shape, strict=False))  # fmt: skip
+        if own[name].ndim != len(shape) or own[name].shape != wanted or own[name].dtype != kind:
+            raise InputError(f"array {name} has shape {own[name].shape} of {own[name].dtype.str}, expected {shape}")
+        if not (np.abs(own[name]) <= LARGEST).all():
+            raise InputError(f"array {name} holds numbers that are not finite, or beyond {LARGEST:g}")
+    _check_numbers(own, len(model._skin.nodes))
+    tools = checked_tools(header["tools"], frames)
+    start, nodes, forces = (own[f"touched/{name}"] for name in ("start", "nodes", "forces"))
+    moments = [_moment(own, k, nodes[start[k] : start[k + 1]], forces[start[k] : start[k + 1]]) for k in range(frames)]
+    return Recording(header["title"], model, own["wall"], moments, tools, _full(own, header["errors"]))
+
+
+def _shapes(model: ReducedModel, frames: int, full: bool) -> dict[str, tuple[str, tuple[int | str, ...]]]:
+    """Return type and shape of the arrays of a recording; sizes by name are free, but each is the same everywhere."""
+    wide = {"force": (3,), "moment": (3,), "hand": (3,), "position": (3,), "quaternion": (4,), "stiffness": (3, 3)}
+    wide |= {"coordinates": (model.count,)}
+    shapes: dict[str, tuple[str, tuple[int | str, ...]]] = {
+        name: ("<f8", (frames, *wide.get(name, ()))) for name in NUMBERS
+    }
+    shapes |= {"wall": ("<f8", (frames,)), "tool": ("|u1", (frames,)), "state": ("|u1", (frames,))}
+    shapes |= {"touched/start": ("<i8", (frames + 1,)), "touched/nodes": ("<i8", ("touched",))}
+    shapes |= {"touched/forces": ("<f8", ("touched", 3))}
+    if full:
+        shapes |= {"full/times": ("<f8", ("full",)), "full/force": ("<f8", ("full", 3))}
+        shapes |= {"full/positions": ("<f4", ("full", len(Surface(model).rest), 3))}
+    return shapes
+
+
+def _check_numbers(own: dict[str, Any], touchable: int) -> None:
+    """Refuse numbers that no session leaves."""
+    for name in ("wall", "time", "steps", "sequence", "trust", "computing"):
+        if np.any(own[name] < 0):
+            raise InputError(f"{name} must not be negative")
+    for name in ("steps", "sequence"):
+        if np.any(own[name] != np.floor(own[name])):
+            raise InputError(f"{name} must hold whole numbers")
+    if np.any(np.diff(own["wall"]) < 0) or np.any(own["firmness"] <= 0):
+        raise InputError("wall must not decrease, and firmness must be positive")
+    if np.any(np.abs(np.linalg.norm(own["quaternion"], axis=1) - 1) > 1e-3):
+        raise InputError("quaternion must have length 1")
+    if own["tool"].max() >= len(TOOLS) or own["state"].max() >= len(STATES):
+        raise InputError(f"tool and state must be numbers below {len(TOOLS)} and {len(STATES)}")
+    start, nodes = own["touched/start"], own["touched/nodes"]
+    if start[0] != 0 or start[-1] != len(nodes) or np.any(np.diff(start) < 0):
+        raise InputError("touched/start does not share out touched/nodes")
+    if np.any((nodes < 0) | (nodes >= touchable)):
+        raise InputError(f"touched/nodes names nodes outside 0..{touchable - 1}")
+    if "full/times" in own and (not len(own["full/times"]) or np.any(np.diff(own["full/times"]) < 0)):
+        raise InputError("full/times must not be empty or decrease")
+
+
+def checked_tools(tools: Any, frames: int) -> list[dict[str, Any]]:
+    """Return what a file says of the tools; refuse what no session says.
+
+    Raises
+    ------
+    InputError
+        A tool that is none, or first moments that do not increase from 0.
+    """
+    if not isinstance(tools, list) or not tools or not all(isinstance(tool, dict) for tool in tools):
+        raise InputError("tools must be a list of tools")
+    for tool in tools:
+        if tool.keys() != {"kind", "radius", "length", "friction", "stiffness", "frame"} or tool["kind"] not in TOOLS:
+            raise InputError(f"tools holds {tool!r:.80}, which is not a tool")
+        for name, most in (("radius", 1.0), ("length", 1.0), ("friction", 2.0)):
+            number_in_range(f"{name} of a tool", tool[name], 0.0, most)
+        if tool["stiffness"] is not None:
+            number_in_range("stiffness of a tool", tool["stiffness"], 0.0, LARGEST, open_low=True, unit="N/m")
+        integer_in_range("frame of a tool", tool["frame"], 0, frames - 1)
+    first = [tool["frame"] for tool in tools]
+    if first[0] != 0 or any(b <= a for a, b in pairwise(first)):
+        raise InputError("the first moments of tools must increase from 0")
+    return tools
 
 
 def _moment(numbers: dict[str, Any], k: int, nodes: NDArray[np.int64], forces: Floats) -> Snapshot:
@@ -220,11 +286,11 @@ def _moment(numbers: dict[str, Any], k: int, nodes: NDArray[np.int64], forces: F
     return Snapshot(**values, state=STATES[numbers["state"][k]])
 
 
-def _read_full(file: Any) -> dict[str, Any]:
-    if "full" not in file:
+def _full(own: dict[str, Any], errors: Any) -> dict[str, Any]:
+    """Return what the full model did; empty where it was not run."""
+    if errors is None:
         return {}
-    group = file["full"]
-    return {
-        **{name: group[name][:] for name in ("times", "positions", "force")},
-        "errors": json.loads(group.attrs["errors"]),
-    }
+    if not isinstance(errors, dict) or errors.keys() != {*ERRORS}:
+        raise InputError(f"errors must have {', '.join(ERRORS)}")
+    told = {name: number_in_range(f"{name} of errors", errors[name], -LARGEST, LARGEST) for name in ERRORS}
+    return {**{name: own[f"full/{name}"] for name in ("times", "positions", "force")}, "errors": told}

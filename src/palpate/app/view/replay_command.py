@@ -24,6 +24,7 @@ def replay(
     file: Path,
     *,
     full: bool = False,
+    scene: str | None = None,
     png: Path | None = None,
     movie: Path | None = None,
     scalar: str = "displacement",
@@ -39,6 +40,9 @@ def replay(
         Of a recording.
     full : bool
         Run the tool's path on the full model first, print the errors, and keep the full model's surface in the file.
+    scene : str, optional
+        Scene of the full model, ``"module:function"``, where it is not one of palpate's; see
+        `palpate.app.view.fullrun.full_model`.
     png, movie : path, optional
         Draw the moment of the largest force, or all, instead of serving a page.
     scalar : str
@@ -55,9 +59,11 @@ def replay(
     for path, name in ((png, "png"), (movie, "movie")):
         if path is not None:
             check_folder(path.parent, name)
+    if scene is not None and not full:
+        raise InputError("scene is for the run of the full model: add --full, or leave --scene out")
     recording = load_recording(file)
     if full:
-        recording = replace(recording, full=_run_full(recording, console))
+        recording = replace(recording, full=_run_full(recording, scene, console))
         save_recording(file, recording)
     if png is not None or movie is not None:
         _draw(recording, scalar, png, movie, console)
@@ -77,10 +83,10 @@ def _draw(recording: Recording, scalar: str, png: Path | None, movie: Path | Non
             console.say(f"drew {movie}")
 
 
-def _run_full(recording: Recording, console: Console) -> dict[str, Any]:
+def _run_full(recording: Recording, scene: str | None, console: Console) -> dict[str, Any]:
     path_of(recording)  # what cannot be run is refused before a model is made
     with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
-        model = full_model(recording)
+        model = full_model(recording, scene)
     console.say(f"running the recorded path on {count_nodes(len(model.cloud))} of the full model ...")
     full = run_full(recording, model)
     told = full["errors"]

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sparse
 
+from palpate.files import whole_file
+
 if TYPE_CHECKING:
     from palpate.reduction.lti.system import LinearSystem
 
@@ -45,16 +47,12 @@ def save_matlab(system: LinearSystem, path: str | Path) -> None:
         "inputs": np.array(system.inputs, dtype=object)[:, None],
         "outputs": np.array(system.outputs, dtype=object)[:, None],
     }
-    partial = path.with_name(f".{path.name}.partial.mat")
-    try:
-        savemat(partial, content, do_compression=True, oned_as="column")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with whole_file(path) as partial:
+        savemat(partial, content, appendmat=False, do_compression=True, oned_as="column")
 
 
 def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
-    """Write ``M.mtx``, ``D.mtx``, ... and ``unknowns.txt`` (node and component, counted from 0) into a folder.
+    """Write ``M.mtx``, ``D.mtx``, ... and ``unknowns.txt`` (node and component, counted from 0), each whole or not.
 
     Inputs and outputs stand in the comments of ``B.mtx`` and ``Cp.mtx``.
 
@@ -72,5 +70,7 @@ def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
         if 0 in matrix.shape:  # S and Sv of a body without tools
             continue
         kept = sparse.coo_matrix(matrix) if sparse.issparse(matrix) else matrix
-        mmwrite(folder / f"{name}.mtx", kept, comment=comments.get(name, ""), precision=17, symmetry="general")
-    np.savetxt(folder / "unknowns.txt", np.column_stack([system.dofs // 3, system.dofs % 3]), fmt="%d")
+        with whole_file(folder / f"{name}.mtx") as partial:
+            mmwrite(partial, kept, comment=comments.get(name, ""), precision=17, symmetry="general")
+    with whole_file(folder / "unknowns.txt") as partial:
+        np.savetxt(partial, np.column_stack([system.dofs // 3, system.dofs % 3]), fmt="%d")

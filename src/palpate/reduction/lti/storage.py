@@ -1,25 +1,30 @@
-"""A linear model's reduced equations in an HDF5 file; the body itself is made again by who reads it."""
+"""A linear model's reduced equations in a sealed HDF5 file; who reads it makes the body again."""
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from palpate.faults import FileFormatError, InputError
+from palpate.faults import InputError
+from palpate.files import plain
 from palpate.reduction.lti.forms import FirstOrder, SecondOrder
 from palpate.reduction.lti.model import LinearModel
+from palpate.sealed import loading, open_sealed, write_sealed
 
 if TYPE_CHECKING:
     from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["load_linear", "save"]
 
-FORMAT, VERSION = "palpate linear model", 1
+FORMAT, VERSION = "palpate linear model", 2
+REMEDY = "make the linear model again"
+SHAPES: dict[str, tuple[str | int, ...]] = {
+    "mass": ("k", "k"), "damping": ("k", "k"), "stiffness": ("k", "k"), "state": ("k", "k"), "input": ("k", "p"),
+    "output": ("q", "k"), "rate_output": ("q", "k"), "feedthrough": ("q", "p"), "fields": ("k", "n", 3),
+}  # fmt: skip
 KINDS: dict[str, type[SecondOrder] | type[FirstOrder]] = {"second": SecondOrder, "first": FirstOrder}
 
 
@@ -28,29 +33,22 @@ def save(model: LinearModel, path: Path) -> None:
 
     Raises
     ------
+    InputError
+        Numbers that are not finite.
     OSError
         The place cannot be written.
     """
-    import h5py
-
-    partial = path.with_name(path.name + ".partial")
-    kind = "second" if isinstance(model.reduced, SecondOrder) else "first"
-    try:
-        with h5py.File(partial, "w") as file:
-            file.attrs.update(_header(model.system) | {"kind": kind, "report": json.dumps(model.report)})
-            for own in fields(model.reduced):
-                file.create_dataset(own.name, data=getattr(model.reduced, own.name))
-            file.create_dataset("points", data=model.cloud.points)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    arrays = {own.name: getattr(model.reduced, own.name) for own in fields(model.reduced)}
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise InputError(f"{name} of the linear model is not finite: {path} was not written")
+    kind = next(name for name, form in KINDS.items() if isinstance(model.reduced, form))
+    header = _header(model.system) | {"kind": kind, "report": plain(model.report)}
+    write_sealed(path, FORMAT, VERSION, header, arrays | {"points": model.cloud.points})
 
 
 def _header(system: LinearSystem) -> dict[str, Any]:
-    return {
-        "format": FORMAT, "version": VERSION, "inputs": json.dumps(system.inputs),
-        "outputs": json.dumps(system.outputs), "unknowns": system.order,
-    }  # fmt: skip
+    return {"inputs": list(system.inputs), "outputs": list(system.outputs), "unknowns": int(system.order)}
 
 
 def load_linear(path: str | Path, system: LinearSystem) -> LinearModel:
@@ -67,34 +65,39 @@ def load_linear(path: str | Path, system: LinearSystem) -> LinearModel:
     FileNotFoundError
         There is no such file.
     FileFormatError
-        It is no linear model, or holds what none can hold.
+        It is no linear model, damaged, or holds what none can hold.
     InputError
         It was made of another body, or with other inputs or outputs.
     """
-    import h5py
-
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no linear model at {path}")
-    try:
-        with h5py.File(path, "r") as file:
-            header = dict(file.attrs)
-            if header.get("format") != FORMAT or header.get("version") != VERSION or header.get("kind") not in KINDS:
-                raise FileFormatError(f"{path}: not a linear model of version {VERSION}")
-            form = KINDS[str(header["kind"])]
-            arrays = {own.name: np.array(file[own.name], dtype=float) for own in fields(form)}
-            points, report = np.array(file["points"]), json.loads(str(header["report"]))
-    except (OSError, KeyError, ValueError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(f"{path}: {error}") from error
-    wanted = _header(system)
-    differ = [name for name in ("inputs", "outputs", "unknowns") if header.get(name) != wanted[name]]
+    with loading(path, REMEDY):
+        file = open_sealed(path, FORMAT, VERSION)
+        header, wanted = file.header, _header(system)
+        if header.keys() != {*wanted, "kind", "report"} or not isinstance(header["report"], dict):
+            raise InputError("the header is not that of a linear model")
+        if not isinstance(header["kind"], str) or header["kind"] not in KINDS:
+            raise InputError(f"kind must be one of {', '.join(KINDS)}, got {header['kind']!r:.60}")
+        form = KINDS[header["kind"]]
+        names = [own.name for own in fields(form)]
+        if file.arrays.keys() != {*names, "points"}:
+            raise InputError(f"the arrays are {', '.join(sorted(file.arrays))}; expected {', '.join(names)}, points")
+        arrays = {name: file.read(name) for name in file.arrays}
+        for name, array in arrays.items():
+            if array.dtype != np.float64 or not np.isfinite(array).all():
+                raise InputError(f"array {name} is not of finite numbers")
+    points = arrays.pop("points")
+    differ = [name for name in wanted if header[name] != wanted[name]]
     if differ or points.shape != system.model.cloud.points.shape or not np.allclose(points, system.model.cloud.points):
         raise InputError(f"{path} was made of another linear system: {', '.join(differ) or 'points'} differ")
-    if not all(np.isfinite(array).all() for array in arrays.values()):
-        raise FileFormatError(f"{path}: holds numbers that are not finite")
-    try:
-        return LinearModel(system, form(**arrays), report)
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise FileFormatError(f"{path}: its arrays do not fit together ({error})") from error
+    with loading(path, REMEDY):
+        _check_shapes(arrays, {"p": len(system.inputs), "q": len(system.outputs), "n": len(points)})
+        return LinearModel(system, form(**arrays), header["report"])
+
+
+def _check_shapes(arrays: dict[str, Any], sizes: dict[str | int, int]) -> None:
+    """Refuse arrays whose shapes are not those of `SHAPES`, with one k for all."""
+    sizes = sizes | {"k": len(arrays["fields"]) if arrays["fields"].ndim else 0}
+    for name, array in arrays.items():
+        wanted = tuple(sizes.get(size, size) for size in SHAPES[name])
+        if array.shape != wanted or not sizes["k"]:
+            raise InputError(f"array {name} has shape {array.shape}, expected {wanted}")

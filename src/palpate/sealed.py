@@ -1,0 +1,463 @@
+"""Sealed files: HDF5 files whose arrays are read by a table of their own, each under its digest.
+
+A sealed file is an HDF5 file, which any program can open, in which every array is contiguous and not compressed. Its
+first 512 bytes, which HDF5 leaves to its users, name the kind of the file, the version, and the place and SHA-256 of a
+table at the end of the file. The table is JSON: a header of plain values, the type, shape, place and SHA-256 of every
+array, and a SHA-256 of all bytes between the arrays. palpate reads the table and the arrays themselves, never the
+structures of HDF5: so links, external data, compressed data and damaged HDF5 tables have no effect, and every length is
+checked against the size of the file before anything is allocated.
+
+A digest shows damage. It does not show forgery: who writes a file can also write its digests. What is read from a file
+is therefore data only, and every loader checks each value.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
+from io import RawIOBase
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.faults import FileFormatError, InputError
+from palpate.files import json_of, regular_file, shortened, whole_file
+
+__all__ = ["Entry", "SealedFile", "array_of", "checked_shape", "loading", "open_sealed", "write_sealed"]
+
+Array = NDArray[Any]
+
+HEAD = 512  # bytes before HDF5's own
+TYPES = ("<f8", "<f4", "<i8", "|u1", "|b1")
+MOST_DIMENSIONS = 4
+BLOCK = 1 << 20  # bytes that are read at once
+LONGEST_ATTRIBUTE = 32_000  # characters that HDF5 takes in an object's header
+SPARE = 1 << 16  # bytes of the disk that stay free
+HEX = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An array of a sealed file.
+
+    Parameters
+    ----------
+    type : str
+        One of `TYPES`, in NumPy's notation.
+    shape : tuple of int
+    offset : int
+        First byte in the file.
+    digests : tuple of str
+        SHA-256 of the whole array; or of every row, of one that is read by row.
+    by_row : bool
+    """
+
+    type: str
+    shape: tuple[int, ...]
+    offset: int
+    digests: tuple[str, ...]
+    by_row: bool
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return math.prod(self.shape) * np.dtype(self.type).itemsize
+
+
+@dataclass(frozen=True)
+class SealedFile:
+    """A sealed file whose table is verified; arrays are verified when they are read.
+
+    Parameters
+    ----------
+    path : path
+    header : dict
+        Plain values.
+    arrays : dict of Entry
+        By name.
+    """
+
+    path: Path
+    header: dict[str, Any]
+    arrays: dict[str, Entry]
+
+    def read(self, name: str) -> Array:
+        """Return an array.
+
+        Raises
+        ------
+        InputError
+            There is no such array, or its bytes do not match their digest.
+        """
+        entry = self._entry(name)
+        if entry.by_row:
+            return np.array([self.row(name, k) for k in range(entry.shape[0])], entry.type).reshape(entry.shape)
+        return self._verified(name, entry, entry.offset, entry.shape, entry.digests[0])
+
+    def row(self, name: str, k: int) -> Array:
+        """Return row k of an array that is stored by row; raises what `read` raises."""
+        entry = self._entry(name)
+        if not entry.by_row or not 0 <= k < entry.shape[0]:
+            raise InputError(f"array {name} has no row {k}")
+        size = entry.size // entry.shape[0]
+        return self._verified(f"{name}, row {k}", entry, entry.offset + k * size, entry.shape[1:], entry.digests[k])
+
+    def _entry(self, name: str) -> Entry:
+        if name not in self.arrays:
+            raise InputError(f"array {name} is missing")
+        return self.arrays[name]
+
+    def _verified(self, what: str, entry: Entry, offset: int, shape: tuple[int, ...], digest: str) -> Array:
+        values = np.empty(shape, entry.type)
+        with self.path.open("rb") as file:
+            file.seek(offset)
+            count = file.readinto(_bytes_of(values))
+        if count != values.nbytes or sha256(_bytes_of(values)).hexdigest() != digest:
+            raise InputError(f"array {what} does not match its checksum: the file is truncated or damaged")
+        return _checked_flags(what, values)
+
+
+def array_of(what: str, kind: str, shape: tuple[int, ...], content: memoryview) -> Array:
+    """Return bytes as an array, a copy.
+
+    Raises
+    ------
+    InputError
+        The bytes are not as many as the array needs, or a truth value is neither 0 nor 1.
+    """
+    if len(content) != math.prod(shape) * np.dtype(kind).itemsize:
+        raise InputError(f"array {what} of shape {shape} does not have {len(content)} bytes")
+    return _checked_flags(what, np.frombuffer(content, kind).reshape(shape).copy())
+
+
+def checked_shape(what: str, kind: Any, shape: Any, room: int) -> tuple[str, tuple[int, ...]]:
+    """Return the type and shape of an array that a file names, which must fit into so many bytes.
+
+    Raises
+    ------
+    InputError
+        Another type, or a shape that does not fit.
+    """
+    if kind not in TYPES:
+        raise InputError(f"array {what} has type {shortened(repr(kind))}; allowed are {', '.join(TYPES)}")
+    good = isinstance(shape, list) and len(shape) <= MOST_DIMENSIONS
+    if not good or not all(type(size) is int and 0 <= size <= room for size in shape):
+        raise InputError(f"array {what} has shape {shortened(repr(shape))}, which does not fit into {room} bytes")
+    if math.prod(shape) * np.dtype(kind).itemsize > room:
+        raise InputError(f"array {what} has shape {tuple(shape)}, which does not fit into {room} bytes")
+    return kind, tuple(shape)
+
+
+# reading
+
+
+@contextmanager
+def loading(path: Path, remedy: str) -> Iterator[None]:
+    """Turn whatever the content of a file raises into one `FileFormatError`, which names the file and the remedy.
+
+    Parameters
+    ----------
+    path : path
+    remedy : str
+        ``"train the model again"``.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    FileFormatError
+        Anything else went wrong inside.
+    """
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except InputError as error:
+        text = str(error)
+        raise FileFormatError(text if text.startswith(str(path)) else f"{path}: {text}; {remedy}") from error
+    except Exception as error:  # no value in a file may end in another error
+        text = shortened(" ".join(str(error).split()), 200)
+        raise FileFormatError(f"{path}: its content does not fit together ({text}); {remedy}") from error
+
+
+def open_sealed(path: Path, kind: str, version: int) -> SealedFile:
+    """Open a sealed file and verify its table.
+
+    Parameters
+    ----------
+    path : path
+    kind : str
+        ``"palpate reduced model"``.
+    version : int
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    InputError
+        It is of another kind or version, truncated, or its table is damaged or names bytes outside the file.
+    """
+    size = regular_file(path, kind)
+    with path.open("rb") as file:
+        offset, length, digest = _place_of_table(file.read(HEAD), kind, version)
+        if offset < HEAD or offset + length != size:
+            raise InputError("the file is truncated, or something was appended to it")
+        file.seek(offset)
+        text = file.read(length)
+    if sha256(text).hexdigest() != digest:
+        raise InputError("the table does not match its checksum: the file is damaged")
+    table = json_of(text)
+    if not isinstance(table, dict) or table.keys() != {"kind", "version", "header", "arrays", "rest"}:
+        raise InputError("the table has other entries than kind, version, header, arrays and rest")
+    if (table["kind"], table["version"]) != (kind, version):
+        raise InputError("the first bytes and the table disagree about the kind of the file")
+    header, listed = table["header"], table["arrays"]
+    if not isinstance(header, dict) or not isinstance(listed, dict):
+        raise InputError("header and arrays of the table are not objects")
+    arrays = {name: _entry(name, about, offset) for name, about in listed.items()}
+    if _digest_of_rest(path, arrays, offset) != table["rest"]:
+        raise InputError("the bytes between the arrays do not match their checksum: the file is damaged")
+    return SealedFile(path, header, arrays)
+
+
+def _place_of_table(head: bytes, kind: str, version: int) -> tuple[int, int, str]:
+    found = re.match(rf"{re.escape(kind)}\nversion (\d{{1,9}})\n".encode(), head)
+    if not found:
+        old = "; it may be of an older version" if head.startswith(b"\x89HDF") else ""
+        raise InputError(f"this is not a {kind}{old}")
+    if int(found[1]) != version:
+        raise InputError(f"this is of version {int(found[1])}, and version {version} is the one that is read")
+    place = re.fullmatch(rb"table (\d{1,18}) (\d{1,18}) ([0-9a-f]{64})\n\0*", head[found.end() :])
+    if not place or len(head) != HEAD:
+        raise InputError("the first bytes are damaged")
+    return int(place[1]), int(place[2]), place[3].decode()
+
+
+def _digest_of_rest(path: Path, arrays: Mapping[str, Entry], end: int) -> str:
+    """Return the SHA-256 of what lies between the head and the table and belongs to no array.
+
+    Raises
+    ------
+    InputError
+        Arrays overlap.
+    """
+    digest = sha256()
+    with path.open("rb") as file:
+        at = HEAD
+        for entry in sorted((each for each in arrays.values() if each.size), key=lambda each: each.offset):
+            if entry.offset < at:
+                raise InputError("the arrays of the table overlap")
+            _add(digest, file, at, entry.offset)
+            at = entry.offset + entry.size
+        _add(digest, file, at, end)
+    return digest.hexdigest()
+
+
+def _add(digest: Any, file: BinaryIO, start: int, stop: int) -> None:
+    file.seek(start)
+    for at in range(start, stop, BLOCK):
+        digest.update(file.read(min(BLOCK, stop - at)))
+
+
+def _entry(name: str, about: Any, end: int) -> Entry:
+    """Return an entry of the table, whose bytes must lie between the head and the table."""
+    what = shortened(name)
+    if not isinstance(about, dict) or about.keys() != {"type", "shape", "offset", "sha256"}:
+        raise InputError(f"the table's entry of array {what} has not type, shape, offset and sha256")
+    kind, shape = checked_shape(what, about["type"], about["shape"], end)
+    digests, offset = about["sha256"], about["offset"]
+    by_row = isinstance(digests, list)
+    entry = Entry(kind, shape, offset, tuple(digests) if by_row else (digests,), by_row)
+    if by_row and (not shape or len(digests) != shape[0]):
+        raise InputError(f"array {what} has not one checksum for every row")
+    if not all(isinstance(digest, str) and HEX.fullmatch(digest) for digest in entry.digests):
+        raise InputError(f"array {what} has a checksum that is not a SHA-256")
+    if type(offset) is not int or offset < HEAD or offset + entry.size > end:
+        raise InputError(f"array {what} lies outside the file")
+    return entry
+
+
+def _checked_flags(what: str, values: Array) -> Array:
+    if values.dtype == bool and values.size and values.view("u1").max() > 1:
+        raise InputError(f"array {what} holds truth values that are neither 0 nor 1")
+    return values
+
+
+# writing
+
+
+def write_sealed(
+    path: Path,
+    kind: str,
+    version: int,
+    header: Mapping[str, Any],
+    arrays: Mapping[str, Any],
+    rows: Mapping[str, Sequence[Any]] | None = None,
+) -> None:
+    """Write a sealed file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+    kind : str
+    version : int
+    header : mapping
+        Values that JSON has, all finite.
+    arrays : mapping of name to array
+        Of the types of `TYPES`. A name may hold slashes, which HDF5 shows as groups.
+    rows : mapping of name to sequence of arrays
+        Arrays that are stored by row, each row under its own digest; given row by row, at least one.
+
+    Raises
+    ------
+    InputError
+        A value in the header is not one of JSON's.
+    OSError
+        The file cannot be written or the disk is full; a file that was there is unchanged.
+    """
+    blocks: dict[str, tuple[Array, ...]] = {name: (_plain(values),) for name, values in arrays.items()}
+    shapes = {name: block[0].shape for name, block in blocks.items()}
+    for name, values in (rows or {}).items():
+        blocks[name] = tuple(_plain(row) for row in values)
+        shapes[name] = (len(values), *blocks[name][0].shape)
+    types = {name: block[0].dtype.str for name, block in blocks.items()}
+    needed = sum(part.nbytes for block in blocks.values() for part in block) + SPARE
+    free = shutil.disk_usage(path.absolute().parent).free if path.absolute().parent.is_dir() else needed
+    if free < needed:
+        raise OSError(
+            f"cannot write {path}: the disk is full ({free / 1e6:.1f} MB left, {needed / 1e6:.1f} MB needed); free "
+            f"some space or choose another folder"
+        )
+    with whole_file(path) as partial:
+        frame = _Sparse()
+        offsets = _lay_out(frame, kind, version, header, types, shapes)
+        entries = {}
+        with partial.open("w+b") as file:
+            frame.copy_to(file)
+            for name, parts in blocks.items():
+                file.seek(offsets[name])
+                digests = []
+                for part in parts:
+                    file.write(_bytes_of(part))
+                    digests.append(sha256(_bytes_of(part)).hexdigest())
+                by_row = name in (rows or {})
+                entries[name] = Entry(types[name], shapes[name], offsets[name], tuple(digests), by_row)
+            file.flush()
+            place = file.seek(0, 2)
+            rest = _digest_of_rest(partial, entries, place)
+            listed = {name: _listed(entry) for name, entry in entries.items()}
+            table = _json({"kind": kind, "version": version, "header": dict(header), "arrays": listed, "rest": rest})
+            file.write(table)
+            file.seek(0)
+            file.write(f"{kind}\nversion {version}\ntable {place} {len(table)} {sha256(table).hexdigest()}\n".encode())
+
+
+def _listed(entry: Entry) -> dict[str, Any]:
+    digests: Any = list(entry.digests) if entry.by_row else entry.digests[0]
+    return {"type": entry.type, "shape": list(entry.shape), "offset": entry.offset, "sha256": digests}
+
+
+class _Sparse(RawIOBase):
+    """A file in memory that keeps only the pages that are written, so that room for arrays costs nothing.
+
+    HDF5 does not survive a disk that is full. So it writes here, and what it wrote is copied by plain writes.
+    """
+
+    PAGE = 4096  # bytes
+
+    def __init__(self) -> None:
+        self.pages: dict[int, bytearray] = {}
+        self.at = self.size = 0
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        self.at = offset + (0, self.at, self.size)[whence]
+        return self.at
+
+    def tell(self) -> int:
+        return self.at
+
+    def truncate(self, size: int | None = None) -> int:
+        self.size = self.at if size is None else size
+        return self.size
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        count = max(0, min(len(view), self.size - self.at))
+        for k in range(count):
+            page = self.pages.get((self.at + k) // self.PAGE)
+            view[k] = page[(self.at + k) % self.PAGE] if page else 0
+        self.at += count
+        return count
+
+    def write(self, content: Any) -> int:
+        view = memoryview(content).cast("B")
+        for k in range(len(view)):
+            page = self.pages.setdefault((self.at + k) // self.PAGE, bytearray(self.PAGE))
+            page[(self.at + k) % self.PAGE] = view[k]
+        self.at += len(view)
+        self.size = max(self.size, self.at)
+        return len(view)
+
+    def copy_to(self, file: BinaryIO) -> None:
+        """Write the pages to a file of the same size."""
+        file.truncate(self.size)
+        for number, page in self.pages.items():
+            file.seek(number * self.PAGE)
+            file.write(page[: self.size - number * self.PAGE])
+
+
+def _lay_out(
+    frame: _Sparse,
+    kind: str,
+    version: int,
+    header: Mapping[str, Any],
+    types: Mapping[str, str],
+    shapes: Mapping[str, tuple[int, ...]],
+) -> dict[str, int]:
+    """Make an HDF5 file with room for arrays; return where each begins."""
+    import h5py
+
+    offsets = {}
+    with h5py.File(frame, "w", userblock_size=HEAD) as file:
+        layout, parents = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
+        layout.set_layout(h5py.h5d.CONTIGUOUS)
+        layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+        layout.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+        layout.set_obj_track_times(False)  # equal content makes equal files
+        parents.set_create_intermediate_group(True)
+        for name, shape in shapes.items():
+            own, space = h5py.h5t.py_create(np.dtype(types[name]), logical=True), h5py.h5s.create_simple(shape)
+            made = h5py.h5d.create(file.id, name.encode(), own, space, layout, parents)
+            offsets[name] = made.get_offset() if math.prod(shape) else HEAD
+        told = {name: value if isinstance(value, str | bool | float) else _json(value).decode()
+                for name, value in header.items()}  # fmt: skip
+        told |= {"format": kind, "version": version, "units": "SI"}
+        file.attrs.update({name: v for name, v in told.items() if len(str(v)) < LONGEST_ATTRIBUTE})
+    return offsets
+
+
+def _json(value: Any) -> bytes:
+    try:
+        return json.dumps(value, allow_nan=False).encode()
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the header of the file cannot be written: {error}") from error
+
+
+def _plain(values: Any) -> Array:
+    array = np.ascontiguousarray(values)
+    array = array.astype(array.dtype.newbyteorder("<"), copy=False).reshape(np.shape(values))
+    if array.dtype.str not in TYPES:
+        raise InputError(f"arrays of a file have one of the types {', '.join(TYPES)}, got {array.dtype.str}")
+    return array
+
+
+def _bytes_of(values: Array) -> memoryview:
+    return values.reshape(-1).view("u1").data
