@@ -181,8 +181,8 @@ def loading(path: Path, remedy: str) -> Iterator[None]:
     except FileNotFoundError:
         raise
     except InputError as error:
-        text = str(error)
-        raise FileFormatError(text if text.startswith(str(path)) else f"{path}: {text}; {remedy}") from error
+        text = str(error) if str(error).startswith(str(path)) else f"{path}: {error}"
+        raise FileFormatError(text if remedy in text else f"{text}; {remedy}") from error
     except Exception as error:  # no value in a file may end in another error
         text = shortened(" ".join(str(error).split()), 200)
         raise FileFormatError(f"{path}: its content does not fit together ({text}); {remedy}") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +21,10 @@ import palpate as pt
 from palpate.app.cli import main
 from palpate.app.train import folder as folders
 from palpate.app.train.report import _by_load
+from palpate.dynamics.trajectory import FORMAT, VERSION
+from palpate.files import read_sealed_json, write_sealed_json
 from palpate.scenes.training import training_scene
+from palpate.sealed import open_sealed
 
 SCENE = "training_scenes:bar"
 RUNS = [*(f"train_{k:06d}.h5" for k in range(4)), "held_out_000000.h5"]
@@ -207,18 +211,18 @@ def test_without_any_run_there_is_no_model(tmp_path, capsys):
     [
         (["--seed", "1"], {}, ["seed is 0 there, 1 here"]),
         (["--set", "lasting=0.02"], {}, ["lasting is 0.01 there, 0.02 here"]),
-        ([], {"version": 0}, ["version is 0 there, 1 here"]),
+        ([], {"version": 0}, ["version is 0 there, 2 here"]),
         ([], {"palpate": "0.0.1", "scene": "liver"}, ["palpate is '0.0.1' there", "scene is 'liver' there"]),
-        ([], {"format": "recipes"}, ["campaign.json is no palpate campaign"]),
+        ([], {"format": "recipes"}, ["campaign.json: this is not a palpate campaign", "another folder"]),
     ],
 )
 def test_the_folder_of_another_campaign_is_refused_untouched(tmp_path, assert_refused, options, edit, parts):
     manifest = {
-        "format": "palpate campaign", "version": 1, "palpate": pt.__version__, "scene": SCENE,
+        "format": "palpate campaign", "version": 2, "palpate": pt.__version__, "scene": SCENE,
         "parameters": {"lasting": 0.01, "diverging": "", "deadly": ""}, "seed": 0, "every": 0.001, "nodes": 112,
     }  # fmt: skip
     (tmp_path / "runs").mkdir()
-    (tmp_path / "campaign.json").write_text(json.dumps(manifest | edit))
+    write_sealed_json(tmp_path / "campaign.json", manifest | edit)
     (tmp_path / "runs" / "train_000000.h5").write_text("a run")
     (tmp_path / "runs" / ".train_000001.abc.partial").write_text("a part of a run")
     before = contents(tmp_path)
@@ -227,9 +231,73 @@ def test_the_folder_of_another_campaign_is_refused_untouched(tmp_path, assert_re
 
 
 def test_a_folder_in_use_is_refused(whole, assert_refused):
-    manifest = json.loads((whole / "campaign.json").read_text())
+    manifest = read_sealed_json(whole / "campaign.json", "campaign")
     with folders.opened(whole, manifest):
         assert_refused(command(whole), "is in use by a campaign that runs")
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (b"", "not valid JSON"),
+        (b"{}", "does not match its checksum"),
+        (b"[]", "holds no JSON object"),
+        (b"[" * 100_000, "nested levels"),
+        (b'{"seed": ' + b"9" * 5000 + b"}", "not valid JSON"),
+        (b"\xff\xfe", "not text in UTF-8"),
+    ],
+)
+def test_a_damaged_manifest_is_refused_in_one_line(tmp_path, assert_refused, content, part):
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "campaign.json").write_bytes(content)
+    assert_refused(command(tmp_path), "campaign.json", part, "another folder")
+
+
+@pytest.mark.parametrize(
+    "edit", [{"parameters": []}, {"parameters": {"lasting": [1]}}, {"parameters": None}, {"scene": "os:system"}]
+)
+def test_a_forged_manifest_is_refused_and_not_followed(tmp_path, assert_refused, edit):
+    manifest = {
+        "format": "palpate campaign", "version": 2, "palpate": pt.__version__, "scene": SCENE,
+        "parameters": {"lasting": 0.01, "diverging": "", "deadly": ""}, "seed": 0, "every": 0.001, "nodes": 112,
+    }  # fmt: skip
+    (tmp_path / "runs").mkdir()
+    write_sealed_json(tmp_path / "campaign.json", manifest | edit)
+    assert_refused(command(tmp_path), "another folder" if edit.get("parameters", 1) in ([], None) else "Choose another")
+
+
+def assert_stopped(argv, capsys, *parts):
+    """Assert that a command which has begun ends with one line and exit status 2."""
+    assert main(argv) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("palpate: ")
+    assert all(part in last for part in parts)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"retry": 1}'])
+def test_a_damaged_record_of_a_failed_run_is_refused_in_one_line(whole, tmp_path, capsys, content):
+    shutil.copytree(whole, tmp_path / "copy")
+    (tmp_path / "copy" / "runs" / "train_000001.h5").unlink()
+    (tmp_path / "copy" / "runs" / "train_000001.failed.json").write_bytes(content)
+    assert_stopped(command(tmp_path / "copy"), capsys, "train_000001.failed.json", "delete the file")
+
+
+def test_runs_that_changed_places_are_refused(whole, tmp_path, capsys):
+    shutil.copytree(whole, tmp_path / "copy")
+    one, two = (tmp_path / "copy" / "runs" / f"train_00000{k}.h5" for k in (0, 1))
+    content = one.read_bytes()
+    one.write_bytes(two.read_bytes())
+    two.write_bytes(content)
+    assert_stopped(command(tmp_path / "copy"), capsys, "train_000000.h5 is the file of another run", "delete it")
+
+
+def test_a_damaged_run_is_refused(whole, tmp_path, capsys):
+    shutil.copytree(whole, tmp_path / "copy")
+    path = tmp_path / "copy" / "runs" / "train_000001.h5"
+    content = bytearray(path.read_bytes())
+    content[open_sealed(path, FORMAT, VERSION).arrays["displacements"].offset + 999] ^= 1
+    path.write_bytes(content)
+    assert_stopped(command(tmp_path / "copy"), capsys, "train_000001.h5", "does not match its checksum")
 
 
 def test_runs_of_nobody_are_refused(tmp_path, assert_refused):

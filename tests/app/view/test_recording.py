@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import sys
 import time
 
 import h5py
@@ -13,9 +15,9 @@ from view_scenes import BALL, MIDDLE, block
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.app.view.fullrun import run_full
+from palpate.app.view.fullrun import full_model, run_full
 from palpate.app.view.messages import checked
-from palpate.app.view.recording import load_recording
+from palpate.app.view.recording import FORMAT, VERSION, load_recording
 from palpate.app.view.replay import Replay
 from palpate.app.view.session import Session
 
@@ -108,7 +110,7 @@ def test_the_surface_is_written_for_paraview(recorded):
     assert frames > 5
 
 
-def test_the_full_model_feels_nearly_the_same(recorded, capsys):
+def test_the_full_model_feels_nearly_the_same(recorded, capsys, assert_refused):
     path, _, _ = recorded
     full = run_full(load_recording(path), block().model)
     assert full["errors"]["force"] < 0.15
@@ -117,7 +119,10 @@ def test_the_full_model_feels_nearly_the_same(recorded, capsys):
     deepest = int(np.argmax(full["force"][:, 2]))
     assert full["force"][deepest, 2] > 0.05
     assert full["positions"][deepest, :, 2].max() <= MIDDLE[2] + 0.002
-    assert main(["replay", str(path), "--full"]) == 0  # by the scene that the file names
+    assert_refused(["replay", str(path), "--full"], "'view_scenes:block', which is not one of palpate's", "--scene")
+    assert_refused(["replay", str(path), "--full", "--scene", "os:getcwd"], "scene must be 'view_scenes:block'")
+    assert_refused(["replay", str(path), "--scene", "view_scenes:block"], "add --full")
+    assert main(["replay", str(path), "--full", "--scene", "view_scenes:block"]) == 0
     assert "largest force over the full model's" in capsys.readouterr().out
     replay = Replay(load_recording(path))
     assert replay.hello()["overlay"] is True
@@ -159,15 +164,124 @@ def test_films_that_cannot_be_made_are_refused(recorded, tmp_path, assert_refuse
 
 def test_what_is_no_recording_is_refused(recorded, tmp_path, assert_refused):
     path, _, _ = recorded
-    assert_refused(["replay", str(tmp_path / "none.h5")], "no recording at")
+    assert_refused(["replay", str(tmp_path / "none.h5")], "no palpate recording at")
     (tmp_path / "text.h5").write_text("hello")
-    assert_refused(["replay", str(tmp_path / "text.h5")], "cannot be read as a recording")
+    assert_refused(["replay", str(tmp_path / "text.h5")], "is not a palpate recording")
     content = path.read_bytes()
     (tmp_path / "cut.h5").write_bytes(content[: len(content) // 2])
-    assert_refused(["replay", str(tmp_path / "cut.h5")], "cannot be read as a recording")
+    assert_refused(["replay", str(tmp_path / "cut.h5")], "is truncated", "record the session again")
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file.attrs["format"] = "another"
-    assert_refused(["replay", str(tmp_path / "other.h5")], "is no recording")
+    assert_refused(["replay", str(tmp_path / "other.h5")], "is not a palpate recording")
+    os.mkfifo(tmp_path / "pipe.h5")
+    assert_refused(["replay", str(tmp_path / "pipe.h5")], "not a regular file")
+
+
+def test_a_flipped_bit_is_refused_wherever_it_is(recorded, tmp_path):
+    data, generator = recorded[0].read_bytes(), np.random.default_rng(5)
+    for place in [0, 20, 511, 600, *generator.integers(len(data), size=60)]:
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(generator.integers(8))
+        (tmp_path / "damaged.h5").write_bytes(changed)
+        with pytest.raises(pt.FileFormatError, match=r"damaged\.h5"):
+            load_recording(tmp_path / "damaged.h5")
+
+
+def header(name, value):
+    return lambda header, arrays: header.update({name: value})
+
+
+def entry(name, where, value):
+    return lambda header, arrays: arrays[name].__setitem__(where, value)
+
+
+def tool(**changes):
+    return lambda header, arrays: header["tools"][0].update(changes)
+
+
+LIES = {
+    "a title that is a number": (header("title", 5), "title must be text"),
+    "a title without end": (header("title", "x" * 500), "title must be text"),
+    "no model": (header("model", None), "header is not that of a recording"),
+    "tools that are a mapping": (header("tools", {}), "tools must be a list of tools"),
+    "no tools": (header("tools", []), "tools must be a list of tools"),
+    "a tool that is none": (header("tools", [{}]), "is not a tool"),
+    "an unknown tool": (tool(kind="saw"), "is not a tool"),
+    "a tool of an odd kind": (tool(kind=["sphere"]), "is not a tool"),
+    "a tool without size": (tool(radius="big"), "radius of a tool must be a number"),
+    "a tool without end": (tool(length=1e300), "length of a tool"),
+    "a coupling that pulls": (tool(stiffness=-1.0), "stiffness of a tool"),
+    "a tool that comes later": (tool(frame=3), "must increase from 0"),
+    "a tool after the end": (tool(frame=10**6), "frame of a tool"),
+    "errors of a full model that was not run": (header("errors", {}), "errors must have|the arrays are"),
+    "an array too many": (lambda header, arrays: arrays.update(colour=np.zeros(3)), "the arrays are"),
+    "no moments": (lambda header, arrays: arrays.update(wall=np.zeros(0)), "the arrays are"),
+    "a force that is not finite": (entry("force", (2, 1), np.nan), "array force holds numbers that are not finite"),
+    "a force without end": (entry("force", (2, 1), 1e30), "array force holds numbers"),
+    "moments of another model": (
+        lambda header, arrays: arrays.update(coordinates=arrays["coordinates"][:, 1:]), "array coordinates has shape"
+    ),
+    "fewer moments of one kind": (
+        lambda header, arrays: arrays.update(trust=arrays["trust"][1:]), "array trust has shape"
+    ),
+    "time before the start": (entry("time", 0, -1.0), "time must not be negative"),
+    "a clock that goes back": (entry("wall", 0, 9.0), "wall must not decrease"),
+    "half a step": (entry("steps", 0, 0.5), "steps must hold whole numbers"),
+    "no moduli": (entry("firmness", 3, 0.0), "firmness must be positive"),
+    "a turn of no length": (entry("quaternion", 3, 0.0), "quaternion must have length 1"),
+    "an unknown state": (entry("state", 1, 9), "tool and state"),
+    "spans that go back": (entry("touched/start", 1, 10**6), "does not share out"),
+    "places outside": (
+        lambda header, arrays: arrays["touched/nodes"].__setitem__(0, 10**6), "touched/nodes names nodes outside"
+    ),
+    "a model of another law": (
+        lambda header, arrays: header["model"].update(material="__import__"), "unknown material '__import__'"
+    ),
+    "a model with other modes": (lambda header, arrays: header["model"].update(modes=3), "array columns has shape"),
+    "a report that is text": (lambda header, arrays: header["model"].update(report="5"), "report is not a mapping"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_what_no_session_leaves_is_refused_even_with_right_checksums(recorded, tmp_path, forge, lie):
+    change, message = LIES[lie]
+    path = forge(recorded[0], change, FORMAT, VERSION, tmp_path / "lie.h5")
+    with pytest.raises(pt.FileFormatError, match=rf"lie\.h5: .*{message}"):
+        load_recording(path)
+
+
+@pytest.mark.parametrize("scene", ["evil_module:run", "os:system", "palpate.app.cli:main", "builtins:exec", "beam:x"])
+def test_no_module_that_a_recording_names_is_imported(recorded, tmp_path, forge, assert_refused, monkeypatch, scene):
+    (tmp_path / "evil_module.py").write_text("open('ran', 'w')\ndef run(): open('ran', 'w')\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def change(header, arrays):
+        report = {"scene": {"name": scene, "parameters": {"command": "touch ran"}}}
+        header["model"]["report"] = json.dumps(report)
+
+    path = forge(recorded[0], change, FORMAT, VERSION, tmp_path / "evil.h5")
+    assert_refused(["replay", str(path), "--full"], "not one of palpate's", "--scene")
+    assert "evil_module" not in sys.modules
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("scene", "parameters", "message"),
+    [
+        ("beam", {}, "the recorded body"),
+        ("beam", {"spacing": 1e-9}, "spacing"),
+        ("liver", {"depth": "deep"}, "depth"),
+        ("liver", {"colour": 1}, "no parameter"),
+    ],
+)
+def test_a_recording_that_names_another_body_is_refused(recorded, tmp_path, forge, scene, parameters, message):
+    def change(header, arrays):
+        header["model"]["report"] = json.dumps({"scene": {"name": scene, "parameters": parameters}})
+
+    path = forge(recorded[0], change, FORMAT, VERSION, tmp_path / "other.h5")
+    with pytest.raises(pt.InputError, match=message):
+        full_model(load_recording(path))
 
 
 def test_several_tools_are_not_run_on_the_full_model(recorded):
