@@ -178,7 +178,7 @@ def loading(path: Path, remedy: str) -> Iterator[None]:
     """
     try:
         yield
-    except FileNotFoundError:
+    except (FileNotFoundError, MemoryError):
         raise
     except InputError as error:
         text = str(error) if str(error).startswith(str(path)) else f"{path}: {error}"

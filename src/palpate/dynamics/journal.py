@@ -8,11 +8,13 @@ whole record, whatever stopped the writer, and distinguishes a journal that was 
 from __future__ import annotations
 
 import json
+import os
 import struct
 from collections.abc import Iterator, Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, BinaryIO
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +35,12 @@ TABLE = struct.Struct("<I")
 
 
 class Journal:
-    """A journal that is being written.
+    """A journal that is being written, under a temporary name until it is renamed.
 
     Parameters
     ----------
     path : path
+        Next to which it lies.
 
     Raises
     ------
@@ -46,9 +49,10 @@ class Journal:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("wb", buffering=0)
+        self.path = path.with_name(f".{path.stem}.{uuid4().hex[:12]}.partial{path.suffix}")
+        self._file = self.path.open("wb", buffering=0)
         self._write(BEGIN)
-        self._chain, self._end = sha256(BEGIN).digest(), len(BEGIN)
+        self._chain, self._end, self._named = sha256(BEGIN).digest(), len(BEGIN), False
 
     def add(self, header: Mapping[str, Any], arrays: Arrays) -> None:
         """Append a record and hand it to the operating system; after an error the records before it are whole.
@@ -68,9 +72,25 @@ class Journal:
             raise
         self._chain, self._end = chain, self._end + LENGTH.size + len(content) + DIGEST
 
-    def close(self) -> None:
-        """Close the file."""
+    def rename(self, path: Path) -> None:
+        """Give the journal its name, in place of an older file, and go on with it there.
+
+        Raises
+        ------
+        OSError
+            The file cannot be renamed.
+        """
         self._file.close()
+        os.replace(self.path, path)
+        self.path, self._named = path, True
+        self._file = path.open("r+b", buffering=0)
+        self._file.seek(self._end)
+
+    def close(self) -> None:
+        """Close the file; remove it if it never got its name."""
+        self._file.close()
+        if not self._named:
+            self.path.unlink(missing_ok=True)
 
     def _write(self, content: bytes) -> None:
         rest = memoryview(content)

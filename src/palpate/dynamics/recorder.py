@@ -22,8 +22,8 @@ Floats = NDArray[np.float64]
 class Recorder:
     """Collects the frames of a run, and keeps them in a file on the way where there is a path.
 
-    Until the run ends the file is a journal (`palpate.dynamics.journal`), which holds all frames until then whatever
-    stops the program. In the end it becomes the HDF5 file of the trajectory.
+    From the first frame on the file is a journal (`palpate.dynamics.journal`), which holds all frames until then
+    whatever stops the program. In the end it becomes the HDF5 file of the trajectory.
 
     Parameters
     ----------
@@ -70,6 +70,8 @@ class Recorder:
             arrays |= {name: np.reshape(list(getattr(frame, name).values()), (-1, 3)) for name in NAMED}
             arrays = {name: np.asarray(values, dtype=float) for name, values in arrays.items()}
             self._journal.add({}, arrays | {"held": np.asarray(frame.held, dtype=np.bool_)})
+            if len(self.times) == 1:
+                self._journal.rename(self.path)
 
     def close(self, wall_seconds: float, complete: bool) -> Trajectory:
         """Finish the file, and return what was collected."""

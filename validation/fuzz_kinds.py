@@ -1,0 +1,640 @@
+"""What `fuzz.py` damages and forges: a sound file, text or message of every kind, its loader, and what differs.
+
+A kind is a function of a folder that makes a sound example there and returns a trial: a function of a random generator
+and the folder that damages or forges the example, and uses it as a person would.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import palpate as pt
+from palpate.app.view import recording as recordings
+from palpate.app.view.messages import parsed
+from palpate.app.view.replay import Replay
+from palpate.app.view.snapshot import Snapshot
+from palpate.dynamics import trajectory as trajectories
+from palpate.dynamics.recorder import Recorder
+from palpate.faults import InputError
+from palpate.files import read_sealed_json, write_sealed_json
+from palpate.reduction import storage
+from palpate.reduction.lti import storage as linear_storage
+from palpate.sealed import HEAD, open_sealed, write_sealed
+
+Rng = np.random.Generator
+Trial = Callable[[Rng, Path], str]
+
+NUMBERS = [0, 1, -1, 2, 0.5, -0.5, 1e-320, 1e-300, 1e300, 1.8e308, 2**31, 2**53, -(2**53), 10**6, 1e6, 1e-6, math.pi]
+TEXTS = [
+    "",
+    "x",
+    "np",
+    "__import__",
+    "os:system",
+    "9**9**9",
+    "../../x",
+    "\x00",
+    "a" * 300,
+    "ä",
+    "{}",
+    "[]",
+    "1e999",
+    "-",
+]
+
+
+# changes of bytes
+
+
+def damaged(rng: Rng, data: bytes) -> bytes:
+    """Return a content with a few bytes changed, cut, doubled, moved, removed or put in; never the same."""
+    while True:
+        content, how = bytearray(data), rng.integers(8)
+        at = int(rng.integers(len(data))) if rng.random() < 0.6 or len(data) < 2 * HEAD else _edge(rng, len(data))
+        size = int(rng.choice([1, 2, 8, 64, 512]))
+        if how <= 2:
+            for place in np.unique(rng.integers(at, min(at + 64, len(data)), size=int(rng.integers(1, 4)))):
+                content[place] = rng.integers(256)
+        elif how == 3:
+            content[at] ^= 1 << int(rng.integers(8))
+        elif how == 4:
+            content = content[:at]
+        elif how == 5:
+            content[at:at] = (
+                bytes(rng.integers(0, 256, size, dtype="u1")) if rng.random() < 0.5 else content[at : at + size]
+            )
+        elif how == 6:
+            del content[at : at + size]
+        else:
+            content[at : at + size] = bytes(len(content[at : at + size]))
+        if content != data:
+            return bytes(content)
+
+
+def _edge(rng: Rng, size: int) -> int:
+    """Return a place near the beginning or the end, where heads and tables are."""
+    near = int(rng.integers(min(size, 4 * HEAD)))
+    return near if rng.random() < 0.5 else size - 1 - near
+
+
+# changes of values
+
+
+def lie(rng: Rng, value: Any, depth: int = 0) -> Any:
+    """Return a JSON value in which one leaf, key or branch is something else."""
+    if isinstance(value, dict) and value and rng.random() < 0.85:
+        key = str(rng.choice(sorted(value)))
+        if rng.random() < 0.15:
+            rest = {k: v for k, v in value.items() if k != key}
+            return rest | ({str(rng.choice(TEXTS)): value[key]} if rng.random() < 0.5 else {})
+        return value | {key: lie(rng, value[key], depth + 1)}
+    if isinstance(value, list) and value and rng.random() < 0.85:
+        k, how = int(rng.integers(len(value))), rng.random()
+        if how < 0.15:
+            return value[:k] + value[k + 1 :]
+        if how < 0.3:
+            return value[:k] + [value[k]] * int(rng.choice([2, 3, 100])) + value[k + 1 :]
+        return [*value[:k], lie(rng, value[k], depth + 1), *value[k + 1 :]]
+    if isinstance(value, str) and value[:1] in "{[" and value and rng.random() < 0.8:  # JSON in a text
+        return json.dumps(lie(rng, json.loads(value)))
+    return _other(rng, value)
+
+
+def _other(rng: Rng, value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool) and rng.random() < 0.6:
+        scale = rng.choice([-1, 0.5, 2, 10, 1e3, 1e-3, 1e12, 1e-12])
+        return rng.choice([value + 1, value - 1, float(value) * scale]).item()
+    if isinstance(value, str) and value and rng.random() < 0.5:
+        k = int(rng.integers(len(value)))
+        return value[:k] + str(rng.choice(TEXTS)) + value[k + int(rng.integers(4)) :]
+    kind = rng.integers(6)
+    nested: Any = []
+    for _ in range(int(rng.choice([1, 5, 30, 200]))):
+        nested = [nested]
+    return [
+        rng.choice(np.array(NUMBERS, dtype=float)).item(), str(rng.choice(TEXTS)), None, bool(rng.integers(2)),
+        {"a": 1.0}, nested,
+    ][kind]  # fmt: skip
+
+
+def lied_array(rng: Rng, array: Any) -> Any:
+    """Return an array with other entries, type or shape."""
+    array, how = array.copy(), rng.integers(8)
+    if how <= 3 and array.size:
+        hostile = (
+            np.array([*NUMBERS, np.nan, np.inf, -np.inf])
+            if array.dtype.kind == "f"
+            else np.array([-1, 0, 1, 2**31, 2**62])
+        )
+        with np.errstate(all="ignore"):
+            values = rng.choice(hostile, int(rng.integers(1, 4))).astype(array.dtype)
+        array.flat[rng.integers(array.size, size=len(values))] = values
+        if rng.random() < 0.2:
+            array[...] = values[0]
+        return array
+    if how == 4:
+        return array[: len(array) // 2] if array.ndim else array
+    if how == 5:
+        return np.concatenate([array, array]) if array.ndim else array
+    if how == 6:
+        return array.reshape(-1) if rng.random() < 0.5 else array[None]
+    with np.errstate(all="ignore"):
+        return array.astype(rng.choice(["<f8", "<f4", "<i8", "|u1", "|b1"]))
+
+
+def forged(rng: Rng, path: Path, kind: str, version: int, to: Path) -> None:
+    """Write a sealed file with one to three lies in it and right checksums, one that can be written."""
+    while not to.exists():
+        with contextlib.suppress(InputError, RuntimeError, ValueError, TypeError):
+            _forge(rng, path, kind, version, to)
+
+
+def _forge(rng: Rng, path: Path, kind: str, version: int, to: Path) -> None:
+    file = open_sealed(path, kind, version)
+    header: Any = dict(file.header)
+    arrays = {name: file.read(name) for name in file.arrays}
+    by_row = {name for name, entry in file.arrays.items() if entry.by_row}
+    for _ in range(int(rng.integers(1, 4))):
+        if rng.random() < 0.5:
+            changed = lie(rng, header)
+            header = changed if isinstance(changed, dict) else header
+        else:
+            name = str(rng.choice(sorted(arrays)))
+            if rng.random() < 0.08:
+                arrays.pop(name)
+            else:
+                arrays[name] = lied_array(rng, arrays[name])
+    rows = {name: list(arrays.pop(name)) for name in by_row & arrays.keys() if arrays[name].ndim and len(arrays[name])}
+    write_sealed(to, kind, version, header, arrays, rows)
+
+
+def forged_table(rng: Rng, data: bytes) -> bytes:
+    """Return a sealed file with a lie in its table, and right checksums of the table."""
+    kind, version, place = data[:HEAD].split(b"\n")[:3]
+    at = int(place.split()[1])
+    table = json.loads(data[at:])
+    if rng.random() < 0.7 and table["arrays"]:
+        name = str(rng.choice(sorted(table["arrays"])))
+        table["arrays"][name] = lie(rng, table["arrays"][name])
+    else:
+        table = lie(rng, table)
+    text = json.dumps(table).encode()
+    head = b"\n".join([kind, version, f"table {at} {len(text)} {sha256(text).hexdigest()}".encode(), b""])
+    return head.ljust(HEAD, b"\0") + data[HEAD:at] + text
+
+
+# sealed files
+
+
+def sealed_kind(path: Path, kind: str, version: int, load: Callable[[Path], Any], use: Callable[[Any], None]) -> Trial:
+    """Return the trial of a sealed file."""
+    data, sound = path.read_bytes(), fingerprint(load(path))
+    use(load(path))
+
+    def trial(rng: Rng, folder: Path) -> str:
+        changed, how = folder / f"changed{path.suffix}", rng.random()
+        changed.unlink(missing_ok=True)
+        if how < 0.4:
+            changed.write_bytes(damaged(rng, data))
+            return "equal" if fingerprint(load(changed)) == sound else "another number"
+        if how < 0.65:
+            changed.write_bytes(forged_table(rng, data))
+        else:
+            forged(rng, path, kind, version, changed)
+        found = load(changed)
+        use(found)
+        return "equal" if fingerprint(found) == sound else "accepted"
+
+    return trial
+
+
+def fingerprint(value: Any) -> str:
+    """Return a digest of all numbers and names of what was loaded."""
+    digest = sha256()
+    _add(digest, value)
+    return digest.hexdigest()
+
+
+def _add(digest: Any, value: Any) -> None:
+    if isinstance(value, np.ndarray):
+        digest.update(value.dtype.str.encode() + repr(value.shape).encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, Mapping):
+        for name in sorted(value, key=str):
+            digest.update(str(name).encode("utf-8", "replace"))
+            _add(digest, value[name])
+    elif isinstance(value, pt.ReducedModel):
+        _add(digest, list(storage.contents(value.parts, step=value.step, single=value.single)))
+    elif isinstance(value, pt.LinearModel):
+        _add(digest, value.reduced)
+        _add(digest, value.report)
+    elif hasattr(value, "__dataclass_fields__"):
+        _add(digest, {f.name: getattr(value, f.name) for f in fields(value)})
+    elif isinstance(value, list | tuple):
+        digest.update(b"[%d" % len(value))
+        for each in value:
+            _add(digest, each)
+    else:
+        digest.update(repr(value).encode("utf-8", "replace"))
+
+
+@cache
+def bar() -> Any:
+    """Return a small body in the energy form."""
+    tissue = pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45)
+    cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
+    return pt.FullModel(cloud, tissue, fixed="x-", form="energy", viscosity=1e-4)
+
+
+def push(time: float) -> Any:
+    """Return the place of a ball over the bar."""
+    return 0.02, 0.0075, 0.015 + 0.008 - 0.1 * min(time, 0.02)
+
+
+@cache
+def pressed() -> Any:
+    """Return a run of the bar under a ball."""
+    return pt.rollout(bar(), [pt.Contact(pt.Sphere(0.008), push)], duration=0.02, every=0.002)
+
+
+@cache
+def model() -> pt.ReducedModel:
+    """Return a reduced model that tools touch."""
+    made = pt.reduce(bar(), [pressed()], modes=4)
+    about = {"scene": {"name": "beam", "parameters": {"spacing": 0.005}}}
+    return pt.ReducedModel(replace(made.parts, report={**made.report, **about}))
+
+
+def use_model(found: pt.ReducedModel) -> None:
+    """Show the model's surface as the page would, and run the model for a millisecond."""
+    from palpate.app.view.snapshot import told_scalars, told_training
+    from palpate.reduction.surface import Surface
+
+    told_scalars(Surface(found))
+    told_training(found)
+    json.dumps(found.report)
+    run = pt.rollout(found, [], duration=1e-3, every=1e-3, progress=False)
+    assert np.isfinite(run.displacements).all()
+
+
+def reduced_kind(folder: Path) -> Trial:
+    """Return trials of the file of a reduced model."""
+    model().save(folder / "sound.rom")
+    return sealed_kind(folder / "sound.rom", storage.FORMAT, storage.VERSION, pt.load, use_model)
+
+
+def linear_kind(folder: Path) -> Trial:
+    """Return trials of the file of a linear model."""
+    pull = pt.Traction("x+", force=lambda t: (1e-3 * t, 0.0, 0.0))
+    system = pt.linearise(bar(), [pull], ["x+"])
+    pt.reduce_linear(system, "modal", 4).save(folder / "sound.lti")
+
+    def use(found: Any) -> None:
+        assert np.isfinite(found.poles).all()
+
+    load = lambda path: pt.load_linear(path, system)  # noqa: E731
+    return sealed_kind(folder / "sound.lti", linear_storage.FORMAT, linear_storage.VERSION, load, use)
+
+
+def use_run(found: pt.Trajectory) -> None:
+    """Use what a trajectory is for."""
+    assert np.isfinite(found.balance).all() if len(found.times) else True
+    assert all(np.isfinite(force).all() for force in found.reactions.values())
+
+
+def trajectory_kind(folder: Path) -> Trial:
+    """Return trials of the file of a trajectory."""
+    pressed().save(folder / "sound.h5")
+    return sealed_kind(folder / "sound.h5", trajectories.FORMAT, trajectories.VERSION, pt.Trajectory.load, use_run)
+
+
+def stored_kind(folder: Path) -> Trial:
+    """Return trials of a trajectory that is read frame by frame."""
+    pressed().save(folder / "sound.h5")
+
+    def load(path: Path) -> Any:
+        found = trajectories.StoredTrajectory(path)
+        return [found.points, found.times, found.displacements[:], found.touches, found.held]
+
+    return sealed_kind(folder / "sound.h5", trajectories.FORMAT, trajectories.VERSION, load, lambda found: None)
+
+
+def journal_kind(folder: Path) -> Trial:
+    """Return trials of the journal of a run that was cut off: damage that only shortens it at its end is no fault."""
+    path, run = folder / "sound.h5", pressed()
+    recorder = Recorder(path, run.model, run.points, run.viscosity, "journal")
+    model, drive = bar(), bar().drive([pt.Gravity()])
+    state = model.state(drive)
+    for k in range(6):
+        recorder.add(1e-3 * k, k, model.outputs(state, drive))
+    recorder._journal.close()
+    data, sound = path.read_bytes(), pt.Trajectory.load(path)
+
+    def trial(rng: Rng, folder: Path) -> str:
+        changed = folder / "changed.h5"
+        content = damaged(rng, data)
+        changed.write_bytes(content)
+        found = pt.Trajectory.load(changed)
+        use_run(found)
+        count = len(found.times)
+        whole = np.array_equal(found.displacements, sound.displacements[:count]) and np.array_equal(
+            found.times, sound.times[:count]
+        )
+        shortened = count == len(sound.times) or data.startswith(content) or content[: len(content) - 40] in data
+        return "equal" if whole and shortened and not found.complete else "another number"
+
+    return trial
+
+
+def recording() -> recordings.Recording:
+    """Return a recording of a few moments, as a session leaves it."""
+    body, zero = model(), np.zeros(3)
+    moments = []
+    for k in range(8):
+        touched = np.arange(2 if k % 3 else 0)
+        moments.append(
+            Snapshot(
+                time=0.01 * k, steps=10 * k, force=zero + k, moment=zero, stiffness=np.eye(3), trust=0.1, position=zero,
+                quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=1e-6, computing=1e-4, lateness=0.0,
+                coordinates=1e-4 * k * np.ones(body.count), state="running", hand=zero, nodes=touched,
+                forces=np.ones((len(touched), 3)) * 1e-3, firmness=1.0, tool="sphere",
+            )
+        )  # fmt: skip
+    tool = {"kind": "sphere", "radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None, "frame": 0}
+    return recordings.Recording("Bar", body, 0.01 * np.arange(8.0), moments, [tool], {})
+
+
+def use_recording(found: recordings.Recording) -> None:
+    """Show the recording as the server would, and ask for its full model as `palpate replay --full` does."""
+    from palpate.app.view import frames
+    from palpate.app.view.fullrun import path_of
+
+    show = Replay(found)
+    json.dumps([show.hello(), show.status(), show.statistics()], allow_nan=False)
+    frames.geometry_frame(show.surface)
+    for moment in found.moments[:3]:
+        body = frames.state(show.surface, moment, "displacement")
+        assert np.isfinite(np.frombuffer(body, "<f4")[44:]).all()
+        frames.force_frame(moment, 1)
+    with contextlib.suppress(InputError):
+        path_of(found)
+
+
+def recording_kind(folder: Path) -> Trial:
+    """Return trials of a recording."""
+    path = folder / "sound.h5"
+    recordings.save_recording(path, recording())
+    path.with_suffix(".vtkhdf").unlink()
+    return sealed_kind(path, recordings.FORMAT, recordings.VERSION, recordings.load_recording, use_recording)
+
+
+def manifest_kind(folder: Path) -> Trial:
+    """Return trials of a campaign's manifest."""
+    from palpate.app.train import folder as folders
+
+    manifest = {
+        "format": folders.FORMAT, "version": folders.VERSION, "palpate": pt.__version__, "scene": "beam",
+        "title": "Beam", "parameters": {"spacing": 0.005, "poisson": 0.45}, "seed": 0, "every": 1e-3, "nodes": 112,
+    }  # fmt: skip
+    (folder / "runs").mkdir()
+    path = folder / "campaign.json"
+    write_sealed_json(path, manifest)
+    data = path.read_bytes()
+
+    def trial(rng: Rng, folder: Path) -> str:
+        if rng.random() < 0.6:
+            path.write_bytes(damaged(rng, data))
+        else:
+            path.unlink()
+            while not path.exists():
+                content = lie(rng, manifest)
+                with contextlib.suppress(ValueError):
+                    write_sealed_json(path, content if isinstance(content, dict) else {"a": content})
+        folders.Folder(folder, manifest).check()
+        same = read_sealed_json(path, "campaign") == manifest
+        return "equal" if same else "another number"
+
+    return trial
+
+
+# texts
+
+
+def material_kind(folder: Path) -> Trial:
+    """Return trials of the text of a law: words of its grammar in any order, and sound ones damaged."""
+    sound = ["C1 * (I1bar - 3) + C2 * (I1bar - 3)**2", "C1 * (exp(C2 * (I1bar - 3)) - 1)", "C1*(l1**2+l2**2+l3**2-3)"]
+    words = ["I1", "I2", "J", "I1bar", "l1", "l2", "l3", "+", "-", "*", "/", "**", "(", ")", "exp(", "log(", "sqrt("]
+    words += [
+        "9",
+        "2",
+        "0.5",
+        "1e999",
+        "0x" + "f" * 200,
+        "C1",
+        "energy",
+        "__dict__",
+        "lambda:",
+        "[",
+        "]",
+        ",",
+        "if",
+        ":=",
+    ]
+
+    def trial(rng: Rng, folder: Path) -> str:
+        if rng.random() < 0.5:
+            text = damaged(rng, str(rng.choice(sound)).encode()).decode("utf-8", "replace")
+        elif rng.random() < 0.7:
+            text = " ".join(rng.choice(words, int(rng.integers(1, 60))))
+        else:
+            text = str(rng.choice(["exp(", "(", "-", "9**", "sqrt("])) * int(rng.integers(1, 1500)) + "I1"
+            text += ")" * text.count("(")
+        parameters = {name: 1e3 for name in ("C1", "C2") if name in text}
+        pt.Hyperelastic(text, density=1000.0, poisson=0.45, stable=None, **parameters)
+        return "accepted"
+
+    return trial
+
+
+def curve_kind(folder: Path) -> Trial:
+    """Return trials of a CSV file of measured curves."""
+    sound = "# source\n# kind: uniaxial\nstretch [-], nominal stress [kPa]\n1.00, 0.00\n1.10, 0.61\n1.2, 1.1\n"
+    bits = [
+        ",",
+        ";",
+        "\t",
+        "\n",
+        "#",
+        "[",
+        "]",
+        '"',
+        "kind",
+        "curve",
+        "nan",
+        "inf",
+        "1e999",
+        "\x00",
+        "\uff11",
+        "1_0",
+        "%",
+    ]
+
+    def trial(rng: Rng, folder: Path) -> str:
+        data = sound.encode()
+        if rng.random() < 0.5:
+            data = damaged(rng, data)
+        for _ in range(int(rng.integers(3))):
+            at = int(rng.integers(len(data) + 1))
+            data = data[:at] + str(rng.choice(bits)).encode() * int(rng.choice([1, 2, 1000])) + data[at:]
+        (folder / "curve.csv").write_bytes(data)
+        for curve in pt.read_measurements(folder / "curve.csv"):
+            assert np.isfinite(curve.stretch).all()
+            assert np.isfinite(curve.stress).all()
+        return "accepted"
+
+    return trial
+
+
+def message_kind(folder: Path) -> Trial:
+    """Return trials of what a client of the page's server says."""
+    sound = [
+        {"type": "hello", "protocol": 1, "token": "abc", "name": ""}, {"type": "pose", "position": [0.1, 0.0, 0.2]},
+        {"type": "tool", "kind": "sphere", "radius": 0.01, "position": [0, 0, 0.1]}, {"type": "latency", "stamp": 1.5},
+        {"type": "force", "rate": 100.0}, {"type": "material", "name": "shear modulus", "value": 5.0},
+    ]  # fmt: skip
+
+    def trial(rng: Rng, folder: Path) -> str:
+        given = sound[int(rng.integers(len(sound)))]
+        if rng.random() < 0.4:
+            text = damaged(rng, json.dumps(given).encode()).decode("utf-8", "replace")
+        else:
+            text = json.dumps(lie(rng, given))
+        if rng.random() < 0.2:
+            text = text.replace(
+                "1", str(rng.choice(["1e999", "NaN", "Infinity", "9" * 500, '"\\ud800"', "[" * 50_000]))
+            )
+        message = parsed(text)
+        json.dumps(message, allow_nan=False).encode()
+        return "accepted"
+
+    return trial
+
+
+def surface_kind(suffix: str) -> Callable[[Path], Trial]:
+    """Return the kind of a surface file."""
+
+    def kind(folder: Path) -> Trial:
+        import pyvista
+        import trimesh
+
+        ball, path = trimesh.creation.icosphere(subdivisions=2, radius=0.05), folder / f"sound.{suffix}"
+        if suffix in ("vtk", "vtp"):
+            faces = np.column_stack([np.full(len(ball.faces), 3), ball.faces]).ravel()
+            pyvista.PolyData(np.asarray(ball.vertices), faces).save(path)
+        else:
+            ball.export(path)
+        data, sound = path.read_bytes(), pt.read_surface(path, units="m")
+
+        def trial(rng: Rng, folder: Path) -> str:
+            changed = folder / f"changed.{suffix}"
+            changed.write_bytes(damaged(rng, data))
+            found = pt.read_surface(changed, units="m", mend=bool(rng.integers(2)))
+            pt.check_surface(found)
+            same = np.array_equal(found.vertices, sound.vertices) and np.array_equal(found.triangles, sound.triangles)
+            return "equal" if same else "accepted"  # surfaces of others have no checksum
+
+        return trial
+
+    return kind
+
+
+def command_kind(folder: Path) -> Trial:
+    """Return trials of command lines: options of the parser with odd values, and files of other kinds."""
+    import argparse
+
+    from palpate.app.cli import _parser, main
+
+    def leaves(parser: Any, words: list[str]) -> list[tuple[list[str], Any]]:
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                return [leaf for name, sub in action.choices.items() for leaf in leaves(sub, [*words, name])]
+        return [(words, parser)]
+
+    commands = leaves(_parser(), [])
+    values = [
+        "nan",
+        "inf",
+        "-1",
+        "0",
+        "1e-320",
+        "1e999",
+        "9" * 400,
+        "",
+        "x" * 5000,
+        "\n",
+        "../..",
+        "/dev/null",
+        "é",
+        "liver:x",
+    ]
+    files = []
+    for name, data in (
+        ("text", b"hello"),
+        ("json", b"[" * 9999),
+        ("bytes", bytes(range(256))),
+        ("hdf", b"\x89HDF\r\n\x1a\n"),
+    ):
+        (folder / name).write_bytes(data)
+        files.append(str(folder / name))
+
+    def trial(rng: Rng, folder: Path) -> str:
+        words, parser = commands[int(rng.integers(len(commands)))]
+        argv = [*words]
+        for action in parser._actions:
+            value = str(rng.choice(values + files))
+            if not action.option_strings:
+                argv.append(value if action.choices is None else str(rng.choice([*map(str, action.choices), value])))
+            elif action.dest not in ("help", "realtime") and rng.random() < 0.3:
+                argv += [action.option_strings[0], *([] if action.nargs == 0 else [value])]
+        if len(argv) == len(words) and words[:1] != ["laws"]:
+            return "refused"
+        if words[:1] in (["reproduce"], ["bench"], ["compare"]) or words == ["run", "liver"]:
+            argv += ["--out", files[0]]  # a file: refused before anything long
+        told = io.StringIO()
+        with contextlib.redirect_stderr(told):
+            try:
+                status = main(argv)
+            except SystemExit as end:
+                status = int(end.code or 0)
+        lines = [line for line in told.getvalue().splitlines() if line]
+        if status == 2 and lines and "Traceback" not in told.getvalue():
+            return "refused"
+        return "accepted" if status == 0 else f"status {status}: {lines[-1:]} of {argv}"
+
+    return trial
+
+
+def physics_kind(folder: Path) -> Trial:
+    """Return trials of models, loads and runs with numbers of any size."""
+    from fuzz_physics import trial as physics
+
+    return lambda rng, folder: {"ran": "accepted"}.get(physics(rng), "refused")
+
+
+KINDS: dict[str, Callable[[Path], Trial]] = {
+    "model": reduced_kind, "linear": linear_kind, "trajectory": trajectory_kind, "stored": stored_kind,
+    "journal": journal_kind, "recording": recording_kind, "manifest": manifest_kind,
+    **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp")},
+    "material": material_kind, "curve": curve_kind, "message": message_kind, "command": command_kind,
+    "physics": physics_kind,
+}  # fmt: skip
