@@ -10,6 +10,27 @@ from typing import Any
 # Threads that wait for each other spin only briefly, so that other work on the same cores does not stall them.
 os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 
+
+def _check_cache_folder() -> None:
+    """Refuse a folder for compiled code that others may write: what lies there is run.
+
+    Raises
+    ------
+    ImportError
+        ``NUMBA_CACHE_DIR`` names such a folder.
+    """
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    if folder and os.name == "posix" and os.path.isdir(folder):
+        found = os.stat(folder)
+        if found.st_mode & 0o022 or found.st_uid not in (0, os.getuid()):
+            raise ImportError(
+                f"NUMBA_CACHE_DIR = {folder!r} can be written by others, and compiled code would be read from it: make "
+                "it yours alone (chmod go-w), or unset the variable"
+            )
+
+
+_check_cache_folder()
+
 _HOME = {
     "Cloud": "meshfree.cloud",
     "box": "meshfree.cloud",

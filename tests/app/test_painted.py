@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 import pyvista
@@ -19,7 +21,7 @@ def test_what_was_painted_is_found_on_the_body(tmp_path, small_cloud, suffix):
 
 
 def test_files_that_are_not_painted_are_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no painted mesh"):
+    with pytest.raises(FileNotFoundError, match="no painted mesh at"):
         pt.read_painted(tmp_path / "none.ply", "ligament")
     (tmp_path / "text.txt").write_text("0 0 0")
     with pytest.raises(pt.FileFormatError, match="a painted mesh is one of"):
@@ -29,5 +31,28 @@ def test_files_that_are_not_painted_are_refused(tmp_path):
     mesh.save(tmp_path / "mesh.vtp")
     with pytest.raises(pt.InputError, match="no field 'ligament' on its points, but 'arrows'"):
         pt.read_painted(tmp_path / "mesh.vtp", "ligament")
-    with pytest.raises(pt.InputError, match="is no scalar"):
+    with pytest.raises(pt.InputError, match="is not a scalar"):
         pt.read_painted(tmp_path / "mesh.vtp", "arrows")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n0 0 0\n"
+        b"POLYGONS 1 4\n99999999 0 0 0\n",
+        b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 999999999999 float\n0 0 0\n",
+        b"",
+        b"\x00" * 500,
+    ],
+)
+def test_files_that_crash_the_reader_are_refused(tmp_path, content):
+    """The first of them ends a process of VTK with a segmentation fault."""
+    (tmp_path / "mesh.vtk").write_bytes(content)
+    with pytest.raises(pt.FileFormatError, match=r"mesh\.vtk"):
+        pt.read_painted(tmp_path / "mesh.vtk", "ligament")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "mesh.vtk")
+    with pytest.raises(pt.FileFormatError, match="not a regular file"):
+        pt.read_painted(tmp_path / "mesh.vtk", "ligament")

@@ -1,7 +1,16 @@
-"""Painted meshes: points with labels or weights, from what modelling programs write."""
+"""Painted meshes: points with labels or weights, from what modelling programs write.
+
+VTK's readers crash on damaged files, and wait or take all memory on others. So a process of its own, with limits of
+time and memory, reads the file and hands arrays back.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.faults import FileFormatError, InputError
+from palpate.files import regular_file, shortened
 
 __all__ = ["read_painted"]
 
 Floats = NDArray[np.float64]
 FORMATS = (".ply", ".vtk", ".vtp", ".vtu")
+LARGEST = 300_000_000  # bytes of a file
+MEMORY, SECONDS = 400 << 20, 30  # of the reader, with which it begins; more for larger files
+PER_BYTE, RATE = 20, 1_000_000  # of memory, and bytes a second
 
 
 def read_painted(path: str | Path, name: str) -> tuple[Floats, Floats]:
@@ -36,24 +49,71 @@ def read_painted(path: str | Path, name: str) -> tuple[Floats, Floats]:
     FileNotFoundError
         There is no such file.
     FileFormatError
-        The file is of another kind, or cannot be read as what it says to be.
+        The file is of another kind, damaged, or its numbers are not finite.
     InputError
-        It has no such field, or one that is no scalar.
+        It has no such field, or one that is not a scalar.
     """
-    import pyvista
-
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no painted mesh at {path}")
+    size = regular_file(path, "painted mesh", LARGEST)
     if path.suffix.lower() not in FORMATS:
         raise FileFormatError(f"{path}: a painted mesh is one of {', '.join(FORMATS)}")
+    command = [sys.executable, "-P", "-m", "palpate.app.painted", str(path.absolute()), name, str(size)]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=4 * (SECONDS + size / RATE), check=False)
+    except subprocess.TimeoutExpired:
+        raise FileFormatError(f"{path} cannot be read in reasonable time; save the mesh again") from None
+    arrays = _arrays(done.stdout)
+    if done.returncode or len(arrays) != 2:
+        raise FileFormatError(f"{path} is damaged, or is not a {path.suffix} file; save the mesh again")
+    points, fields = arrays
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise FileFormatError(f"{path} holds no points, or is not a {path.suffix} file")
+    if fields.dtype.kind == "U":  # there is no such field: the names of those there are
+        known = ", ".join(shortened(repr(str(each))) for each in fields) or "none"
+        raise InputError(f"{path} has no field {name!r} on its points, but {known}")
+    if fields.shape != (len(points),):
+        raise InputError(f"{path}: the field {name!r} is not a scalar; its shape is {fields.shape}")
+    if not np.isfinite(points).all() or not np.isfinite(fields).all():
+        raise FileFormatError(f"{path} holds points or values that are not finite; save the mesh again")
+    return points, fields
+
+
+def _arrays(content: bytes) -> list[Any]:
+    """Return the arrays that the reader wrote."""
+    arrays, stream = [], io.BytesIO(content)
+    with contextlib.suppress(ValueError, EOFError, OSError):
+        while stream.tell() < len(content):
+            arrays.append(np.load(stream, allow_pickle=False))
+    return arrays
+
+
+def _main(path: str, name: str, size: str) -> None:
+    """Read a file within limits, and write points and values, or the names of all fields, to standard output."""
+    import pyvista
+
+    if os.name == "posix":
+        import resource
+
+        own = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() if _has_statm() else 0
+        memory = own + MEMORY + PER_BYTE * int(size)
+        resource.setrlimit(resource.RLIMIT_AS if own else resource.RLIMIT_DATA, (memory, memory))
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS + int(size) // RATE,) * 2)
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # VTK writes to standard output
     mesh: Any = pyvista.read(path)
-    if not mesh.n_points:
-        raise FileFormatError(f"{path} holds no points, or is no {path.suffix} file")
     fields = mesh.point_data
-    if name not in fields:
-        raise InputError(f"{path} has no field {name!r} on its points, but {', '.join(map(repr, fields)) or 'none'}")
-    values = np.asarray(fields[name], dtype=float)
-    if values.ndim != 1:
-        raise InputError(f"{path}: the field {name!r} is no scalar; its shape is {values.shape}")
-    return np.asarray(mesh.points, dtype=float), values
+    values = np.asarray(fields[name], dtype=float) if name in fields else np.array([*fields], dtype=str)
+    for array in (np.asarray(mesh.points, dtype=float), values):
+        stream = io.BytesIO()
+        np.save(stream, array)
+        out.write(stream.getvalue())
+    out.flush()
+
+
+def _has_statm() -> bool:
+    return Path("/proc/self/statm").exists()
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])
