@@ -70,8 +70,11 @@ def number_in_range(
     """Return `value` as a float, or raise `InputError` naming it and the allowed range."""
     try:
         number = float(value)
+        known = not isinstance(value, str | bytes)  # which `float` reads
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} must be a number, got {brief(value)}") from None
+        known = False
+    if not known:
+        raise InputError(f"{name} must be a number, got {brief(value)}")
     below = number <= low if open_low else number < low
     above = number >= high if open_high else number > high
     if not math.isfinite(number) or below or above:

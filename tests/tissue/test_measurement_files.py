@@ -167,6 +167,7 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
         ({"deformation": [1.0, 1.3, 1.2]}, "stretch = 1.2 at point 3 turns back after 1.3"),
         ({"deformation": [0.0, 1.1, 1.2]}, r"stretch = 0 at point 1 is out of range: allowed is \(0, inf\)"),
         ({"deformation": [1.0, 1.0, 1.0]}, "every stretch is 1, rest: nothing was deformed"),
+        ({"deformation": [1.0, 1.1, 1e6]}, r"stretch = 1e\+06 at point 3 is out of range: allowed is up to 20"),
         ({"deviation": 0.0}, "deviation = 0 at point 1 is out of range"),
         ({"deviation": [1.0, 2.0, -1.0]}, "deviation = -1 at point 3 is out of range"),
     ],

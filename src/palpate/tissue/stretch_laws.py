@@ -66,7 +66,7 @@ class StretchLaw(Material):
 
 @dataclass(frozen=True, kw_only=True)
 class Ogden(StretchLaw):
-    """Ogden's law, equation (14), of any number of terms (Ogden, Proc. R. Soc. A 326, 565, 1972).
+    """Ogden's law, equation (14), of 1 to 16 terms (Ogden, Proc. R. Soc. A 326, 565, 1972).
 
     W = sum of C_i (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3 - alpha_i ln J) + lame / 2 (J - 1)^2,
     shear modulus 1/2 sum of C_i alpha_i^2. In Ogden's own notation C_i is mu_i / alpha_i.
