@@ -188,8 +188,8 @@ def test_a_law_with_the_wrong_sign_is_refused_at_rest():
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"stretches": (0.0, 2.0)}, r"the lower end of stretches = 0.0 is out of range: allowed is \(0, 1\]"),
-        ({"stretches": (0.5, 0.9)}, r"the upper end of stretches = 0.9 is out of range: allowed is \[1, inf\)"),
+        ({"stretches": (0.0, 2.0)}, r"the lower end of stretches = 0.0 is out of range: allowed is \[0.002, 1\]"),
+        ({"stretches": (0.5, 0.9)}, r"the upper end of stretches = 0.9 is out of range: allowed is \[1, 25\]"),
         ({"volumes": (1.1, 1.2)}, "the lower end of volumes = 1.1 is out of range"),
     ],
 )
