@@ -188,11 +188,26 @@ def test_a_law_with_the_wrong_sign_is_refused_at_rest():
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"stretches": (0.0, 2.0)}, r"the lower end of stretches = 0.0 is out of range: allowed is \(0, 1\]"),
-        ({"stretches": (0.5, 0.9)}, r"the upper end of stretches = 0.9 is out of range: allowed is \[1, inf\)"),
+        ({"stretches": (0.0, 2.0)}, r"the lower end of stretches = 0.0 is out of range: allowed is \[0.002, 1\]"),
+        ({"stretches": (0.5, 0.9)}, r"the upper end of stretches = 0.9 is out of range: allowed is \[1, 25\]"),
         ({"volumes": (1.1, 1.2)}, "the lower end of volumes = 1.1 is out of range"),
     ],
 )
 def test_a_range_without_rest_is_refused(ranges, message):
     with pytest.raises(pt.InputError, match=message):
         material_stability(Softening(density=1000, poisson=0.3), **ranges)
+
+
+@pytest.mark.parametrize("ends", [(0.8,), 3, "ab", (1e-300, 1e300), (0.8, np.nan), (0.8, 1e9), (0.8, 1.2, 1.3)])
+def test_a_range_that_is_none_is_refused(ends):
+    with pytest.raises(pt.InputError, match="of stretches"):
+        material_stability(pt.NeoHookean(C1=5e3, density=1000, poisson=0.4), ends)
+
+
+@pytest.mark.parametrize("C1", [1e306, 4e306, 3e307])
+def test_a_law_whose_waves_overflow_is_not_stable(C1):
+    try:
+        material = pt.NeoHookean(C1=C1, density=1000, poisson=0.45)
+    except pt.InputError:
+        return
+    assert not material_stability(material).stable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -150,7 +151,7 @@ def test_a_file_that_is_no_curve_is_refused_by_line_and_what_is_allowed(read, te
 
 def test_a_file_that_is_no_text_is_refused(tmp_path):
     (tmp_path / "picture.csv").write_bytes(b"\x89PNG\xff\xfe\x00")
-    with pytest.raises(pt.FileFormatError, match="is not a text file"):
+    with pytest.raises(pt.FileFormatError, match="is not text in UTF-8"):
         read_measurements(tmp_path / "picture.csv")
 
 
@@ -166,6 +167,7 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
         ({"deformation": [1.0, 1.3, 1.2]}, "stretch = 1.2 at point 3 turns back after 1.3"),
         ({"deformation": [0.0, 1.1, 1.2]}, r"stretch = 0 at point 1 is out of range: allowed is \(0, inf\)"),
         ({"deformation": [1.0, 1.0, 1.0]}, "every stretch is 1, rest: nothing was deformed"),
+        ({"deformation": [1.0, 1.1, 1e6]}, r"stretch = 1e\+06 at point 3 is out of range: allowed is up to 20"),
         ({"deviation": 0.0}, "deviation = 0 at point 1 is out of range"),
         ({"deviation": [1.0, 2.0, -1.0]}, "deviation = -1 at point 3 is out of range"),
     ],
@@ -183,3 +185,72 @@ def test_a_curve_cannot_be_changed_through_what_it_was_made_of():
     assert curve.stress[1] == 1.0
     with pytest.raises(ValueError, match="read-only"):
         curve.stress[1] = 7.0
+
+
+HARMFUL = {
+    "a long cell": (HEADER + "1," + "9" * 200_000, "line 3 has 200002 characters: allowed are 10000"),
+    "an open quotation": (HEADER + '1,"2\n3,4\n', "line 3 cannot be read as cells"),
+    "an infinite number": (HEADER + "1,1e999\n2,3\n", "line 3: nominal stress = '1e999' is not a finite number"),
+    "a large number": (HEADER + "1,0\n2,1e300\n", r"line 4: nominal stress = 1e\+300 is out of range"),
+    "an underscore": (HEADER + "1_0,1\n2,3\n", "line 3: stretch = '1_0' is not a finite number"),
+    "wide digits": (HEADER + "1,\uff11\n2,3\n", "line 3: nominal stress = '\uff11' is not a finite number"),
+    "a hexadecimal number": (HEADER + "0x1p3,1\n2,3\n", "line 3: stretch = '0x1p3' is not a finite number"),
+    "a null byte": (HEADER + "1,0\0\n", "line 3 has a control character"),
+    "an escape": ("# kind: uniaxial\n# \x1b[2J\n", "line 2 has a control character"),
+    "many columns": (",".join(["stretch [-]"] * 1_000_000), "line 1 has 11999999 characters"),
+    "columns": (",".join(["kind"] * 200), "line 1 has 200 columns: allowed are 13"),
+    "many curves": (
+        "kind, curve, stretch [-], nominal stress [Pa]\n"
+        + "".join(f"tension, {i // 2}, {1 + i % 2}, {i % 2}\n" for i in range(10_000)),
+        "has 5000 curves: allowed are 1000",
+    ),
+    "two kinds": ("# kind: shear\n# kind: planar\nshear [-], nominal stress [Pa]\n0, 0\n1, 1\n", "2 lines '# kind:'"),
+    "brackets": ("[" * 9000 + "\n1,2", "line 1: column '.*' is unknown"),
+    "spaces": ("stretch" + " " * 9000 + "x [-\n1", "line 1: column '.*' is unknown"),
+    "an endless stretch": (
+        "# kind: uniaxial\ntrue strain [-], nominal stress [Pa]\n0, 0\n-1e9, 1\n", "stretch = 0 at point 2 is out"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", HARMFUL)
+def test_a_file_that_would_harm_is_refused_in_one_short_line(read, case):
+    text, message = HARMFUL[case]
+    with pytest.raises(pt.FileFormatError, match=message) as refusal:
+        read(text)
+    assert len(str(refusal.value).splitlines()) == 1
+    assert len(str(refusal.value)) < 500
+
+
+def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(pt.FileFormatError, match="is not a regular file"):
+        read_measurements(tmp_path / "pipe.csv")
+
+
+def test_damaged_files_are_curves_or_refused(tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "damaged.csv"
+    text = (
+        "# Doe, 2001\n# kind: compression\nkind; curve; strain [%]; nominal stress [kPa]; standard deviation [kPa]\n"
+        + "".join(f"tension; {i % 3}; {i}; {2 * i}; 1\n" for i in range(12))
+    )
+    pieces = [
+        *(b"\xff", b"\0", b'"', b"\r", b"\n", b"nan", b"-inf", b"1e999", b"1e30", b"-", b";", b"\t", b"#", b"[", b"]"),
+        *(b"%", b"kind", b"stretch [-]", b"\xef\xbc\x91", b"\xed\xa0\x80", b"9" * 400, b"\xc2\x85", b"\xe2\x80\xa8"),
+    ]
+    read = 0
+    for _ in range(2000):
+        data = bytearray(text.encode())
+        for _ in range(rng.integers(1, 4)):
+            at = rng.integers(len(data))
+            data[at : at + rng.integers(0, 6)] = pieces[rng.integers(len(pieces))]
+        path.write_bytes(data[: rng.integers(1, len(data) + 1)] if rng.integers(4) == 0 else data)
+        try:
+            curves = read_measurements(path)
+        except pt.FileFormatError as error:
+            message = str(error)
+            assert len(message.splitlines()) == 1
+        else:
+            read += 1
+            assert all(np.isfinite(curve.stress).all() for curve in curves)
+    assert 20 < read < 1900

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import linecache
 import subprocess
 import sys
+from time import process_time
 
 import numpy as np
 import pytest
 
 import palpate as pt
 from palpate import Hyperelastic
+from palpate.tissue.own_law import law_of
+from palpate.tissue.parameters import own_fields
+from palpate.tissue.straight_line import Tape, compiled_functions
 
 REST = {"density": 1000.0, "poisson": 0.45}
 TWINS = {
@@ -130,3 +135,192 @@ print(sum(force.stats.cache_hits.values()), sum(force.stats.cache_misses.values(
         for _ in range(2)
     ]
     assert [run.stdout.split() for run in said] == [["0", "1"], ["1", "0"]]
+
+
+X, EVEN = "(I1 - 3 - 2*log(J))", "(I1 - 2*log(J))"
+LONG = {
+    "six terms of Ogden": " + ".join(
+        f"C{i}*(l1**a{i} + l2**a{i} + l3**a{i} - 3 - a{i}*log(l1*l2*l3))" for i in range(6)
+    ),
+    "Rivlin's polynomial of the fourth order": " + ".join(
+        f"C{i}{j}*(I1bar - 3)**{i}*(I2bar - 3)**{j}" for i in range(5) for j in range(5 - i) if i + j
+    ),
+    "Arruda and Boyce": (
+        f"mu*({X}/2 + ({EVEN}**2 - 9)/(20*N) + 11*({EVEN}**3 - 27)/(1050*N**2) + 19*({EVEN}**4 - 81)/(7000*N**3) "
+        f"+ 519*({EVEN}**5 - 243)/(673750*N**4))"
+    ),
+    "exponentials": "C*(exp(a*(I1bar - 3) + b*(I1bar - 3)**2 + d*(I2bar - 3)) - 1) + D*(exp(e*(I2bar - 3)**2) - 1)",
+    "Gent": f"-mu/2*Jm*log(1 - {X}/Jm)",
+    "Saint Venant": "mu/4*(I1**2 - 2*I2 - 2*I1 + 3)",
+    "functions": "sqrt(I1)*tanh(I2/J) + sinh(0.1*I1)/cosh(J) - atan(I2*J)**3 + 2**J + J**(-1/3) - (-I1)**2 + J**a",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_derivatives_are_those_of_a_computer_algebra(name):
+    sympy = pytest.importorskip("sympy")
+    law = law_of(LONG[name])
+    stretches = law.variables == "stretches"
+    variables = sympy.symbols("l1 l2 l3" if stretches else "I1 I2 J", positive=True)
+    names = own_fields(law)
+    rng = np.random.default_rng(0)
+    values = dict(zip(names, rng.uniform(0.5, 2.0, len(names)), strict=True))
+    local = {str(v): v for v in variables}
+    if not stretches:
+        I1, I2, J = variables
+        local |= {"I1bar": I1 * J ** sympy.Rational(-2, 3), "I2bar": I2 * J ** sympy.Rational(-4, 3)}
+    printed = sympy.sympify(LONG[name], locals={**local, **{n: sympy.Float(v, 17) for n, v in values.items()}})
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+    pairs = pairs if stretches else [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]
+    first = [sympy.diff(printed, v) for v in variables]
+    expected = [printed, *first, *(sympy.diff(first[i], variables[j]) for i, j in pairs)]
+    point = rng.uniform(0.9, 1.1, 3) * ((1, 1, 1) if stretches else (3, 3, 1))
+    c = tuple(values[n] for n in names)
+    found = [law.energy(*point, c), *law.first(*point, c), *law.second(*point, c)]
+    exact = [float(e.subs(dict(zip(variables, point, strict=True)))) for e in expected]
+    np.testing.assert_allclose(found, exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
+
+
+HARMFUL = {
+    "a tower of powers": "I1bar + 9**9**9",
+    "powers of a power": "I1bar**2**2**2**2**2**2",
+    "a power of powers": "((((I1bar**99)**99)**99)**99)**1e5",
+    "exponentials in one another": "exp(" * 90 + "I1bar" + ")" * 90,
+    "many more": "exp(" * 190 + "I1bar" + ")" * 190,
+    "constant exponentials": "I1bar + exp(exp(exp(exp(100))))",
+    "constants that cancel": "exp(exp(exp(exp(exp(I1bar/I1bar + 5)))))",
+    "a hidden power": "exp(1e29*log(2*I1bar))**99",
+    "an infinite number": "I1bar*1e999",
+    "a large number": "I1bar*1e300",
+    "large numbers": "I1bar*(1e30**1e30)",
+    "a small number": "I1bar*1e-300",
+    "a root of less than nothing": "I1bar*(-8)**(1/3)",
+    "a division by nothing": "I1bar/0",
+    "many digits": "I1bar*" + "7" * 3000,
+    "a hexadecimal number": "I1bar*0x" + "f" * 3000,
+    "a number with underscores": "I1bar*1_0",
+    "an imaginary number": "I1bar*1j",
+    "signs": "-" * 3000 + "I1bar",
+    "brackets": "(" * 1900 + "I1bar" + ")" * 1900,
+    "closed brackets": ")" * 3000,
+    "a chain of powers": "I1bar**" * 500 + "1",
+    "a long sum": "I1bar" + "+1" * 1900,
+    "a product of sums": "*".join(f"(I1bar + c{i}*I2bar + J)" for i in range(32)),
+    "many parameters": "+".join(f"c{i}*I1bar" for i in range(33)),
+    "a long name": "I1bar*" + "a" * 3000,
+    "many operations": "sinh(I1bar*J)*" * 130 + "J",
+    "nested functions": "sqrt(I1bar + exp(J*" * 15 + "I2bar" + "))" * 15,
+    "fullwidth letters": "\uff29\uff11 + I1bar",
+    "a name that normalises": "I1bar*\u212b",
+    "half a surrogate pair": "I1bar*'\ud800'",
+    "a null byte": "I1bar\0",
+    "an assignment": "(I1bar := 3)",
+    "a condition": "I1bar if J else 1",
+    "a comprehension": "I1bar + sum(x for x in (1, 2))",
+    "a function of nothing": "I1bar + exp()",
+    "starred arguments": "I1bar + exp(*J)",
+    "a called result": "I1bar + exp(J)(J)",
+    "ellipsis": "I1bar + ...",
+    "a truth value": "I1bar + True",
+    "floor division": "I1bar // 2",
+    "an attribute of a number": "I1bar + 1 .real",
+    "nothing": "",
+    "a comment": "I1bar # + 1",
+}
+
+
+@pytest.mark.parametrize("case", HARMFUL)
+def test_a_text_that_would_harm_is_refused_in_one_line(case):
+    begun = process_time()
+    with pytest.raises(pt.InputError) as refusal:
+        Hyperelastic(HARMFUL[case], **REST, **{f"c{i}": 1.0 for i in range(33) if f"c{i}*" in HARMFUL[case]})
+    assert len(str(refusal.value).splitlines()) == 1
+    assert len(str(refusal.value)) < 400
+    assert process_time() - begun < 5.0
+
+
+TAKEN = [
+    *("energy", "law", "first", "second", "stress", "variables", "expression", "density", "poisson", "bulk", "prony"),
+    *("volumetric", "split", "coefficients", "shear_modulus", "lame", "stable", "__dict__", "__class__", "_x", "_"),
+    *("print", "sum", "exp", "atan", "None", "lambda", "is", "shear_stress", "_check_parameters"),
+]
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_a_parameter_may_not_have_a_name_that_is_taken(name):
+    with pytest.raises(pt.InputError, match=r"taken; choose another|a word of Python|which no energy may have"):
+        law_of(f"{name}*(I1bar - 3)")
+    with pytest.raises(pt.InputError, match=r"taken; choose another|a word of Python|which no energy may have"):
+        law_of(f"{name}*(l1 + l2 + l3 - 3 - log(l1*l2*l3))")
+
+
+def test_names_that_are_used_in_making_a_law_are_free():
+    text = "MISSING*(I1bar - 3) + self*(I2bar - 3) + c*(J - 1)**2 + np*(J - 1)**4 + s3*(J - 1)**6 + match*(J - 1)**2"
+    names = dict.fromkeys(("MISSING", "self", "c", "np", "s3", "match"), 1e3)
+    law = law_of(text)
+    assert own_fields(law) == sorted(names)
+    assert law(**REST, **names).shear_modulus == pytest.approx(4e3)
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "__import__('os')", "().__class__", "np.load(J)", "np.exp.__globals__", "open(J)", "c[J]", "c.x",
+        "J if c else J", "c", "np.exp", "np.exp(c)", "c[1.0]", "c[True]", "c[0][0]", "c['a']",
+        "[J]", "(lambda: J)()", "'a'", "np.exp(J, J)", "np", "x", "True", "f'{J}'", "(J := 1.0)", "np.exp(*c)",
+        "c[0:1]", "J == J", "J and J", "{J}", "np.exp(x=J)", "1j", "~c[0]", "J.real", "(yield J)",
+    ],
+)  # fmt: skip
+def test_code_is_not_run_unless_it_is_arithmetic(code, monkeypatch):
+    monkeypatch.setattr(Tape, "_printed", lambda tape, row: code)
+    before = len(linecache.cache)
+    with pytest.raises(pt.InputError, match="it is not run"):
+        law_of("C1*(I1bar - 3) + 0.125*J")
+    assert len(linecache.cache) == before
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import os\n", "def energy(I1, I2, J, c=1):\n    return J\n", "def energy(I1, I2, J, *c):\n    return J\n",
+        "@np.exp\ndef energy(I1, I2, J, c):\n    return J\n", "def energy(I1, I2, J, c) -> J:\n    return J\n",
+        "def energy(I1: J, I2, J, c):\n    return J\n", "def other(I1, I2, J, c):\n    return J\n",
+        "def energy(I1, I2, J, c):\n    global J\n    return J\n",
+        "def energy(I1, I2, J, c):\n    np = J\n    return J\n", "def energy(I1, I2, J):\n    return J\n",
+        "def energy(I1, I2, J, c):\n    return J\nprint(1)\n",
+        "def energy(I1, I2, J, c):\n    def energy(J): return J\n",
+        "def energy(I1, I2, J, c):\n    J = 1\n    return J\n",
+        "def energy(I1, I2, J, c):\n    c[0] = J\n    return J\n", "def energy(np, I2, J, c):\n    return J\n",
+    ],
+)  # fmt: skip
+def test_sources_are_functions_of_the_variables_alone(source):
+    with pytest.raises(pt.InputError, match="it is not run"):
+        compiled_functions({"energy": source}, ("I1", "I2", "J"))
+
+
+WORDS = (
+    *"+-*/()()", "**", "**", "exp(", "log(", "sqrt(", "tanh(", "I1bar", "I2bar", "J", "I1", "l1", "l2", "l3", "C1", "b",
+    "3", "0", "1e30", "1e-30", "0.5", "100", "-1", "99", " ", ",", ".", "e", "1e", "if", "**-", "energy", "__",
+    "²", "\n", "#",
+)  # fmt: skip
+
+
+def test_any_text_is_a_law_or_refused():
+    rng, made = np.random.default_rng(0), 0
+    for _ in range(1500):
+        text = "".join(WORDS[i] for i in rng.integers(len(WORDS), size=rng.integers(1, 12)))
+        if rng.integers(2):
+            text = f"C1*(I1bar - 3) + b*(J - 1)**2*({text})"
+        values = {name: rng.choice([0.0, 1.0, -1.0, 1e3, 1e300, 5e-324]) for name in ("C1", "b") if name in text}
+        try:
+            assert Hyperelastic(text, **values, **REST, stable=(0.97, 1.03)).shear_modulus > 0
+            made += 1
+        except pt.InputError as error:
+            message = str(error)
+            assert "\n" not in message or "not stable for" in message
+    assert made > 3
+
+
+def test_a_law_of_a_chain_of_cancelling_numbers_is_evaluated_without_them():
+    law = law_of("C1*(I1bar - 3)*exp(I2bar/I2bar - 1)**99")
+    assert law(C1=1.0, **REST).shear_modulus == pytest.approx(2.0)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, number_in_range
+from palpate.faults import InputError, brief, number_in_range
 from palpate.tissue import own_law
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.fibres import FibreLaw, Fibres, Guccione, VolumeOnly
@@ -53,33 +53,54 @@ def described(material: Material) -> dict[str, str]:
     }
 
 
-def material_of(name: str, parameters: dict[str, Any], expression: str, prony: dict[str, Any]) -> Material:
-    """Make a material from what `described` says of it.
+def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Material:
+    """Make a material from what `described` says of it, whatever a file has in its place.
 
     Raises
     ------
     InputError
-        An unknown law, other parameters than it has, or numbers out of range.
+        An unknown law, other parameters than it has, or anything but numbers in range.
     """
-    if name != OWN and name not in KINDS:
-        raise InputError(f"unknown material {name!r}: the laws are {', '.join(sorted(KINDS))}")
+    if not isinstance(name, str) or (name != OWN and name not in KINDS):
+        raise InputError(f"unknown material {brief(name)}: the laws are {', '.join(sorted(KINDS))}")
     law: Any = own_law.law_of(expression) if name == OWN else KINDS[name]
-    wanted = {field.name for field in fields(law)} - {"prony", "volumetric", "split"}
-    parameters = parameters.copy()
-    forms = {"volumetric": parameters.pop("volumetric", QUADRATIC), "split": parameters.pop("split", COUPLED)}
-    if parameters.get("poisson") == 0.5:
+    given = _mapping("parameters", parameters)
+    forms = {"volumetric": given.pop("volumetric", QUADRATIC), "split": given.pop("split", COUPLED)}
+    wanted = {field.name for field in fields(law)} - {"prony", *forms}
+    if given.get("poisson") == 0.5:
         wanted.discard("bulk")
-    if parameters.keys() != wanted:
-        raise InputError(f"{name} has the parameters {sorted(wanted)}, not {sorted(parameters)}")
-    values: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else number_in_range(key, value)
-        for key, value in parameters.items()
-    }
-    if prony.keys() - {field.name for field in fields(Prony)}:
-        raise InputError(f"attribute prony has {sorted(prony)}")
-    given = {"prony": Prony(**{key: tuple(value) for key, value in prony.items()})} if prony else {}
-    material: Material = law(**values, **given, **forms)
+    if given.keys() != wanted:
+        raise InputError(f"{name} has the parameters {sorted(wanted)}, not {brief(sorted(given))}")
+    values = {key: _numbers(key, value) for key, value in given.items()}
+    series = _mapping("prony", prony)
+    if series.keys() - {field.name for field in fields(Prony)}:
+        raise InputError(f"attribute prony has {brief(sorted(series))}")
+    branches = {key: _numbers(key, value) for key, value in series.items()}
+    if series and not {"shares", "times"} <= series.keys():
+        raise InputError(f"attribute prony has {brief(sorted(series))}, not shares and times")
+    relaxation: Any = {"prony": Prony(**branches)} if branches else {}
+    material: Material = law(**values, **relaxation, **forms)
     return material
+
+
+def _mapping(name: str, said: Any) -> dict[str, Any]:
+    """Return a copy of a mapping of names; refuse anything else."""
+    if not isinstance(said, dict) or not all(isinstance(key, str) for key in said):
+        raise InputError(f"attribute {name} is {brief(said)}, not a mapping of names")
+    return said.copy()
+
+
+def _numbers(name: str, said: Any) -> Any:
+    """Return a number, or a tuple of numbers; text and truth values are none in a file."""
+    if isinstance(said, list | tuple):
+        return tuple(_number(f"{name}[{i}]", value) for i, value in enumerate(said))
+    return _number(name, said)
+
+
+def _number(name: str, said: Any) -> float:
+    if isinstance(said, bool) or not isinstance(said, int | float):
+        raise InputError(f"{name} must be a number, got {brief(said)}")
+    return number_in_range(name, said)
 
 
 def described_regions(regions: Regions | None) -> str:
@@ -101,8 +122,11 @@ def regions_of(said: Any, which: NDArray[np.int64], material: Material) -> Regio
         raise InputError("attribute regions is not a list of materials")
     if not said:
         return None
+    if len(said) > len(which):
+        raise InputError(f"attribute regions has {len(said)} materials for {len(which)} nodes: allowed is one for each")
     about = described(material)
-    made = [material_of(about["material"], each, about["expression"], json.loads(about["prony"])) for each in said]
+    prony = json.loads(about["prony"])
+    made = [material_of(about["material"], each, about["expression"], prony) for each in said]
     if made[0] != material or not np.all((which >= 0) & (which < len(made))):
         raise InputError("dataset regions does not belong to the materials of the attribute regions")
     return Regions(tuple(made), which)
@@ -124,7 +148,7 @@ def described_fibres(fibres: FibreLaw | None) -> str:
     return json.dumps({"law": type(fibres).__name__, **own})
 
 
-def fibres_of(said: dict[str, Any], directions: NDArray[np.float64]) -> FibreLaw | None:
+def fibres_of(said: Any, directions: NDArray[np.float64]) -> FibreLaw | None:
     """Make fibres with directions (families, n, 3) from what `described_fibres` says of them.
 
     Raises
@@ -132,17 +156,20 @@ def fibres_of(said: dict[str, Any], directions: NDArray[np.float64]) -> FibreLaw
     InputError
         An unknown law, other parameters than it has, numbers out of range, or directions that do not fit.
     """
-    if not said:
+    given = _mapping("fibres", said)
+    if directions.ndim != 3 or directions.dtype.kind not in "iuf":
+        raise InputError(f"directions of fibres have shape {directions.shape}: allowed is (families, nodes, 3)")
+    if not given:
         if len(directions):
             raise InputError("there are directions of fibres, but no law of them")
         return None
-    name = said.get("law")
+    name = given.pop("law", None)
     if not isinstance(name, str) or name not in FIBRES:
-        raise InputError(f"unknown law of fibres {name!r}: the laws are {', '.join(sorted(FIBRES))}")
+        raise InputError(f"unknown law of fibres {brief(name)}: the laws are {', '.join(sorted(FIBRES))}")
     law: Any = FIBRES[name]
-    wanted = {f.name for f in fields(law)} - {"directions"} | {"law"}
-    if said.keys() != wanted:
-        raise InputError(f"fibres of {name} have {sorted(wanted)}, not {sorted(said)}")
-    values = {key: number_in_range(key, value) for key, value in said.items() if key != "law"}
+    wanted = {f.name for f in fields(law)} - {"directions"}
+    if given.keys() != wanted:
+        raise InputError(f"fibres of {name} have {sorted(wanted)}, not {brief(sorted(given))}")
+    values = {key: _number(key, value) for key, value in given.items()}
     fibres: FibreLaw = law(**values, directions=directions)
     return fibres

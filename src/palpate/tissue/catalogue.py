@@ -113,7 +113,7 @@ LAWS: tuple[Law, ...] = (
         formula="sum of C_i q(alpha_i)",
         reference="Ogden, Proc. R. Soc. A 326, 565, 1972; equation (14)",
         example={"C": (800.0, 120.0), "alpha": (4.0, -7.5)},
-        note="any number of terms; alpha_i is not zero",
+        note="1 to 16 terms; alpha_i is not zero",
     ),
     Law(
         kind=Exponential, shear_modulus="1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, number_in_range
+from palpate.faults import InputError, brief, number_in_range
 from palpate.tissue.homogeneous import KINDS, compressible, deformation_gradient, rest
 from palpate.tissue.materials import Material
 
@@ -27,6 +27,7 @@ __all__ = ["MaterialStability", "least_wave_modulus", "material_stability"]
 
 Floats = NDArray[np.float64]
 
+LEAST, MOST = 0.002, 25.0  # ends of the widest range; the path through it is looked at point by point
 STEP = 1e-5  # of the differences of stress
 NOTHING = 1e-6  # in shear moduli: moduli below are rounding noise, or none
 PATH = 0.01  # between points along the path of a test
@@ -110,11 +111,13 @@ def material_stability(
     Raises
     ------
     InputError
-        A range that does not hold 1.
+        A range that does not hold 1, or reaches below 0.002 or beyond 25.
     """
-    for name, (low, high) in (("stretches", stretches), ("volumes", volumes)):
-        number_in_range(f"the lower end of {name}", low, 0.0, 1.0, open_low=True)
-        number_in_range(f"the upper end of {name}", high, 1.0)
+    for name, both in (("stretches", stretches), ("volumes", volumes)):
+        if not isinstance(both, Sequence | np.ndarray) or len(both) != 2:
+            raise InputError(f"the range of {name} must be two numbers, got {brief(both)}")
+        number_in_range(f"the lower end of {name}", both[0], LEAST, 1.0)
+        number_in_range(f"the upper end of {name}", both[1], 1.0, MOST)
     if material.incompressible:
         volumes = (1.0, 1.0)
     with np.errstate(all="ignore"):
@@ -167,6 +170,8 @@ def least_wave_modulus(material: Material, F: Floats) -> Floats:
         across = np.eye(3) - m[..., :, None] * m[..., None, :]
         out = np.abs(Q).sum(axis=(2, 3))[..., None, None]  # no less than any eigenvalue
         Q = across @ Q @ across + out * m[..., :, None] * m[..., None, :]
+    finite &= np.all(np.isfinite(Q), axis=(1, 2, 3))
+    Q = np.where(finite[:, None, None, None], Q, 0.0)
     least = np.linalg.eigvalsh(Q)[..., 0].min(axis=1)
     return np.where(finite, least, np.nan)
 

@@ -77,8 +77,9 @@ class FibreLaw(ABC):
             raise InputError(f"{name} have shape {np.shape(given)}: allowed are (3,), (2, 3), (n, 3) and (2, n, 3)")
         if len(array) > self.most:
             raise InputError(f"{type(self).__name__} has one family of fibres, not {len(array)}")
-        lengths = np.linalg.norm(array, axis=-1)
-        wrong = ~(np.abs(lengths - 1) < UNIT)
+        with np.errstate(all="ignore"):
+            lengths = np.linalg.norm(array, axis=-1)
+            wrong = ~(np.abs(lengths - 1) < UNIT)
         if wrong.any():
             where = f" at nodes {first_few(np.flatnonzero(wrong.any(axis=0)))}" if array.ndim == 3 else ""
             raise InputError(f"{name} must be unit vectors; one{where} has length {lengths[wrong][0]:g}")

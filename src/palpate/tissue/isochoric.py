@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError
+from palpate.faults import InputError, brief
 
 __all__ = ["COUPLED", "ISOCHORIC", "isochoric", "known_split"]
 
@@ -36,7 +36,7 @@ def known_split(name: str) -> str:
         Names both.
     """
     if name not in (COUPLED, ISOCHORIC):
-        raise InputError(f"split = {name!r}: allowed are {COUPLED!r} and {ISOCHORIC!r}")
+        raise InputError(f"split = {brief(name)}: allowed are {COUPLED!r} and {ISOCHORIC!r}")
     return name
 
 

@@ -30,7 +30,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, number_in_range
+from palpate.faults import InputError, brief, number_in_range
 from palpate.tissue.isochoric import COUPLED, isochoric, known_split
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
@@ -92,18 +92,37 @@ class Material(ABC):
 
     def __post_init__(self) -> None:
         if self.prony is not None and not isinstance(self.prony, Prony):
-            raise InputError(f"prony is {self.prony!r}: give a palpate.Prony")
+            raise InputError(f"prony is {brief(self.prony)}: give a palpate.Prony")
         volumetric_form(self.volumetric)
         if self.volumetric != QUADRATIC and self.variables == "small strain":
-            raise InputError(f"volumetric = {self.volumetric!r}: small strain has the quadratic form only")
+            raise InputError(f"volumetric = {brief(self.volumetric)}: small strain has the quadratic form only")
         if known_split(self.split) != COUPLED and self.variables == "small strain":
-            raise InputError(f"split = {self.split!r}: small strain has the coupled form only")
+            raise InputError(f"split = {brief(self.split)}: small strain has the coupled form only")
         number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
         self._check_parameters()
-        mu = self.shear_modulus
         if self.poisson is None and self.bulk is None:
             raise InputError("give either poisson or bulk, to say how compressible the material is")
-        given = self.bulk
+        given = None if self.bulk is None else number_in_range("bulk", self.bulk, 0.0, unit="Pa")
+        try:
+            mu = self.shear_modulus
+            self._complete(number_in_range("the shear modulus at rest", mu, 0.0, open_low=True, unit="Pa"))
+            if not self.incompressible:
+                number_in_range("the bulk modulus at rest", self.bulk_modulus, 0.0, unit="Pa")
+                number_in_range("the Lame coefficient at rest", self.lame, unit="Pa")
+        except ArithmeticError as error:
+            raise InputError(
+                f"{type(self).__name__} has no finite moduli at rest with these parameters: {error}"
+            ) from None
+        if given is not None:
+            if not np.isclose(given, self.bulk_modulus, rtol=1e-9, atol=0.0):
+                raise InputError(
+                    f"give either poisson or bulk: poisson = {self.poisson:g} makes bulk = {self.bulk:g} Pa, "
+                    f"not {given:g} Pa"
+                )
+            object.__setattr__(self, "bulk", given)  # to the last bit
+
+    def _complete(self, mu: float) -> None:
+        """Write `bulk` for `poisson`, or `poisson` for `bulk`, of a shear modulus [Pa]."""
         if self.incompressible:
             object.__setattr__(self, "bulk", np.inf)
         elif self.poisson is not None:
@@ -113,13 +132,6 @@ class Material(ABC):
             low, high = (2 * mu * (1 + nu) / (3 * (1 - 2 * nu)) for nu in (0.0, MOST_POISSON))
             bulk = number_in_range("bulk", self.bulk, low * (1 - 1e-9), high * (1 + 1e-9), unit="Pa")  # type: ignore[arg-type]
             object.__setattr__(self, "poisson", (3 * bulk - 2 * mu) / (2 * (3 * bulk + mu)))
-        if given is not None:
-            if not np.isclose(given, self.bulk_modulus, rtol=1e-9, atol=0.0):
-                raise InputError(
-                    f"give either poisson or bulk: poisson = {self.poisson:g} makes bulk = {self.bulk:g} Pa, "
-                    f"not {given:g} Pa"
-                )
-            object.__setattr__(self, "bulk", given)  # to the last bit
 
     def _check_parameters(self) -> None:
         """Raise `InputError` for a parameter out of range; each field made by `parameter` knows its own."""

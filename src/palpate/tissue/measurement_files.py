@@ -13,6 +13,7 @@ and a column `curve` tells several curves of one kind apart.
 from __future__ import annotations
 
 import csv
+import math
 import re
 from dataclasses import dataclass
 from os import PathLike
@@ -21,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.faults import FileFormatError, InputError
+from palpate.files import read_text, shortened
 from palpate.tissue.measurements import Measurement
 
 __all__ = ["read_measurements"]
@@ -63,7 +65,13 @@ COLUMNS = {  # name: what it is and its units
 WORDS = ("kind", "curve")  # columns without a unit
 DEFORMATIONS = ("stretch", "strain", "logarithmic strain", "shear")
 CAUCHY = ("true stress", "cauchy stress")
-HEADER = re.compile(r"^\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*$")
+HEADER = re.compile(r"(?P<name>[^\[\]]*)(?:\[(?P<unit>[^\[\]]*)\])?")
+LINE = re.compile(r"\r\n|\r|\n")  # and no other: a form feed in a comment ends no line
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+LONGEST_LINE = 10_000  # characters
+MOST_CURVES = 1000
+LARGEST = 1e30  # size of a number; the squares of larger ones overflow
+CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
 @dataclass(frozen=True)
@@ -96,33 +104,50 @@ def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
     Raises
     ------
     FileFormatError
-        An unknown kind, column or unit, a column missing or there twice, a row of the wrong length, a cell that is not
-        a finite number, or a curve that `Measurement` refuses: names the file, the line and what is allowed.
+        Not a regular file of text in UTF-8; an unknown kind, column or unit, a column missing or there twice, a row of
+        the wrong length or of more than 10,000 characters, more than 1,000 curves, a cell that is not a finite decimal
+        number, or a curve that `Measurement` refuses: names the file, the line and what is allowed.
     FileNotFoundError
         There is no such file.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise FileFormatError(f"{path} is not a text file in UTF-8") from None
+    lines = LINE.split(read_text(path, "table of measured curves"))
+    for i, line in enumerate(lines, 1):
+        if CONTROL.search(line):
+            raise FileFormatError(f"{path}, line {i} has a control character; save it as plain text")
     comments = [line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#")]
     rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not rows:
         raise FileFormatError(f"{path} has no header: its first line names the columns with units")
     separator = next((one for one in ("\t", ";", ",") if one in rows[0][1]), ",")
-    table = [(i, [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]) for i, line in rows]
     where = f"{path}, line {rows[0][0]}"
-    columns = [_column(header, where) for header in table[0][1]]
+    headers = _cells(rows[0][1], separator, where)
+    if len(headers) > len(COLUMNS) + len(WORDS):
+        raise FileFormatError(f"{where} has {len(headers)} columns: allowed are {len(COLUMNS) + len(WORDS)}")
+    columns = [_column(header, where) for header in headers]
     _check_roles(columns, where)
+    table = [(i, _cells(line, separator, f"{path}, line {i}")) for i, line in rows[1:]]
     kinds = [line.partition(":")[2].strip() for line in comments if line.lower().startswith("kind:")]
     source = "\n".join(line for line in comments if line and not line.lower().startswith("kind:"))
-    return _curves(path, columns, table[1:], kinds[0] if kinds else None, source)
+    if len(set(kinds)) > 1:
+        raise FileFormatError(f"{path} has {len(kinds)} lines '# kind:': allowed is one; else give a column 'kind'")
+    return _curves(path, columns, table, kinds[0] if kinds else None, source)
+
+
+def _cells(line: str, separator: str, where: str) -> list[str]:
+    """Return the cells of a line."""
+    if len(line) > LONGEST_LINE:
+        raise FileFormatError(f"{where} has {len(line)} characters: allowed are {LONGEST_LINE}")
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True))]
+    except csv.Error as error:
+        raise FileFormatError(f"{where} cannot be read as cells ({error}); close every quotation mark") from None
 
 
 def _column(header: str, where: str) -> _Column:
-    match = HEADER.match(header)
-    name, unit = (match["name"].lower(), match["unit"]) if match else (header.lower(), None)
+    match = HEADER.fullmatch(header)
+    name = (match["name"] if match else header).strip().lower()
+    unit = match["unit"].strip() if match and match["unit"] is not None else None
     if name in WORDS:
         return _Column(name, 1.0, name)
     if name in CAUCHY:
@@ -131,10 +156,11 @@ def _column(header: str, where: str) -> _Column:
             "(the true stress over the stretch in the machine's direction, where the volume stays)"
         )
     if name not in COLUMNS:
-        raise FileFormatError(f"{where}: column {header!r} is unknown: allowed are {', '.join([*COLUMNS, *WORDS])}")
+        allowed = ", ".join([*COLUMNS, *WORDS])
+        raise FileFormatError(f"{where}: column {shortened(header)!r} is unknown: allowed are {allowed}")
     role, units = COLUMNS[name]
     if unit not in units:
-        said = "has no unit" if unit is None else f"has the unknown unit {unit!r}"
+        said = "has no unit" if unit is None else f"has the unknown unit {shortened(unit)!r}"
         raise FileFormatError(f"{where}: column {name!r} {said}: allowed are {', '.join(f'[{u}]' for u in units)}")
     return _Column(role, units[unit], name)
 
@@ -163,26 +189,29 @@ def _curves(
             raise FileFormatError(f"{path}, line {line} has {len(cells)} cells: the header has {len(columns)}")
         words = {c.role: cell for c, cell in zip(columns, cells, strict=True) if c.role in WORDS}
         numbers = {
-            c.role: c.factor * _number(cell, c.label, f"{path}, line {line}")
+            c.role: c.factor * _number(cell, c.label, path, line)
             for c, cell in zip(columns, cells, strict=True)
             if c.role not in WORDS
         }
         label = words.get("kind", kind or "").lower()
         if label not in KINDS:
-            raise FileFormatError(f"{path}, line {line}: kind {label!r} is unknown: allowed are {', '.join(KINDS)}")
+            allowed = ", ".join(KINDS)
+            raise FileFormatError(f"{path}, line {line}: kind {shortened(label)!r} is unknown: allowed are {allowed}")
         curves.setdefault((label, words.get("curve", "")), []).append((line, numbers))
     if not curves:
         raise FileFormatError(f"{path} has no rows below its header")
+    if len(curves) > MOST_CURVES:
+        raise FileFormatError(f"{path} has {len(curves)} curves: allowed are {MOST_CURVES}")
     return [_measurement(path, label, name, points, source) for (label, name), points in curves.items()]
 
 
-def _number(cell: str, column: str, where: str) -> float:
-    try:
-        number = float(cell)
-    except ValueError:
-        number = np.nan
-    if not np.isfinite(number):
-        raise FileFormatError(f"{where}: {column} = {cell!r} is not a finite number, such as 1.25")
+def _number(cell: str, column: str, path: Path, line: int) -> float:
+    number = float(cell) if NUMBER.fullmatch(cell) else math.nan
+    if not math.isfinite(number):
+        said = shortened(cell)
+        raise FileFormatError(f"{path}, line {line}: {column} = {said!r} is not a finite number, such as 1.25")
+    if abs(number) > LARGEST:
+        raise FileFormatError(f"{path}, line {line}: {column} = {number:g} is out of range: allowed is to {LARGEST:g}")
     return number
 
 
@@ -200,7 +229,7 @@ def _measurement(
     if role == "strain":
         deformation = 1 + deformation
     elif role == "logarithmic strain":
-        deformation = np.exp(deformation)
+        deformation = np.exp(np.minimum(deformation, np.log(LARGEST)))
     try:
         return Measurement(
             kind=KINDS[label],

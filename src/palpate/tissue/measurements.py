@@ -12,6 +12,8 @@ from palpate.tissue.homogeneous import rest
 
 __all__ = ["Measurement"]
 
+MOST = 20.0  # a stretch or shear, beyond any tissue's and rubber's
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurement:
@@ -34,7 +36,8 @@ class Measurement:
     ------
     InputError
         An unknown kind; arrays of unequal length, not finite or too short; a stretch or deviation not positive;
-        deformations that turn back, or are all at rest; stresses against the deformation throughout.
+        a stretch or shear beyond 20; deformations that turn back, or are all at rest; stresses against the
+        deformation throughout.
     """
 
     kind: str
@@ -52,6 +55,11 @@ class Measurement:
         deviation = _column("deviation", np.broadcast_to(self.deviation, deformation.shape), len(deformation))
         if self.kind != "shear":
             _positive("stretch", deformation)
+        if np.abs(deformation).max() > MOST:
+            at = int(np.argmax(np.abs(deformation)))
+            raise InputError(
+                f"{label} = {deformation[at]:g} at point {at + 1} is out of range: allowed is up to {MOST:g}"
+            )
         _positive("deviation", deviation)
         steps = np.diff(deformation)
         turns = np.flatnonzero(steps * (deformation[-1] - deformation[0]) < 0)

@@ -1,38 +1,57 @@
-"""A law of one's own, from its energy written down: derivatives by SymPy, compiled and cached like every other law.
+"""A law of one's own, from its energy written down: differentiated, compiled and cached like every other law.
 
-The text of an energy is read by Python's parser and built up from the few operations and functions that an energy may
-have; nothing in it is ever run. SymPy differentiates it once, and the functions that are generated from it stand where
-a built-in law has its own: the kernels inline them, and the cache finds them again in the next process by their source.
+The text of an energy is checked against limits, split by Python's parser, and built up from the few operations and
+functions that an energy may have; nothing in it is ever run. The functions that are generated from it stand where a
+built-in law has its own: the kernels inline them, and the cache finds them again in the next process by their source.
 """
 
 from __future__ import annotations
 
 import ast
-import linecache
-from dataclasses import make_dataclass
+import builtins
+import inspect
+import keyword
+import re
+from collections.abc import Sequence
+from dataclasses import fields, make_dataclass
 from functools import cache
-from hashlib import sha256
 from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError
+from palpate.faults import InputError, brief
+from palpate.files import shortened
 from palpate.tissue.ellipticity import material_stability
 from palpate.tissue.isochoric import COUPLED
 from palpate.tissue.materials import Material, parameter
+from palpate.tissue.parameters import own_fields
 from palpate.tissue.prony import Prony
+from palpate.tissue.straight_line import FUNCTIONS, Tape, compiled_functions
 from palpate.tissue.stretch_laws import StretchLaw
 from palpate.tissue.volumetric import QUADRATIC
 
 __all__ = ["Hyperelastic", "law_of"]
 
 INVARIANTS, STRETCHES = ("I1", "I2", "J"), ("l1", "l2", "l3")
-ISOCHORIC = {"I1bar": ("I1", -2), "I2bar": ("I2", -4)}  # I1 J^(-2/3), I2 J^(-4/3)
-FUNCTIONS = ("exp", "log", "sqrt", "sinh", "cosh", "tanh", "atan")
-OPERATIONS = {ast.Add: "__add__", ast.Sub: "__sub__", ast.Mult: "__mul__", ast.Div: "__truediv__", ast.Pow: "__pow__"}
+ISOCHORIC = {"I1bar": ("I1", -2 / 3), "I2bar": ("I2", -4 / 3)}  # I1 J^(-2/3), I2 J^(-4/3)
+OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+SIGNS = {ast.UAdd: "", ast.USub: "negative"}
+TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?![\w.])|(?P<name>[A-Za-z_]\w*)|\*\*|[-+*/().])", re.ASCII
+)
 VOLUMES = (0.9, 1.1)  # of the check of stability
-LONGEST = 4000  # characters of an energy
+NEAR_REST = (0.98, 1.02)  # stretches of the check of symmetry
 NEARLY = 1e-9  # share of the sizes of the terms that their sum may miss of zero
+
+# limits of a text, far beyond any published law, within which it compiles in seconds
+LONGEST = 4000  # characters
+LONGEST_WORD = 40  # characters of a number or a name
+DEEPEST = 32  # brackets within brackets
+MOST_OPERATIONS = 250  # operators, signs and functions
+MOST_PARAMETERS = 32
+LARGEST, LEAST = 1e30, 1e-30  # sizes of a number that is not zero
+STEEPEST = 100.0  # an exponent that is a number; beyond it powers of ordinary stretches overflow
+MOST_STEPS = 700  # operations of the energy and of its first and second derivatives together
 
 
 def Hyperelastic(
@@ -55,7 +74,9 @@ def Hyperelastic(
         W_s [J/m^3] without its volumetric part U(J), in the notation of Python, of the invariants ``I1``,
         ``I2``, ``J`` of C and of ``I1bar`` = I1 J^(-2/3), ``I2bar`` = I2 J^(-4/3); or of the principal stretches
         ``l1``, ``l2``, ``l3``. With + - * / **, exp, log, sqrt, sinh, cosh, tanh, atan, numbers, and parameters under
-        any other names.
+        any other names. At most 4,000 characters, 250 operations, 32 brackets in one another and 32 parameters, whose
+        names neither Python nor a material has; numbers of a size from 1e-30 to 1e30; exponents from -100 to 100; 700
+        operations with all first and second derivatives.
     density : float [kg/m^3]
     poisson, bulk, prony, volumetric, split
         As for `palpate.Material`.
@@ -74,7 +95,7 @@ def Hyperelastic(
     Raises
     ------
     InputError
-        A text that is no energy, that cannot be differentiated, or is not symmetric in the stretches; a parameter that
+        A text that is no energy, is beyond the limits, or is not symmetric in the stretches; a parameter that
         is missing or not in the text; an energy that is not finite or not free of stress at rest, has no positive
         moduli there, or is not elliptic in the range: with a report of where.
 
@@ -82,16 +103,15 @@ def Hyperelastic(
     --------
     >>> law = Hyperelastic("C1 * (I1bar - 3) + C2 * (I1bar - 3)**2", C1=5e3, C2=1e3, density=1060, poisson=0.45)
     """
-    if not isinstance(energy, str):
-        raise InputError(f"energy is {energy!r}: write it down as text, such as 'C1 * (I1 - 3) - 2 * C1 * log(J)'")
-    names = sorted(_names(_tree(energy)) - {*INVARIANTS, *STRETCHES, *ISOCHORIC})
+    law = law_of(energy)
+    names = own_fields(law)
     for name in names:
         if name not in parameters:
             raise InputError(f"the energy's parameter {name} is missing: give {name}=..., or correct its name")
     for name in parameters:
         if name not in names:
-            raise InputError(f"{name} = {parameters[name]!r} is no parameter of the energy; it has {names or 'none'}")
-    law = law_of(energy)
+            said = brief(parameters[name])
+            raise InputError(f"{name} = {said} is no parameter of the energy; it has {names or 'none'}")
     values: dict[str, Any] = dict(parameters)
     material: Material = law(
         density=density, poisson=poisson, bulk=bulk, prony=prony, volumetric=volumetric, split=split, **values
@@ -105,12 +125,43 @@ def Hyperelastic(
 
 
 def _tree(text: str) -> ast.expr:
+    """Return the parsed text of an energy, in one line.
+
+    Raises
+    ------
+    InputError
+        It is beyond the limits, or has what no energy may have.
+    """
+    _check_limits(text)
+    try:
+        return ast.parse(text, mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError(f"the energy {shortened(text)!r} cannot be read: {error}") from None
+
+
+def _check_limits(text: str) -> None:
+    """Refuse a text before the parser has it, whose recursion and whose numbers have no limits of their own."""
     if len(text) > LONGEST:
         raise InputError(f"the energy has {len(text)} characters; {LONGEST} are allowed")
-    try:
-        return ast.parse(" ".join(text.split()), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError(f"the energy {text!r} cannot be read: {error}") from error
+    at = depth = operations = 0
+    while at < len(text):
+        token = TOKEN.match(text, at)
+        if not token:
+            raise InputError(f"the energy has {shortened(text[at:].strip(), 20)!r}, which no energy may have")
+        word = token[0].strip()
+        at, depth = token.end(), depth + (word == "(") - (word == ")")
+        operations += word in OPERATORS.values() or (word in FUNCTIONS)
+        if len(word) > LONGEST_WORD:
+            raise InputError(f"the energy has {shortened(word, 20)!r}; {LONGEST_WORD} characters of it are allowed")
+        if depth > DEEPEST or operations > MOST_OPERATIONS:
+            limits = f"{MOST_OPERATIONS} operations, or {DEEPEST} brackets in one another"
+            raise InputError(f"the energy has more than {limits}; shorten it")
+        if token["number"] and float(word) and not LEAST <= float(word) <= LARGEST:
+            raise InputError(f"the energy has the number {word}: allowed are 0 and {LEAST:g} to {LARGEST:g}")
+        if keyword.iskeyword(word):
+            raise InputError(
+                f"the energy has {word!r}, a word of Python, which no energy may have; choose another name"
+            )
 
 
 def _names(tree: ast.expr) -> set[str]:
@@ -118,25 +169,46 @@ def _names(tree: ast.expr) -> set[str]:
     return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called}
 
 
-def _symbolic(node: ast.expr, symbols: dict[str, Any]) -> Any:
-    """Build SymPy's expression of a parsed one; refuse what no energy has."""
-    import sympy
+def _energy_row(tree: ast.expr, tape: Tape, known: dict[str, int], text: str) -> int:
+    """Return the row of a parsed energy; refuse what no energy has."""
+    rows: dict[int, int] = {}
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    nodes = [node for node in ast.walk(tree) if isinstance(node, ast.expr) and id(node) not in called]
+    for node in reversed(nodes):  # from the operands up
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            rows[id(node)] = tape.number(float(node.value))  # type: ignore[arg-type]
+        elif isinstance(node, ast.Name):
+            rows[id(node)] = known[node.id]
+        elif isinstance(node, ast.UnaryOp) and type(node.op) in SIGNS:
+            value = rows[id(node.operand)]
+            rows[id(node)] = tape.apply("negative", value) if SIGNS[type(node.op)] else value
+        elif isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
+            left, right = rows[id(node.left)], rows[id(node.right)]
+            if isinstance(node.op, ast.Pow):
+                _check_exponent(tape.value(right))
+            rows[id(node)] = tape.apply(OPERATORS[type(node.op)], left, right)
+        elif _is_plain_call(node):
+            rows[id(node)] = tape.apply(node.func.id, rows[id(node.args[0])])  # type: ignore[attr-defined]
+        else:
+            said = shortened(text[node.col_offset : node.end_col_offset])
+            raise InputError(f"the energy has {said!r}, which no energy may have")
+    return rows[id(tree)]
 
-    if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
-        return sympy.Rational(repr(node.value))  # 1.5 is 3/2, so that powers stay exact
-    if isinstance(node, ast.Name):
-        return symbols[node.id]
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
-        value = _symbolic(node.operand, symbols)
-        return -value if isinstance(node.op, ast.USub) else value
-    if isinstance(node, ast.BinOp) and type(node.op) in OPERATIONS:
-        left, right = _symbolic(node.left, symbols), _symbolic(node.right, symbols)
-        return getattr(left, OPERATIONS[type(node.op)])(right)
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) == 1 and not node.keywords:
-        if node.func.id in FUNCTIONS:
-            return getattr(sympy, node.func.id)(_symbolic(node.args[0], symbols))
+
+def _is_plain_call(node: ast.expr) -> bool:
+    """Return whether a node calls a function of an energy; refuse other functions."""
+    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
+        return False
+    if len(node.args) != 1 or node.keywords or isinstance(node.args[0], ast.Starred):
+        return False
+    if node.func.id not in FUNCTIONS:
         raise InputError(f"the energy has the function {node.func.id}: it may have {', '.join(FUNCTIONS)}")
-    raise InputError(f"the energy has {ast.unparse(node)!r}, which no energy may have")
+    return True
+
+
+def _check_exponent(value: float | None) -> None:
+    if value is not None and abs(value) > STEEPEST:
+        raise InputError(f"the energy has the exponent {value:g}: allowed are {-STEEPEST:g} to {STEEPEST:g}")
 
 
 # making
@@ -148,17 +220,18 @@ def law_of(energy: str) -> type[Material]:
     Raises
     ------
     InputError
-        A text that is no energy.
+        A text that is no energy, or is beyond the limits.
     """
-    _tree(energy)
+    if not isinstance(energy, str):
+        raise InputError(f"energy is {brief(energy)}: write it down as text, such as 'C1 * (I1 - 3) - 2 * C1 * log(J)'")
+    if len(energy) > LONGEST:
+        raise InputError(f"the energy has {len(energy)} characters; {LONGEST} are allowed")
     return _law(" ".join(energy.split()))
 
 
 @cache
 def _law(text: str) -> type[Material]:
     """Make the class of an energy's text, its functions generated."""
-    import sympy
-
     tree = _tree(text)
     used = _names(tree)
     stretches = bool(used & set(STRETCHES))
@@ -166,60 +239,52 @@ def _law(text: str) -> type[Material]:
         raise InputError("the energy is of invariants and of stretches: write it in one of them")
     if not used & {*INVARIANTS, *ISOCHORIC, *STRETCHES}:
         raise InputError("the energy does not depend on the deformation: it knows I1, I2, J, I1bar, I2bar, l1, l2, l3")
-    variables = STRETCHES if stretches else INVARIANTS
     parameters = sorted(used - {*INVARIANTS, *STRETCHES, *ISOCHORIC})
-    symbols = {name: sympy.Symbol(name, positive=True) for name in variables}
-    given = {name: sympy.Symbol(f"c[{i}]", real=True) for i, name in enumerate(parameters)}
-    third = sympy.Rational(1, 3)
-    bars = {} if stretches else {n: symbols[i] * symbols["J"] ** (k * third) for n, (i, k) in ISOCHORIC.items()}
-    energy = sympy.sympify(_symbolic(tree, symbols | given | bars))
-    if stretches:
-        _check_symmetry(energy, [symbols[name] for name in variables])
-    functions = _functions(energy, [symbols[name] for name in variables], text)
-    namespace: dict[str, Any] = {name: staticmethod(function) for name, function in functions.items()}
     base, moduli = (StretchLaw, _moduli_of_stretches) if stretches else (Material, _moduli_of_invariants)
-    namespace |= {"shear_modulus": property(lambda self: moduli(self)[0]), "expression": text}
-    namespace |= {
+    namespace: dict[str, Any] = {
+        "shear_modulus": property(lambda self: moduli(self)[0]),
         "shear_bulk_modulus": property(lambda self: moduli(self)[1]),
+        "expression": text,
         "_check_parameters": _check,
         "__module__": __name__,
     }
+    _check_names(parameters, {*dir(base), *namespace, *(field.name for field in fields(base))})
+    functions = _functions(tree, text, STRETCHES if stretches else INVARIANTS, parameters)
+    namespace |= {name: staticmethod(function) for name, function in functions.items()}
     own = [(name, float, parameter()) for name in parameters]
     return make_dataclass("Hyperelastic", own, bases=(base,), namespace=namespace, frozen=True, kw_only=True)
 
 
-def _check_symmetry(energy: Any, stretches: list[Any]) -> None:
-    """Refuse an energy that is not the same when two stretches change places."""
-    import sympy
-
-    one, two, three = stretches
-    numbers = np.random.default_rng(0).uniform(0.7, 1.4, (3, 3))
-    others = {symbol: sympy.Float(0.7 + 0.1 * i) for i, symbol in enumerate(sorted(energy.free_symbols, key=str))}
-    for turned in ((two, one, three), (one, three, two)):
-        change = energy - energy.subs(dict(zip(stretches, turned, strict=True)), simultaneous=True)
-        for row in numbers:
-            value = change.subs(others | dict(zip(stretches, row.tolist(), strict=True))).evalf()
-            if not value.is_number or not abs(value) <= 1e-9 * (1 + abs(energy.subs(others).evalf())):
-                raise InputError("the energy is not the same when two stretches change places: it is not isotropic")
+def _check_names(parameters: Sequence[str], taken: set[str]) -> None:
+    """Refuse parameters that would hide what a law or Python has under their name, and too many."""
+    if len(parameters) > MOST_PARAMETERS:
+        raise InputError(f"the energy has {len(parameters)} parameters; {MOST_PARAMETERS} are allowed")
+    taken = taken | {*FUNCTIONS, *dir(builtins), *inspect.signature(Hyperelastic).parameters}
+    for name in parameters:
+        if name.startswith("_") or name in taken:
+            raise InputError(f"the energy's parameter {name} has a name that is taken; choose another")
 
 
-def _functions(energy: Any, variables: list[Any], text: str) -> dict[str, Any]:
-    """Generate energy, first and second from an expression, with sources that can be found again."""
-    import sympy
-
-    first = [sympy.diff(energy, v) for v in variables]
-    if energy.has(sympy.nan, sympy.zoo, sympy.I) or any(d.has(sympy.Derivative, sympy.Subs) for d in first):
-        raise InputError(f"the energy {text!r} cannot be differentiated")
-    second = [sympy.diff(first[i], variables[j]) for i, j in _pairs(str(variables[0]) == STRETCHES[0])]
-    source = "\n\n".join(
-        _source(name, [str(v) for v in variables], results)
-        for name, results in (("energy", [energy]), ("first", first), ("second", second))
-    )
-    filename = f"<palpate law {sha256(source.encode()).hexdigest()[:16]}>"
-    linecache.cache[filename] = len(source), None, source.splitlines(keepends=True), filename
-    made: dict[str, Any] = {"np": np}
-    exec(compile(source, filename, "exec"), made)  # generated from what was allowed
-    return {name: made[name] for name in ("energy", "first", "second")}
+def _functions(tree: ast.expr, text: str, variables: Sequence[str], parameters: Sequence[str]) -> dict[str, Any]:
+    """Generate energy, first and second from a parsed energy."""
+    tape = Tape(variables)
+    known = {name: tape.variable(name) for name in variables}
+    known |= {name: tape.coefficient(i) for i, name in enumerate(parameters)}
+    if variables == INVARIANTS:
+        for name, (invariant, power) in ISOCHORIC.items():
+            scale = tape.apply("**", known["J"], tape.number(power))
+            known[name] = tape.apply("*", known[invariant], scale)
+    energy = _energy_row(tree, tape, known, text)
+    first = [tape.derivative(energy, variable) for variable in variables]
+    second = [tape.derivative(first[i], variables[j]) for i, j in _pairs(variables == STRETCHES)]
+    results = {"energy": [energy], "first": first, "second": second}
+    steps = sum(len(tape.needed(rows)) for rows in results.values())
+    if steps > MOST_STEPS:
+        raise InputError(
+            f"the energy takes {steps} operations with its first and second derivatives; "
+            f"{MOST_STEPS} are allowed: shorten it"
+        )
+    return compiled_functions({name: tape.source(name, rows) for name, rows in results.items()}, variables)
 
 
 def _pairs(stretches: bool) -> list[tuple[int, int]]:
@@ -229,46 +294,16 @@ def _pairs(stretches: bool) -> list[tuple[int, int]]:
     return [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]
 
 
-def _source(name: str, variables: list[str], results: list[Any]) -> str:
-    """Return the text of a function of the variables and the coefficients c."""
-    import sympy
-    from sympy.printing.numpy import NumPyPrinter
-
-    printer = NumPyPrinter({"fully_qualified_modules": False})
-
-    def printed(value: Any) -> str:
-        if value.is_number:
-            return repr(float(value))
-        text: str = printer.doprint(value)
-        for function in FUNCTIONS:
-            known = {"atan": "arctan"}.get(function, function)
-            text = text.replace(f"{known}(", f"np.{known}(")
-        return text
-
-    shared, reduced = sympy.cse(results, symbols=sympy.numbered_symbols("s"), optimizations="basic")
-    lines = [f"def {name}({', '.join(variables)}, c):"]
-    lines += [f"    {symbol} = {printed(value)}" for symbol, value in shared]
-    lines.append(f"    return {', '.join(printed(value) for value in reduced)}")
-    return "\n".join(lines) + "\n"
-
-
 # what rest must be
 
 
 def _check(self: Any) -> None:
-    """Refuse parameters with which rest is not finite, under stress, or soft."""
+    """Refuse parameters with which rest is not finite, under stress, or soft, or the law is not isotropic."""
     super(type(self), self)._check_parameters()
-    stretches = self.variables == "stretches"
-    rest = (1.0, 1.0, 1.0) if stretches else (3.0, 3.0, 1.0)
-    with np.errstate(all="ignore"):
-        try:
-            numbers = [float(self.law.energy(*rest, self.coefficients))]
-            slopes = [float(s) for s in self.law.first(*rest, self.coefficients)]
-            numbers += [*slopes, *(float(s) for s in self.law.second(*rest, self.coefficients))]
-        except (ZeroDivisionError, ValueError, OverflowError) as error:
-            raise InputError(f"the energy {self.expression!r} is not finite at rest: {error}") from error
-    if not np.isfinite(numbers).all():
-        raise InputError(f"the energy {self.expression!r} or a derivative of it is not finite at rest")
+    stretches, said = self.variables == "stretches", shortened(self.expression)
+    slopes = _slopes_at_rest(self, said)
+    if stretches:
+        _check_symmetry(self)
     parts = (slopes[0],) if stretches else (2 * slopes[0], 4 * slopes[1], slopes[2])
     stress, size = sum(parts), sum(map(abs, parts)) if not stretches else self.shear_modulus
     if abs(stress) > NEARLY * max(abs(size), 1e-300):
@@ -277,9 +312,39 @@ def _check(self: Any) -> None:
             if stretches
             else "write it in I1bar and I2bar, or add a multiple of log(J)"
         )
-        raise InputError(f"the energy {self.expression!r} has a stress of {stress:.4g} Pa at rest: {advice}")
-    if not self.shear_modulus > 0:
-        raise InputError(f"the energy {self.expression!r} has a shear modulus of {self.shear_modulus:.4g} Pa at rest")
+        raise InputError(f"the energy {said!r} has a stress of {stress:.4g} Pa at rest: {advice}")
+    if not 0 < self.shear_modulus < np.inf:
+        raise InputError(f"the energy {said!r} has a shear modulus of {self.shear_modulus:.4g} Pa at rest")
+
+
+def _slopes_at_rest(material: Any, said: str) -> list[float]:
+    """Return the first derivatives at rest; refuse a law that is not finite there."""
+    rest, c, law = (
+        (1.0, 1.0, 1.0) if material.variables == "stretches" else (3.0, 3.0, 1.0),
+        material.coefficients,
+        material.law,
+    )
+    with np.errstate(all="ignore"):
+        try:
+            slopes = [float(s) for s in law.first(*rest, c)]
+            numbers = [float(law.energy(*rest, c)), *slopes, *(float(s) for s in law.second(*rest, c))]
+        except (ArithmeticError, TypeError, ValueError) as error:  # a division by zero, or a complex number
+            raise InputError(f"the energy {said!r} is not finite at rest: {error}") from None
+    if not np.isfinite(numbers).all():
+        raise InputError(f"the energy {said!r} or a derivative of it is not finite at rest")
+    return slopes
+
+
+def _check_symmetry(material: Any) -> None:
+    """Refuse an energy that is not the same when two stretches change places."""
+    one, two, three = np.random.default_rng(0).uniform(*NEAR_REST, (3, 20))
+    with np.errstate(all="ignore"):
+        here = material.energy(one, two, three, material.coefficients)
+        size = np.abs(here) + sum(map(np.abs, material.first(one, two, three, material.coefficients)))
+        for turned in ((two, one, three), (one, three, two)):
+            change = np.abs(material.energy(*turned, material.coefficients) - here)
+            if not np.all(change <= NEARLY * size):
+                raise InputError("the energy is not the same when two stretches change places: it is not isotropic")
 
 
 def _moduli_of_invariants(material: Any) -> tuple[float, float]:
@@ -289,7 +354,8 @@ def _moduli_of_invariants(material: Any) -> tuple[float, float]:
     W11, W12, W22, W1J, W2J, WJJ = (float(s) for s in material.second(3.0, 3.0, 1.0, c))
     slope, bend = np.array([6.0, 12.0, 3.0]), np.array([6.0, 36.0, 6.0])
     matrix = np.array([[W11, W12, W1J], [W12, W22, W2J], [W1J, W2J, WJJ]])
-    return 2 * (W1 + W2), float(slope @ matrix @ slope + bend @ [W1, W2, WJ]) / 9
+    with np.errstate(all="ignore"):
+        return 2 * (W1 + W2), float(slope @ matrix @ slope + bend @ [W1, W2, WJ]) / 9
 
 
 def _moduli_of_stretches(material: Any) -> tuple[float, float]:

@@ -14,6 +14,8 @@ __all__ = ["Prony"]
 
 Floats = NDArray[np.float64]
 
+MOST_BRANCHES = 64  # a few for each decade of times are enough; every branch is remembered at every node
+
 
 @dataclass(frozen=True, kw_only=True)
 class Prony:
@@ -31,7 +33,7 @@ class Prony:
     Parameters
     ----------
     shares : float or sequence of float
-        s_i, each branch's shear modulus over the law's at rest; positive.
+        s_i, each branch's shear modulus over the law's at rest; positive. At most 64 branches.
     times : float or sequence of float [s]
         tau_i, positive; one for each share.
     bulk_shares : float or sequence of float, optional
@@ -54,6 +56,8 @@ class Prony:
         for each in fields(self):
             given = getattr(self, each.name)
             listed: Sequence[float] = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
+            if len(listed) > MOST_BRANCHES:
+                raise InputError(f"{each.name} has {len(listed)} branches; {MOST_BRANCHES} are allowed")
             numbers = [number_in_range(f"{each.name}[{i}]", x, **each.metadata) for i, x in enumerate(listed)]
             object.__setattr__(self, each.name, tuple(numbers))
         if not self.shares or len(self.shares) != len(self.times):

@@ -35,6 +35,7 @@ from palpate.tissue.materials import Material, parameter
 __all__ = ["Exponential", "Logarithmic", "Ogden", "StretchLaw"]
 
 STEEPEST = 100.0  # an exponent; beyond it powers of ordinary stretches overflow
+MOST_TERMS = 16  # of Ogden's law; each number of terms is compiled by itself, and longer ones slowly
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +66,7 @@ class StretchLaw(Material):
 
 @dataclass(frozen=True, kw_only=True)
 class Ogden(StretchLaw):
-    """Ogden's law, equation (14), of any number of terms (Ogden, Proc. R. Soc. A 326, 565, 1972).
+    """Ogden's law, equation (14), of 1 to 16 terms (Ogden, Proc. R. Soc. A 326, 565, 1972).
 
     W = sum of C_i (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3 - alpha_i ln J) + lame / 2 (J - 1)^2,
     shear modulus 1/2 sum of C_i alpha_i^2. In Ogden's own notation C_i is mu_i / alpha_i.
@@ -73,7 +74,7 @@ class Ogden(StretchLaw):
     Parameters
     ----------
     C : float or sequence of float [Pa]
-        One for each term; positive.
+        One for each term; positive. At most 16 terms.
     alpha : float or sequence of float
         One for each term, real; not zero, from -100 to 100.
     density, poisson, bulk
@@ -87,6 +88,8 @@ class Ogden(StretchLaw):
         for name in ("C", "alpha"):
             given = getattr(self, name)
             listed = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
+            if len(listed) > MOST_TERMS:
+                raise InputError(f"{name} has {len(listed)} terms; {MOST_TERMS} are allowed")
             ranges = self.__dataclass_fields__[name].metadata
             numbers = [number_in_range(f"{name}[{i}]", value, **ranges) for i, value in enumerate(listed)]
             object.__setattr__(self, name, tuple(numbers))

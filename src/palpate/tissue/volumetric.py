@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.faults import InputError
+from palpate.faults import InputError, brief
 
 __all__ = ["FORMS", "QUADRATIC", "Volumetric", "volumetric_form"]
 
@@ -100,5 +100,5 @@ def volumetric_form(name: str) -> Volumetric:
         Names the forms.
     """
     if not isinstance(name, str) or name not in FORMS:
-        raise InputError(f"volumetric = {name!r}: allowed are {', '.join(map(repr, FORMS))}")
+        raise InputError(f"volumetric = {brief(name)}: allowed are {', '.join(map(repr, FORMS))}")
     return FORMS[name]
