@@ -11,7 +11,7 @@ import pytest
 from meshfree_surfaces import ball, cube, inverted, joined
 
 import palpate as pt
-from palpate.meshfree.crossings import column_crossings, self_intersections
+from palpate.meshfree.crossings import column_crossings
 from palpate.meshfree.refining import poisson_discs, refined
 from palpate.meshfree.surface_repair import repair
 from palpate.meshfree.surfaces import rims, welded
@@ -57,14 +57,6 @@ def test_vertical_lines_cross_a_ball_at_its_height():
     x, y = -0.0501 + 0.00513 * i, -0.0497 + 0.00513 * j
     assert np.sqrt(x**2 + y**2 + height**2) == pytest.approx(0.05, rel=0.005)
     assert np.sum(np.diff(height.reshape(-1, 2), axis=1)) * 0.00513**2 == pytest.approx(body.volume, rel=0.02)
-
-
-def test_triangles_that_cross_are_found_and_those_that_touch_are_not():
-    flat = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.2, 0.2, -1), (0.3, 0.2, 1), (0.2, 0.3, 1)], dtype=float)
-    assert self_intersections(flat, np.array([(0, 1, 2), (3, 4, 5)])).tolist() == [[0, 1]]
-    beside = flat + np.where(np.arange(6)[:, None] < 3, 0.0, 2.0)
-    assert len(self_intersections(beside, np.array([(0, 1, 2), (3, 4, 5)]))) == 0
-    assert len(self_intersections(cube().vertices, cube().triangles)) == 0
 
 
 def test_welding_joins_what_coincides_and_drops_what_has_no_area():
