@@ -1,4 +1,4 @@
-"""Where rays enter and leave a closed surface, and where a surface passes through itself."""
+"""Where vertical lines enter and leave a closed surface."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["column_crossings", "self_intersections"]
+__all__ = ["column_crossings"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -73,85 +73,3 @@ def column_crossings(
     odd = count % 2 == 1
     height = height[~odd[line]]
     return np.concatenate([[0], np.cumsum(np.where(odd, 0, count))]), height
-
-
-def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
-    """Return pairs (k, 2) of triangles without a common vertex of which one's edge passes through the other."""
-    corners = np.ascontiguousarray(vertices[triangles])
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    cell = 1.5 * float(np.mean(np.max(high - low, axis=1)))
-    origin = low.min(axis=0)
-    first = np.floor((low - origin) / cell).astype(np.int64)
-    last = np.floor((high - origin) / cell).astype(np.int64)
-    span = last.max(axis=0) + 1
-    count = np.prod(last - first + 1, axis=1)
-    key, owner = np.empty(count.sum(), dtype=np.int64), np.empty(count.sum(), dtype=np.int64)
-    _cells(first, last, span, key, owner)
-    order = np.argsort(key, kind="stable")
-    found = _pairs(corners, np.ascontiguousarray(triangles), low, high, key[order], owner[order])
-    return np.unique(np.array(found, dtype=np.int64).reshape(-1, 2), axis=0)
-
-
-@njit(cache=True)
-def _cells(first, last, span, key, owner):  # type: ignore[no-untyped-def]
-    at = 0
-    for t in range(len(first)):
-        for i in range(first[t, 0], last[t, 0] + 1):
-            for j in range(first[t, 1], last[t, 1] + 1):
-                for k in range(first[t, 2], last[t, 2] + 1):
-                    key[at] = (i * span[1] + j) * span[2] + k
-                    owner[at] = t
-                    at += 1
-
-
-@njit(cache=True)
-def _pairs(corners, triangles, low, high, key, owner):  # type: ignore[no-untyped-def]
-    found = [-1]
-    found.pop()
-    begin = 0
-    while begin < len(key):
-        end = begin + 1
-        while end < len(key) and key[end] == key[begin]:
-            end += 1
-        for p in range(begin, end):
-            for q in range(p + 1, end):
-                s, t = owner[p], owner[q]
-                apart = False
-                for a in range(3):
-                    if low[s, a] > high[t, a] or low[t, a] > high[s, a]:
-                        apart = True
-                    for b in range(3):
-                        if triangles[s, a] == triangles[t, b]:
-                            apart = True
-                if not apart and (_pierced(corners[s], corners[t]) or _pierced(corners[t], corners[s])):
-                    found.append(min(s, t))
-                    found.append(max(s, t))
-        begin = end
-    return found
-
-
-@njit(cache=True)
-def _side(a, b, c, d):  # type: ignore[no-untyped-def]
-    """Six times the signed volume of a tetrahedron."""
-    x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    y0, y1, y2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    z0, z1, z2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
-    return x0 * (y1 * z2 - y2 * z1) - x1 * (y0 * z2 - y2 * z0) + x2 * (y0 * z1 - y1 * z0)
-
-
-@njit(cache=True)
-def _pierced(triangle, other):  # type: ignore[no-untyped-def]
-    """Whether an edge of the other triangle passes through this one."""
-    a, b, c = triangle[0], triangle[1], triangle[2]
-    above = np.empty(3)
-    for k in range(3):
-        above[k] = _side(a, b, c, other[k])
-    for k in range(3):
-        m = (k + 1) % 3
-        if above[k] * above[m] >= 0.0:
-            continue
-        p, q = other[k], other[m]
-        u, v, w = _side(p, q, a, b), _side(p, q, b, c), _side(p, q, c, a)
-        if (u > 0.0 and v > 0.0 and w > 0.0) or (u < 0.0 and v < 0.0 and w < 0.0):
-            return True
-    return False

@@ -10,8 +10,9 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from palpate.meshfree.crossings import self_intersections
-from palpate.meshfree.surfaces import Surface, components, halves, part_of, rims
+from palpate.faults import InputError
+from palpate.meshfree.intersections import MOST_PAIRS, self_intersections
+from palpate.meshfree.surfaces import Surface, components, halves, part_volumes, rims
 
 __all__ = ["Problem", "SurfaceReport", "check_surface"]
 
@@ -91,18 +92,7 @@ def check_surface(surface: Surface) -> SurfaceReport:
     ]
     if not problems:
         problems += _whole_problems(surface, label)
-    crossing = self_intersections(surface.vertices, surface.triangles)
-    if len(crossing):
-        where = surface.vertices[surface.triangles[crossing]].mean(axis=(1, 2))
-        problems.append(
-            Problem(
-                "error", "self-intersecting",
-                f"{len(crossing)} pairs of triangles pass through each other (first: triangles {crossing[0, 0]} and "
-                f"{crossing[0, 1]} near {_place(where[0])}): repair smooths small folds",
-                where,
-            )
-        )  # fmt: skip
-    problems += _scale_problems(surface)
+    problems += [*_crossing_problems(surface), *_scale_problems(surface)]
     return SurfaceReport(
         len(surface.vertices), len(surface.triangles), parts,
         len(surface.vertices) - len(undirected) + len(surface.triangles),
@@ -188,7 +178,7 @@ def _pinched(surface: Surface) -> list[Problem]:
 def _whole_problems(surface: Surface, label: Ints) -> list[Problem]:
     """What can only be said of a closed surface: parts, orientation, hollowness."""
     found = []
-    volumes = [part_of(surface, label == k).volume for k in range(int(label.max()) + 1)]
+    volumes = part_volumes(surface, label)
     if len(volumes) > 1:
         litres = ", ".join(f"{1e3 * v:.3g}" for v in sorted(volumes, key=abs, reverse=True)[:6])
         kind = "with cavities inside" if min(volumes) < 0 < max(volumes) else "side by side or inside each other"
@@ -197,7 +187,7 @@ def _whole_problems(surface: Surface, label: Ints) -> list[Problem]:
                 "error", "several parts",
                 f"the surface has {len(volumes)} parts of {litres} litres, {kind}: one solid body is needed; keep the "
                 f"outer one, or fill each by itself (repair drops parts below a thousandth of the whole)",
-                np.array([part_of(surface, label == k).vertices.mean(axis=0) for k in range(len(volumes))]),
+                _middles(surface, label),
             )
         )  # fmt: skip
     elif surface.volume < 0:
@@ -205,8 +195,8 @@ def _whole_problems(surface: Surface, label: Ints) -> list[Problem]:
             Problem("error", "inside out", "the surface is inside out: its triangles face inwards; repair turns them")
         )
     volume = abs(surface.volume)
-    thickness = 2 * volume / surface.area
-    if thickness < HOLLOW * np.cbrt(volume):
+    thickness = 2 * volume / max(surface.area, 1e-300)
+    if thickness < HOLLOW * np.cbrt(volume) or volume == 0:
         found.append(
             Problem(
                 "error", "hollow",
@@ -216,6 +206,32 @@ def _whole_problems(surface: Surface, label: Ints) -> list[Problem]:
             )
         )  # fmt: skip
     return found
+
+
+def _middles(surface: Surface, label: Ints) -> Floats:
+    """Mean corner of each part."""
+    corners = surface.vertices[surface.triangles].mean(axis=1)
+    return np.column_stack([np.bincount(label, corners[:, a]) for a in range(3)]) / np.bincount(label)[:, None]
+
+
+def _crossing_problems(surface: Surface) -> list[Problem]:
+    """Triangles that meet where they should not."""
+    try:
+        pairs = self_intersections(surface.vertices, surface.triangles)
+    except InputError as error:
+        return [Problem("error", "tangled", str(error))]
+    if not len(pairs):
+        return []
+    where = surface.vertices[surface.triangles[pairs]].mean(axis=(1, 2))
+    many = "at least " if len(pairs) >= MOST_PAIRS else ""
+    return [
+        Problem(
+            "error", "self-intersecting",
+            f"{many}{len(pairs)} pairs of triangles pass through each other or touch (first: triangles {pairs[0, 0]} "
+            f"and {pairs[0, 1]} near {_place(where[0])}): repair smooths small folds",
+            where,
+        )
+    ]  # fmt: skip
 
 
 def _scale_problems(surface: Surface) -> list[Problem]:

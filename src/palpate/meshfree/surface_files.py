@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from palpate.faults import FileFormatError, InputError
+from palpate.files import read_bytes, regular_file, shortened
+from palpate.meshfree.formats.common import Floats, Ints, Parts
+from palpate.meshfree.formats.gltf import read_glb, read_gltf
+from palpate.meshfree.formats.plain import read_obj, read_off, read_stl
+from palpate.meshfree.formats.ply import read_ply
+from palpate.meshfree.formats.vtk import read_vtk
+from palpate.meshfree.formats.vtp import read_vtp
 from palpate.meshfree.surface_repair import repair
-from palpate.meshfree.surfaces import MOST_TRIANGLES, Surface, welded
+from palpate.meshfree.surfaces import Surface, welded
 
 __all__ = ["UNITS", "read_surface"]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
-KINDS = ("stl", "obj", "ply", "off", "glb", "gltf", "vtk", "vtp")
+READERS = {
+    "stl": read_stl, "obj": read_obj, "ply": read_ply, "off": read_off, "glb": read_glb, "gltf": read_gltf,
+    "vtk": read_vtk, "vtp": read_vtp,
+}  # fmt: skip
+NAMED = ("glb", "gltf", "obj", "stl")  # kinds whose parts have names
 LARGEST = 300_000_000  # bytes
+MOST_NAMES = 40  # of parts, in a message
 TYPICAL = 5e-4  # [m^3] of an organ, in the logarithm's middle: between an adrenal gland and a liver
 
 
 def read_surface(path: str | Path, *, part: str | None = None, units: str | None = None, mend: bool = False) -> Surface:
     """Read a closed surface.
+
+    Only the file itself is read, never another one that it names; polygons are split into fans of triangles.
 
     Parameters
     ----------
@@ -41,27 +52,25 @@ def read_surface(path: str | Path, *, part: str | None = None, units: str | None
     FileNotFoundError
         There is no such file.
     FileFormatError
-        It is of another kind, damaged, or holds no triangles.
+        It is not a regular file, of another kind, damaged, over 300 MB, or holds no triangles.
     InputError
         It has several parts and none is chosen, or too many triangles, or unknown units.
     """
     path = Path(path)
     if units is not None and units not in UNITS:
         raise InputError(f"units = {units!r} are unknown: allowed are {', '.join(map(repr, UNITS))}")
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}")
+    regular_file(path, "surface file")
     kind = path.suffix[1:].lower()
     if kind == "msh":
         raise FileFormatError(
             f"{path} is a Gmsh file{_gmsh_version(path)}, which holds a volume mesh: export its surface as STL, PLY or "
             f"OBJ (in Gmsh: File, Export)"
         )
-    if kind not in KINDS:
-        raise FileFormatError(f"{path}: surfaces are read from {', '.join(KINDS).upper()} files, not from {kind!r}")
-    _refuse_large(path, kind)
-    vertices, triangles = _vtk(path, kind) if kind in ("vtk", "vtp") else _trimesh(path, kind, part)
-    if part is not None and kind not in ("glb", "gltf", "obj"):
+    if kind not in READERS:
+        raise FileFormatError(f"{path}: surfaces are read from {', '.join(READERS).upper()} files, not from {kind!r}")
+    if part is not None and kind not in NAMED:
         raise InputError(f"part = {part!r}: a {kind.upper()} file has no named parts")
+    vertices, triangles = _read(path, kind, part)
     surface = Surface(vertices, triangles, path.name if part is None else f"{path.name}, part {part}")
     surface = repair(surface) if mend else welded(surface)
     return _in_metres(surface, "m" if units is None and kind in ("glb", "gltf") else units)
@@ -69,90 +78,45 @@ def read_surface(path: str | Path, *, part: str | None = None, units: str | None
 
 def _gmsh_version(path: Path) -> str:
     with path.open("rb") as file:
-        head = file.readline().strip()
+        head = file.readline(100).strip()
         if head == b"$NOD":
             return " of version 1"
-        version = file.readline().split() if head == b"$MeshFormat" else []
-    return f" of version {version[0].decode(errors='replace')}" if version else ""
+        version = file.readline(100).split() if head == b"$MeshFormat" else []
+    return f" of version {shortened(version[0].decode(errors='replace'), 10)}" if version else ""
 
 
-def _refuse_large(path: Path, kind: str) -> None:
-    """Refuse a file of too many triangles before it is read."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(4096)
-    count = 0
-    if kind == "stl" and len(head) >= 84 and size == 84 + 50 * struct.unpack("<I", head[80:84])[0]:
-        count = struct.unpack("<I", head[80:84])[0]
-    elif kind == "ply" and b"element face " in head:
-        count = int(head.split(b"element face ")[1].split()[0])
-    elif kind == "off":
-        words = [word for word in head.split() if word.isdigit()]
-        count = int(words[1]) if len(words) > 1 else 0
-    if count > MOST_TRIANGLES or size > LARGEST:
-        what = f"has {count} triangles; at most {MOST_TRIANGLES} are" if count else f"is {size / 1e6:.0f} MB; 300 are"
-        raise InputError(f"{path} {what} taken: decimate it first (30,000 triangles are enough for an organ)")
-    if size == 0:
+def _read(path: Path, kind: str, part: str | None) -> tuple[Floats, Ints]:
+    """Vertices and triangles of a file, or of a part of it."""
+    data = read_bytes(path, "surface file", LARGEST)
+    if not data:
         raise FileFormatError(f"{path} is empty")
-
-
-def _trimesh(path: Path, kind: str, part: str | None) -> tuple[Any, Any]:
-    import trimesh
-
     try:
-        scene = trimesh.load_scene(path, file_type=kind, process=False)
-        # in place, as the file's transformations say, by the names of the parts
-        placed: dict[str, Any] = {}
-        for node in scene.graph.nodes_geometry:
-            matrix, name = scene.graph[node]
-            mesh = scene.geometry[name]
-            if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-                placed[str(name)] = mesh.copy().apply_transform(matrix)
-    except Exception as error:  # a reader may raise anything on a damaged file
-        raise FileFormatError(f"{path} cannot be read as {kind.upper()}: {' '.join(str(error).split())}") from error
-    if not placed:
+        parts = READERS[kind](data)
+        vertices, triangles = parts[_chosen(parts, part)]()
+    except FileFormatError as error:
+        raise FileFormatError(f"{path} cannot be read as {kind.upper()}: {error}") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except (ArithmeticError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:
+        # what no check of a reader has caught
+        raise FileFormatError(f"{path} is damaged ({type(error).__name__}: {shortened(str(error))})") from error
+    if not len(triangles):
         raise FileFormatError(f"{path} holds no triangles")
-    mesh = _chosen(path, placed, part)
-    return np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=np.int64)
+    return vertices, triangles
 
 
-def _chosen(path: Path, parts: dict[str, Any], part: str | None) -> Any:
-    names: Sequence[str] = sorted(parts)
+def _chosen(parts: Parts, part: str | None) -> str:
+    plain = (shortened(name if name.isprintable() else repr(name)) for name in sorted(parts)[:MOST_NAMES])
+    names = ", ".join(plain) + ", ..." * (len(parts) > MOST_NAMES)
     if part is None:
         if len(parts) > 1:
-            raise InputError(f"{path} has {len(parts)} parts: choose one with part=: {', '.join(names)}")
-        return next(iter(parts.values()))
+            raise InputError(f"it has {len(parts)} parts: choose one with part=: {names}")
+        if not parts:
+            raise FileFormatError("it holds no triangles")
+        return next(iter(parts))
     if part not in parts:
-        raise InputError(f"{path} has no part {part!r}; it has {', '.join(names)}")
-    return parts[part]
-
-
-def _vtk(path: Path, kind: str) -> tuple[Any, Any]:
-    from vtkmodules.util import numpy_support
-    from vtkmodules.vtkCommonCore import vtkCommand, vtkObject
-    from vtkmodules.vtkFiltersCore import vtkTriangleFilter
-    from vtkmodules.vtkIOLegacy import vtkPolyDataReader
-    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
-
-    reader: Any = vtkPolyDataReader() if kind == "vtk" else vtkXMLPolyDataReader()
-    array: Any = numpy_support.vtk_to_numpy
-    complaints: list[int] = []
-    reader.AddObserver(vtkCommand.ErrorEvent, lambda *_: complaints.append(1))
-    vtkObject.GlobalWarningDisplayOff()
-    try:
-        reader.SetFileName(str(path))
-        flat = vtkTriangleFilter()
-        flat.PassLinesOff()
-        flat.PassVertsOff()
-        flat.SetInputConnection(reader.GetOutputPort())
-        flat.Update()
-    finally:
-        vtkObject.GlobalWarningDisplayOn()
-    data = flat.GetOutput()
-    if complaints or data.GetNumberOfPolys() == 0:
-        raise FileFormatError(f"{path} is no VTK file of a surface (PolyData with triangles), or is damaged")
-    triangles = array(data.GetPolys().GetConnectivityArray()).reshape(-1, 3)
-    return array(data.GetPoints().GetData()).astype(float), triangles.astype(np.int64)
+        raise InputError(f"it has no part {shortened(repr(part))}; it has {names or 'none'}")
+    return part
 
 
 def _in_metres(surface: Surface, units: str | None) -> Surface:

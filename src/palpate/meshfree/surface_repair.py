@@ -7,8 +7,9 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from palpate.meshfree.crossings import self_intersections
-from palpate.meshfree.surfaces import Surface, components, halves, part_of, rims, welded
+from palpate.faults import InputError
+from palpate.meshfree.intersections import MOST_PAIRS, self_intersections
+from palpate.meshfree.surfaces import Surface, components, halves, part_of, part_volumes, rims, welded
 
 __all__ = ["repair"]
 
@@ -29,7 +30,7 @@ def repair(surface: Surface) -> Surface:
     surface = welded(surface)
     label = components(surface)
     if label.max() > 0:
-        volumes = np.array([abs(part_of(surface, label == k).volume) for k in range(int(label.max()) + 1)])
+        volumes = np.abs(part_volumes(surface, label))
         keep = np.flatnonzero(volumes > 1e-3 * volumes.sum())
         surface = part_of(surface, np.isin(label, keep)) if len(keep) else surface
     surface = Surface(surface.vertices, _turned(surface.triangles), surface.name, surface.warnings)
@@ -48,8 +49,11 @@ def _unfolded(surface: Surface) -> Surface:
     near.data[:] = 1.0
     near = sparse.diags(1.0 / near.sum(axis=1).A1) @ near
     for _ in range(SMOOTHINGS):
-        crossing = self_intersections(vertices, surface.triangles)
-        if not len(crossing):
+        try:
+            crossing = self_intersections(vertices, surface.triangles)
+        except InputError:
+            break
+        if not 0 < len(crossing) < MOST_PAIRS:  # as many are no small folds
             break
         corners = np.unique(surface.triangles[crossing])
         vertices[corners] = 0.5 * vertices[corners] + 0.5 * (near[corners] @ vertices)
@@ -79,11 +83,11 @@ def _turned(triangles: Ints) -> Ints:
 
 def _with_holes_closed(surface: Surface) -> Surface:
     vertices, triangles = [surface.vertices], [surface.triangles]
-    n = len(surface.vertices)
+    n, longest = len(surface.vertices), np.pi * WIDEST_HOLE * surface.size
     for loop in rims(surface.triangles):
         rim = surface.vertices[loop]
         length = np.linalg.norm(rim - np.roll(rim, -1, axis=0), axis=1).sum()
-        if length > np.pi * WIDEST_HOLE * surface.size:
+        if length > longest:
             continue
         vertices.append(rim.mean(axis=0, keepdims=True))
         ahead = np.roll(loop, -1)

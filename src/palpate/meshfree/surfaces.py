@@ -11,13 +11,16 @@ from scipy.sparse.csgraph import connected_components
 
 from palpate.faults import InputError, first_few
 
-__all__ = ["MOST_TRIANGLES", "Surface", "components", "halves", "part_of", "rims", "welded"]
+__all__ = ["MOST_TRIANGLES", "Surface", "components", "halves", "part_of", "part_volumes", "rims", "welded"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 MOST_TRIANGLES = 2_000_000  # more are refused before anything slow
 SAME = 1e-6  # of the size: vertices nearer than that are one
+FARTHEST = 1e9  # largest coordinate, in any unit: beyond, volumes overflow or lose all digits
+SMALLEST = 1e-9  # size
+AWAY = 1e7  # largest coordinate over the size: beyond, SAME is not resolved
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,8 @@ class Surface:
     Raises
     ------
     InputError
-        Arrays of another shape, triangles of vertices that do not exist, too many triangles, or none.
+        Arrays of another shape, triangles of vertices that do not exist, too many triangles, or none; coordinates
+        that are not finite, or beyond 1e9.
     """
 
     vertices: Floats
@@ -62,6 +66,12 @@ class Surface:
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         if bad.size:
             raise InputError(f"{self.name}: vertices {first_few(bad)} are not finite")
+        far = np.flatnonzero((np.abs(vertices) > FARTHEST).any(axis=1))
+        if far.size:
+            raise InputError(
+                f"{self.name}: coordinates must be at most {FARTHEST:g}, got {np.abs(vertices).max():g} at vertices "
+                f"{first_few(far)}; correct or remove them"
+            )
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "triangles", triangles)
 
@@ -95,13 +105,16 @@ def welded(surface: Surface) -> Surface:
     Raises
     ------
     InputError
-        Nothing is left.
+        Nothing is left, or it is too small or too far from the origin.
     """
     size = surface.size
-    if size == 0:
-        raise InputError(f"{surface.name} is a single point")
-    keys = np.rint(surface.vertices / (SAME * size)).astype(np.int64)
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    if size < SMALLEST:
+        raise InputError(f"{surface.name} must be at least {SMALLEST:g} long, got {size:g}; correct its units")
+    if np.abs(surface.vertices).max() > AWAY * size:
+        raise InputError(f"{surface.name} must lie within {AWAY:g} times its size of the origin; move it there")
+    cells = np.rint(surface.vertices / (SAME * size)).astype(np.int64)
+    x, y, z = (cells - cells.min(axis=0)).T  # below 2^20 each
+    _, first, inverse = np.unique((x << 42) | (y << 21) | z, return_index=True, return_inverse=True)
     triangles = inverse.ravel()[surface.triangles]
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
@@ -127,6 +140,15 @@ def components(surface: Surface) -> Ints:
     graph = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (n, n))
     _, label = connected_components(graph, directed=False)
     return np.unique(label[surface.triangles[:, 0]], return_inverse=True)[1]
+
+
+def part_volumes(surface: Surface, label: Ints) -> Floats:
+    """Return the volume of each part [m^3]; parts are numbered as `components` does."""
+    corners = surface.vertices[surface.triangles]
+    count = np.bincount(label)
+    middle = np.column_stack([np.bincount(label, corners[:, 0, a]) for a in range(3)]) / count[:, None]
+    heights = corners[:, 0] - middle[label]  # from within the part, against cancellation
+    return np.asarray(np.bincount(label, np.einsum("ta,ta->t", heights, surface.area_vectors) / 3), dtype=float)
 
 
 def part_of(surface: Surface, keep: NDArray[np.bool_]) -> Surface:

@@ -1,0 +1,1 @@
+"""Readers of surface files: each takes the bytes of a file and returns its parts."""

@@ -1,0 +1,257 @@
+"""glTF and GLB files: the triangles of meshes where the nodes of the scene place them, and nothing else."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.faults import FileFormatError, InputError
+from palpate.files import json_of
+from palpate.meshfree.formats.common import Floats, Ints, Parts, fans, strips, whole_numbers
+
+__all__ = ["read_glb", "read_gltf"]
+
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3}
+TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives
+PLACING = {"matrix", "rotation", "scale", "translation"}
+LARGEST = 2**40  # bytes
+
+
+def read_glb(data: bytes) -> Parts:
+    """Return the parts of a GLB file: its meshes, by their names."""
+    version, length = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
+    if data[:4] != b"glTF" or version != 2 or length > len(data):
+        raise FileFormatError(f"it must be glTF of version 2 and have the {length} bytes that its header states")
+    chunks: dict[bytes, bytes] = {}
+    at = 12
+    while at + 8 <= length:
+        size = int.from_bytes(data[at : at + 4], "little")
+        if at + 8 + size > length:
+            raise FileFormatError(f"its chunk at byte {at} states {size} bytes and has {length - at - 8}")
+        chunks.setdefault(data[at + 4 : at + 8], data[at + 8 : at + 8 + size])
+        at += 8 + size
+    return _parts(chunks.get(b"JSON", b""), chunks.get(b"BIN\0"))
+
+
+def read_gltf(data: bytes) -> Parts:
+    """Return the parts of a glTF file, whose buffers are all in it."""
+    return _parts(data, None)
+
+
+def _parts(text: bytes, binary: bytes | None) -> Parts:
+    try:
+        content = json_of(text.decode("utf-8-sig").rstrip("\0"))
+    except (InputError, UnicodeDecodeError) as error:
+        raise FileFormatError(f"its JSON cannot be read ({error})") from None
+    if not isinstance(content, dict):
+        raise FileFormatError("its JSON must be an object")
+    file = _File(content, binary)
+    parts: Parts = {}
+    for number, matrix in _placed(file):
+        mesh = file.entry("meshes", number)
+        primitives = [
+            each for each in _dicts(mesh, "primitives") if each.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN)
+        ]
+        if primitives:
+            name = str(mesh.get("name", f"mesh {number}"))
+            parts[_unused(name, parts)] = partial(_joined, file, primitives, matrix)
+    return parts
+
+
+def _unused(name: str, parts: Parts) -> str:
+    free, k = name, len(parts)
+    while free in parts:
+        free, k = f"{name}_{k}", k + 1
+    return free
+
+
+@dataclass
+class _File:
+    """The JSON of a file, with bounded access to its tables and buffers."""
+
+    content: dict[str, Any]
+    binary: bytes | None
+    buffers: dict[int, bytes] = field(default_factory=dict)
+    arrays: dict[int, NDArray[Any]] = field(default_factory=dict)
+    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    read: int = 0  # bytes of accessors
+
+    def entry(self, table: str, number: Any) -> dict[str, Any]:
+        if table not in self.tables:
+            self.tables[table] = _dicts(self.content, table)
+        rows = self.tables[table]
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(rows):
+            raise FileFormatError(f"it names {table}[{number!r:.30}] and has {len(rows)}")
+        return rows[number]
+
+    def buffer(self, number: Any) -> bytes:
+        if number not in self.buffers:
+            row = self.entry("buffers", number)
+            uri = row.get("uri")
+            if uri is None and number == 0 and self.binary is not None:
+                found = self.binary
+            elif isinstance(uri, str) and uri.startswith("data:") and ";base64," in uri[:200]:
+                try:
+                    found = base64.b64decode(uri.partition(",")[2], validate=True)
+                except (binascii.Error, ValueError):
+                    raise FileFormatError(f"its buffer {number} is not valid base64") from None
+            else:
+                raise FileFormatError(f"its buffer {number} is in another file, which is not read; export it as GLB")
+            if _whole(row, "byteLength", LARGEST) > len(found):
+                raise FileFormatError(f"its buffer {number} is shorter than it states")
+            self.buffers[number] = found
+        return self.buffers[number]
+
+    def array(self, number: Any, kind: str) -> NDArray[Any]:
+        """Return the rows of an accessor, (n,) of scalars and (n, 3) of vectors."""
+        row = self.entry("accessors", number)
+        width = WIDTHS[kind]
+        if row.get("type") != kind or row.get("componentType") not in COMPONENTS:
+            raise FileFormatError(f"its accessor {number} must be of type {kind}")
+        if number not in self.arrays:
+            if "sparse" in row or "bufferView" not in row:
+                raise FileFormatError(f"its accessor {number} is sparse or has no data, which is not supported")
+            view = self.entry("bufferViews", row["bufferView"])
+            if "extensions" in view:
+                raise FileFormatError("its buffers are compressed, which is not supported; export it without")
+            data = self.buffer(view.get("buffer"))
+            dtype = np.dtype(COMPONENTS[row["componentType"]])
+            count, size = _whole(row, "count", LARGEST), width * dtype.itemsize
+            start, length = _whole(view, "byteOffset", LARGEST, 0), _whole(view, "byteLength", LARGEST)
+            offset, stride = _whole(row, "byteOffset", LARGEST, 0), _whole(view, "byteStride", 1 << 16, size)
+            last = offset + stride * (count - 1) + size
+            if count == 0 or stride < size or last > length or start + length > len(data):
+                raise FileFormatError(f"its accessor {number} must lie within its buffer")
+            self.read += count * size
+            if self.read > sum(map(len, self.buffers.values())):
+                raise FileFormatError("its accessors read more bytes than its buffers have; they must not overlap")
+            step = (stride, dtype.itemsize)[: 1 + (width > 1)]
+            self.arrays[number] = np.ndarray((count, 3)[: 1 + (width > 1)], dtype, data, start + offset, step).copy()
+        return self.arrays[number]
+
+
+def _dicts(row: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    rows = row.get(key, [])
+    if not isinstance(rows, list) or not all(isinstance(each, dict) for each in rows):
+        raise FileFormatError(f"its {key} must be a list of objects")
+    return rows
+
+
+def _whole(row: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
+    value = row.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
+        raise FileFormatError(f"its {key} must be a whole number from 0 to {most}, got {value!r:.30}")
+    return value
+
+
+def _placed(file: _File) -> list[tuple[Any, Floats]]:
+    """Numbers of meshes in the scene with their matrices, each node once."""
+    nodes = _dicts(file.content, "nodes")
+    if _dicts(file.content, "scenes"):
+        roots = _numbers(file.entry("scenes", file.content.get("scene", 0)), "nodes")
+    else:
+        children = {k for node in nodes for k in _numbers(node, "children")}
+        roots = [k for k in range(len(nodes)) if k not in children]
+    found, seen = [], set()
+    waiting = [(k, np.eye(4)) for k in reversed(roots)]
+    while waiting:
+        number, above = waiting.pop()
+        if number in seen:
+            raise FileFormatError(f"its node {number} must have one parent only")
+        node = file.entry("nodes", number)
+        seen.add(number)
+        matrix = above @ _matrix(node) if PLACING & node.keys() else above
+        if "mesh" in node:
+            found.append((node["mesh"], matrix))
+        waiting += [(k, matrix) for k in reversed(_numbers(node, "children"))]
+    return found
+
+
+def _numbers(row: dict[str, Any], key: str) -> list[int]:
+    values = row.get(key, [])
+    if not isinstance(values, list) or not all(isinstance(k, int) and not isinstance(k, bool) for k in values):
+        raise FileFormatError(f"its {key} must be a list of whole numbers")
+    return values
+
+
+def _matrix(node: dict[str, Any]) -> Floats:
+    """The matrix of a node (4, 4), of columns or of scale, rotation and translation."""
+    if "matrix" in node:
+        return _vector(node, "matrix", [0.0] * 16).reshape(4, 4).T
+    x, y, z, w = _vector(node, "rotation", [0.0, 0.0, 0.0, 1.0])
+    square = x * x + y * y + z * z + w * w
+    if not 0.5 < square < 2:
+        raise FileFormatError("the rotation of a node must be a unit quaternion")
+    turn = np.array([
+        [1 - 2 * (y * y + z * z) / square, 2 * (x * y - z * w) / square, 2 * (x * z + y * w) / square],
+        [2 * (x * y + z * w) / square, 1 - 2 * (x * x + z * z) / square, 2 * (y * z - x * w) / square],
+        [2 * (x * z - y * w) / square, 2 * (y * z + x * w) / square, 1 - 2 * (x * x + y * y) / square],
+    ])  # fmt: skip
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn * _vector(node, "scale", [1.0] * 3)
+    matrix[:3, 3] = _vector(node, "translation", [0.0] * 3)
+    return matrix
+
+
+def _vector(node: dict[str, Any], key: str, default: list[float]) -> Floats:
+    values = node.get(key, default)
+    plain = isinstance(values, list) and len(values) == len(default)
+    if not plain or not all(isinstance(x, int | float) and math.isfinite(x) and abs(x) < 1e12 for x in values):
+        raise FileFormatError(f"the {key} of a node must be {len(default)} numbers below 1e12")
+    return np.array(values, dtype=float)
+
+
+def _joined(file: _File, primitives: list[dict[str, Any]], matrix: Floats) -> tuple[Floats, Ints]:
+    """The primitives of a mesh as one, in place."""
+    vertices: dict[Any, Floats] = {}  # by the accessor, which primitives may share
+    first: dict[Any, int] = {}
+    v = 0
+    triangles = []
+    for position, indices, mode in dict.fromkeys(map(_key, primitives)):
+        if position not in vertices:
+            vertices[position] = _positions(file, position)
+            first[position], v = v, v + len(vertices[position])
+        if indices is None:
+            corners = np.arange(len(vertices[position]))
+        else:
+            corners = whole_numbers(file.array(indices, "SCALAR"), "indices")
+            if corners.max() >= len(vertices[position]):
+                raise FileFormatError(f"its accessor {indices} names vertices that do not exist")
+        if mode == TRIANGLES:
+            of = fans(corners, np.full(len(corners) // 3, 3))
+        else:
+            of = (strips if mode == STRIP else fans)(corners, np.array([len(corners)]))
+        triangles.append(of + first[position])
+    joined = np.concatenate(triangles)
+    with np.errstate(all="ignore"):  # a surface refuses what is not finite
+        placed = np.concatenate(list(vertices.values())) @ matrix[:3, :3].T + matrix[:3, 3]
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0
+    return placed, joined[:, ::-1] if mirrored else joined
+
+
+def _key(primitive: dict[str, Any]) -> tuple[Any, Any, int]:
+    """Accessors of positions and indices, and the mode of a primitive."""
+    extensions, attributes = primitive.get("extensions", {}), primitive.get("attributes")
+    if not isinstance(extensions, dict) or "KHR_draco_mesh_compression" in extensions:
+        raise FileFormatError("its meshes are compressed by Draco, which is not supported; export it without")
+    if not isinstance(attributes, dict) or not isinstance(attributes.get("POSITION"), int):
+        raise FileFormatError("its primitives must have positions")
+    indices = primitive.get("indices")
+    if indices is not None and not isinstance(indices, int):
+        raise FileFormatError("the indices of its primitives must be a whole number")
+    return attributes["POSITION"], indices, primitive.get("mode", TRIANGLES)
+
+
+def _positions(file: _File, number: Any) -> Floats:
+    values = file.array(number, "VEC3")
+    row = file.entry("accessors", number)
+    scale = np.iinfo(values.dtype).max if row.get("normalized") is True and values.dtype.kind != "f" else 1
+    return np.asarray(values, dtype=float) / scale

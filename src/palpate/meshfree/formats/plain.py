@@ -1,0 +1,105 @@
+"""STL, OBJ and OFF files."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from itertools import chain
+
+import numpy as np
+
+from palpate.faults import FileFormatError
+from palpate.meshfree.formats.common import Floats, Ints, Parts, count_of, fans, numbers, too_many, whole_numbers, word
+from palpate.meshfree.surfaces import MOST_TRIANGLES
+
+__all__ = ["read_obj", "read_off", "read_stl"]
+
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_stl(data: bytes) -> Parts:
+    """Return the parts of an STL file, binary or ASCII: the solids, by their names."""
+    count = int.from_bytes(data[80:84], "little")
+    size = 84 + FACET.itemsize * count
+    if len(data) == size:
+        if count > MOST_TRIANGLES:
+            raise too_many(count)
+        corners = np.frombuffer(data, FACET, count, 84)["corners"]
+        return {"": lambda: (corners.reshape(-1, 3).astype(float), np.arange(3 * count).reshape(-1, 3))}
+    if not data.lstrip()[:5].lower() == b"solid":
+        raise FileFormatError(f"its header states {count} triangles, which take {size} bytes; it has {len(data)}")
+    parts: dict[str, list[bytes]] = {}
+    for solid in re.split(rb"(?i)\bendsolid\b[^\n]*", data):
+        head, _, body = solid.strip().partition(b"\n")
+        if body:
+            parts.setdefault(head[5:].strip().decode("utf-8", "replace"), []).append(body)
+    return {name: partial(_facets, b"\n".join(bodies)) for name, bodies in parts.items()}
+
+
+def _facets(text: bytes) -> tuple[Floats, Ints]:
+    words = [found[1] for found in re.finditer(rb"(?i)\bvertex\s+(\S+\s+\S+\s+\S+)", text)]
+    facets = len(re.findall(rb"(?i)\bendfacet\b", text))
+    vertices = numbers(b" ".join(words))
+    if not facets or len(words) != 3 * facets or len(vertices) != 9 * facets:
+        raise FileFormatError(f"its {facets} facets must have three vertices of three numbers each")
+    return vertices.reshape(-1, 3), np.arange(3 * facets).reshape(-1, 3)
+
+
+def read_obj(data: bytes) -> Parts:
+    """Return the parts of an OBJ file: its objects, by their names. Material files are not read."""
+    points: list[list[bytes]] = []
+    polygons: dict[str, list[list[int]]] = {}
+    current = polygons.setdefault("", [])
+    for number, line in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == b"v":
+            if len(words) < 4:
+                raise FileFormatError(f"the vertex in line {number} must have three coordinates")
+            points.append(words[1:4])
+        elif words[0] == b"f":
+            try:
+                face = [int(each.partition(b"/")[0]) for each in words[1:]]
+            except ValueError:
+                raise FileFormatError(f"the face in line {number} must be of whole numbers") from None
+            current.append([k - 1 if k > 0 else len(points) + k if k < 0 else -1 for k in face])
+            if min(current[-1], default=0) < 0 or max(current[-1], default=0) >= 2**31:
+                raise FileFormatError(f"the face in line {number} names a vertex that does not exist")
+        elif words[0] == b"o":
+            name = line.strip()[1:].strip().decode("utf-8", "replace")
+            current = polygons.setdefault(name, [])
+    vertices = numbers(b" ".join(chain.from_iterable(points)))
+    if len(vertices) != 3 * len(points):
+        raise FileFormatError("its vertices must have three coordinates each")
+    return {name: partial(_object, vertices.reshape(-1, 3), faces) for name, faces in polygons.items() if faces}
+
+
+def _object(vertices: Floats, faces: list[list[int]]) -> tuple[Floats, Ints]:
+    corners = np.fromiter(chain.from_iterable(faces), dtype=np.int64)
+    return vertices, fans(corners, np.fromiter(map(len, faces), dtype=np.int64, count=len(faces)))
+
+
+def read_off(data: bytes) -> Parts:
+    """Return the surface of an OFF file."""
+    text = re.sub(rb"#[^\n]*", b"", data).strip()
+    head = re.match(rb"(ST)?C?N?OFF\b", text)
+    if head is None or text[head.end() :].lstrip()[:6] == b"BINARY":
+        raise FileFormatError(f"it must start with OFF, and be text; it starts with {word(text[:12])}")
+    lines = [line for line in text[head.end() :].splitlines() if line.strip()]
+    counts = lines[0].split() if lines else []
+    if len(counts) < 2:
+        raise FileFormatError("the numbers of vertices and faces are missing")
+    triangles = count_of(counts[1], "triangles", len(lines) - 1)
+    v = count_of(counts[0], "vertices", len(lines) - 1 - triangles)
+    vertices = numbers(b" ".join(chain.from_iterable(line.split()[:3] for line in lines[1 : v + 1])))
+    if len(vertices) != 3 * v:
+        raise FileFormatError("its vertices must have three coordinates each")
+    faces = []
+    for line in lines[v + 1 : v + 1 + triangles]:
+        words = line.split()
+        size = count_of(words[0], "corners of a face", len(words) - 1)
+        faces.append(words[1 : size + 1])
+    corners = whole_numbers(numbers(b" ".join(chain.from_iterable(faces))), "indices")
+    sizes = np.fromiter(map(len, faces), dtype=np.int64, count=len(faces))
+    return {"": lambda: (vertices.reshape(-1, 3), fans(corners, sizes))}

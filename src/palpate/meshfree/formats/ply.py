@@ -1,0 +1,149 @@
+"""PLY files, ASCII and binary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.faults import FileFormatError
+from palpate.meshfree.formats.common import Ints, Parts, count_of, fans, numbers, whole_numbers, word
+
+__all__ = ["read_ply"]
+
+TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+}  # fmt: skip
+LONGEST_HEADER = 1 << 16  # bytes
+ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[tuple[str, str, str]] = field(default_factory=list)  # name, type, that of lengths
+
+
+def read_ply(data: bytes) -> Parts:
+    """Return the surface of a PLY file."""
+    elements, order, at = _header(data)
+    if not order:  # a file of text is one of doubles
+        data, at = numbers(data[at:]).astype("<f8").tobytes(), 0
+        for element in elements:
+            element.properties = [(name, "f8", "f8" if length else "") for name, _, length in element.properties]
+    columns: dict[str, dict[str, tuple[NDArray[Any], Ints]]] = {}
+    for element in elements:
+        columns[element.name], at = _rows(element, data, at, order or "<")
+    points, faces = columns.get("vertex", {}), columns.get("face", {})
+    polygons = faces.get("vertex_indices", faces.get("vertex_index"))
+    if polygons is None or not {"x", "y", "z"} <= points.keys():
+        raise FileFormatError("it must have vertices with x, y and z, and faces with a list vertex_indices")
+    corners = whole_numbers(polygons[0], "indices")
+    return {"": lambda: (np.column_stack([points[x][0].astype(float) for x in "xyz"]), fans(corners, polygons[1]))}
+
+
+def _header(data: bytes) -> tuple[list[_Element], str, int]:
+    """Elements, the order of bytes (none of text), and where the rows begin."""
+    end = data.find(b"end_header", 0, LONGEST_HEADER)
+    at = data.find(b"\n", end) + 1
+    if not data.startswith(b"ply") or end < 0 or at == 0 or data[end + 10 : at].strip():
+        raise FileFormatError(f"its header must start with ply and end with end_header within {LONGEST_HEADER} bytes")
+    elements: list[_Element] = []
+    order = None
+    for line in data[:end].splitlines()[1:]:
+        words = line.split()
+        if not words or words[0] in (b"comment", b"obj_info"):
+            continue
+        if words[0] == b"format" and len(words) == 3:
+            order = ORDERS.get(words[1])
+        elif words[0] == b"element" and len(words) == 3:
+            name = words[1].decode("ascii", "replace")
+            elements.append(_Element(name, count_of(words[2], "triangles" if name == "face" else "rows", len(data))))
+        elif (
+            words[0] == b"property" and elements and len(words) in (3, 5) and (words[1] == b"list") == (len(words) == 5)
+        ):
+            kinds = [TYPES.get(each.decode("ascii", "replace"), "") for each in words[1:-1] if each != b"list"]
+            if "" in kinds:
+                raise FileFormatError(f"its header states a property of unknown type: {word(line)}")
+            elements[-1].properties.append((words[-1].decode("ascii", "replace"), kinds[-1], "".join(kinds[:-1])))
+        else:
+            raise FileFormatError(f"its header holds an unknown line {word(line)}")
+    if order is None:
+        raise FileFormatError("its header must state a format: ascii, binary_little_endian or binary_big_endian")
+    return elements, order, at
+
+
+def _rows(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, tuple[NDArray[Any], Ints]], int]:
+    """Values of each property, all rows in turn, with the lengths of lists; and where the next element begins."""
+    least = sum(np.dtype(length or kind).itemsize for _, kind, length in element.properties)
+    if element.count * least > len(data) - at:
+        raise FileFormatError(f"it states {element.count} rows of {word(element.name.encode())} and ends before them")
+    if not element.count or not element.properties:
+        return {}, at
+    sizes = _sizes(element, data, at, order)
+    row = _row(element, sizes, order)
+    if element.count * row.itemsize <= len(data) - at:
+        rows = np.frombuffer(data, row, element.count, at)
+        if all(np.all(rows[f"n{k}"] == n) for k, n in enumerate(sizes) if n is not None):  # all lists as the first
+            found = {
+                name: (rows[f"v{k}"].ravel(), np.full(element.count, n))
+                for k, ((name, _, _), n) in enumerate(zip(element.properties, (s or 0 for s in sizes), strict=True))
+            }
+            return found, at + element.count * row.itemsize
+    return _uneven(element, data, at, order)
+
+
+def _sizes(element: _Element, data: bytes, at: int, order: str) -> list[int | None]:
+    """Lengths of the lists in the row that begins at a byte; None of single values."""
+    sizes: list[int | None] = []
+    for _, kind, length in element.properties:
+        n = None
+        if length:
+            n = _length(data, at, order + length, np.dtype(kind).itemsize)
+            at += np.dtype(length).itemsize
+        sizes.append(n)
+        at += np.dtype(kind).itemsize * (1 if n is None else n)
+    return sizes
+
+
+def _length(data: bytes, at: int, kind: str, each: int) -> int:
+    """Length of a list, for which the rest of the file has room."""
+    if at + np.dtype(kind).itemsize > len(data):
+        raise FileFormatError("it ends within a row")
+    stated = np.frombuffer(data, kind, 1, at)[0]
+    if not 0 <= stated <= (len(data) - at) // each or stated != int(stated):
+        raise FileFormatError(f"it states a list of {stated} entries, for which it has no room")
+    return int(stated)
+
+
+def _row(element: _Element, sizes: list[int | None], order: str) -> np.dtype[Any]:
+    fields: list[Any] = []
+    for k, ((_, kind, length), n) in enumerate(zip(element.properties, sizes, strict=True)):
+        if n is not None:
+            fields.append((f"n{k}", order + length))
+        fields.append((f"v{k}", order + kind, () if n is None else (n,)))
+    return np.dtype(fields)
+
+
+def _uneven(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, tuple[NDArray[Any], Ints]], int]:
+    """Rows one by one, of lists of different lengths."""
+    pieces: list[list[NDArray[Any]]] = [[] for _ in element.properties]
+    for _ in range(element.count):
+        for k, (_, kind, length) in enumerate(element.properties):
+            n, each = 1, np.dtype(order + kind)
+            if length:
+                n = _length(data, at, order + length, each.itemsize)
+                at += np.dtype(length).itemsize
+            if at + n * each.itemsize > len(data):
+                raise FileFormatError("it ends within a row")
+            pieces[k].append(np.frombuffer(data, each, n, at))
+            at += n * each.itemsize
+    found = {}
+    for (name, _, _), values in zip(element.properties, pieces, strict=True):
+        found[name] = (np.concatenate(values), np.array([len(each) for each in values], dtype=np.int64))
+    return found, at

@@ -1,0 +1,218 @@
+"""VTP files: PolyData in XML, with text, base64 or raw arrays, compressed by zlib or not."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+import zlib
+from dataclasses import dataclass, field
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.faults import FileFormatError
+from palpate.meshfree.formats.common import Floats, Ints, Parts, count_of, fans, numbers, strips, whole_numbers, word
+
+__all__ = ["read_vtp"]
+
+TYPES = {
+    "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
+    "UInt64": "u8", "Float32": "f4", "Float64": "f8",
+}  # fmt: skip
+EXPANSION = 64  # of all arrays together over the file; that of surfaces is below 10
+SECTIONS = ("Points", "Polys", "Strips")
+
+
+@dataclass
+class _Array:
+    attributes: dict[str, str]
+    text: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _File:
+    """What the XML says, and the bytes of appended data."""
+
+    appended: bytes
+    coded: bool
+    room: int  # bytes that arrays may still expand to
+    attributes: dict[str, str] = field(default_factory=dict)
+    pieces: list[tuple[dict[str, str], dict[tuple[str, str], _Array]]] = field(default_factory=list)
+
+
+def read_vtp(data: bytes) -> Parts:
+    """Return the surface of a VTP file: polygons and strips of its pieces."""
+    file = _parsed(data)
+    if file.attributes.get("type") != "PolyData":
+        raise FileFormatError("it must be a VTKFile of type PolyData")
+    if file.attributes.get("compressor", "vtkZLibDataCompressor") != "vtkZLibDataCompressor":
+        raise FileFormatError(f"its compressor must be zlib, got {word(file.attributes['compressor'].encode())}")
+    vertices: list[Floats] = []
+    triangles: list[Ints] = []
+    before = 0
+    for attributes, arrays in file.pieces:
+        n = count_of(attributes.get("NumberOfPoints", "0"), "points", len(data) * EXPANSION)
+        points = [array for (section, _), array in arrays.items() if section == "Points"]
+        if n == 0 or not points:
+            continue
+        values = _values(file, points[0])
+        if len(values) != 3 * n:
+            raise FileFormatError(f"it states {n} points and has {len(values)} coordinates")
+        vertices.append(values.astype(float).reshape(-1, 3))
+        for section, split in (("Polys", fans), ("Strips", strips)):
+            found = split(*_cells(file, arrays, section))
+            if found.size and found.max() >= n:
+                raise FileFormatError(f"its {section} name point {found.max()} and there are {n}")
+            triangles.append(found + before)
+        before += n
+    if not sum(map(len, triangles)):
+        raise FileFormatError("it must have Points, and Polys or Strips")
+    return {"": lambda: (np.concatenate(vertices), np.concatenate(triangles))}
+
+
+def _parsed(data: bytes) -> _File:
+    """Read the XML without definitions of documents or entities; appended data, which is no XML, is cut out before."""
+    appended, coded = b"", False
+    begin = re.search(rb"<AppendedData([^>]*)>\s*_", data)
+    if begin:
+        end = data.rfind(b"</AppendedData>")
+        if end < begin.end():
+            raise FileFormatError("its AppendedData does not end")
+        appended, coded = data[begin.end() : end], b"base64" in begin[1]
+        data = data[: begin.end()] + data[end:]
+    file = _File(appended, coded, EXPANSION * (len(data) + len(appended)))
+    section, deeper = "", 0  # elements inside an array, whose text is not the array's
+    array: _Array | None = None
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal section, array, deeper
+        if array is not None:
+            deeper += 1
+        elif name == "VTKFile":
+            file.attributes = attributes
+        elif name == "Piece":
+            file.pieces.append((attributes, {}))
+        elif name in SECTIONS and file.pieces:
+            section = name
+        elif name == "DataArray" and section:
+            array = file.pieces[-1][1].setdefault((section, attributes.get("Name", "")), _Array(attributes))
+
+    def end_of(name: str) -> None:
+        nonlocal section, array, deeper
+        if deeper:
+            deeper -= 1
+            return
+        section = "" if name == section else section
+        array = None if name == "DataArray" else array
+
+    def text_of(text: str) -> None:
+        if array is not None and not deeper:
+            array.text.append(text)
+
+    def refuse(*_: Any) -> None:
+        raise FileFormatError("it must not define a document type or entities")
+
+    parser = expat.ParserCreate("utf-8")
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = start, end_of
+    parser.CharacterDataHandler = text_of
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise FileFormatError(f"its XML is not well formed ({error})") from None
+    return file
+
+
+def _cells(file: _File, arrays: dict[tuple[str, str], _Array], section: str) -> tuple[Ints, Ints]:
+    if (section, "connectivity") not in arrays or (section, "offsets") not in arrays:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    corners = whole_numbers(_values(file, arrays[section, "connectivity"]), "connectivity")
+    sizes = np.diff(whole_numbers(_values(file, arrays[section, "offsets"]), "offsets"), prepend=0)
+    if np.any(sizes < 0):
+        raise FileFormatError(f"the offsets of its {section} must ascend")
+    return corners, sizes
+
+
+def _values(file: _File, array: _Array) -> NDArray[Any]:
+    kind, form = array.attributes.get("type", ""), array.attributes.get("format", "ascii")
+    if kind not in TYPES:
+        raise FileFormatError(f"it has an array of unknown type {word(kind.encode())}")
+    if form == "ascii":
+        return numbers("".join(array.text).encode())
+    if form == "binary":
+        source, coded, at = re.sub(rb"\s+", b"", "".join(array.text).encode()), True, 0
+    elif form == "appended":
+        source, coded = file.appended, file.coded
+        at = count_of(array.attributes.get("offset", ""), "bytes before an array", len(source))
+    else:
+        raise FileFormatError(f"it has an array of unknown format {word(form.encode())}")
+    order = ">" if file.attributes.get("byte_order") == "BigEndian" else "<"
+    raw = _bytes(file, source, coded, at, np.dtype(order + TYPES[_header_type(file)]))
+    dtype = np.dtype(order + TYPES[kind])
+    if len(raw) % dtype.itemsize:
+        raise FileFormatError("an array of it ends within a number")
+    return np.frombuffer(raw, dtype)
+
+
+def _header_type(file: _File) -> str:
+    kind = file.attributes.get("header_type", "UInt32")
+    if kind not in ("UInt32", "UInt64"):
+        raise FileFormatError(f"its header_type must be UInt32 or UInt64, got {word(kind.encode())}")
+    return kind
+
+
+def _bytes(file: _File, source: bytes, coded: bool, at: int, header: np.dtype[Any]) -> bytes:
+    """The bytes of an array whose header begins at a place: one length, or those of compressed blocks."""
+    wide = header.itemsize
+    if "compressor" not in file.attributes:
+        length = int(np.frombuffer(_take(source, coded, at, wide)[0], header)[0])
+        _claim(file, length)
+        return _take(source, coded, at, wide + length)[0][wide:]
+    blocks, each, last = (int(n) for n in np.frombuffer(_take(source, coded, at, 3 * wide)[0], header))
+    if blocks > len(source) // wide:
+        raise FileFormatError(f"an array states {blocks} blocks, for which the file has no room")
+    if blocks == 0:
+        return b""
+    _claim(file, (blocks - 1) * each + (last or each))
+    head, at = _take(source, coded, at, (3 + blocks) * wide)
+    lengths = [int(n) for n in np.frombuffer(head, header)[3:]]
+    packed, _ = _take(source, coded, at, sum(lengths))
+    found, begin = [], 0
+    for k, length in enumerate(lengths):
+        size = last if last and k == blocks - 1 else each
+        try:
+            block = zlib.decompressobj().decompress(packed[begin : begin + length], size + 1)
+        except zlib.error as error:
+            raise FileFormatError(f"a compressed block cannot be expanded ({error})") from None
+        if len(block) != size:
+            raise FileFormatError(f"a compressed block must have {size} bytes")
+        found.append(block)
+        begin += length
+    return b"".join(found)
+
+
+def _claim(file: _File, size: int) -> None:
+    """Refuse arrays that expand to much more than the file."""
+    file.room -= size
+    if file.room < 0:
+        raise FileFormatError(f"its arrays must not expand to more than {EXPANSION} times the size of the file")
+
+
+def _take(source: bytes, coded: bool, at: int, size: int) -> tuple[bytes, int]:
+    """Bytes from a place on, decoded, and the place after them."""
+    end = at + ((size + 2) // 3 * 4 if coded else size)
+    if end > len(source):
+        raise FileFormatError("an array of it is cut off")
+    if not coded:
+        return source[at:end], end
+    try:
+        found = base64.b64decode(source[at:end], validate=True)[:size]
+    except (binascii.Error, ValueError):
+        raise FileFormatError("an array of it is not valid base64") from None
+    if len(found) < size:
+        raise FileFormatError("an array of it is cut off")
+    return found, end
