@@ -15,6 +15,7 @@ __all__ = [
     "DivergenceError",
     "FileFormatError",
     "InputError",
+    "brief",
     "integer_in_range",
     "number_in_range",
 ]
@@ -70,14 +71,14 @@ def number_in_range(
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} must be a number, got {_short(value)}") from None
+        raise InputError(f"{name} must be a number, got {brief(value)}") from None
     below = number <= low if open_low else number < low
     above = number >= high if open_high else number > high
     if not math.isfinite(number) or below or above:
         left = "(" if open_low or low == -math.inf else "["
         right = ")" if open_high or high == math.inf else "]"
         unit = f" {unit}" if unit else ""
-        raise InputError(f"{name} = {_short(value)} is out of range: allowed is {left}{low:g}, {high:g}{right}{unit}")
+        raise InputError(f"{name} = {brief(value)} is out of range: allowed is {left}{low:g}, {high:g}{right}{unit}")
     return number
 
 
@@ -88,14 +89,15 @@ def integer_in_range(name: str, value: int, low: int, high: float = math.inf) ->
     except (TypeError, ValueError, OverflowError):
         whole = False
     if not whole:
-        raise InputError(f"{name} = {_short(value)} is out of range: allowed is a whole number from {low} to {high:g}")
+        raise InputError(f"{name} = {brief(value)} is out of range: allowed is a whole number from {low} to {high:g}")
     return int(value)
 
 
-def _short(value: object) -> str:
+def brief(value: object) -> str:
+    """Return the repr of any value, shortened, in one line, for a message."""
     try:
         text = repr(value)
-    except ValueError:  # a whole number of thousands of digits
+    except (ValueError, RecursionError):  # a whole number of thousands of digits, or lists in lists
         text = f"a {type(value).__name__} too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
 
