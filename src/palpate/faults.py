@@ -72,11 +72,8 @@ def number_in_range(
         if isinstance(cast(object, value), str | bytes):
             raise TypeError
         number = float(value)
-        known = not isinstance(value, str | bytes)  # which `float` reads
     except (TypeError, ValueError, OverflowError):
-        known = False
-    if not known:
-        raise InputError(f"{name} must be a number, got {brief(value)}")
+        raise InputError(f"{name} must be a number, got {brief(value)}") from None
     below = number <= low if open_low else number < low
     above = number >= high if open_high else number > high
     if not math.isfinite(number) or below or above:

@@ -9,22 +9,18 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from palpate import __version__
+from palpate.app.commands import perform
+from palpate.app.ending import BAD_INPUT, DEBUG, DONE, FAILED, INTERRUPTED, Parser, closed, complain, failed, refused
+from palpate.app.ending import path as _path
+from palpate.app.ending import whole as _whole
 
 __all__ = ["main"]
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MODES = [2, 4, 6, 8, 10, 12]  # the paper's
 LEAVES = "and leave a report, figures, the snapshots and a file for ParaView in a folder."
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser whose complaints are one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -38,110 +34,50 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when all went well, 1 when a run diverged or a file could not be written, 2 for bad input, 130 when
-        interrupted.
+        0 when all went well, 1 when a run diverged, a file could not be written or memory ran out, 2 for bad input,
+        70 for an internal error, a defect of palpate, 130 when interrupted.
     """
-    options = vars(_parser().parse_args(argv))
-    command = options.pop("command")
-    from palpate.app.study import ReproduceError
-    from palpate.faults import DivergenceError, FileFormatError, InputError
-
+    words = sys.argv[1:] if argv is None else list(argv)
     try:
-        commands = {
-            "reproduce": _reproduce, "run": _run, "train": _train, "fit": _fit, "check": _check, "bench": _bench,
-            "laws": _laws, "view": _view, "replay": _replay, "compare": _compare,
-        }  # fmt: skip
-        return commands[command](options)
-    except (InputError, FileFormatError, FileNotFoundError) as error:
-        return _complain(str(error), BAD_INPUT)
-    except (ReproduceError, DivergenceError, OSError) as error:
-        return _complain(str(error), FAILED)
+        code = _called(words)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # whoever read the output has enough
+        return closed()
+    except OSError as error:  # standard output cannot be written
+        closed()
+        return complain(f"cannot write the output: {error.strerror or error}", FAILED)
+
+
+def _called(words: list[str]) -> int:
+    """Run a command line; return the exit code, with one line on standard error if it is not 0."""
+    if why := refused(words):
+        return complain(why, BAD_INPUT)
+    try:
+        options = vars(_parser().parse_args(words))
+    except SystemExit as end:  # after --help, --version, or a complaint
+        if end.code:
+            raise
+        return DONE
+    try:
+        return perform(options)
+    except BrokenPipeError:
+        raise
     except KeyboardInterrupt as interrupt:
-        return _complain(" ".join(["interrupted", *map(str, interrupt.args)]), INTERRUPTED)
-
-
-def _reproduce(options: dict[str, Any]) -> int:
-    if options.pop("example") == "beam":
-        from palpate.app.beam.reproduce import reproduce_beam
-
-        return reproduce_beam(**options)
-    from palpate.app.membrane.reproduce import reproduce_membrane
-
-    return reproduce_membrane(**options)
-
-
-def _run(options: dict[str, Any]) -> int:
-    if options.pop("scene") == "beam":
-        from palpate.app.run.command import run_beam
-
-        return run_beam(**options)
-    from palpate.app.run.liver import run_liver
-
-    del options["realtime"]
-    return run_liver(**options)
-
-
-def _bench(options: dict[str, Any]) -> int:
-    if options.pop("what") == "page":
-        from palpate.app.bench.page import bench_page
-
-        return bench_page(**{name: options[name] for name in ("model", "vertices", "seconds", "out", "as_json")})
-    from palpate.app.bench.command import bench
-
-    return bench(**{name: options[name] for name in ("fine", "repeats", "out", "as_json")})
-
-
-def _laws(options: dict[str, Any]) -> int:
-    from palpate.app.laws import laws
-
-    return laws(**options)
-
-
-def _fit(options: dict[str, Any]) -> int:
-    from palpate.app.fit.command import fit_law
-
-    return fit_law(**options)
-
-
-def _check(options: dict[str, Any]) -> int:
-    from palpate.app.check.command import check
-
-    return check(**options)
-
-
-def _train(options: dict[str, Any]) -> int:
-    from palpate.app.train.command import train
-
-    return train(**options)
-
-
-def _compare(options: dict[str, Any]) -> int:
-    from palpate.app.compare.command import compare
-
-    return compare(**options)
-
-
-def _view(options: dict[str, Any]) -> int:
-    from palpate.app.view.command import view
-
-    return view(options.pop("what"), **options)
-
-
-def _replay(options: dict[str, Any]) -> int:
-    from palpate.app.view.replay_command import replay
-
-    return replay(options.pop("file"), **options)
-
-
-def _complain(message: str, code: int) -> int:
-    print(f"palpate: {' '.join(message.split())}", file=sys.stderr)
-    return code
+        return complain(" ".join(["interrupted", *map(str, interrupt.args)]), INTERRUPTED)
+    except MemoryError:
+        return complain("out of memory; take a larger spacing, fewer modes, or fewer snapshots", FAILED)
+    except Exception as error:
+        return failed(error)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="palpate",
         description="Real-time simulation of hyperelastic soft tissue by point collocation and model reduction.",
+        epilog="Exit status: 0 done; 1 a run diverged, a file could not be written, or memory ran out; 2 bad input; "
+        f"70 a defect of palpate, whose traceback is left in a file, or printed with {DEBUG}=1; 130 interrupted.",
     )
     parser.add_argument("--version", action="version", version=f"palpate {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -194,18 +130,18 @@ def _add_membrane(examples: Any) -> None:
     add("--prestretch", type=float, default=1.0, metavar="S", help="stretch of the mounted sheet, from 1 to 10")
     add("--layout", choices=("rings", "hexagonal"), default="rings", help="how the nodes lie")
     add("--jitter", type=float, default=0.0, metavar="J", help="random shift of the nodes in spacings, at most 0.3")
-    add("--seed", type=int, default=0, metavar="K", help="of the random shift")
+    add("--seed", type=_whole, default=0, metavar="K", help="of the random shift")
     _add_common(membrane, Path("out/membrane"))
 
 
 def _add_common(parser: argparse.ArgumentParser, out: Path) -> None:
-    parser.add_argument("--modes", type=int, nargs="+", default=MODES, metavar="M", help="sizes of reduced models")
+    parser.add_argument("--modes", type=_whole, nargs="+", default=MODES, metavar="M", help="sizes of reduced models")
     _add_results(parser, out)
 
 
 def _add_results(parser: argparse.ArgumentParser, out: Path) -> None:
     add = parser.add_argument
-    add("--out", type=Path, default=out, metavar="FOLDER", help="where the results go")
+    add("--out", type=_path, default=out, metavar="FOLDER", help="where the results go")
     add("--json", action="store_true", dest="as_json", help="print the report as JSON instead of a table")
 
 
@@ -228,8 +164,8 @@ def _add_run_beam(scenes: Any) -> None:
     add("--spacing", type=float, metavar="M", help="distance between nodes [m] (0.005; in real time 0.00667)")
     add("--load", type=float, metavar="N", help="largest force [N], not in real time (100)")
     add("--poisson", type=float, metavar="NU", help="Poisson's ratio, at most 0.499 (0.49; in real time 0.45)")
-    add("--modes", type=int, metavar="M", help="size of the reduced model (none; in real time 24)")
-    add("--model", type=Path, metavar="FILE", help="in real time: reduced model to load, not to train")
+    add("--modes", type=_whole, metavar="M", help="size of the reduced model (none; in real time 24)")
+    add("--model", type=_path, metavar="FILE", help="in real time: reduced model to load, not to train")
     add("--realtime", action="store_true", help="step at a fixed rate against a tool")
     _add_rate(beam, "in real time: ")
     _add_results(beam, Path("out/run"))
@@ -245,7 +181,7 @@ def _add_run_liver(scenes: Any) -> None:
     )
     add = liver.add_argument
     add("--realtime", action="store_true", required=True, help="step at a fixed rate against the ball")
-    add("--model", type=Path, metavar="FILE", help="reduced model to load: model.rom of palpate train liver")
+    add("--model", type=_path, metavar="FILE", help="reduced model to load: model.rom of palpate train liver")
     _add_rate(liver, "")
     _add_results(liver, Path("out/run"))
 
@@ -267,10 +203,10 @@ def _add_train(commands: Any) -> None:
     add = train.add_argument
     add("scene", metavar="SCENE", help="beam, liver, or module:function of your own")
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help="the scene's parameters")
-    add("--paths", type=int, default=64, metavar="K", help="runs to train on (64)")
-    add("--held-out", type=int, default=8, metavar="K", help="further runs, to measure errors on (8)")
-    add("--seed", type=int, default=0, metavar="K", help="of the paths (0)")
-    add("--modes", type=int, default=24, metavar="M", help="size of the reduced model (24)")
+    add("--paths", type=_whole, default=64, metavar="K", help="runs to train on (64)")
+    add("--held-out", type=_whole, default=8, metavar="K", help="further runs, to measure errors on (8)")
+    add("--seed", type=_whole, default=0, metavar="K", help="of the paths (0)")
+    add("--modes", type=_whole, default=24, metavar="M", help="size of the reduced model (24)")
     add(
         "--cubature",
         type=float,
@@ -278,9 +214,9 @@ def _add_train(commands: Any) -> None:
         help="what the forces at the sampled nodes may miss of the whole ones in training, relative: the larger, the "
         "fewer nodes and the faster steps; 0 takes every node (liver 0.01, others 0.001)",
     )
-    add("--workers", type=int, metavar="N", help="processes on this machine, one thread each (1)")
+    add("--workers", type=_whole, metavar="N", help="processes on this machine, one thread each (1)")
     add("--cluster", metavar="ADDRESS", help="Dask scheduler, or its file, instead of processes here")
-    add("--folder", type=Path, default=Path("out/train"), metavar="DIR", help="where all goes (out/train)")
+    add("--folder", type=_path, default=Path("out/train"), metavar="DIR", help="where all goes (out/train)")
     add("--json", action="store_true", dest="as_json", help="print the report as JSON instead of a table")
 
 
@@ -293,10 +229,10 @@ def _add_view(commands: Any) -> None:
     add = view.add_argument
     add("what", metavar="SCENE|FILE", help="liver, beam, or a model's file")
     _add_address(view)
-    add("--record", type=Path, metavar="FILE.h5", help="record all, and write it here in the end")
+    add("--record", type=_path, metavar="FILE.h5", help="record all, and write it here in the end")
     add("--headless", action="store_true", help="no page: a script drives, and statistics are printed")
     add("--seconds", type=float, metavar="S", help="of a headless session (10)")
-    add("--script", type=Path, metavar="FILE", help="of a headless session: lines of JSON, see docs/protocol.md")
+    add("--script", type=_path, metavar="FILE", help="of a headless session: lines of JSON, see docs/protocol.md")
     add("--json", action="store_true", dest="as_json", help="print the statistics as JSON")
     replay = commands.add_parser(
         "replay",
@@ -304,18 +240,18 @@ def _add_view(commands: Any) -> None:
         description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
     )
     add = replay.add_argument
-    add("file", type=Path, metavar="FILE.h5", help="the recording")
+    add("file", type=_path, metavar="FILE.h5", help="the recording")
     add("--full", action="store_true", help="run the path on the full model, and print how far the recorded one was")
     add("--scene", metavar="MODULE:FUNCTION", help="with --full: your own scene, which the recording must name")
-    add("--png", type=Path, metavar="FILE.png", help="draw the moment of the largest force")
-    add("--movie", type=Path, metavar="FILE", help="draw all: .gif, or .mp4 with palpate[film]")
+    add("--png", type=_path, metavar="FILE.png", help="draw the moment of the largest force")
+    add("--movie", type=_path, metavar="FILE", help="draw all: .gif, or .mp4 with palpate[film]")
     add("--scalar", default="displacement", metavar="NAME", help="displacement, stress or pressure, by colour")
     _add_address(replay)
 
 
 def _add_address(parser: Any) -> None:
     add = parser.add_argument
-    add("--port", type=int, default=8765, metavar="N", help="of the page; the next free one if it is busy (8765)")
+    add("--port", type=_whole, default=8765, metavar="N", help="of the page; the next free one if it is busy (8765)")
     add("--host", default="127.0.0.1", metavar="ADDRESS", help="of this machine; others let other machines in")
     add("--no-browser", action="store_false", dest="browser", help="print the address only")
 
@@ -329,13 +265,13 @@ def _add_fit(commands: Any) -> None:
     )
     add = fit.add_argument
     add("law", metavar="LAW", help="name of a law, such as NeoHookean or mooney-rivlin")
-    add("data", type=Path, nargs="+", metavar="DATA.csv", help="files of curves, fitted together")
+    add("data", type=_path, nargs="+", metavar="DATA.csv", help="files of curves, fitted together")
     several: dict[str, Any] = {"action": "extend", "nargs": "+", "default": []}
     add("--start", **several, metavar="NAME=X[,X]", help="where to start; how many terms a law of several has")
     add("--bounds", **several, metavar="NAME=LOW,HIGH", help="range of a parameter")
     add("--fix", **several, dest="fixed", metavar="NAME=X[,X]", help="parameters that are not fitted")
-    add("--starts", type=int, default=8, metavar="K", help="how many starts (8)")
-    add("--seed", type=int, default=0, metavar="K", help="of the other starts (0)")
+    add("--starts", type=_whole, default=8, metavar="K", help="how many starts (8)")
+    add("--seed", type=_whole, default=0, metavar="K", help="of the other starts (0)")
     add("--poisson", type=float, default=0.5, metavar="NU", help="0.5 (as it is) or at most 0.499")
     add("--density", type=float, default=1060.0, metavar="RHO", help="of the material [kg/m^3] (1060)")
     _add_results(fit, Path("out/fit"))
@@ -349,12 +285,12 @@ def _add_check(commands: Any) -> None:
         "nodes if nothing is, and leave a report with pictures in a folder. See docs/organs.md.",
     )
     add = check.add_argument
-    add("file", type=Path, metavar="FILE", help="the surface")
+    add("file", type=_path, metavar="FILE", help="the surface")
     add("--spacing", type=float, metavar="M", help="distance between nodes [m] (one that gives some 4,000)")
     add("--part", metavar="NAME", help="which part of a file of several")
     add("--units", choices=("m", "cm", "mm", "in"), help="of the file (guessed, with a warning)")
     add("--repair", action="store_true", help="close small holes, turn triangles, smooth folds, drop specks")
-    add("--seed", type=int, default=0, metavar="K", help="of the nodes' places (0)")
+    add("--seed", type=_whole, default=0, metavar="K", help="of the nodes' places (0)")
     _add_results(check, Path("out/check"))
 
 
@@ -364,11 +300,11 @@ def _add_compare(commands: Any) -> None:
     )
     add = compare.add_argument
     add("body", choices=["beam", "liver"], help="the paper's beam, pulled; or the generated liver, a tool at its front")
-    add("--modes", type=int, nargs="+", default=[4, 8, 16, 24], metavar="M", help="sizes (4 8 16 24)")
+    add("--modes", type=_whole, nargs="+", default=[4, 8, 16, 24], metavar="M", help="sizes (4 8 16 24)")
     add("--methods", nargs="+", metavar="NAME", help="some of the methods (all)")
     add("--spacing", type=float, metavar="M", help="distance between nodes [m] (beam 0.005, liver 0.012)")
     add("--poisson", type=float, metavar="NU", help="Poisson's ratio (0.49; liver 0.45)")
-    add("--condense", type=int, metavar="K", help="slowest modes to balance instead of all unknowns (240); 0: all")
+    add("--condense", type=_whole, metavar="K", help="slowest modes to balance instead of all unknowns (240); 0: all")
     _add_results(compare, Path("out/compare"))
 
 
@@ -384,11 +320,11 @@ def _add_bench(commands: Any) -> None:
     bench.add_argument("what", nargs="?", choices=["models", "page"], default="models", help="what is measured")
     bench.add_argument("--model", default="liver", metavar="SCENE", help="page: a scene, or a file of palpate train")
     bench.add_argument(
-        "--vertices", type=int, default=10_000, metavar="N", help="page: drawn, or all of the surface's own"
+        "--vertices", type=_whole, default=10_000, metavar="N", help="page: drawn, or all of the surface's own"
     )
     bench.add_argument("--seconds", type=float, default=10.0, metavar="S", help="page: of pressing")
     bench.add_argument("--fine", action="store_true", help="models: measure the beam at 2.5 mm, too (some ten minutes)")
-    bench.add_argument("--repeats", type=int, default=3, metavar="K", help="models: rounds of the long runs")
+    bench.add_argument("--repeats", type=_whole, default=3, metavar="K", help="models: rounds of the long runs")
     _add_results(bench, Path("out/bench"))
 
 

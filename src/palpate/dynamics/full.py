@@ -22,7 +22,7 @@ from palpate.dynamics.places import EVERYWHERE, regions_of, spread
 from palpate.dynamics.relaxation import at_ease, recall, relaxation, remembered
 from palpate.dynamics.solid import Body, solid, workspace
 from palpate.dynamics.solid_energy import EnergyBody, energy_work, solid_energy
-from palpate.dynamics.stability import StabilityReport, choose_viscosity, stable_step
+from palpate.dynamics.stability import StabilityReport, choose_viscosity, resting_frequency, stable_step
 from palpate.dynamics.tools import Contact
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
@@ -139,7 +139,7 @@ class FullModel(NodalModel):
             self.neighbours, self.stencils, self._volumes, self._lattice = balanced_stencils(cloud, choices)
             self._prepare_energy(smoother)
             self.viscosity = 0.0
-            highest = self.highest_frequency(np.zeros_like(cloud.points), self.held)
+            highest = resting_frequency(self)
             used = number_in_range("viscosity", DAMPING / highest if viscosity is None else viscosity, 0.0, unit="s")
             step = stable_step(highest, used)
             self._examined(StabilityReport("the energy's slope", None, 0.0, used, highest, step))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.contact import Contacts, contacts
 from palpate.dynamics.foundation import Foundation, foundation_areas
 from palpate.dynamics.tools import Contact, Grasp
-from palpate.faults import InputError, first_few
+from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["Drive", "Gravity", "Load", "PrescribedMotion", "Traction", "drive"]
@@ -105,7 +105,7 @@ class PrescribedMotion:
     def __post_init__(self) -> None:
         try:
             valid = float(self.until) >= 0
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             valid = False
         if not valid:
             raise InputError(
@@ -266,11 +266,11 @@ def _shaped(values: list[Any], shape: tuple[int, ...], times: Floats, what: str)
     """Stack values over times, or raise `InputError` that says what is not of the shape or not finite."""
     try:
         array = np.array(values, dtype=float)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         array = np.zeros(0)
     if array.shape != (len(times), *shape):
         wanted = {(): "a number", (3,): "three numbers"}.get(shape, f"an array of shape {shape}")
-        raise InputError(f"{what} must be {wanted}, not {values[0]!r}")
+        raise InputError(f"{what} must be {wanted}, not {brief(values[0])}")
     bad = np.flatnonzero(~np.isfinite(array.reshape(len(times), -1)).all(axis=1))
     if bad.size:
         raise InputError(f"{what} is not finite at t = {times[bad[0]]:g} s")

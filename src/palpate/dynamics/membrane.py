@@ -17,7 +17,7 @@ from palpate.dynamics.nodal import NodalModel
 from palpate.dynamics.relaxation import at_ease, recall, relaxation, remembered
 from palpate.dynamics.sheet import POINTS, RADIUS, SheetBody, sheet, sheet_work
 from palpate.dynamics.sheet_beside import ALONE, Beside, beside
-from palpate.dynamics.stability import StabilityReport, stable_step
+from palpate.dynamics.stability import StabilityReport, resting_frequency, stable_step
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
@@ -111,7 +111,7 @@ class Membrane(NodalModel):
             body.lanes,
         )
         self._at_ease(np.zeros((len(cloud), 3)))
-        self._taut = self.highest_frequency(TAUT * self._flat(cloud.points), self.held)
+        self._taut = resting_frequency(self, TAUT * self._flat(cloud.points))
         wanted = DAMPING[form] / self._taut if viscosity is None else viscosity
         used = number_in_range("viscosity", wanted, 0.0, unit="s")
         needed = 0.0 if self.conservative else np.nan

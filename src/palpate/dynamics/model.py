@@ -5,17 +5,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.loads import Drive, Load
+from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-__all__ = ["Model", "Nodes", "Outputs", "State", "Touch"]
+__all__ = ["Model", "Nodes", "Outputs", "State", "Touch", "initial_field"]
 
 Floats = NDArray[np.float64]
 Nodes = NDArray[np.int64] | slice
@@ -94,6 +95,28 @@ class Outputs:
     moments: dict[str, Floats] = field(default_factory=dict)
     touches: Floats = field(default_factory=lambda: np.zeros((0, 4)))
     held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+
+def initial_field(name: str, given: Any, count: int) -> Floats:
+    """Return an initial field (n, 3) as a new array: zero where none is given.
+
+    Raises
+    ------
+    InputError
+        It has another shape, or is not finite; names the first such node.
+    """
+    if given is None:
+        return np.zeros((count, 3))
+    try:
+        array = np.array(given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"initial {name} must be an array of numbers of shape {(count, 3)}") from None
+    if array.shape != (count, 3):
+        raise InputError(f"initial {name} must be finite, of shape {(count, 3)}, not {array.shape}")
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if bad.size:
+        raise InputError(f"initial {name} must be finite, got {array[bad[0]]} at node {bad[0]}: check how it was made")
+    return array
 
 
 class Model(ABC):

@@ -13,12 +13,12 @@ from palpate.dynamics.fibres import firm
 from palpate.dynamics.kernels import Formulation, internal_force
 from palpate.dynamics.lanes import Lanes
 from palpate.dynamics.loads import FIXED, FREE, Drive, Schedule
-from palpate.dynamics.model import Model, Nodes, Outputs, State
+from palpate.dynamics.model import Model, Nodes, Outputs, State, initial_field
 from palpate.dynamics.reactions import evaluate, tool_power
 from palpate.dynamics.stability import FrequencyTracker, StabilityReport, stable_step
 from palpate.dynamics.stepping import foundation_force, full_step, surface_force
 from palpate.dynamics.tools import surface_nodes
-from palpate.faults import InputError, number_in_range
+from palpate.faults import number_in_range
 from palpate.tissue.fibres import FibreLaw
 
 __all__ = ["NodalModel"]
@@ -99,9 +99,7 @@ class NodalModel(Model):
         self.highest_frequency.restart()
         fields: list[Floats] = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
-            array = np.zeros((len(self.cloud), 3)) if given is None else np.array(given, dtype=float)
-            if array.shape != (len(self.cloud), 3) or not np.isfinite(array).all():
-                raise InputError(f"initial {name} must be finite, of shape {(len(self.cloud), 3)}, not {array.shape}")
+            array = initial_field(name, given, len(self.cloud))
             array[self.held] = 0.0
             fields.append(array)
         schedule = drive.schedule(np.array([time]))

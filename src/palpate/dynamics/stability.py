@@ -19,13 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.model import State
-from palpate.faults import CloudError, number_in_range
+from palpate.faults import CloudError, InputError, number_in_range
 
 if TYPE_CHECKING:
     from palpate.dynamics.full import FullModel
     from palpate.dynamics.nodal import NodalModel
 
-__all__ = ["FrequencyTracker", "StabilityReport", "choose_viscosity", "spectrum", "stable_step"]
+__all__ = [
+    "FrequencyTracker",
+    "StabilityReport",
+    "choose_viscosity",
+    "resting_frequency",
+    "spectrum",
+    "stable_step",
+]
 
 Floats = NDArray[np.float64]
 
@@ -34,6 +41,7 @@ MARGIN = 2.0  # of the viscosity: a body stretched four times over needs 1.8 tim
 DENSE_NODES = 400
 WINDOW, WINDOWS, ROUNDS = 100, 12, 8  # steps a window, windows a round, rounds of raising the viscosity
 GROWTH = 0.03  # logarithmic growth a window that counts as growth
+LOWEST, HIGHEST = 1e-6, 1e15  # [rad/s] of a body's highest frequency: beyond, its squares leave double precision
 
 
 @dataclass(frozen=True)
@@ -84,9 +92,40 @@ class StabilityReport:
 
 
 def stable_step(frequency: float, viscosity: float) -> float:
-    """Return the stable step [s] for a highest frequency [rad/s] and a viscosity [s], with the safety factor."""
+    """Return the stable step [s] for a highest frequency [rad/s] and a viscosity [s], with the safety factor.
+
+    It is 0 where their product is not finite.
+    """
     z = viscosity * frequency
+    if not z * z < np.inf:
+        return 0.0
     return float(SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency)
+
+
+def resting_frequency(model: NodalModel, displacements: Floats | None = None) -> float:
+    """Return the highest frequency [rad/s] of a body at rest.
+
+    Parameters
+    ----------
+    model : NodalModel
+    displacements : (n, 3) array, optional [m]
+        Of a sheet, which resists when it is taut.
+
+    Raises
+    ------
+    InputError
+        It is zero, not finite, or beyond what double precision resolves.
+    """
+    at = np.zeros((len(model.cloud), 3)) if displacements is None else displacements
+    with np.errstate(all="ignore"):
+        frequency = model.highest_frequency(at, model.held)
+    if not LOWEST <= frequency <= HIGHEST:
+        raise InputError(
+            f"the highest frequency of the body must be from {LOWEST:g} to {HIGHEST:g} rad/s, got {frequency:.3g}: "
+            f"give its shear modulus ({model.material.shear_modulus:.3g} Pa), density ({model.material.density:.3g} "
+            f"kg/m^3) and spacing ({model.cloud.spacing:.3g} m) in SI units"
+        )
+    return frequency
 
 
 def stiffness(model: NodalModel, displacements: Floats | None = None) -> Floats:
@@ -158,9 +197,9 @@ def choose_viscosity(model: FullModel, viscosity: float | None) -> StabilityRepo
     CloudError
         A mode that no viscosity can damp; names the node where it lives.
     InputError
-        A given viscosity that is negative or not finite.
+        A given viscosity that is negative or not finite, or a highest frequency that double precision does not resolve.
     """
-    frequency = model.highest_frequency(np.zeros_like(model.cloud.points), model.held)
+    frequency = resting_frequency(model)
     if viscosity is not None:
         given = number_in_range("viscosity", viscosity, 0.0, unit="s")
         return StabilityReport("given", None, np.nan, given, frequency, stable_step(frequency, given))

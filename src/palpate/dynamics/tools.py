@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from palpate.faults import InputError, number_in_range
+from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.cloud import Cloud
 
 __all__ = [
@@ -38,6 +38,7 @@ Floats = NDArray[np.float64]
 Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
 CAPSULE, PLANE, PUNCH, HELD = 0, 1, 2, 3
+MOST_TURN = 1e6  # [rad] of a rotation vector
 ROUNDING = 0.05  # of a punch's edge, in its radii
 
 
@@ -281,18 +282,20 @@ def prepared(motion: Motion, what: str) -> Motion:
         return motion
     if len(motion) not in (2, 3):
         raise InputError(f"{what}: samples are times (k,), positions (k, 3) and, if it turns, rotations (k, 3 or 4)")
-    times, positions = (np.asarray(a, dtype=float) for a in motion[:2])
-    count = len(times)
+    try:
+        times, positions, *given = (np.asarray(part, dtype=float) for part in motion)
+    except (ValueError, TypeError, OverflowError):
+        raise InputError(f"{what}: samples must be arrays of numbers, not {brief(motion)}") from None
+    count = times.size
     if times.ndim != 1 or count < 2 or positions.shape != (count, 3):
         raise InputError(f"{what}: {times.shape} times and positions {positions.shape} do not fit: (k,) and (k, 3)")
     if not (np.isfinite(times).all() and np.isfinite(positions).all() and np.all(np.diff(times) > 0)):
         raise InputError(f"{what}: times must ascend, and times and positions be finite")
     turns = None
-    if len(motion) == 3:
-        given = np.asarray(motion[2], dtype=float)
-        if given.shape not in ((count, 3), (count, 4)):
-            raise InputError(f"{what}: rotations of shape {given.shape} do not fit {count} times: (k, 3) or (k, 4)")
-        turns = Slerp(times, Rotation.from_quat([quaternion(row, what) for row in given], scalar_first=True))
+    for rotations in given:
+        if rotations.shape not in ((count, 3), (count, 4)):
+            raise InputError(f"{what}: rotations of shape {rotations.shape} do not fit {count} times: (k, 3) or (k, 4)")
+        turns = Slerp(times, Rotation.from_quat([quaternion(row, what) for row in rotations], scalar_first=True))
 
     def sampled(time: float) -> Any:
         at = float(np.clip(time, times[0], times[-1]))
@@ -306,14 +309,19 @@ def quaternion(rotation: Any, what: str) -> Floats:
     """Return the unit quaternion (4,), w x y z, of a rotation vector (3,) [rad] or of a quaternion (4,)."""
     try:
         array = np.asarray(rotation, dtype=float)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         array = np.zeros(0)
     if array.shape not in ((3,), (4,)) or not np.isfinite(array).all():
-        raise InputError(f"{what}: a rotation is a finite vector (3,) [rad] or quaternion (4,), not {rotation!r}")
+        raise InputError(f"{what}: a rotation is a finite vector (3,) [rad] or quaternion (4,), not {brief(rotation)}")
     if array.shape == (3,):
+        if np.abs(array).max() > MOST_TURN:
+            raise InputError(f"{what}: a rotation vector has at most {MOST_TURN:g} rad, not {brief(rotation)}")
         return np.asarray(Rotation.from_rotvec(array).as_quat(scalar_first=True))
-    if not np.abs(array).max() > 0:
+    largest = np.abs(array).max()
+    if not largest > 0:
         raise InputError(f"{what}: a quaternion of length 0 is no rotation; (1, 0, 0, 0) turns nothing")
+    if not 1e-100 < largest < 1e100:  # whose squares leave double precision
+        array = array / largest
     return np.asarray(array / np.linalg.norm(array))
 
 
@@ -332,10 +340,10 @@ def poses(motion: Motion, times: Floats, what: str) -> Floats:
         turned = isinstance(value, tuple | list) and len(value) == 2
         try:
             place = np.asarray(value[0] if turned else value, dtype=float)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             place = np.zeros(0)
         if place.shape != (3,):
-            raise InputError(f"{what} must be a position (3,) [m], or a position and a rotation, not {value!r}")
+            raise InputError(f"{what} must be a position (3,) [m], or a position and a rotation, not {brief(value)}")
         if not np.isfinite(place).all():
             raise InputError(f"{what} is not finite at t = {time:g} s")
         result[k, :3] = place

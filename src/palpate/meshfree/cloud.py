@@ -20,6 +20,11 @@ __all__ = ["Cloud", "box"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+MOST_NODES = 5e7  # of a box
+FARTHEST = 1e9  # [m] of a coordinate
+SMALLEST = 1e-9  # [m] spacing: beyond both, volumes and stiffnesses leave double precision
+LEAST_SHARE = 1e-12  # of the smallest cell: volume of a node
+
 
 @dataclass(frozen=True)
 class Cloud:
@@ -65,14 +70,30 @@ class Cloud:
             raise CloudError(f"points must have shape (n, 2) or (n, 3) with n > 0, not {self.points.shape}")
         bad = np.flatnonzero(~np.isfinite(self.points).all(axis=1))
         if bad.size:
-            raise CloudError(f"points of nodes {first_few(bad)} are not finite")
+            raise CloudError(f"points of nodes {first_few(bad)} are not finite", bad)
+        far = np.flatnonzero(np.abs(self.points).max(axis=1) > FARTHEST)
+        if far.size:
+            raise CloudError(
+                f"points must lie within {FARTHEST:g} m of the origin, got {self.points[far[0]]} at node {far[0]}: "
+                "give them in metres",
+                far,
+            )
+        if not SMALLEST <= self.spacing <= FARTHEST:
+            raise CloudError(f"spacing must be from {SMALLEST:g} to {FARTHEST:g} m, got {self.spacing:g} m")
         if self.volumes.shape != (n,) or not np.all(self.volumes > 0):
             raise CloudError("volumes must be positive and one for every point")
+        least, most = LEAST_SHARE * SMALLEST**d, FARTHEST**d
+        if not np.all((self.volumes >= least) & (self.volumes <= most)):
+            raise CloudError(f"volumes must be from {least:g} to {most:g} m^{d}: give sizes in metres")
         m = len(self.face_nodes)
         if self.face_normals.shape != (m, d) or self.face_areas.shape != (m,):
             raise CloudError("face_nodes, face_normals and face_areas must have one row for every node-face pair")
-        for name, nodes in self.groups.items():
-            if len(nodes) == 0 or nodes.min() < 0 or nodes.max() >= n:
+        if not (np.isfinite(self.face_normals).all() and np.isfinite(self.face_areas).all()):
+            raise CloudError("face_normals and face_areas must be finite")
+        if np.abs(self.face_normals).max(initial=0.0) > 1 + 1e-6 or self.face_areas.max(initial=0.0) > FARTHEST**2:
+            raise CloudError(f"face_normals must be unit vectors, and face_areas at most {FARTHEST**2:g} m^2")
+        for name, nodes in (*self.groups.items(), ("face_nodes", self.face_nodes)):
+            if (len(nodes) == 0 and name in self.groups) or np.any((nodes < 0) | (nodes >= n)):
                 raise CloudError(f"group {name!r} is empty or names nodes outside 0..{n - 1}")
 
     def __len__(self) -> int:
@@ -86,7 +107,7 @@ class Cloud:
         InputError
             The cloud has no such group.
         """
-        if name not in self.groups:
+        if not isinstance(name, str) or name not in self.groups:
             raise InputError(f"unknown group {name!r}: this cloud has {', '.join(map(repr, sorted(self.groups)))}")
         return self.groups[name]
 
@@ -100,7 +121,7 @@ class Cloud:
         """
         if name in self.groups:
             raise InputError(f"group {name!r} exists already: choose another name")
-        point = np.array([number_in_range("centre", x, unit="m") for x in centre])
+        point = np.array([number_in_range("centre", x, -FARTHEST, FARTHEST, unit="m") for x in centre])
         if len(point) != self.points.shape[1]:
             raise InputError(f"centre must have {self.points.shape[1]} entries, not {len(point)}")
         radius = number_in_range("radius", radius, 0.0, open_low=True, unit="m")
@@ -193,18 +214,20 @@ def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 
     d = len(size)
     if d not in (2, 3):
         raise InputError(f"size must have 2 or 3 entries, not {d}")
-    lengths = np.array([number_in_range("size", s, 0.0, open_low=True, unit="m") for s in size])
-    spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
+    lengths = np.array([number_in_range("size", s, 0.0, FARTHEST, open_low=True, unit="m") for s in size])
+    spacing = number_in_range("spacing", spacing, SMALLEST, FARTHEST, unit="m")
     jitter = number_in_range("jitter", jitter, 0.0, 0.3)
     seed = integer_in_range("seed", seed, 0)
-    cells = np.rint(lengths / spacing).astype(int)
-    if np.any(cells < 3):
+    wished = np.rint(lengths / spacing)
+    count = np.prod(wished + 1)
+    if np.any(wished < 3):
         raise InputError(
-            f"spacing = {spacing:g} m gives {cells.min() + 1} nodes across the side of {lengths.min():g} m; "
+            f"spacing = {spacing:g} m gives {wished.min() + 1:.0f} nodes across the side of {lengths.min():g} m; "
             f"at least 4 are needed: use a spacing of at most {lengths.min() / 3:g} m"
         )
-    if np.prod(cells + 1.0) > 5e7:
-        raise InputError(f"spacing = {spacing:g} m gives {np.prod(cells + 1.0):.2g} nodes; at most 5e7 are allowed")
+    if count > MOST_NODES:
+        raise InputError(f"spacing = {spacing:g} m gives {count:.2g} nodes; at most 5e7 are allowed")
+    cells = wished.astype(int)
     step = lengths / cells
     axes = [np.linspace(0.0, lengths[a], cells[a] + 1) for a in range(d)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)

@@ -37,6 +37,8 @@ SHIFT = 1e-6  # of the patches' mean diagonal, which it is added to, as linear f
 LATTICE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
 MOST_CHANGE = 0.8  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form (0.77 ran stably)
 
+_MISFIT = "the cloud's volumes do not fit its points: nodal volumes must be about those of the cells between the points"
+
 
 def balanced_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stencils, Floats, bool]:
     """Return stencils with consistent derivatives, as narrow as the cloud lets them be.
@@ -125,7 +127,10 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     scaled = divergence @ sparse.diags(freedom)
     moments = np.zeros((n, d, d))
     np.add.at(moments, node, freedom[:, None, None] * offset[:, :, None] * offset[:, None, :])
-    inverse = sparse.bsr_matrix((np.linalg.inv(moments), np.arange(n), np.arange(n + 1))).tocsr()
+    try:
+        inverse = sparse.bsr_matrix((np.linalg.inv(moments), np.arange(n), np.arange(n + 1))).tocsr()
+    except np.linalg.LinAlgError:
+        raise CloudError(_MISFIT) from None
     coupling = scaled @ exactness.T
     system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
     wanted = _balanced(boundary, points, volumes) * spacing / np.median(volumes)
@@ -194,7 +199,10 @@ def _patches(system: Any, points: Floats, spacing: float) -> tuple[Any, Any]:
     )
     own = (fields.T @ (system @ fields)).toarray()
     own[np.diag_indices_from(own)] += SHIFT * own.diagonal().mean()
-    return fields, cho_factor(own, lower=True)
+    try:
+        return fields, cho_factor(own, lower=True)
+    except (np.linalg.LinAlgError, ValueError):
+        raise CloudError(_MISFIT) from None
 
 
 def _balanced(boundary: Floats, points: Floats, volumes: Floats) -> Floats:

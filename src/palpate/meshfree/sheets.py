@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from palpate.faults import CloudError, InputError, integer_in_range, number_in_range
-from palpate.meshfree.cloud import Cloud
+from palpate.faults import CloudError, InputError, brief, integer_in_range, number_in_range
+from palpate.meshfree.cloud import FARTHEST, SMALLEST, Cloud
 from palpate.meshfree.stencils import moving_least_squares
 
 __all__ = ["disc", "sheet"]
@@ -63,8 +63,8 @@ def disc(radius: float, spacing: float, layout: str = "rings", jitter: float = 0
     InputError
         A radius, spacing or jitter out of range, a spacing too coarse or too fine for the disc, an unknown layout.
     """
-    radius = number_in_range("radius", radius, 0.0, open_low=True, unit="m")
-    spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
+    radius = number_in_range("radius", radius, 0.0, FARTHEST, open_low=True, unit="m")
+    spacing = number_in_range("spacing", spacing, SMALLEST, FARTHEST, unit="m")
     jitter = number_in_range("jitter", jitter, 0.0, 0.3)
     seed = integer_in_range("seed", seed, 0)
     layouts = {"rings": _rings, "hexagonal": _hexagonal_disc}
@@ -126,7 +126,7 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
         An outline that is no simple polygon, or with an edge too short, a corner too sharp, or a passage or gap too
         narrow for the spacing; a spacing or jitter out of range.
     """
-    spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
+    spacing = number_in_range("spacing", spacing, SMALLEST, FARTHEST, unit="m")
     jitter = number_in_range("jitter", jitter, 0.0, 0.3)
     seed = integer_in_range("seed", seed, 0)
     corners = _checked_outline(outline)
@@ -311,13 +311,16 @@ def _checked_outline(outline: ArrayLike) -> Floats:
     """Corners (m, 2) of a simple polygon, the first not repeated."""
     try:
         corners = np.array(outline, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         corners = np.empty(0)
     if corners.ndim != 2 or corners.shape[1] != 2:
-        raise InputError(f"outline must be numbers of shape (m, 2) [m], one corner a row, not {outline!r:.80}")
+        raise InputError(f"outline must be numbers of shape (m, 2) [m], one corner a row, not {brief(outline)}")
     bad = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if bad.size:
         raise InputError(f"outline has corners that are not finite: corner {bad[0]} is {corners[bad[0]]}")
+    far = np.flatnonzero(np.abs(corners).max(axis=1, initial=0.0) > FARTHEST)
+    if far.size:
+        raise InputError(f"outline must lie within {FARTHEST:g} m of the origin, got corner {corners[far[0]]}")
     if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
         corners = corners[:-1]
     if len(corners) < 3:

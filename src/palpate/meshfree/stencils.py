@@ -20,6 +20,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
+from palpate.meshfree.cloud import FARTHEST
 
 __all__ = ["Stencils", "moving_least_squares"]
 
@@ -152,6 +153,9 @@ def moving_least_squares(
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise CloudError(f"points of nodes {first_few(bad)} are not finite")
+    far = np.flatnonzero(np.abs(points).max(axis=1) > FARTHEST)
+    if far.size:
+        raise CloudError(f"points must lie within {FARTHEST:g} m of the origin: nodes {first_few(far)} do not", far)
     order = integer_in_range("order", order, 1, 3)
     exponents = _exponents(d, order)
     if (neighbours is None) == (radius is None):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.fibres import firm
 from palpate.dynamics.foundation import Foundation
 from palpate.dynamics.loads import Drive, Load
-from palpate.dynamics.model import Model, Nodes, Outputs, State
+from palpate.dynamics.model import Model, Nodes, Outputs, State, initial_field
 from palpate.dynamics.reactions import touching
 from palpate.dynamics.relaxation import at_ease, recall, remembered
 from palpate.dynamics.stability import stable_step
@@ -165,9 +165,7 @@ class ReducedModel(Model):
         flat = self.parts.columns[: self.count].reshape(self.count, -1)
         known = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
-            array = np.zeros((len(self.cloud), 3)) if given is None else np.array(given, dtype=float)
-            if array.shape != (len(self.cloud), 3) or not np.isfinite(array).all():
-                raise InputError(f"initial {name} must be finite, of shape {(len(self.cloud), 3)}, not {array.shape}")
+            array = initial_field(name, given, len(self.cloud))
             known.append(flat @ (array * self.masses[:, None]).reshape(-1))
         coordinates, velocities = np.array(known)
         modes = slice(self.parts.modes)
@@ -200,6 +198,8 @@ class ReducedModel(Model):
     def _highest(self, coordinates: Floats, held: bool = True) -> float:
         moving = slice(self.parts.modes if held else None)
         tangent = self._stiffness(coordinates, self._firm)[moving, moving]
+        if not np.isfinite(tangent).all():
+            return np.inf
         return float(np.sqrt(np.abs(np.linalg.eigvals((self._held if held else self._free) @ tangent)).max()))
 
     def frequencies(self, coordinates: Floats | None = None) -> Floats:

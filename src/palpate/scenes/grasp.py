@@ -14,7 +14,7 @@ from palpate.dynamics.loads import Load, PrescribedMotion
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import Cloud, box
 from palpate.scenes.beam import COARSEST, FINEST, SIZE
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.scene import MOST_FRAMES, TrainingScene
 from palpate.tissue.materials import MooneyRivlin
 
 __all__ = ["GROUP", "Hand", "grasp", "grasped_beam"]
@@ -90,7 +90,7 @@ def grasped_beam(
     lasting : float [s]
         Of a path, at most 10.
     every : float [s]
-        Time between snapshots.
+        Time between snapshots, of which a path has at most 10,000.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def grasped_beam(
     """
     spacing = number_in_range("spacing", spacing, FINEST, COARSEST, unit="m")
     lasting = number_in_range("lasting", lasting, 0.0, 10.0, open_low=True, unit="s")
-    every = number_in_range("every", every, 0.0, lasting, open_low=True, unit="s")
+    every = number_in_range("every", every, lasting / MOST_FRAMES, lasting, unit="s")
     model = grasp(spacing, poisson)
 
     def path(seed: int) -> tuple[tuple[Load, ...], float]:

@@ -10,7 +10,7 @@ from palpate.dynamics.membrane import Membrane
 from palpate.faults import number_in_range
 from palpate.meshfree.sheets import disc
 from palpate.scenes.membrane import FINEST, RADIUS, THICKNESS
-from palpate.scenes.scene import TrainingScene
+from palpate.scenes.scene import MOST_FRAMES, TrainingScene
 from palpate.tissue.materials import NeoHookean
 
 __all__ = ["GROUP", "pushed_membrane"]
@@ -37,7 +37,7 @@ def pushed_membrane(
     lasting : float [s]
         Of a path, at most 10.
     every : float [s]
-        Time between snapshots.
+        Time between snapshots, of which a path has at most 10,000.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def pushed_membrane(
     spacing = number_in_range("spacing", spacing, FINEST, COARSEST, unit="m")
     prestretch = number_in_range("prestretch", prestretch, 1.01, 1.5)
     lasting = number_in_range("lasting", lasting, 0.0, 10.0, open_low=True, unit="s")
-    every = number_in_range("every", every, 0.0, lasting, open_low=True, unit="s")
+    every = number_in_range("every", every, lasting / MOST_FRAMES, lasting, unit="s")
     cloud = disc(RADIUS, spacing).within(GROUP, (0.0, 0.0), HELD)
     material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
     model = Membrane(cloud, material, THICKNESS, "rim", prestretch=prestretch)

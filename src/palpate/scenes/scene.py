@@ -10,7 +10,9 @@ from palpate.dynamics.loads import Load
 from palpate.dynamics.membrane import Membrane
 from palpate.dynamics.nodal import NodalModel
 
-__all__ = ["Scene", "TrainingScene"]
+__all__ = ["MOST_FRAMES", "Scene", "TrainingScene"]
+
+MOST_FRAMES = 10_000  # of a training path
 
 
 @dataclass(frozen=True)

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import inspect
+import math
+import os
+import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-from palpate.faults import InputError
+from palpate.faults import InputError, brief
 from palpate.scenes.grasp import grasped_beam
 from palpate.scenes.liver import pressed_liver
 from palpate.scenes.push import pushed_membrane
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["TRAINING", "training_scene", "typed"]
+__all__ = ["TRAINING", "search_current_folder", "training_scene", "typed"]
 
 TRAINING: dict[str, Callable[..., TrainingScene]] = {
     "beam": grasped_beam, "liver": pressed_liver, "membrane": pushed_membrane,
 }  # fmt: skip
+KNOWN = f"allowed are {', '.join(map(repr, TRAINING))}, or 'module:function' of your own"
+KINDS = (bool, int, float, str)  # of parameters
+LONGEST = 200  # characters of a text
 
 
 def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
@@ -33,9 +39,12 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     Raises
     ------
     InputError
-        An unknown scene or parameter, or a value out of range.
+        An unknown scene or parameter, or a value out of range; a module or function of one's own that fails.
     """
-    made = _function(name)(**typed(name, parameters))
+    function, arguments = _function(name), typed(name, parameters)
+    if name in TRAINING:
+        return function(**arguments)
+    made = _own(name, "failed", lambda: function(**arguments))
     if not isinstance(made, TrainingScene):
         raise InputError(f"scene {name!r} returned a {type(made).__name__}; needed is a TrainingScene")
     return made
@@ -49,28 +58,71 @@ def typed(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     InputError
         An unknown scene or parameter, or a value that is no such number.
     """
-    known = {p.name: p.default for p in inspect.signature(_function(name)).parameters.values()}
+    known = _defaults(name)
     values = dict(known)
     for key, given in parameters.items():
         if key not in known:
-            raise InputError(f"scene {name!r} has no parameter {key!r}; it has {', '.join(known)}")
-        kind = type(known[key])
-        try:
-            values[key] = kind(given)
-        except ValueError:
-            raise InputError(f"{key} = {given!r}: needed is a {kind.__name__}, as its default {known[key]!r}") from None
+            raise InputError(f"scene {name!r} has no parameter {brief(key)}; it has {', '.join(known)}")
+        values[key] = _converted(key, given, known[key])
     return values
+
+
+def search_current_folder() -> None:
+    """Let modules be found in the current folder, too, after all others.
+
+    Only for a scene that a person names on the command line: a name from a file must not choose code there.
+    """
+    folder = os.getcwd()
+    if not {"", folder} & set(sys.path):
+        sys.path.append(folder)
+
+
+def _defaults(name: str) -> dict[str, Any]:
+    """Return the parameters of a scene's function with their defaults, each a number, a truth value or text."""
+    try:
+        known = {p.name: p.default for p in inspect.signature(_function(name)).parameters.values()}
+    except (TypeError, ValueError) as error:
+        raise InputError(f"scene = {name!r} is no function with named parameters ({error})") from error
+    for key, default in known.items():
+        if not isinstance(default, KINDS):
+            raise InputError(f"scene = {name!r}: its parameter {key!r} needs a number or a text as default")
+    return known
+
+
+def _converted(key: str, given: Any, default: Any) -> Any:
+    kind = type(default)
+    try:
+        if isinstance(default, bool):
+            return {"true": True, "1": True, "false": False, "0": False}[str(given).lower()]
+        if isinstance(default, str) and not (isinstance(given, str) and len(given) <= LONGEST):
+            raise ValueError
+        value = kind(given)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError
+        if isinstance(default, int) and not isinstance(given, str) and value != given:
+            raise ValueError
+    except (ValueError, TypeError, OverflowError, KeyError):
+        raise InputError(f"{key} = {brief(given)}: needed is a {kind.__name__}, as its default {default!r}") from None
+    return value
 
 
 def _function(name: str) -> Callable[..., Any]:
     if name in TRAINING:
         return TRAINING[name]
-    module, colon, function = name.partition(":")
-    known = f"allowed are {', '.join(map(repr, TRAINING))}, or 'module:function' of your own"
-    if not colon:
-        raise InputError(f"scene = {name!r}: {known}")
-    try:
-        found = getattr(import_module(module), function)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(f"scene = {name!r}: {error}; {known}") from error
+    module, _, function = name.partition(":")
+    if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
+        raise InputError(f"scene = {brief(name)}: {KNOWN}")
+    found = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
+    if not callable(found):
+        raise InputError(f"scene = {name!r}: module {module!r} has no function {function!r}; {KNOWN}")
     return found
+
+
+def _own(name: str, what: str, call: Callable[[], Any]) -> Any:
+    """Call code that is not palpate's: whatever it raises is said of the scene."""
+    try:
+        return call()
+    except InputError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise InputError(f"scene = {name!r} {what} ({type(error).__name__}: {error}); {KNOWN}") from error

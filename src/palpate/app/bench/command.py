@@ -14,6 +14,7 @@ from palpate.files import check_folder, plain, whole_file, write_json
 __all__ = ["FILES", "bench"]
 
 FILES = ("report.json", "table.md")
+MOST_REPEATS = 1000
 # spacings [m], rounds (0: as many as asked for) and forms of the full model
 SMALL, FINE = (0.005, 0, ("strong", "energy")), (0.0025, 1, ("energy",))
 
@@ -26,7 +27,7 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
     fine : bool
         Whether to measure the beam at 2.5 mm, too: one round, against the energy form.
     repeats : int
-        Rounds of the long runs, from 1; all figures are medians.
+        Rounds of the long runs, from 1 to 1000; all figures are medians.
     out : path
         Folder; made if it does not exist.
     as_json : bool
@@ -44,7 +45,7 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
     OSError
         A file could not be written.
     """
-    repeats = integer_in_range("repeats", repeats, 1)
+    repeats = integer_in_range("repeats", repeats, 1, MOST_REPEATS)
     check_folder(out)
     console = Console()
     report: dict[str, Any] = {

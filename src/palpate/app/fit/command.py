@@ -11,7 +11,7 @@ import palpate
 from palpate.app.console import Console, print_json, print_plain, quantities_table
 from palpate.app.fit.figure import draw_fit
 from palpate.app.report import machine
-from palpate.faults import InputError
+from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder, plain, write_json
 from palpate.tissue.fitting import Fit, fit
 from palpate.tissue.materials import Material
@@ -22,6 +22,7 @@ from palpate.tissue.parameters import field_metadata, is_sequence, own_fields
 __all__ = ["FILES", "fit_law"]
 
 FILES = ("report.json", "fit.png")
+MOST_STARTS = 1000
 
 
 def fit_law(
@@ -69,7 +70,7 @@ def fit_law(
     OSError
         A file could not be written.
     """
-    kind = _law(law)
+    kind, starts = _law(law), integer_in_range("starts", starts, 1, MOST_STARTS)
     curves = [_named(curve, path, len(data)) for path in data for curve in read_measurements(path)]
     check_folder(out)
     with Console().status(f"fitting {kind.__name__} to {len(curves)} curve{'' if len(curves) == 1 else 's'}"):

@@ -11,14 +11,15 @@ from palpate.app.train.campaign import make_model, make_runs
 from palpate.app.train.cluster import check_dask
 from palpate.app.train.folder import MOST_PATHS, jobs, manifest_of, opened
 from palpate.app.train.report import deliver
-from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.faults import InputError, brief, integer_in_range, number_in_range
 from palpate.files import check_folder
-from palpate.scenes.training import training_scene
+from palpate.scenes.training import search_current_folder, training_scene
 
 __all__ = ["train"]
 
 MOST_SEED = 1_000_000
 MOST_WORKERS = 1024
+MOST_MODES = 1000
 
 
 def train(
@@ -40,7 +41,7 @@ def train(
     Parameters
     ----------
     scene : str
-        As for `palpate.scenes.training.training_scene`.
+        As for `palpate.scenes.training.training_scene`; a module is looked for in the current folder, too.
     given : sequence of str
         Its parameters as ``"name=value"``.
     paths, held_out : int
@@ -78,7 +79,7 @@ def train(
         integer_in_range("paths", paths, 1, MOST_PATHS),
         integer_in_range("held_out", held_out, 0, MOST_PATHS),
     )
-    modes = integer_in_range("modes", modes, 1)
+    modes = integer_in_range("modes", modes, 1, MOST_MODES)
     if cubature is not None:
         cubature = number_in_range("cubature", cubature, 0.0, 1.0)
     if cluster is not None:
@@ -90,6 +91,8 @@ def train(
     check_folder(folder, "folder")
     console = Console()
     with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):
+        if ":" in scene:
+            search_current_folder()
         made = training_scene(scene, parameters)
     with opened(folder, manifest_of(scene, made, seed)) as own:
         began = perf_counter()
@@ -107,6 +110,6 @@ def _parameters(given: Sequence[str]) -> dict[str, str]:
     for pair in given:
         name, sign, value = pair.partition("=")
         if not sign:
-            raise InputError(f"set = {pair!r}: needed is NAME=VALUE, such as spacing=0.005")
+            raise InputError(f"set = {brief(pair)}: needed is NAME=VALUE, such as spacing=0.005")
         parameters[name] = value
     return parameters

@@ -39,7 +39,7 @@ def listening(host: str, port: int) -> socket.socket:
         try:
             return socket.create_server((host, at), family=family)
         except OSError as error:
-            if error.errno == errno.EADDRNOTAVAIL:
+            if error.errno == errno.EADDRNOTAVAIL or (error.errno or 0) < 0:  # the resolver's numbers are negative
                 raise InputError(f"host = {host!r} is no address of this machine") from error
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 raise

@@ -18,7 +18,7 @@ from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.reduction.surface import Surface
-from palpate.scenes.training import TRAINING, training_scene, typed
+from palpate.scenes.training import TRAINING, search_current_folder, training_scene, typed
 
 __all__ = ["compared", "full_model", "path_of", "run_full"]
 
@@ -61,6 +61,8 @@ def full_model(recording: Recording, named: str | None = None) -> Model:
             f"({', '.join(TRAINING)}); nothing that a file names is imported: add --scene MODULE:FUNCTION if you trust "
             "that module"
         )
+    if named is not None:
+        search_current_folder()
     own, cloud = typed(scene, about["parameters"]), recording.model.cloud
     if "spacing" in own and not np.isclose(own["spacing"], cloud.spacing, rtol=1e-6):
         raise InputError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from functools import cache
 from time import perf_counter
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.linalg
 
+from palpate.dynamics.rollout import machine_memory
 from palpate.faults import InputError
 from palpate.reduction.lti.projection import factorised
 
@@ -59,7 +59,7 @@ class Budget:
         InputError
             It does; the message has the estimate, and what to do instead.
         """
-        memory = self.memory if self.memory is not None else 0.5 * _machine_memory()
+        memory = self.memory if self.memory is not None else 0.5 * machine_memory()
         if estimate.memory > memory or estimate.seconds > self.seconds:
             raise InputError(
                 f"{what} would take {estimate}; allowed are {memory / 1e9:.1f} GB and {self.seconds:g} s. {instead}"
@@ -96,10 +96,3 @@ def sparse_lyapunov(system: LinearSystem) -> Estimate:
 def _middle(system: LinearSystem) -> float:
     """Some eigenvalue [1/s^2] between the slowest and the fastest."""
     return float(np.median(system.stiffness.diagonal() / system.mass.diagonal()))
-
-
-def _machine_memory() -> float:
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, ValueError, OSError):  # where the system does not tell
-        return 8e9
