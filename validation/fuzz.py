@@ -118,14 +118,14 @@ def main() -> int:
     from fuzz_kinds import KINDS
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=[*KINDS, "all"])
+    parser.add_argument("kinds", nargs="+", choices=[*KINDS, "all"], metavar="KIND", help=f"{', '.join(KINDS)}, or all")
     parser.add_argument("--seconds", type=float, default=60.0, help="for each kind (60)")
     parser.add_argument("--trials", type=int, default=10**9, help="at most, for each kind")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, help="number of the one trial to run, in this process")
     options = parser.parse_args()
     faults = 0
-    for kind in KINDS if options.kind == "all" else [options.kind]:
+    for kind in KINDS if "all" in options.kinds else options.kinds:
         found = study(kind, options.seconds, options.trials, options.seed, options.only)
         faults += len(found["faults"])
         listed = found.pop("faults")

@@ -498,7 +498,7 @@ def curve_kind(folder: Path) -> Trial:
             data = data[:at] + str(rng.choice(bits)).encode() * int(rng.choice([1, 2, 1000])) + data[at:]
         (folder / "curve.csv").write_bytes(data)
         for curve in pt.read_measurements(folder / "curve.csv"):
-            assert np.isfinite(curve.stretch).all()
+            assert np.isfinite(curve.deformation).all()
             assert np.isfinite(curve.stress).all()
         return "accepted"
 

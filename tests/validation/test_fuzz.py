@@ -1,0 +1,68 @@
+"""Short runs of the studies that damage files and kill writers; long ones are run by hand (docs/files.md)."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+VALIDATION = Path(__file__).parents[2] / "validation"
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the limits of a trial are Linux's"),
+]
+
+
+def run(script, *options):
+    command = [sys.executable, str(VALIDATION / script), *options]
+    return subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "MPLBACKEND": "Agg"})
+
+
+KINDS = {
+    "sealed": ["model", "linear", "trajectory", "stored", "journal", "recording", "manifest"],
+    "surfaces": ["stl", "obj", "ply", "off", "glb", "vtk", "vtp"],
+    "words": ["material", "curve", "message", "command", "physics"],
+}
+
+
+@pytest.mark.parametrize("group", KINDS)
+def test_no_damage_or_lie_is_believed(group):
+    done = run("fuzz.py", *KINDS[group], "--trials", "80", "--seconds", "60", "--seed", "7")
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [each["kind"] for each in found] == KINDS[group]
+    for each in found:
+        assert each["trials"] >= 20
+        assert each["counts"].get("refused", 0) > 0
+        assert set(each["counts"]) <= {"refused", "equal", "accepted"}
+
+
+def test_a_loader_that_believes_damage_is_found_out(tmp_path):
+    """The study itself: a loader without its check of checksums, and one that raises something else."""
+    (tmp_path / "broken.py").write_text(
+        "import sys\n"
+        f"sys.path.insert(0, {str(VALIDATION)!r})\n"
+        "import fuzz, palpate.sealed as sealed\n"
+        "class Same:\n"
+        "    def __init__(self, *_): pass\n"
+        "    def update(self, *_): pass\n"
+        "    def hexdigest(self): return 'a' * 64\n"
+        "    def digest(self): return b'a' * 32\n"
+        "sealed.sha256 = Same\n"
+        "found = fuzz.study('trajectory', 60.0, 120, 3)\n"
+        "print(found['counts'])\n"
+        "sys.exit(0 if found['counts'].get('another number') else 1)\n"
+    )
+    done = subprocess.run([sys.executable, str(tmp_path / "broken.py")], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_no_killed_writer_leaves_half_a_file():
+    done = run("kill_writers.py", "--kills", "4", "--seed", "3")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(done.stdout.splitlines()) == 9
