@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hmac
+import json
+import logging
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -19,23 +22,30 @@ from palpate.app.view import frames
 from palpate.app.view.messages import LONGEST, PROTOCOL, Message, parsed
 from palpate.app.view.page import Page
 from palpate.app.view.snapshot import Snapshot
-from palpate.app.view.viewer import Viewer
+from palpate.app.view.viewer import LEFT_BEHIND, Viewer, part, waiting_bytes
 from palpate.faults import InputError
+from palpate.files import shortened
 from palpate.reduction.surface import Surface
 
 __all__ = ["SUBPROTOCOL", "Server", "Show"]
 
 SUBPROTOCOL = Subprotocol("palpate.v1")
-WRONG_TOKEN, TOO_MANY_MISTAKES, FULL = 4401, 4400, 4429
-PATIENCE = 5.0  # [s] for the first message
+WRONG_TOKEN, TOO_MANY_MISTAKES, FULL = 4401, 4400, 4429  # closing codes; LEFT_BEHIND is another
+GOING_AWAY, FAULT = 1001, 1011
+PATIENCE = 5.0  # [s] for the opening handshake, and for the first message
+PING, PONG, CLOSING = 5.0, 10.0, 2.0  # [s] between pings, until they must be answered, for the closing handshake
 SILENT = 10.0  # [s] after which another viewer may drive
 FASTEST = 1 / 60  # [s] between two frames of a viewer
 SHORT = 0.01  # [s]
 IDLE = 0.01  # [s] between two looks whether anything has changed
 TICK, TOLD = 0.1, 0.5  # [s] between looks at the clock and at the status; between statistics
 MOST_VIEWERS = 16
+MOST_CONNECTIONS = 128  # those that have not said hello among them
+ROOM = 2**20  # bytes that may wait for a connection, besides two geometries
 TOGETHER = 32  # messages that are read before others have their turn
+MOST_HEARD = 2000  # messages a second of a viewer; more are left waiting
 CATCHING_UP = 0.005  # [s] of force frames that are sent late rather than left out
+LOG = logging.getLogger(__name__)
 DRIVING = ("pose", "tool", "release", "control", "speed", "material", "record", "replay")
 
 
@@ -103,17 +113,25 @@ class Server:
         self.show, self.page, self._token = show, page, token
         self.viewers: list[Viewer] = []
         self.driver: Viewer | None = None
+        self._connections: set[_Counted] = set()
         self._told = ""
         self._made: dict[str, _Made] = {}
+        self._troubles: set[str] = set()
+        self._most_waiting = ROOM + 2 * len(frames.geometry_frame(show.surface))
 
     async def run(self, listening: socket.socket, ready: Callable[[], None] = lambda: None) -> None:
         """Serve on a socket that listens, until cancelled; `ready` is called when clients are answered."""
         async with serve(
             self._meet, sock=listening, process_request=self._answer, subprotocols=[SUBPROTOCOL], compression=None,
-            max_size=LONGEST, max_queue=32, server_header=None,
+            max_size=LONGEST, max_queue=32, server_header=None, open_timeout=PATIENCE, close_timeout=CLOSING,
+            ping_interval=PING, ping_timeout=PONG, logger=_quiet(),
+            create_connection=partial(_Counted, counted=self._connections),  # type: ignore[arg-type]
         ):  # fmt: skip
             ready()
-            await self._watch()
+            try:
+                await self._watch()
+            finally:
+                await asyncio.gather(*(part(each, GOING_AWAY, "the session ended") for each in self._connections))
 
     async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         return self.page.answer(request)
@@ -125,16 +143,37 @@ class Server:
         if not self.viewers:
             self.show.pause("nobody watches")
         while True:
-            self.show.tick()
-            if time.monotonic() - told > TOLD:
-                told = time.monotonic()
-                self._broadcast({"type": "statistics", **self.show.statistics()})
-            while self.show.news:
-                self._broadcast(self.show.news.pop(0))
-            await self._tell_status()
+            try:
+                self.show.tick()
+                if time.monotonic() - told > TOLD:
+                    told = time.monotonic()
+                    self._broadcast({"type": "statistics", **self.show.statistics()})
+                while self.show.news:
+                    self._broadcast(self.show.news.pop(0))
+                self._tell_status()
+            except Exception as error:  # of the show: it ends neither the server nor a viewer
+                self._trouble("what is shown", error)
+            self._cut_off()
             await asyncio.sleep(TICK)
 
-    async def _tell_status(self) -> None:
+    def _cut_off(self) -> None:
+        """Cut the connections that do not read; part from viewers that nobody looks at."""
+        for connection in list(self._connections):
+            if waiting_bytes(connection) > self._most_waiting:
+                connection.transport.abort()
+        for viewer in self._welcomed():
+            if viewer.unseen and not viewer.leaving:
+                viewer.leaving = True
+                self._later(viewer, part(viewer.socket, LEFT_BEHIND, "frames are not acknowledged"))
+
+    def _trouble(self, where: str, error: BaseException) -> None:
+        """Tell of an unexpected error, each once."""
+        text = shortened(f"{where} failed: {type(error).__name__}: {error}", 200)
+        if text not in self._troubles:
+            self._troubles.add(text)
+            LOG.error("%s; the server goes on", text, exc_info=error if LOG.isEnabledFor(logging.DEBUG) else None)
+
+    def _tell_status(self) -> None:
         status = self.show.status()
         still = {name: value for name, value in status["tool"].items() if name not in ("position", "quaternion")}
         told = repr(({**status, "tool": still}, len(self.viewers), id(self.driver)))
@@ -142,7 +181,7 @@ class Server:
             return
         self._told = told
         for viewer in self._welcomed():
-            await self._say_to(viewer, self._status(viewer, status))
+            self._later(viewer, self._send_to(viewer, _text(self._status(viewer, status))))
 
     def _status(self, viewer: Viewer, status: dict[str, Any]) -> dict[str, Any]:
         about = {"driver": viewer is self.driver, "viewers": len(self.viewers), "recording": False}
@@ -152,41 +191,53 @@ class Server:
         return [viewer for viewer in self.viewers if viewer.welcomed]
 
     def _broadcast(self, message: dict[str, Any]) -> None:
+        text = _text(message)
         for viewer in self._welcomed():
-            task = asyncio.ensure_future(self._say_to(viewer, message))
-            viewer.tasks.add(task)
-            task.add_done_callback(viewer.tasks.discard)
+            self._later(viewer, self._send_to(viewer, text))
 
     @staticmethod
-    async def _say_to(viewer: Viewer, message: dict[str, Any]) -> None:
+    def _later(viewer: Viewer, work: Coroutine[Any, Any, None]) -> None:
+        """Do something for a viewer while others have their turn; all of it has a limit of time."""
+        task = asyncio.ensure_future(work)
+        viewer.tasks.add(task)
+        task.add_done_callback(viewer.tasks.discard)
+
+    @staticmethod
+    async def _send_to(viewer: Viewer, text: str) -> None:
         with contextlib.suppress(ConnectionClosed):
-            await viewer.say(message)
+            await viewer.send(text)
 
     # viewers
 
     async def _meet(self, connection: ServerConnection) -> None:
-        with contextlib.suppress(ConnectionClosed):
+        """Look after a connection until it ends; an unexpected error ends it alone."""
+        try:
             viewer = await self._admitted(connection)
-            if viewer is None:
-                return
+            if viewer is not None:
+                await self._attend(viewer)
+        except* ConnectionClosed:
+            pass
+        except* Exception as errors:
+            self._trouble("a viewer's connection", _first(errors))
+            await part(connection, FAULT, "the server failed; it said why where it was started")
+
+    async def _attend(self, viewer: Viewer) -> None:
+        try:
             self._enter(viewer)
-            try:
-                await viewer.say(self._hello(viewer))
-                await connection.send(frames.geometry_frame(self.show.surface))
-                await viewer.say(self._status(viewer, self.show.status()))
-                viewer.welcomed = True
-                async with asyncio.TaskGroup() as group:
-                    streams = [group.create_task(self._stream(viewer)), group.create_task(self._stream_force(viewer))]
-                    heeding = group.create_task(self._heed_all(viewer))
-                    await self._listen(viewer)
-                    viewer.inbox.end()
-                    await heeding
-                    for stream in streams:
-                        stream.cancel()
-            except* ConnectionClosed:
-                pass
-            finally:
-                self._leave(viewer)
+            await viewer.say(self._hello(viewer))
+            await viewer.send(frames.geometry_frame(self.show.surface))
+            await viewer.say(self._status(viewer, self.show.status()))
+            viewer.welcomed = True
+            async with asyncio.TaskGroup() as group:
+                streams = [group.create_task(self._stream(viewer)), group.create_task(self._stream_force(viewer))]
+                heeding = group.create_task(self._heed_all(viewer))
+                await self._listen(viewer)
+                viewer.inbox.end()
+                await heeding
+                for stream in streams:
+                    stream.cancel()
+        finally:
+            self._leave(viewer)
 
     async def _admitted(self, connection: ServerConnection) -> Viewer | None:
         """Return a viewer that said hello with the token in time; close the connection of another one."""
@@ -194,36 +245,41 @@ class Server:
             async with asyncio.timeout(PATIENCE):
                 hello = parsed(await connection.recv())
         except TimeoutError:
-            await connection.close(WRONG_TOKEN, "no hello in time")
+            await part(connection, WRONG_TOKEN, "no hello in time")
             return None
         except InputError as error:
-            await connection.close(WRONG_TOKEN, str(error)[:100])
+            await part(connection, WRONG_TOKEN, str(error))
             return None
         if hello["type"] != "hello" or not hmac.compare_digest(hello["token"].encode(), self._token.encode()):
-            await connection.close(WRONG_TOKEN, "wrong token: open the address that palpate view prints")
+            await part(connection, WRONG_TOKEN, "wrong token: open the address that palpate view prints")
             return None
         if hello["protocol"] != PROTOCOL:
-            await connection.close(TOO_MANY_MISTAKES, f"this server speaks protocol {PROTOCOL}")
+            await part(connection, TOO_MANY_MISTAKES, f"this server speaks protocol {PROTOCOL}")
             return None
         if len(self.viewers) >= MOST_VIEWERS:
-            await connection.close(FULL, f"{MOST_VIEWERS} viewers watch already")
+            await part(connection, FULL, f"{MOST_VIEWERS} viewers watch already")
             return None
         return Viewer(connection)
 
     def _enter(self, viewer: Viewer) -> None:
         self.viewers.append(viewer)
         if self.driver is None:
-            self.driver, viewer.heard = viewer, time.monotonic()
+            self.driver, viewer.drove = viewer, time.monotonic()
         if len(self.viewers) == 1 and self.show.paused_because in ("nobody watches", "closed tab"):
-            self.show.resume()
+            with contextlib.suppress(InputError):  # the state ran away: whoever comes is to see that, and reset it
+                self.show.resume()
 
     def _leave(self, viewer: Viewer) -> None:
         self.viewers.remove(viewer)
-        if viewer is self.driver:
-            self.driver = None
-            self.show.release()
-        if not self.viewers:
-            self.show.pause("closed tab")
+        for task in list(viewer.tasks):
+            task.cancel()
+        try:
+            if viewer is self.driver:
+                self.driver = None
+                self.show.release()
+        finally:
+            if not self.viewers:
+                self.show.pause("closed tab")
 
     def _hello(self, viewer: Viewer) -> dict[str, Any]:
         surface = self.show.surface
@@ -238,16 +294,17 @@ class Server:
 
     async def _listen(self, viewer: Viewer) -> None:
         """Take all that a viewer says, until it has left."""
-        count = 0
+        count, turn = 0, time.monotonic()
         async for text in viewer.socket:
-            count += 1
-            if count % TOGETHER == 0:
-                await asyncio.sleep(0)  # a client that talks without pause must not keep others, or itself, waiting
+            count, viewer.heard = count + 1, time.monotonic()
+            if count % TOGETHER == 0:  # a client that talks without pause must not keep others, or itself, waiting
+                await asyncio.sleep(max(0.0, turn + TOGETHER / MOST_HEARD - time.monotonic()))
+                turn = time.monotonic()
             try:
                 message = parsed(text)
             except InputError as error:
                 if viewer.mistaken():
-                    await viewer.socket.close(TOO_MANY_MISTAKES, "too many messages that are not understood")
+                    await part(viewer.socket, TOO_MANY_MISTAKES, "too many messages that are not understood")
                     return
                 await viewer.say({"type": "error", "reason": str(error)})
                 continue
@@ -275,24 +332,24 @@ class Server:
                 raise InputError(f"show: allowed here are {', '.join(map(repr, allowed))}")
             viewer.scalar = message["scalar"]
         elif kind == "force":
-            viewer.rate = message["rate"]
+            viewer.pace(message["rate"])
         elif kind == "drive":
             self._hand_over(viewer)
         elif kind in DRIVING:
             if viewer is not self.driver:
                 raise InputError(f"{kind}: another viewer drives, or none; ask for it by 'drive'")
-            viewer.heard = time.monotonic()
+            viewer.drove = time.monotonic()
             self.show.handle(message)
         else:
             raise InputError(f"{kind}: was said already")
 
     def _hand_over(self, viewer: Viewer) -> None:
         now = time.monotonic()
-        if self.driver is not None and self.driver is not viewer and now - self.driver.heard < SILENT:
+        if self.driver is not None and self.driver is not viewer and now - self.driver.drove < SILENT:
             raise InputError("drive: another viewer drives; it may be asked for 10 s after its last message")
         if self.driver is not viewer:
             self.show.release()
-        self.driver, viewer.heard = viewer, now
+        self.driver, viewer.drove = viewer, now
 
     # what viewers see
 
@@ -309,8 +366,8 @@ class Server:
             shown, sequence, vertices = made.key, viewer.next_frame(), len(self.show.surface.rest)
             positions = self.show.overlay(made.time)
             if positions is not None:
-                await viewer.socket.send(frames.headed(frames.OVERLAY, sequence, vertices, frames.overlay(positions)))
-            await viewer.socket.send(frames.headed(frames.STATE, sequence, vertices, made.body))
+                await viewer.send(frames.headed(frames.OVERLAY, sequence, vertices, frames.overlay(positions)))
+            await viewer.send(frames.headed(frames.STATE, sequence, vertices, made.body))
             await asyncio.sleep(max(0.0, began + FASTEST - time.monotonic()))
 
     def _frame(self, scalar: str) -> _Made:
@@ -326,24 +383,73 @@ class Server:
 
     async def _stream_force(self, viewer: Viewer) -> None:
         """Send force frames at the rate that the viewer asked for, of a body that stands still only now and then."""
-        sequence, due, steps, sent = 0, time.monotonic(), -1, 0.0
+        sequence, due, steps, sent = 0, 0.0, -1, 0.0
         while True:
-            if viewer.rate <= 0.0:
-                await asyncio.sleep(TICK)
+            if viewer.paced.is_set() or viewer.rate == 0.0:
+                await viewer.paced.wait()
+                viewer.paced.clear()
                 due = time.monotonic()
                 continue
+            if await _changed(viewer.paced, due - time.monotonic()):
+                continue
             due = max(due + 1 / viewer.rate, time.monotonic() - CATCHING_UP)
-            await _sleep(due - time.monotonic())
             snapshot = self.show.snapshot()
             if snapshot.steps == steps and time.monotonic() - sent < TICK:
                 continue
             steps, sent, sequence = snapshot.steps, time.monotonic(), sequence + 1
-            await viewer.socket.send(frames.force_frame(snapshot, sequence))
+            await viewer.send(frames.force_frame(snapshot, sequence))
 
 
-async def _sleep(seconds: float) -> None:
-    """Sleep, to a fraction of a millisecond if it is short: asyncio's own sleep is rounded up to whole ones."""
+class _Counted(ServerConnection):
+    """A connection that is counted from the first byte on; there is room for so many of them."""
+
+    def __init__(self, *arguments: Any, counted: set[_Counted], **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._counted = counted
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._counted.add(self)
+        if len(self._counted) > MOST_CONNECTIONS:
+            self.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._counted.discard(self)
+        super().connection_lost(exc)
+
+
+def _quiet() -> logging.Logger:
+    """Return a log that keeps to itself what clients do wrong: each of them could fill the terminal."""
+    log = logging.getLogger("palpate.clients")
+    if not log.handlers:
+        log.addHandler(logging.NullHandler())
+    log.propagate = False
+    return log
+
+
+def _text(message: dict[str, Any]) -> str:
+    return json.dumps(message, allow_nan=False)
+
+
+def _first(errors: BaseExceptionGroup) -> BaseException:
+    """Return the first error in a group of groups."""
+    error: BaseException = errors
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return error
+
+
+async def _changed(event: asyncio.Event, seconds: float) -> bool:
+    """Wait for an event at most so long, and return whether it came.
+
+    Short times are kept to a fraction of a millisecond: asyncio's own are rounded up to whole ones.
+    """
     if 0.0 < seconds < SHORT:
         await asyncio.to_thread(time.sleep, seconds)
+    elif seconds > 0.0:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await event.wait()
     else:
-        await asyncio.sleep(max(0.0, seconds))
+        await asyncio.sleep(0)
+    return event.is_set()
