@@ -13,6 +13,7 @@ from view_scenes import BALL, MIDDLE, SIZE
 
 import palpate as pt
 from palpate.app.view.messages import checked
+from palpate.app.view.recording import load_recording
 from palpate.app.view.session import Session
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
@@ -194,3 +195,40 @@ def test_a_model_without_tools_is_refused(model):
     bare = pt.ReducedModel(replace(model.parts, dents=None))
     with pytest.raises(pt.InputError, match="the engine moves one tool"):
         Session(bare, "Bare")
+
+
+def test_recordings_of_one_second_have_names_of_their_own(session, tmp_path, monkeypatch, until):
+    monkeypatch.setattr("palpate.app.view.session.time.strftime", lambda form: "recording-now")
+    session.folder = tmp_path / "recordings"
+    for _ in range(3):
+        session.record()
+        until(lambda: len(session._recorder.times) > 1)
+        session.finish_recording()
+    session.record()
+    until(lambda: len(session._recorder.times) > 1)
+    session.close()  # ends the one that goes on, and returns when all are written
+    names = ["recording-now", "recording-now-2", "recording-now-3", "recording-now-4"]
+    assert sorted(path.stem for path in session.folder.glob("*.h5")) == names
+    assert sorted(path.stem for path in session.folder.glob("*.vtkhdf")) == names
+    assert sorted(news["file"] for news in session.news) == sorted(str(session.folder / f"{n}.h5") for n in names)
+    assert all(load_recording(path).moments for path in session.folder.glob("*.h5"))
+
+
+def test_a_recording_that_cannot_be_written_leaves_nothing_behind(session, tmp_path, monkeypatch, until):
+    def full(path, recording):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("palpate.app.view.session.save_recording", full)
+    session.folder = tmp_path
+    session.record()
+    session.finish_recording(wait=True)
+    assert session.news == [{"type": "error", "reason": "the recording is lost: no space left"}]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_goes_where_it_was_to_go_whoever_ends_it(session, tmp_path, until):
+    session.record(tmp_path / "all.h5")
+    until(lambda: len(session._recorder.times) > 1)
+    session.handle(checked({"type": "record", "action": "stop"}))
+    session.close()
+    assert session.news[0]["file"] == str(tmp_path / "all.h5")

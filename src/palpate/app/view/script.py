@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from palpate.app.view.messages import Message, checked
 from palpate.app.view.session import Session
 from palpate.dynamics.progress import progress_bar
 from palpate.faults import FileFormatError, InputError
+from palpate.files import json_of, read_text
 
 __all__ = ["read_script", "run_script"]
 
@@ -34,23 +34,21 @@ def read_script(path: Path) -> list[tuple[float, Message]]:
     FileNotFoundError
         There is no such file.
     FileFormatError
-        A line is no such message; names it.
+        It is no text, or a line is no such message; names it.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"no script at {path}")
     found = []
-    for k, line in enumerate(path.read_text(encoding="utf-8").splitlines()):
+    for k, line in enumerate(read_text(path, "script").split("\n")):
         if not line.strip():
             continue
         try:
-            given = json.loads(line)
+            given = json_of(line)
             message = checked(given)
             at = given.get("time")
             if isinstance(at, bool) or not isinstance(at, int | float) or not 0 <= at < 1e6:
                 raise InputError(f"time = {at!r}: needed is a time of at least 0 s")
             if message["type"] not in SENT:
                 raise InputError(f"type = {message['type']!r}: a script knows {', '.join(SENT)}")
-        except ValueError as error:
+        except InputError as error:
             raise FileFormatError(f"{path}, line {k + 1}: {error}") from None
         found.append((float(at), message))
     return sorted(found, key=lambda pair: pair[0])

@@ -15,7 +15,9 @@ from typing import Any, NamedTuple, Protocol
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
+from websockets.frames import Frame, Opcode
 from websockets.http11 import Request, Response
+from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
 from palpate.app.view import frames
@@ -43,6 +45,7 @@ MOST_VIEWERS = 16
 MOST_CONNECTIONS = 128  # those that have not said hello among them
 ROOM = 2**20  # bytes that may wait for a connection, besides two geometries
 TOGETHER = 32  # messages that are read before others have their turn
+MOST_PINGS = 100  # between two ticks
 MOST_HEARD = 2000  # messages a second of a viewer; more are left waiting
 CATCHING_UP = 0.005  # [s] of force frames that are sent late rather than left out
 LOG = logging.getLogger(__name__)
@@ -159,8 +162,9 @@ class Server:
     def _cut_off(self) -> None:
         """Cut the connections that do not read; part from viewers that nobody looks at."""
         for connection in list(self._connections):
-            if waiting_bytes(connection) > self._most_waiting:
+            if waiting_bytes(connection) > self._most_waiting or connection.pings > MOST_PINGS:
                 connection.transport.abort()
+            connection.pings = 0
         for viewer in self._welcomed():
             if viewer.unseen and not viewer.leaving:
                 viewer.leaving = True
@@ -405,13 +409,24 @@ class _Counted(ServerConnection):
 
     def __init__(self, *arguments: Any, counted: set[_Counted], **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._counted = counted
+        self._counted, self.pings = counted, 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
         self._counted.add(self)
         if len(self._counted) > MOST_CONNECTIONS:
             self.transport.abort()
+
+    def process_event(self, event: Event) -> None:
+        self.pings += isinstance(event, Frame) and event.opcode is Opcode.PING
+        super().process_event(event)
+
+    def send_data(self) -> None:
+        """Write at once what waits: thousands of pings in a row may be answered, by then to nobody."""
+        waiting = self.protocol.data_to_send()
+        whole, ends = b"".join(waiting), [b""] * waiting.count(b"")
+        self.protocol.writes = [whole, *ends] if whole else ends
+        super().send_data()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._counted.discard(self)
