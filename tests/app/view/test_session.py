@@ -170,6 +170,22 @@ def test_twice_the_moduli_are_twice_the_force_at_the_same_depth(pressed, until):
         pressed.handle(checked({"type": "material", "name": "shear modulus", "value": 100.0}))
 
 
+def test_moduli_that_change_to_and_fro_make_no_motion(session, until):
+    """In step with the body's vibrations, jumps would: this body ran away in half a second."""
+    session.handle(checked({"type": "tool", "kind": "grasp", "radius": 0.008, "position": MIDDLE.tolist()}))
+    session.handle(pose(MIDDLE + np.array([-0.0151, -0.0120, 0.0057])))
+    for k in range(60):
+        session.handle(checked({"type": "material", "name": "shear modulus", "value": (1.0, 16.0)[k % 2]}))
+        begun = session.snapshot().steps
+        until(lambda begun=begun: session.snapshot().steps >= begun + 15)
+    moment = session.snapshot()
+    assert moment.state == "running"
+    assert moment.kinetic < 0.01 * moment.strain
+    assert 0.25 <= moment.firmness <= 4.0
+    session.handle(checked({"type": "material", "name": "shear modulus", "value": 16.0}))
+    until(lambda: session.snapshot().firmness == 4.0)
+
+
 def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, until):
     session.handle(checked({**ball, "stiffness": 200.0}))
     session.handle(pose(PRESSED))

@@ -97,7 +97,7 @@ class Session:
                 trust=row.trust, position=self._home + seen.place, quaternion=turned(self._turn, row.quaternion),
                 sequence=row.sequence, kinetic=row.kinetic, strain=row.strain, computing=row.computing,
                 lateness=row.lateness, coordinates=seen.coordinates, state=row.state, hand=seen.hand, nodes=seen.nodes,
-                forces=seen.forces, firmness=self.firmness, tool=self.held.kind,
+                forces=seen.forces, firmness=seen.firmness, tool=self.held.kind,
             )  # fmt: skip
 
     def _together(self) -> tuple[Reading, Seen]:
