@@ -485,7 +485,7 @@ def test_a_rate_is_changed_at_once(site):
 
 def test_who_does_not_read_is_cut_off_and_delays_nobody(site, monkeypatch, until):
     monkeypatch.setattr("palpate.app.view.viewer.LATE", 0.3)
-    monkeypatch.setattr("palpate.app.view.viewer.PARTING", 0.1)
+    monkeypatch.setattr("palpate.app.view.connection.PARTING", 0.1)
 
     async def visit():
         async with site.client(draws=False) as stuck, site.client() as other:
@@ -591,7 +591,7 @@ def test_a_state_that_ran_away_is_shown_and_reset(site, session, until):
 def test_there_is_room_for_so_many_connections(site, monkeypatch, until):
     import socket
 
-    monkeypatch.setattr("palpate.app.view.server.MOST_CONNECTIONS", 8)
+    monkeypatch.setattr("palpate.app.view.connection.MOST_CONNECTIONS", 8)
     opened = [socket.create_connection((LOOPBACK, site.port), 5) for _ in range(20)]
     until(lambda: len(site.server._connections) == 8)
     for each in opened:

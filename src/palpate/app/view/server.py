@@ -11,94 +11,38 @@ import socket
 import time
 from collections.abc import Callable, Coroutine
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
-from websockets.frames import Frame, Opcode
 from websockets.http11 import Request, Response
-from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
 from palpate.app.view import frames
+from palpate.app.view.connection import Counted, part, quiet, waiting_bytes
 from palpate.app.view.messages import LONGEST, PROTOCOL, Message, parsed
 from palpate.app.view.page import Page
-from palpate.app.view.snapshot import Snapshot
-from palpate.app.view.viewer import LEFT_BEHIND, Viewer, part, waiting_bytes
+from palpate.app.view.streams import Show, Streams
+from palpate.app.view.viewer import LEFT_BEHIND, Viewer
 from palpate.faults import InputError
 from palpate.files import shortened
-from palpate.reduction.surface import Surface
 
 __all__ = ["SUBPROTOCOL", "Server", "Show"]
 
 SUBPROTOCOL = Subprotocol("palpate.v1")
 WRONG_TOKEN, TOO_MANY_MISTAKES, FULL = 4401, 4400, 4429  # closing codes; LEFT_BEHIND is another
 GOING_AWAY, FAULT = 1001, 1011
-PATIENCE = 5.0  # [s] for the opening handshake, and for the first message
+PATIENCE = 5.0  # [s] for the first message
 PING, PONG, CLOSING = 5.0, 10.0, 2.0  # [s] between pings, until they must be answered, for the closing handshake
 SILENT = 10.0  # [s] after which another viewer may drive
-FASTEST = 1 / 60  # [s] between two frames of a viewer
-SHORT = 0.01  # [s]
-IDLE = 0.01  # [s] between two looks whether anything has changed
 TICK, TOLD = 0.1, 0.5  # [s] between looks at the clock and at the status; between statistics
 MOST_VIEWERS = 16
-MOST_CONNECTIONS = 128  # those that have not said hello among them
-ROOM = 2**20  # bytes that may wait for a connection, besides two geometries
+ROOM = 2**22  # bytes that may wait for a connection, besides two geometries
 TOGETHER = 32  # messages that are read before others have their turn
 MOST_PINGS = 100  # between two ticks
 MOST_HEARD = 2000  # messages a second of a viewer; more are left waiting
-CATCHING_UP = 0.005  # [s] of force frames that are sent late rather than left out
 LOG = logging.getLogger(__name__)
 DRIVING = ("pose", "tool", "release", "control", "speed", "material", "record", "replay")
-
-
-class Show(Protocol):
-    """What is shown: a session, or a replay."""
-
-    mode: str
-    title: str
-    surface: Surface
-    paused_because: str | None
-    news: list[dict[str, Any]]  # what all are still to be told
-
-    def snapshot(self) -> Snapshot:
-        """Return what is to be seen now."""
-
-    def hello(self) -> dict[str, Any]:
-        """Return what does not change."""
-
-    def status(self) -> dict[str, Any]:
-        """Return what changes seldom."""
-
-    def statistics(self) -> dict[str, Any]:
-        """Return how the engine keeps its deadlines."""
-
-    def handle(self, message: Message) -> None:
-        """Do what a message of the driver says."""
-
-    def tick(self) -> None:
-        """Be called several times a second."""
-
-    def pause(self, because: str | None = None) -> None:
-        """Let time stand still."""
-
-    def resume(self) -> None:
-        """Let time go on."""
-
-    def release(self) -> None:
-        """Take the tool away."""
-
-    def overlay(self, time: float) -> Any:
-        """Return positions (n, 3) of the full model at a time that a snapshot tells, or None."""
-
-
-class _Made(NamedTuple):
-    """A frame that was made: what tells it from others, when it was made, the snapshot's time, and its body."""
-
-    key: Any
-    at: float
-    time: float
-    body: bytes
 
 
 class Server:
@@ -116,9 +60,9 @@ class Server:
         self.show, self.page, self._token = show, page, token
         self.viewers: list[Viewer] = []
         self.driver: Viewer | None = None
-        self._connections: set[_Counted] = set()
+        self._connections: set[Counted] = set()
         self._told = ""
-        self._made: dict[str, _Made] = {}
+        self._streams = Streams(show)
         self._troubles: set[str] = set()
         self._most_waiting = ROOM + 2 * len(frames.geometry_frame(show.surface))
 
@@ -126,9 +70,9 @@ class Server:
         """Serve on a socket that listens, until cancelled; `ready` is called when clients are answered."""
         async with serve(
             self._meet, sock=listening, process_request=self._answer, subprotocols=[SUBPROTOCOL], compression=None,
-            max_size=LONGEST, max_queue=32, server_header=None, open_timeout=PATIENCE, close_timeout=CLOSING,
-            ping_interval=PING, ping_timeout=PONG, logger=_quiet(),
-            create_connection=partial(_Counted, counted=self._connections),  # type: ignore[arg-type]
+            max_size=LONGEST, max_queue=32, server_header=None, close_timeout=CLOSING,
+            ping_interval=PING, ping_timeout=PONG, logger=quiet(),
+            create_connection=partial(Counted, counted=self._connections),  # type: ignore[arg-type]
         ):  # fmt: skip
             ready()
             try:
@@ -199,12 +143,17 @@ class Server:
         for viewer in self._welcomed():
             self._later(viewer, self._send_to(viewer, text))
 
-    @staticmethod
-    def _later(viewer: Viewer, work: Coroutine[Any, Any, None]) -> None:
+    def _later(self, viewer: Viewer, work: Coroutine[Any, Any, None]) -> None:
         """Do something for a viewer while others have their turn; all of it has a limit of time."""
+
+        def done(task: asyncio.Future[None]) -> None:
+            viewer.tasks.discard(task)
+            if not task.cancelled() and (error := task.exception()) is not None:
+                self._trouble("a viewer's connection", error)
+
         task = asyncio.ensure_future(work)
         viewer.tasks.add(task)
-        task.add_done_callback(viewer.tasks.discard)
+        task.add_done_callback(done)
 
     @staticmethod
     async def _send_to(viewer: Viewer, text: str) -> None:
@@ -233,7 +182,7 @@ class Server:
             await viewer.say(self._status(viewer, self.show.status()))
             viewer.welcomed = True
             async with asyncio.TaskGroup() as group:
-                streams = [group.create_task(self._stream(viewer)), group.create_task(self._stream_force(viewer))]
+                streams = [group.create_task(stream(viewer)) for stream in (self._streams.states, self._streams.forces)]
                 heeding = group.create_task(self._heed_all(viewer))
                 await self._listen(viewer)
                 viewer.inbox.end()
@@ -355,92 +304,6 @@ class Server:
             self.show.release()
         self.driver, viewer.drove = viewer, now
 
-    # what viewers see
-
-    async def _stream(self, viewer: Viewer) -> None:
-        """Send the newest state whenever there is one and the viewer has drawn enough of those before."""
-        shown: Any = None
-        while True:
-            await viewer.room.wait()
-            began = time.monotonic()
-            made = self._frame(viewer.scalar)
-            if made.key == shown:
-                await asyncio.sleep(IDLE)
-                continue
-            shown, sequence, vertices = made.key, viewer.next_frame(), len(self.show.surface.rest)
-            positions = self.show.overlay(made.time)
-            if positions is not None:
-                await viewer.send(frames.headed(frames.OVERLAY, sequence, vertices, frames.overlay(positions)))
-            await viewer.send(frames.headed(frames.STATE, sequence, vertices, made.body))
-            await asyncio.sleep(max(0.0, began + FASTEST - time.monotonic()))
-
-    def _frame(self, scalar: str) -> _Made:
-        """Return a frame of the newest state; made once for all who want it within a moment."""
-        snapshot = self.show.snapshot()
-        key = (scalar, snapshot.steps, snapshot.time, snapshot.state, snapshot.tool, snapshot.sequence,
-               *snapshot.position)  # fmt: skip
-        made = self._made.get(scalar)
-        if made is None or (made.key != key and time.monotonic() - made.at > 0.5 * FASTEST):
-            body = frames.state(self.show.surface, snapshot, scalar)
-            made = self._made[scalar] = _Made(key, time.monotonic(), snapshot.time, body)
-        return made
-
-    async def _stream_force(self, viewer: Viewer) -> None:
-        """Send force frames at the rate that the viewer asked for, of a body that stands still only now and then."""
-        sequence, due, steps, sent = 0, 0.0, -1, 0.0
-        while True:
-            if viewer.paced.is_set() or viewer.rate == 0.0:
-                await viewer.paced.wait()
-                viewer.paced.clear()
-                due = time.monotonic()
-                continue
-            if await _changed(viewer.paced, due - time.monotonic()):
-                continue
-            due = max(due + 1 / viewer.rate, time.monotonic() - CATCHING_UP)
-            snapshot = self.show.snapshot()
-            if snapshot.steps == steps and time.monotonic() - sent < TICK:
-                continue
-            steps, sent, sequence = snapshot.steps, time.monotonic(), sequence + 1
-            await viewer.send(frames.force_frame(snapshot, sequence))
-
-
-class _Counted(ServerConnection):
-    """A connection that is counted from the first byte on; there is room for so many of them."""
-
-    def __init__(self, *arguments: Any, counted: set[_Counted], **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._counted, self.pings = counted, 0
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        self._counted.add(self)
-        if len(self._counted) > MOST_CONNECTIONS:
-            self.transport.abort()
-
-    def process_event(self, event: Event) -> None:
-        self.pings += isinstance(event, Frame) and event.opcode is Opcode.PING
-        super().process_event(event)
-
-    def send_data(self) -> None:
-        """Write at once what waits: thousands of pings in a row may be answered, by then to nobody."""
-        waiting = self.protocol.data_to_send()
-        whole, ends = b"".join(waiting), [b""] * waiting.count(b"")
-        self.protocol.writes = [whole, *ends] if whole else ends
-        super().send_data()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._counted.discard(self)
-        super().connection_lost(exc)
-
-
-def _quiet() -> logging.Logger:
-    """Return a log that keeps to itself what clients do wrong: each of them could fill the terminal."""
-    log = logging.getLogger("palpate.clients")
-    if not log.handlers:
-        log.addHandler(logging.NullHandler())
-    log.propagate = False
-    return log
-
 
 def _text(message: dict[str, Any]) -> str:
     return json.dumps(message, allow_nan=False)
@@ -452,19 +315,3 @@ def _first(errors: BaseExceptionGroup) -> BaseException:
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
     return error
-
-
-async def _changed(event: asyncio.Event, seconds: float) -> bool:
-    """Wait for an event at most so long, and return whether it came.
-
-    Short times are kept to a fraction of a millisecond: asyncio's own are rounded up to whole ones.
-    """
-    if 0.0 < seconds < SHORT:
-        await asyncio.to_thread(time.sleep, seconds)
-    elif seconds > 0.0:
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(seconds):
-                await event.wait()
-    else:
-        await asyncio.sleep(0)
-    return event.is_set()

@@ -7,7 +7,6 @@ a client that does not read delays nobody but itself.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import time
 from typing import Any
@@ -15,18 +14,17 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
+from palpate.app.view.connection import part, waiting_bytes
 from palpate.app.view.inbox import Inbox
 
-__all__ = ["IN_FLIGHT", "LEFT_BEHIND", "Viewer", "part", "waiting_bytes"]
+__all__ = ["IN_FLIGHT", "LEFT_BEHIND", "Viewer"]
 
 IN_FLIGHT = 2  # state frames that are sent and not acknowledged, at most
 MISTAKES = 10  # in a row
 LEFT_BEHIND = 4408  # closing code of a viewer that does not read, or neither draws nor says anything
 LATE = 5.0  # [s] that a message may wait, besides
 SLOWEST = 1e6  # [bytes/s] at which those before it, and itself, are read
-PARTING = 2.0  # [s] for the closing handshake
 UNSEEN = 20.0  # [s] without a word, while state frames wait to be acknowledged
-LONGEST_REASON = 120  # bytes of a closing frame, which has 123 of them
 
 
 class Viewer:
@@ -106,17 +104,3 @@ class Viewer:
         """Count a mistake; return whether there were too many in a row."""
         self.mistakes += 1
         return self.mistakes >= MISTAKES
-
-
-def waiting_bytes(socket: ServerConnection) -> int:
-    """Return how much was sent on a connection and is still in this program."""
-    return int(socket.transport.get_write_buffer_size())
-
-
-async def part(socket: ServerConnection, code: int, reason: str = "") -> None:
-    """Close a connection with a code and as much of a reason as fits; cut it where that is not answered in time."""
-    short = reason.encode("utf-8", "backslashreplace")[:LONGEST_REASON].decode("utf-8", "ignore")
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(PARTING):
-            await socket.close(code, short)
-    socket.transport.abort()
