@@ -20,7 +20,7 @@ const COUPLING = 300; // [N/m] between hand and tool: calm, and soft enough that
 const READ = 60; // [ms] at least between two readings
 const SPOKEN = 1500; // [ms] at least between two readings aloud
 
-const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, tool: null, sizes: {} };
+const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, waiting: null, tool: null, sizes: {} };
 const replaying = () => session.hello?.mode === "replay";
 const driver = () => Boolean(session.status.driver) && !replaying();
 const send = (message) => connection.send(message);
@@ -113,7 +113,12 @@ const answers = {
     if (driver() && !before && stage.organ) offerTool();
     showStatus();
   },
-  statistics: (message) => panel.statistics(message),
+  statistics(message) {
+    panel.statistics(message);
+    // A hidden page draws no pictures. Without a word of it the server takes it for gone.
+    if (session.next && session.next === session.waiting) send({ type: "ack", sequence: session.next.sequence });
+    session.waiting = session.next;
+  },
   error: ({ reason }) => notices.toast(reason, true),
   recorded: ({ file, frames }) => notices.toast(`${frames} frames recorded in ${file}`),
 };

@@ -15,6 +15,7 @@ from palpate.realtime import Realtime
 
 MASS, DAMPING, GROUND, CONTACT, TURN, FAULT, LABOUR, TRUSTED = range(8)
 STEPS = 8
+LEVER = 0.05  # [m]
 FAILS, NOT_FINITE, RAISES = 1, 2, 3
 
 
@@ -50,6 +51,14 @@ def advance(data, q, v, target, period, report):
     report[5] = labour
     if data[FAULT] == NOT_FINITE:
         q[0] = np.nan
+
+
+@njit(cache=True)
+def advance_late(data, q, v, target, period, report):
+    """The same body, whose trust is lost by the mass, which lags behind the tool and swings, and by turns."""
+    advance(data, q, v, target, period, report)
+    way = q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + (LEVER * q[6]) ** 2
+    report[1] = np.sqrt(way) / data[TRUSTED]
 
 
 @njit(cache=True)

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from pathlib import Path
 
-from mass_spring import advance, stiffness
+import numpy as np
+import pytest
+from mass_spring import advance, advance_late, mass_spring, stiffness
 from numba import njit
 
 from palpate.dynamics.compiled import law_njit
-from palpate.realtime.loop import _name, loop_of
+from palpate.realtime.engine import _settings
+from palpate.realtime.exchange import Slot, publish
+from palpate.realtime.loop import (
+    HELD,
+    LONGEST_TRAIL,
+    SETTLING,
+    Work,
+    _hold_tool,
+    _move_tool,
+    _name,
+    _write_row,
+    loop_of,
+)
+from palpate.realtime.pose import IDENTITY
 
 OTHER_PROCESS = """
 import sys
@@ -56,3 +72,86 @@ def test_functions_that_only_differ_in_what_they_close_over_are_not_mistaken_for
     assert named[0] != named[1]
     assert _name(advance) != _name(stiffness)
     assert _name(advance) is not None
+
+
+# a tool that is clamped where trust is lost
+
+REACH = 0.01  # [m]: where the tool stands when the mass, three quarters as far, reaches its limit
+
+
+def driven(poses, seconds, most_speed=2.0):
+    """Drive a tool that is clamped through poses, each for some seconds; return trust, place and hold of every period.
+
+    The loop's own functions without its clock, so that runs are equal on every machine.
+    """
+    body = mass_spring(damping=1.0, trusted=0.75 * REACH)
+    work, slot = Work.of(body.rest, body.tool), Slot.of(8)
+    settings, trust, place, held = _settings(1000.0, math.inf, 0, "clamp", most_speed, 10.0, 0.0), [], [], []
+    for pose, lasting in zip(poses, np.broadcast_to(seconds, len(poses)), strict=True):
+        publish(slot, np.append(pose, 0.0))
+        for _ in range(round(lasting / 1e-3)):
+            _move_tool(work, slot, settings)
+            advance_late(body.data, work.q, work.v, work.target, 1e-3, work.report)
+            assert _write_row(work, settings)
+            _hold_tool(work, 1e-3)
+            trust.append(work.report[1])
+            place.append(work.pose.copy())
+            held.append(bool(work.row[HELD]))
+    return np.array(trust), np.array(place), np.array(held), work
+
+
+def at(x, y, turn=0.0):
+    return np.array([x, y, 0.0, math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)])
+
+
+DEEP = at(0.03, 0.0)
+WAYS = {
+    "straight in": [DEEP],
+    "aside": [DEEP, at(0.0, 0.03)],
+    "aside and back": [DEEP, at(-0.01, 0.03)],
+    "around": [DEEP, at(0.0, 0.03), at(-0.03, 0.0), at(0.0, -0.03)],
+    "turned": [at(0.004, 0.0, 1.5), at(0.0, 0.0, -1.5)],
+    "turned and in": [at(0.03, 0.0, 0.1), at(0.0, 0.03, 1.5)],
+    "to and fro": [DEEP, at(-0.03, 0.0)] * 10,
+}
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.5, 5.0])
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize("early", [0.004, 0.03, 1.0])
+def test_a_tool_that_is_clamped_stays_so_on_every_way(way, speed, early):
+    """Whenever the hand turns aside, soon after trust is lost above all, while the body still swings."""
+    trust, _, held, _ = driven(way, [0.03 / speed + early] * (len(way) - 1) + [4.0], speed)
+    assert trust.max() > 1.0
+    assert held[-1]
+    assert (trust[-1000:] <= 1.0).all()
+
+
+def test_a_tool_that_comes_back_is_free():
+    trust, place, held, _ = driven([DEEP, at(0.004, 0.002)], 1.0)
+    assert held[999]
+    assert not held[-1]
+    np.testing.assert_array_equal(place[-1], at(0.004, 0.002))
+    assert (trust[-500:] <= 1.0).all()
+
+
+def test_trust_that_a_tool_loses_standing_still_draws_it_back_on_its_way():
+    """The mass swings beyond its limit while the tool has stood within its own for long."""
+    near = at(0.0, 0.96 * REACH)
+    trust, place, held, _ = driven([at(0.005, 0.0), near], [0.5, 3.0], 5.0)
+    lost = int(np.argmax(held))
+    assert trust[lost] > 1.0
+    np.testing.assert_array_equal(place[lost], near)
+    assert np.linalg.norm(place[lost + 1 : lost + round(1e3 * SETTLING)] - near, axis=1).max() == 0.0
+    assert (trust[-1000:] <= 1.0).all()
+
+
+def test_a_trail_keeps_its_first_pose_and_the_newest_ones():
+    poses = [at(1e-3 * math.sin(0.01 * k), 1e-3 * math.cos(0.01 * k)) for k in range(5 * LONGEST_TRAIL)]
+    *_, work = driven(poses, 1e-3, 5.0)
+    length = int(work.length[0])
+    assert LONGEST_TRAIL // 2 <= length <= LONGEST_TRAIL
+    np.testing.assert_array_equal(work.trail[0], IDENTITY)
+    np.testing.assert_array_equal(work.trail[length - 1], poses[-1])
+    ways = np.linalg.norm(np.diff(work.trail[1:length], axis=0), axis=1)
+    assert (ways > 0).all()

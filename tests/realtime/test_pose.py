@@ -84,8 +84,15 @@ def test_a_half_turn_is_followed(random):
         ((0, 0, 0), (1, 0, np.inf, 0), "finite"),
         ((0, 0, 0), (0, 0, 0, 0), "length 0"),
         ((0, 1.01, 0), (1, 0, 0, 0), "jumps by 1.01 m"),
-        ((0, 0), (1, 0, 0, 0), r"\(2,\)"),
-        ((0, 0, 0), (1, 0, 0), r"\(3,\)"),
+        ((0, 0), (1, 0, 0, 0), "position must be 3 real numbers"),
+        ((0, 0, 0), (1, 0, 0), "quaternion must be 4 real numbers"),
+        (("0", "0", "0"), (1, 0, 0, 0), "real numbers"),
+        ("abc", (1, 0, 0, 0), "real numbers, got 'abc'"),
+        ((0, 0, 1j), (1, 0, 0, 0), "real numbers"),
+        ((0, 0, 0), np.array([1, 0, 0, 0], dtype=complex), "real numbers"),
+        ((0, 0, None), (1, 0, 0, 0), "real numbers"),
+        ((0, 0, [0]), (1, 0, 0, 0), "real numbers"),
+        ((0, 0, 10**400), (1, 0, 0, 0), "real numbers"),
     ],
 )
 def test_a_bad_pose_is_refused(position, quaternion, said):

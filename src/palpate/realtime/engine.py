@@ -97,7 +97,9 @@ class Engine:
         What the black box keeps, up to 600 s.
     on_distrust : str
         What to do where the model says that it was not trained on the state: ``"warn"``: warn once, at a reading.
-        ``"clamp"``: hold the tool where the model was last trusted, until the pose comes back from beyond it.
+        ``"clamp"``: hold the tool where the model was last trusted, until trust is back and the pose comes back from
+        beyond it. Where trust does not return within 50 ms, hold it further back on the way by which it came, and so
+        on, at last where that way began: at rest, or where `place_tool` put the tool.
         ``"stop"``: pause; after `resume` go on until trust is lost anew.
     most_speed : float [m/s]
     most_turn : float [rad/s]
@@ -240,8 +242,8 @@ class Engine:
         Raises
         ------
         InputError
-            The pose is not finite, the quaternion has no length, or the position is more than a metre from the last
-            one; or the number is negative. The last pose is kept.
+            The pose is not of finite real numbers, the quaternion has no length, or the position is more than a metre
+            from the last one; or the number is negative. The last pose is kept.
         """
         sequence = integer_in_range("sequence", sequence, 0)
         with self._lock:
@@ -260,7 +262,7 @@ class Engine:
         Raises
         ------
         InputError
-            The pose is not finite, the quaternion has no length, or the number is negative.
+            The pose is not of finite real numbers, the quaternion has no length, or the number is negative.
         RuntimeError
             The engine runs; pause it.
         """
@@ -268,8 +270,7 @@ class Engine:
         with self._lock:
             if self._runner.state == RUNNING:
                 raise RuntimeError("the engine runs: pause() it before its tool is put elsewhere")
-            place = np.asarray(position, dtype=float)
-            pose = checked_pose(place, quaternion, np.concatenate([place, IDENTITY[3:]]))
+            pose = checked_pose(position, quaternion, None)
             self._work.place(pose)
             self._work.row[offset("sequence")] = sequence
             self._publish_pose(pose, sequence)

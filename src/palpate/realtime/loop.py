@@ -39,6 +39,9 @@ Floats = NDArray[np.float64]
 RUNNING, STOPPED, PAUSED, RAN_AWAY = range(4)  # what the loop is told to do, and why it ended
 WARN, CLAMP, STOP = range(3)  # what to do where the model was not trained
 LONGEST_SLEEP = 10_000_000  # [ns]: how long a command may wait
+LONGEST_TRAIL = 256  # poses
+STRIDE = 4  # the tool goes back by this part of its trail, and again, ...
+SETTLING = 0.05  # [s] ... where trust does not return in so long: vibrations are to die away first
 
 TIME, TAKEN, FAILED, ITERATIONS = (offset(name) for name in ("time", "steps", "failed", "iterations"))
 COMPUTING, LATENESS, TRUSTED, WORST_TRUST = (offset(n) for n in ("computing", "lateness", "trust", "worst_trust"))
@@ -94,16 +97,20 @@ class Work(NamedTuple):
         Coordinates and velocities.
     tool : (l, 12)
         See `Realtime`.
-    pose, wanted, trusted : (7,)
-        Where the tool is, where it is to go, and where the model was last trusted.
+    pose, wanted : (7,)
+        Where the tool is, and where it is to go.
+    trail, length : (LONGEST_TRAIL, 7), (1,)
+        Where the model was trusted, the newest pose last, and how many poses these are. The first is where the tool was
+        put; of a long way every second pose is kept, and of the oldest part ever fewer.
     fetched : (8,)
         What was read of a new pose, and its number.
-    target, outward, there : (l,)
-        Tool coordinates: of `pose`, from the last trusted ones to the first not trusted, and of another pose.
+    target, lost, before, there : (l,)
+        Tool coordinates: of `pose`, of the pose at which trust was lost and of the one before, and of another one.
     report, tangent : (8 + l,), (l, l)
     row : (WIDTH + 2 m,)
-    clock : (2,)
-        The body's time [ns], and by how much slower it goes than the clock on the wall: 1 or less.
+    clock : (3,)
+        The body's time [ns]; by how much slower it goes than the clock on the wall: 1 or less; and since when the tool
+        waits where it was trusted for trust to return [s].
     """
 
     q: Floats
@@ -111,10 +118,12 @@ class Work(NamedTuple):
     tool: Floats
     pose: Floats
     wanted: Floats
-    trusted: Floats
+    trail: Floats
+    length: NDArray[np.int64]
     fetched: Floats
     target: Floats
-    outward: Floats
+    lost: Floats
+    before: Floats
     there: Floats
     report: Floats
     tangent: Floats
@@ -125,23 +134,23 @@ class Work(NamedTuple):
     def of(cls, rest: Floats, tool: Floats) -> Work:
         """Make the state at rest."""
         m, tools = len(rest), len(tool)
-        poses = {name: np.zeros(len(IDENTITY)) for name in ("pose", "wanted", "trusted")}
-        coordinates = {name: np.zeros(tools) for name in ("target", "outward", "there")}
+        poses = {name: np.zeros(len(IDENTITY)) for name in ("pose", "wanted")}
+        poses["trail"] = np.zeros((LONGEST_TRAIL, len(IDENTITY)))
+        coordinates = {name: np.zeros(tools) for name in ("target", "lost", "before", "there")}
         report, tangent, row = np.zeros(FORCES + tools), np.zeros((tools, tools)), np.zeros(WIDTH + 2 * m)
-        clock = np.array([0.0, 1.0])
+        clock = np.array([0.0, 1.0, 0.0])
         work = cls(
-            np.zeros(m), np.zeros(m), tool, **poses, fetched=np.zeros(len(IDENTITY) + 1), **coordinates, report=report,
-            tangent=tangent, row=row, clock=clock,
+            np.zeros(m), np.zeros(m), tool, **poses, length=np.ones(1, dtype=np.int64),
+            fetched=np.zeros(len(IDENTITY) + 1), **coordinates, report=report, tangent=tangent, row=row, clock=clock,
         )  # fmt: skip
         work.reset(rest)
         return work
 
     def reset(self, rest: Floats) -> None:
         """Put body and tool at rest."""
-        for array in (self.v, self.target, self.outward, self.report, self.tangent, self.row):
+        for array in (self.v, self.target, self.lost, self.report, self.tangent, self.row):
             array[:] = 0.0
-        for pose in (self.pose, self.wanted, self.trusted):
-            pose[:] = IDENTITY
+        self._begin_at(IDENTITY)
         self.q[:] = rest
         self.clock[0] = 0.0
         self.row[POSE : POSE + 7] = IDENTITY
@@ -149,11 +158,15 @@ class Work(NamedTuple):
 
     def place(self, pose: Floats) -> None:
         """Put the tool somewhere at once, wherever it was."""
-        for own in (self.pose, self.wanted, self.trusted):
-            own[:] = pose
+        self._begin_at(pose)
         self.row[HELD] = 0.0
         self.row[POSE : POSE + 7] = pose
         self.row[FORCE : FORCE + 6] = 0.0
+
+    def _begin_at(self, pose: Floats) -> None:
+        for own in (self.pose, self.wanted, self.trail[0]):
+            own[:] = pose
+        self.length[0] = 1
 
 
 @njit(cache=True)
@@ -178,40 +191,77 @@ def _put(values, out, first):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
-    """Move the tool towards the newest pose, or back to where the model was last trusted while the pose is beyond."""
+    """Move the tool towards the newest pose; one that is held stays, or goes back, where the model was trusted."""
     if fetch(slot, work.fetched):  # else it is just being written, and the next period will read it
         _put(work.fetched[:7], work.wanted, 0)
         work.row[SEQUENCE] = work.fetched[7]
-    aim, row = work.wanted, work.row
-    if row[HELD]:
-        beyond = 0.0
-        tool_coordinates(work.tool, work.trusted, work.there)
-        for k in range(work.there.shape[0]):
-            beyond -= work.outward[k] * work.there[k]
-        tool_coordinates(work.tool, work.wanted, work.there)
-        for k in range(work.there.shape[0]):
-            beyond += work.outward[k] * work.there[k]
-        if beyond > 0.0:
-            aim = work.trusted
-        elif row[TRUSTED] <= 1.0:
-            row[HELD] = 0.0
+    aim = work.wanted
+    if work.row[HELD]:
+        if work.row[TRUSTED] > 1.0 or _is_beyond(work):
+            aim = work.trail[work.length[0] - 1]
+        else:
+            work.row[HELD] = 0.0
     slower = work.clock[1]
     follow(work.pose, aim, slower * settings.most_way, slower * settings.most_angle)
     tool_coordinates(work.tool, work.pose, work.target)
 
 
 @njit(cache=True)
-def _hold_tool(work):  # type: ignore[no-untyped-def]
-    """Remember where the model is trusted, or in which direction it ceased to be."""
-    if work.row[HELD]:
-        return
-    if work.row[TRUSTED] <= 1.0:
-        _put(work.pose, work.trusted, 0)
-        return
-    work.row[HELD] = 1.0
-    tool_coordinates(work.tool, work.trusted, work.there)
+def _is_beyond(work):  # type: ignore[no-untyped-def]
+    """Return whether the wanted pose lies on that side of the last trusted one on which trust was lost."""
+    tool_coordinates(work.tool, work.wanted, work.there)
+    beyond = 0.0
     for k in range(work.there.shape[0]):
-        work.outward[k] = work.target[k] - work.there[k]
+        beyond += (work.lost[k] - work.before[k]) * (work.there[k] - work.before[k])
+    return beyond > 0.0
+
+
+@njit(cache=True)
+def _hold_tool(work, seconds):  # type: ignore[no-untyped-def]
+    """After a period [s], remember where the model is trusted, or hold the tool there."""
+    if work.row[TRUSTED] > 1.0 and not work.row[HELD]:
+        work.row[HELD], work.clock[2] = 1.0, 0.0
+        _put(work.target, work.lost, 0)
+        tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.before)
+    elif work.row[TRUSTED] > 1.0:
+        _go_back(work, seconds)
+    elif work.row[HELD]:
+        work.clock[2] = 0.0
+    elif not _is_same(work.pose, work.trail[work.length[0] - 1]):
+        if work.length[0] == work.trail.shape[0]:
+            work.length[0] = _thin(work.trail)
+        _put(work.pose, work.trail[work.length[0]], 0)
+        work.length[0] += 1
+
+
+@njit(cache=True)
+def _go_back(work, seconds):  # type: ignore[no-untyped-def]
+    """Where the tool is held and trust does not return, hold it further back on its way."""
+    length = work.length[0]
+    if length > 1 and _is_same(work.pose, work.trail[length - 1]):
+        work.clock[2] += seconds
+        if work.clock[2] >= SETTLING:
+            work.clock[2] = 0.0
+            work.length[0] = length - max(1, length // STRIDE)
+            if _is_same(work.lost, work.before):  # trust was lost by a tool that stood still
+                tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.before)
+
+
+@njit(cache=True)
+def _is_same(numbers, others):  # type: ignore[no-untyped-def]
+    different = 0
+    for i in range(numbers.shape[0]):
+        different += numbers[i] != others[i]
+    return different == 0
+
+
+@njit(cache=True)
+def _thin(trail):  # type: ignore[no-untyped-def]
+    """Keep every second pose, the first of all among them; return how many these are."""
+    kept = (trail.shape[0] + 1) // 2
+    for k in range(1, kept):
+        _put(trail[2 * k], trail[k], 0)
+    return kept
 
 
 @njit(cache=True)
@@ -315,7 +365,7 @@ def loop_of(advance: Any, stiffness: Any) -> Any:
                 stiffness(data, work.q, work.tangent)
                 _write_stiffness(work)
             if settings.on_distrust == CLAMP:
-                _hold_tool(work)
+                _hold_tool(work, 1e-9 * period * work.clock[1])
             row[COMPUTING], row[LATENESS] = 1e-9 * (computing_time() - computed), 1e-9 * (began - deadline)
             ended = now()
             if fine:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from palpate.faults import InputError
+from palpate.files import shortened
 
 __all__ = ["FARTHEST", "IDENTITY", "checked_pose", "follow", "tool_coordinates", "wrench"]
 
@@ -18,23 +20,22 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 FARTHEST = 1.0  # [m], between one pose and the next: more is a device that lost its place
 
 
-def checked_pose(position: Floats | Sequence[float], quaternion: Floats | Sequence[float], last: Floats) -> Floats:
+def checked_pose(
+    position: Floats | Sequence[float], quaternion: Floats | Sequence[float], last: Floats | None
+) -> Floats:
     """Return a pose (7,), the quaternion made a unit one.
 
     Raises
     ------
     InputError
-        A number is not finite, the quaternion has no length, or the position is more than `FARTHEST` from the last one.
+        An entry is not a finite real number, the quaternion has no length, or the position is more than `FARTHEST` from
+        the last one, if there is one.
     """
-    place, turn = np.asarray(position, dtype=float), np.asarray(quaternion, dtype=float)
-    if place.shape != (3,) or turn.shape != (4,):
-        raise InputError(f"a pose is a position (3,) and a quaternion (4,), not {place.shape} and {turn.shape}")
-    if not (np.isfinite(place).all() and np.isfinite(turn).all()):
-        raise InputError(f"a pose must be finite, not {place} m, {turn}; the last pose is kept")
+    place, turn = _numbers("position", position, 3), _numbers("quaternion", quaternion, 4)
     length = float(np.abs(turn).max())
     if length == 0:
         raise InputError("a quaternion of length 0 is no rotation; (1, 0, 0, 0) turns nothing; the last pose is kept")
-    jump = float(np.linalg.norm(place - last[:3]))
+    jump = 0.0 if last is None else float(np.linalg.norm(place - last[:3]))
     if jump > FARTHEST:
         raise InputError(
             f"the pose jumps by {jump:.3g} m at once: allowed is {FARTHEST:g} m; the last pose is kept. "
@@ -42,6 +43,20 @@ def checked_pose(position: Floats | Sequence[float], quaternion: Floats | Sequen
         )
     turn = turn / length  # first by the largest, lest squares overflow
     return np.concatenate([place, turn / np.linalg.norm(turn)])
+
+
+def _numbers(name: str, given: Any, count: int) -> Floats:
+    """Return finite real numbers (count,)."""
+    try:
+        found = np.asarray(given)
+    except ValueError:  # lists of several lengths
+        found = np.array(None)
+    if found.shape != (count,) or found.dtype.kind not in "fiu":
+        raise InputError(f"{name} must be {count} real numbers, got {shortened(repr(given))}; the last pose is kept")
+    numbers = found.astype(float)
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{name} must be finite, got {numbers}; the last pose is kept")
+    return numbers
 
 
 @njit(cache=True)

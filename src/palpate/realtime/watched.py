@@ -16,6 +16,9 @@ Tissue whose moduli are all s times what they were, of the same density, moves a
 sqrt(s) times as fast, with s times its forces and energies: M q'' = s f(q) in t is M q'' = f(q) in sqrt(s) t. That is
 exact for every law without times of its own; the viscosity follows, so that vibrations are damped as before, each in
 its own period.
+
+A jump of s makes energy of strain out of nothing, and jumps in step with a vibration make ever more of it. So s glides:
+a change that is slow beside vibrations gives back what it took.
 """
 
 from __future__ import annotations
@@ -38,7 +41,8 @@ __all__ = ["Seen", "WatchedModel", "watched"]
 Floats = NDArray[np.float64]
 
 MOST = 4096  # touched nodes that are told
-HAND, PLACE, COUNT, HEAD = 0, 3, 6, 7  # where force on the hand, tool's place, touched nodes and coordinates stand
+HAND, PLACE, COUNT, FIRM, HEAD = 0, 3, 6, 7, 8  # where hand's force, tool's place, touched nodes, s and coordinates are
+GLIDE = 5.0  # [1/s]: the most that the logarithm of s changes by in a second of the body
 STIFFNESS, DAMPING, MASS = range(3)
 TOOL_MASS = 0.05  # [kg] of a coupled tool
 
@@ -60,7 +64,7 @@ class Hung(NamedTuple):
     target : (l,) array
     tangent : (l, l) array
     firmness : (2,) array
-        s, and what velocities are still to be multiplied by since s was changed.
+        s, and what it glides to.
     """
 
     inner: Any
@@ -87,6 +91,8 @@ class Seen(NamedTuple):
         Displacement of the tool, which is not the hand's where a spring is between them.
     hand : (3,) array [N]
         Force on the hand.
+    firmness : float
+        Moduli over the model's own.
     """
 
     coordinates: Floats
@@ -94,6 +100,7 @@ class Seen(NamedTuple):
     forces: Floats
     place: Floats
     hand: Floats
+    firmness: float
 
 
 class WatchedModel(NamedTuple):
@@ -111,7 +118,7 @@ class WatchedModel(NamedTuple):
         touched = numbers[HEAD + count :].reshape(-1, 4)[: int(numbers[COUNT])]
         return Seen(
             numbers[HEAD : HEAD + count], touched[:, 0].astype(np.int64), touched[:, 1:],
-            numbers[PLACE : PLACE + 3], numbers[HAND : HAND + 3],
+            numbers[PLACE : PLACE + 3], numbers[HAND : HAND + 3], float(numbers[FIRM]),
         )  # fmt: skip
 
     def put(self, coordinates: Floats, place: Floats) -> None:
@@ -120,20 +127,21 @@ class WatchedModel(NamedTuple):
         for array in (data.speed, data.push, data.numbers):
             array[:] = 0.0
         data.place[:], data.hand[:] = place, place
+        data.numbers[FIRM] = data.firmness[0]
         data.numbers[PLACE : PLACE + 3], data.numbers[HEAD : HEAD + len(self.rest)] = place, coordinates
         publish(data.slot, data.numbers)
 
     def stiffen(self, factor: float) -> None:
-        """Make all moduli a multiple of the model's, from 0.1 to 10, at its density. While the engine does not run.
+        """Let all moduli glide to a multiple of the model's, from 0.1 to 10, at its density.
+
+        They change by no more than a factor of e in 0.2 s of the body. While the engine does not run.
 
         Raises
         ------
         InputError
             The factor is out of range.
         """
-        factor = number_in_range("factor", factor, 0.1, 10.0)
-        before = self.data.firmness[0]
-        self.data.firmness[:] = factor, self.data.firmness[1] * np.sqrt(before / factor)
+        self.data.firmness[1] = number_in_range("factor", factor, 0.1, 10.0)
 
     def couple(self, stiffness: float | None) -> None:
         """Hang the tool on a spring [N/m], critically damped; None holds it firmly. While the engine does not run.
@@ -193,11 +201,12 @@ def _functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         hung = data.spring[STIFFNESS] > 0.0
         if hung:
             hang(data, period)
-        firm = data.firmness[0]
-        if data.firmness[1] != 1.0:
+        before, most = data.firmness[0], np.exp(GLIDE * period)
+        firm = min(max(data.firmness[1], before / most), before * most)
+        if firm != before:
             for m in range(v.shape[0]):
-                v[m] *= data.firmness[1]
-            data.firmness[1] = 1.0
+                v[m] *= np.sqrt(before / firm)
+            data.firmness[0] = firm
         inner_advance(data.inner, q, v, data.target, period * np.sqrt(firm), report)
         if report[STATUS] != 0.0:
             return
@@ -215,7 +224,7 @@ def _functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
             numbers[HEAD + m] = q[m]
         at = HEAD + q.shape[0]
         count = min(touch.numbers[0], (numbers.shape[0] - at) // 4)
-        numbers[COUNT] = count
+        numbers[COUNT], numbers[FIRM] = count, firm
         for e in range(count):
             numbers[at] = touch.node[e]
             for i in range(3):

@@ -148,7 +148,8 @@ class Site:
         self.loop.close()
 
     def close(self):
-        self.loop.call_soon_threadsafe(self.task.cancel)
+        if self.thread.is_alive():
+            self.loop.call_soon_threadsafe(self.task.cancel)
         self.thread.join(SECONDS)
 
     @contextlib.asynccontextmanager

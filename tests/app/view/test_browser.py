@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from time import sleep
+from time import monotonic, sleep
 
 import numpy as np
 import pytest
@@ -253,3 +253,17 @@ def test_a_replay_has_a_line_of_time_and_no_tools(browser):
         assert {"type": "replay", "action": "seek", "time": 2.5} in replay.received
         assert not tab.errors
         tab.close()
+
+
+def test_a_page_that_draws_no_pictures_still_says_that_it_is_there(opened, synthetic):
+    tab = opened()
+    tab.evaluate("window.requestAnimationFrame = () => 0")  # what a browser does with a tab that is hidden
+    sleep(1.0)
+    before = synthetic.sequence
+    end = monotonic() + 20
+    while synthetic.sequence < before + 4:  # each of them needs that one before is acknowledged
+        assert monotonic() < end, "the page is silent"
+        sleep(0.1)
+    drawn = tab.evaluate("palpate.session.state.sequence")
+    sleep(1.2)
+    assert tab.evaluate("palpate.session.state.sequence") == drawn

@@ -25,17 +25,29 @@ def test_quaternions_become_unit_ones():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "not JSON"),
-        ("{", "not JSON"),
-        ("[" * 5000, "not JSON"),
+        ("", "not valid JSON"),
+        ("{", "not valid JSON"),
+        ("[" * 30_000, "32 nested levels"),
+        ('{"type": "latency", "stamp": ' + "[" * 40 + "]" * 40 + "}", "32 nested levels"),
+        ('{"type": "release", "type": "release"}', "same key twice"),
+        ('{"type": "latency", "stamp": 1e999}', "not finite"),
+        ('{"type": "latency", "stamp": ' + "9" * 5000 + "}", "not valid JSON"),
+        ('{"type": "latency", "stamp": [1]}', "allowed is a finite number, a text"),
+        ('{"type": "latency", "stamp": true}', "allowed is a finite number, a text"),
+        (json.dumps({"type": "latency", "stamp": "x" * 201}), "at most 200"),
+        ('{"type": "hello", "protocol": 1, "token": "\\ud800"}', "surrogate"),
+        ('{"type": "force", "rate": 1e-300}', "from 1 to 1000"),
+        ('{"type": "force", "rate": 0.01}', "from 1 to 1000"),
+        ('{"type": "force", "rate": 1001}', "from 1 to 1000"),
+        ('{"type": "force", "rate": false}', "from 1 to 1000"),
         ("[]", "JSON object"),
         ("{}", "type = None"),
         ('{"type": ["pose"]}', "type = "),
         ('{"type": "fly"}', "type = 'fly': allowed are hello, ack"),
         ('{"type": "pose"}', "position is missing"),
         ('{"type": "pose", "position": [0, 0]}', "list of 3"),
-        ('{"type": "pose", "position": [0, 0, NaN]}', "NaN is no number"),
-        ('{"type": "pose", "position": [0, 0, 1e400]}', "from -10 to 10"),
+        ('{"type": "pose", "position": [0, 0, NaN]}', "NaN is not a number"),
+        ('{"type": "pose", "position": [0, 0, 1e400]}', "not finite"),
         ('{"type": "pose", "position": [0, 0, true]}', "from -10 to 10"),
         ('{"type": "pose", "position": [0, 0, "1"]}', "from -10 to 10"),
         ('{"type": "pose", "position": [0, 0, 0], "quaternion": [0, 0, 0, 0]}', "length 0"),
@@ -52,3 +64,19 @@ def test_quaternions_become_unit_ones():
 def test_others_are_refused(text, said):
     with pytest.raises(pt.InputError, match=said):
         parsed(text)
+
+
+@pytest.mark.parametrize("stamp", [None, 0, -1.5, 2**53, "text"])
+def test_a_stamp_comes_back_as_it_is(stamp):
+    assert parsed(json.dumps({"type": "latency", "stamp": stamp})) == {"type": "latency", "stamp": stamp}
+
+
+def test_rates_are_none_or_from_one_to_a_thousand():
+    assert [parsed(json.dumps({"type": "force", "rate": rate}))["rate"] for rate in (0, 1, 1000)] == [0.0, 1.0, 1000.0]
+
+
+def test_what_is_refused_is_shown_without_what_cannot_be_printed():
+    with pytest.raises(pt.InputError) as refused:
+        parsed(json.dumps({"type": "\U0001f9e0" * 1000}))
+    assert len(str(refused.value)) < 400
+    str(refused.value).encode()

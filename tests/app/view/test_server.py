@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import http.client
 import json
+import time
 
 import numpy as np
 import pytest
@@ -381,3 +382,239 @@ def test_what_cannot_be_is_refused_and_the_session_goes_on(site, ball):
             await client.hear_until(lambda c: len(c.states) > 2)
 
     asyncio.run(visit())
+
+
+# who harms
+
+
+async def closing(client):
+    """Hear until the connection is closed, and return why."""
+    with pytest.raises(ConnectionClosed) as closed:
+        await client.hear_until(lambda c: False)
+    return closed.value.rcvd.code, closed.value.rcvd.reason
+
+
+@pytest.mark.parametrize(
+    ("hello", "code"),
+    [
+        ('{"type": "hello", "protocol": 1, "token": "\\ud800"}', 4401),
+        (json.dumps({"type": "\U0001f9e0" * 60}), 4401),
+        ('{"type": "hello", "protocol": 1, "protocol": 1, "token": "x"}', 4401),
+        ("[" * 30_000, 4401),
+        ("", 4401),
+        (b"", 4401),
+        (b"\x00" * 99, 4401),
+        (json.dumps({"type": "hello", "protocol": 2, "token": "a-token-of-tests"}), 4400),
+        (json.dumps({"type": "drive"}), 4401),
+        (" " * (64 * 1024 + 1), 1009),
+    ],
+)
+def test_what_is_no_hello_is_turned_away_with_a_reason(site, hello, code, caplog):
+    from websockets.asyncio.client import connect
+
+    async def visit():
+        async with connect(f"ws://{LOOPBACK}:{site.port}/session", subprotocols=["palpate.v1"]) as socket:
+            await socket.send(hello)
+            with pytest.raises(ConnectionClosed) as closed:
+                await socket.recv()
+            return closed.value.rcvd
+
+    told = asyncio.run(visit())
+    assert told.code == code
+    assert len(told.reason.encode()) <= 123
+    assert told.reason
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ('{"type": "latency", "stamp": 1e999}', "not finite"),
+        (json.dumps({"type": "\U0001f9e0" * 60}), "allowed are hello"),
+        ('{"type": "latency", "stamp": ' + "[" * 50 + "]" * 50 + "}", "nested"),
+        ('{"type": "ack", "sequence": 1, "sequence": 1}', "twice"),
+        ("", "not valid JSON"),
+        (b"", "binary"),
+        (["{", '"type"', ": 1}"], "allowed are hello"),  # in fragments
+    ],
+)
+def test_what_is_not_understood_is_answered(site, message, said, caplog):
+    async def visit():
+        async with site.client() as client:
+            await client.socket.send(message)
+            reason = (await client.told("error"))["reason"]
+            await client.told("statistics")
+            return reason
+
+    assert said in asyncio.run(visit())
+    assert not caplog.records
+
+
+def test_text_that_is_none_ends_the_connection(site, caplog):
+    async def visit():
+        async with site.client() as client:
+            await client.socket.send(b"\xff\xfe", text=True)
+            return (await closing(client))[0]
+
+    assert asyncio.run(visit()) == 1007
+    assert not caplog.records
+
+
+def test_a_rate_is_changed_at_once(site):
+    async def visit():
+        async with site.client() as client:
+            await client.say(type="force", rate=1)
+            await client.hear_until(lambda c: len(c.forces) == 1)
+            began = time.monotonic()
+            await client.say(type="force", rate=500)
+            await client.hear_until(lambda c: len(c.forces) > 20)
+            took = time.monotonic() - began
+            await client.say(type="force", rate=0)
+            await client.say(type="latency")
+            await client.told("latency")
+            count = len(client.forces)
+            client.messages.clear()
+            await client.told("statistics")
+            await client.hear()
+            return took, count, len(client.forces)
+
+    took, before, after = asyncio.run(visit())
+    assert took < 0.9  # the next frame of the slow rate was due after a second
+    assert after == before
+
+
+def test_who_does_not_read_is_cut_off_and_delays_nobody(site, monkeypatch, until):
+    monkeypatch.setattr("palpate.app.view.viewer.LATE", 0.3)
+    monkeypatch.setattr("palpate.app.view.connection.PARTING", 0.1)
+
+    async def visit():
+        async with site.client(draws=False) as stuck, site.client() as other:
+            await other.told("status", viewers=2)
+            transport = stuck.socket.transport
+            transport.pause_reading()
+            viewer = next(v for v in site.server.viewers if v.socket.remote_address == stuck.socket.local_address)
+            site.loop.call_soon_threadsafe(viewer.socket.transport.write, bytes(2**25))  # more than systems hold
+            site.loop.call_soon_threadsafe(setattr, site.server, "_most_waiting", 2**30)
+            silences, heard = [], time.monotonic()
+            while len(site.server.viewers) > 1:
+                other.messages.clear()
+                await other.told("statistics")
+                silences.append(time.monotonic() - heard)
+                heard = time.monotonic()
+                assert len(silences) < 40
+            transport.abort()
+            return silences
+
+    # 33 MB may wait for 33 s: as long as they are read at 1 MB/s; cut short here
+    monkeypatch.setattr("palpate.app.view.viewer.SLOWEST", 1e9)
+    assert max(asyncio.run(visit())) < 2.0
+
+
+def test_bytes_that_wait_are_bounded(site, until):
+    async def visit():
+        async with site.client(draws=False) as stuck:
+            stuck.socket.transport.pause_reading()
+            viewer = site.server.viewers[0]
+            site.loop.call_soon_threadsafe(viewer.socket.transport.write, bytes(2**25))
+            await asyncio.to_thread(until, lambda: not site.server.viewers)
+            stuck.socket.transport.abort()
+
+    asyncio.run(visit())
+
+
+def test_who_neither_draws_nor_speaks_is_left_behind(site, monkeypatch):
+    monkeypatch.setattr("palpate.app.view.viewer.UNSEEN", 0.5)
+
+    async def visit():
+        async with site.client(draws=False) as blind, site.client(draws=False) as feels, site.client() as draws:
+            await feels.say(type="force", rate=10)
+            listening = [asyncio.ensure_future(each.hear_until(lambda c: False)) for each in (feels, draws)]
+            told = await closing(blind)
+            await asyncio.sleep(1.0)
+            left = [each.done() for each in listening]
+            for each in listening:
+                each.cancel()
+            await asyncio.wait(listening)
+            return told, left
+
+    told, left = asyncio.run(visit())
+    assert told == (4408, "frames are not acknowledged")
+    assert left == [False, False]
+
+
+def test_an_error_of_the_show_ends_one_connection_and_is_said_once(site, session, monkeypatch, caplog):
+    async def visit():
+        async with site.client() as first:
+            monkeypatch.setattr(session, "hello", lambda: {}["gone"])
+            for _ in range(2):
+                async with site.client(greet=False) as second:
+                    assert (await closing(second))[0] == 1011
+            first.messages.clear()
+            await first.told("statistics")
+            monkeypatch.setattr(session, "status", lambda: {}["lost"])
+            await asyncio.sleep(0.3)
+            monkeypatch.undo()
+            first.messages.clear()
+            await first.told("statistics")
+            monkeypatch.setattr(session, "handle", lambda message: 1 / 0)
+            await first.say(type="release")
+            assert (await closing(first))[0] == 1011
+        monkeypatch.undo()
+        async with site.client() as third:
+            return third.messages[0]["viewers"]
+
+    assert asyncio.run(visit()) == 1
+    said = [record.getMessage() for record in caplog.records]
+    assert said == [
+        "a viewer's connection failed: KeyError: 'gone'; the server goes on",
+        "what is shown failed: KeyError: 'lost'; the server goes on",
+        "a viewer's connection failed: ZeroDivisionError: division by zero; the server goes on",
+    ]
+    assert all(record.exc_info is None for record in caplog.records)
+
+
+def test_a_state_that_ran_away_is_shown_and_reset(site, session, until):
+    async def visit():
+        async with site.client() as client:
+            await client.told("statistics")
+            session.engine.pause()
+            session.engine._runner.state = 3
+        until(lambda: not site.server.viewers)
+        async with site.client() as client:
+            await client.told("status", state="ran away")
+            await client.say(type="control", action="reset")
+            await client.told("status", state="running")
+
+    asyncio.run(visit())
+
+
+def test_there_is_room_for_so_many_connections(site, monkeypatch, until):
+    import socket
+
+    monkeypatch.setattr("palpate.app.view.connection.MOST_CONNECTIONS", 8)
+    opened = [socket.create_connection((LOOPBACK, site.port), 5) for _ in range(20)]
+    until(lambda: len(site.server._connections) == 8)
+    for each in opened:
+        each.close()
+    until(lambda: not site.server._connections)
+    assert get(site, "/")[0] in (200, 503)
+
+
+def test_a_server_ends_although_a_client_does_not_read(session, site_of):
+    own = site_of(session)
+
+    async def visit():
+        async with own.client(draws=False) as stuck:
+            stuck.socket.transport.pause_reading()
+            viewer = own.server.viewers[0]
+            own.loop.call_soon_threadsafe(setattr, own.server, "_most_waiting", 2**30)
+            own.loop.call_soon_threadsafe(viewer.socket.transport.write, bytes(2**25))
+            await asyncio.sleep(0.1)
+            began = time.monotonic()
+            await asyncio.to_thread(own.close)
+            took = time.monotonic() - began
+            stuck.socket.transport.abort()
+            return took
+
+    assert asyncio.run(visit()) < 10.0
+    assert not own.thread.is_alive()

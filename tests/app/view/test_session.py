@@ -13,6 +13,7 @@ from view_scenes import BALL, MIDDLE, SIZE
 
 import palpate as pt
 from palpate.app.view.messages import checked
+from palpate.app.view.recording import load_recording
 from palpate.app.view.session import Session
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
@@ -169,6 +170,22 @@ def test_twice_the_moduli_are_twice_the_force_at_the_same_depth(pressed, until):
         pressed.handle(checked({"type": "material", "name": "shear modulus", "value": 100.0}))
 
 
+def test_moduli_that_change_to_and_fro_make_no_motion(session, until):
+    """In step with the body's vibrations, jumps would: this body ran away in half a second."""
+    session.handle(checked({"type": "tool", "kind": "grasp", "radius": 0.008, "position": MIDDLE.tolist()}))
+    session.handle(pose(MIDDLE + np.array([-0.0151, -0.0120, 0.0057])))
+    for k in range(60):
+        session.handle(checked({"type": "material", "name": "shear modulus", "value": (1.0, 16.0)[k % 2]}))
+        begun = session.snapshot().steps
+        until(lambda begun=begun: session.snapshot().steps >= begun + 15)
+    moment = session.snapshot()
+    assert moment.state == "running"
+    assert moment.kinetic < 0.01 * moment.strain
+    assert 0.25 <= moment.firmness <= 4.0
+    session.handle(checked({"type": "material", "name": "shear modulus", "value": 16.0}))
+    until(lambda: session.snapshot().firmness == 4.0)
+
+
 def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, until):
     session.handle(checked({**ball, "stiffness": 200.0}))
     session.handle(pose(PRESSED))
@@ -194,3 +211,40 @@ def test_a_model_without_tools_is_refused(model):
     bare = pt.ReducedModel(replace(model.parts, dents=None))
     with pytest.raises(pt.InputError, match="the engine moves one tool"):
         Session(bare, "Bare")
+
+
+def test_recordings_of_one_second_have_names_of_their_own(session, tmp_path, monkeypatch, until):
+    monkeypatch.setattr("palpate.app.view.session.time.strftime", lambda form: "recording-now")
+    session.folder = tmp_path / "recordings"
+    for _ in range(3):
+        session.record()
+        until(lambda: len(session._recorder.times) > 1)
+        session.finish_recording()
+    session.record()
+    until(lambda: len(session._recorder.times) > 1)
+    session.close()  # ends the one that goes on, and returns when all are written
+    names = ["recording-now", "recording-now-2", "recording-now-3", "recording-now-4"]
+    assert sorted(path.stem for path in session.folder.glob("*.h5")) == names
+    assert sorted(path.stem for path in session.folder.glob("*.vtkhdf")) == names
+    assert sorted(news["file"] for news in session.news) == sorted(str(session.folder / f"{n}.h5") for n in names)
+    assert all(load_recording(path).moments for path in session.folder.glob("*.h5"))
+
+
+def test_a_recording_that_cannot_be_written_leaves_nothing_behind(session, tmp_path, monkeypatch, until):
+    def full(path, recording):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("palpate.app.view.session.save_recording", full)
+    session.folder = tmp_path
+    session.record()
+    session.finish_recording(wait=True)
+    assert session.news == [{"type": "error", "reason": "the recording is lost: no space left"}]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_goes_where_it_was_to_go_whoever_ends_it(session, tmp_path, until):
+    session.record(tmp_path / "all.h5")
+    until(lambda: len(session._recorder.times) > 1)
+    session.handle(checked({"type": "record", "action": "stop"}))
+    session.close()
+    assert session.news[0]["file"] == str(tmp_path / "all.h5")

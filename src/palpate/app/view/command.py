@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +14,7 @@ from palpate.app.console import Console, print_json, print_plain, quantities_tab
 from palpate.app.view.address import LOOPBACK, listening
 from palpate.app.view.messages import Message
 from palpate.app.view.opening import opened
+from palpate.app.view.recording import FORMAT
 from palpate.app.view.script import read_script, run_script
 from palpate.app.view.session import Session
 from palpate.app.view.stand import PORT, serve_show
@@ -47,7 +51,7 @@ def view(
     browser : bool
         Whether to open a browser.
     record : path, optional
-        Record all, and write it here in the end.
+        Record all, and write it here in the end: when the session is stopped, or told to end by SIGTERM or SIGHUP.
     headless : bool
         Serve nothing: let a script drive the session for some seconds, and print how the rate was kept.
     seconds : float, optional [s]
@@ -68,12 +72,16 @@ def view(
         An option out of range; nothing to show.
     OSError
         The recording cannot be written.
+    SystemExit
+        The program was told to end by SIGTERM or SIGHUP; its status is 128 and the signal's number.
     """
     console, script_of = Console(), _checked(headless, seconds, script)
     port = integer_in_range("port", port, 1, 65535)
     if script_of is None:
         listening(host, port).close()  # an address that cannot be is refused before a model is trained
-    with _session(what, record, console) as session:
+    if record is not None:
+        _check_record(record, what)
+    with _ended_in_order(), _session(what, record, console) as session:
         if script_of is None:
             serve_show(session, console, port, host, browser)
             return 0
@@ -85,21 +93,66 @@ def view(
 @contextlib.contextmanager
 def _session(what: str, record: Path | None, console: Console) -> Iterator[Session]:
     """Yield a session that runs; stop it in the end, and write what was recorded."""
-    if record is not None:
-        check_folder(record.parent, "record")
     model, title = opened(what, console)
     with console.status("making the engine ready (the first run on a machine compiles it: some minutes)"):
         session = Session(model, title)
     session.start()
     if record is not None:
-        session.record()
+        session.record(record)
     try:
         yield session
     finally:
-        session.stop()
-        if record is not None:
-            session.finish_recording(record, wait=True)
+        session.close()
+        with contextlib.suppress(OSError):  # of a terminal that was closed
             _say_news(session, console)
+
+
+@contextlib.contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the program in order, so that recordings are written; further ones are ignored."""
+    own = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    own = [each for each in own if signal.getsignal(each) is signal.SIG_DFL]  # nohup ignores one of them
+    if threading.current_thread() is not threading.main_thread():
+        own = []
+
+    def end(number: int, frame: object) -> None:
+        for each in own:
+            signal.signal(each, signal.SIG_IGN)
+        raise SystemExit(128 + number)
+
+    for each in own:
+        signal.signal(each, end)
+    try:
+        yield
+    finally:
+        for each in own:
+            signal.signal(each, signal.SIG_DFL)
+
+
+def _check_record(path: Path, what: str) -> None:
+    """Refuse a name for a recording, or for the file for ParaView beside it, that would cost another file."""
+    check_folder(path.parent, "record")
+    if path.suffix != ".h5":
+        raise InputError(f"record must end in .h5, got {str(path)!r}; the file for ParaView beside it ends in .vtkhdf")
+    recorded = path.is_file() and _is_recording(path)
+    for each in (path, path.with_suffix(".vtkhdf")):
+        if each.exists() and Path(what).exists() and os.path.samefile(each, what):
+            raise InputError(f"record must be another file than the one that is shown, got {str(path)!r}")
+        if each.exists() and not recorded:
+            raise InputError(
+                f"record must be a new file or an earlier recording, got {str(path)!r}: {each.name} exists and is none"
+                "; choose another name"
+            )
+
+
+def _is_recording(path: Path) -> bool:
+    import h5py
+
+    try:
+        with h5py.File(path) as file:
+            return bool(file.attrs.get("format") == FORMAT)
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError):
+        return False
 
 
 def _checked(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from typing import Any
 
 from palpate.faults import InputError
+from palpate.files import json_of, shortened
 
 __all__ = ["LONGEST", "PROTOCOL", "Message", "checked", "parsed"]
 
@@ -15,6 +15,7 @@ PROTOCOL = 1
 LONGEST = 64 * 1024  # bytes of a message
 FARTHEST = 10.0  # [m] from the origin: what is farther is a client that lost its place
 LONGEST_TEXT = 200
+SLOWEST_RATE, FASTEST_RATE = 1.0, 1000.0  # [Hz] of force frames
 
 Message = dict[str, Any]
 Check = Callable[[str, Any], Any]
@@ -74,13 +75,22 @@ def _or_none(check: Check) -> Check:
     return lambda name, value: None if value is None else check(name, value)
 
 
-def _anything(name: str, value: Any) -> Any:
+def _rate(name: str, value: Any) -> float:
+    if value == 0 and not isinstance(value, bool):
+        return 0.0
+    return float(number(SLOWEST_RATE, FASTEST_RATE)(f"{name} (0 for none)", value))
+
+
+def _stamp(name: str, value: Any) -> Any:
+    good = value is None or (isinstance(value, str) and len(value) <= LONGEST_TEXT)
+    if not good and (isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)):
+        allowed = f"a finite number, a text of at most {LONGEST_TEXT} characters, or null"
+        raise InputError(f"{name} = {_short(value)}: allowed is {allowed}")
     return value
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return shortened(repr(value))
 
 
 # of every type of message: names, checks, and what is taken where a name is missing; without it the name is needed
@@ -110,8 +120,8 @@ FIELDS: dict[str, dict[str, tuple[Check, Any]]] = {
     "material": {"name": (_text, NEEDED), "value": (number(0.0, 1e12, open_low=True), NEEDED)},
     "record": {"action": (_one_of("start", "stop"), NEEDED)},
     "replay": {"action": (_one_of("play", "pause", "seek"), NEEDED), "time": (number(0.0, 1e6), 0.0)},
-    "force": {"rate": (number(0.0, 1000.0), NEEDED)},
-    "latency": {"stamp": (_anything, None)},
+    "force": {"rate": (_rate, NEEDED)},
+    "latency": {"stamp": (_stamp, None)},
 }  # fmt: skip
 
 
@@ -121,15 +131,12 @@ def parsed(text: str | bytes) -> Message:
     Raises
     ------
     InputError
-        It is no JSON object, its type is unknown, or a value is missing or out of range.
+        It is no JSON object of finite numbers and at most 32 levels, its type is unknown, or a value is missing or out
+        of range.
     """
     if isinstance(text, bytes):
         raise InputError("binary messages are not understood: send JSON as text")
-    try:
-        given = json.loads(text, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON: {_short(str(error))}") from None
-    return checked(given)
+    return checked(json_of(text))
 
 
 def checked(given: Any) -> Message:
@@ -148,7 +155,3 @@ def checked(given: Any) -> Message:
         else:
             message[name] = list(missing) if isinstance(missing, tuple) else missing
     return message
-
-
-def _refuse_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number")

@@ -5,10 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hmac
+import json
+import logging
 import socket
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
@@ -16,76 +19,30 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from palpate.app.view import frames
+from palpate.app.view.connection import Counted, part, quiet, waiting_bytes
 from palpate.app.view.messages import LONGEST, PROTOCOL, Message, parsed
 from palpate.app.view.page import Page
-from palpate.app.view.snapshot import Snapshot
-from palpate.app.view.viewer import Viewer
+from palpate.app.view.streams import Show, Streams
+from palpate.app.view.viewer import LEFT_BEHIND, Viewer
 from palpate.faults import InputError
-from palpate.reduction.surface import Surface
+from palpate.files import shortened
 
 __all__ = ["SUBPROTOCOL", "Server", "Show"]
 
 SUBPROTOCOL = Subprotocol("palpate.v1")
-WRONG_TOKEN, TOO_MANY_MISTAKES, FULL = 4401, 4400, 4429
+WRONG_TOKEN, TOO_MANY_MISTAKES, FULL = 4401, 4400, 4429  # closing codes; LEFT_BEHIND is another
+GOING_AWAY, FAULT = 1001, 1011
 PATIENCE = 5.0  # [s] for the first message
+PING, PONG, CLOSING = 5.0, 10.0, 2.0  # [s] between pings, until they must be answered, for the closing handshake
 SILENT = 10.0  # [s] after which another viewer may drive
-FASTEST = 1 / 60  # [s] between two frames of a viewer
-SHORT = 0.01  # [s]
-IDLE = 0.01  # [s] between two looks whether anything has changed
 TICK, TOLD = 0.1, 0.5  # [s] between looks at the clock and at the status; between statistics
 MOST_VIEWERS = 16
+ROOM = 2**22  # bytes that may wait for a connection, besides two geometries
 TOGETHER = 32  # messages that are read before others have their turn
-CATCHING_UP = 0.005  # [s] of force frames that are sent late rather than left out
+MOST_PINGS = 100  # between two ticks
+MOST_HEARD = 2000  # messages a second of a viewer; more are left waiting
+LOG = logging.getLogger(__name__)
 DRIVING = ("pose", "tool", "release", "control", "speed", "material", "record", "replay")
-
-
-class Show(Protocol):
-    """What is shown: a session, or a replay."""
-
-    mode: str
-    title: str
-    surface: Surface
-    paused_because: str | None
-    news: list[dict[str, Any]]  # what all are still to be told
-
-    def snapshot(self) -> Snapshot:
-        """Return what is to be seen now."""
-
-    def hello(self) -> dict[str, Any]:
-        """Return what does not change."""
-
-    def status(self) -> dict[str, Any]:
-        """Return what changes seldom."""
-
-    def statistics(self) -> dict[str, Any]:
-        """Return how the engine keeps its deadlines."""
-
-    def handle(self, message: Message) -> None:
-        """Do what a message of the driver says."""
-
-    def tick(self) -> None:
-        """Be called several times a second."""
-
-    def pause(self, because: str | None = None) -> None:
-        """Let time stand still."""
-
-    def resume(self) -> None:
-        """Let time go on."""
-
-    def release(self) -> None:
-        """Take the tool away."""
-
-    def overlay(self, time: float) -> Any:
-        """Return positions (n, 3) of the full model at a time that a snapshot tells, or None."""
-
-
-class _Made(NamedTuple):
-    """A frame that was made: what tells it from others, when it was made, the snapshot's time, and its body."""
-
-    key: Any
-    at: float
-    time: float
-    body: bytes
 
 
 class Server:
@@ -103,17 +60,25 @@ class Server:
         self.show, self.page, self._token = show, page, token
         self.viewers: list[Viewer] = []
         self.driver: Viewer | None = None
+        self._connections: set[Counted] = set()
         self._told = ""
-        self._made: dict[str, _Made] = {}
+        self._streams = Streams(show)
+        self._troubles: set[str] = set()
+        self._most_waiting = ROOM + 2 * len(frames.geometry_frame(show.surface))
 
     async def run(self, listening: socket.socket, ready: Callable[[], None] = lambda: None) -> None:
         """Serve on a socket that listens, until cancelled; `ready` is called when clients are answered."""
         async with serve(
             self._meet, sock=listening, process_request=self._answer, subprotocols=[SUBPROTOCOL], compression=None,
-            max_size=LONGEST, max_queue=32, server_header=None,
+            max_size=LONGEST, max_queue=32, server_header=None, close_timeout=CLOSING,
+            ping_interval=PING, ping_timeout=PONG, logger=quiet(),
+            create_connection=partial(Counted, counted=self._connections),  # type: ignore[arg-type]
         ):  # fmt: skip
             ready()
-            await self._watch()
+            try:
+                await self._watch()
+            finally:
+                await asyncio.gather(*(part(each, GOING_AWAY, "the session ended") for each in self._connections))
 
     async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         return self.page.answer(request)
@@ -125,16 +90,38 @@ class Server:
         if not self.viewers:
             self.show.pause("nobody watches")
         while True:
-            self.show.tick()
-            if time.monotonic() - told > TOLD:
-                told = time.monotonic()
-                self._broadcast({"type": "statistics", **self.show.statistics()})
-            while self.show.news:
-                self._broadcast(self.show.news.pop(0))
-            await self._tell_status()
+            try:
+                self.show.tick()
+                if time.monotonic() - told > TOLD:
+                    told = time.monotonic()
+                    self._broadcast({"type": "statistics", **self.show.statistics()})
+                while self.show.news:
+                    self._broadcast(self.show.news.pop(0))
+                self._tell_status()
+            except Exception as error:  # of the show: it ends neither the server nor a viewer
+                self._trouble("what is shown", error)
+            self._cut_off()
             await asyncio.sleep(TICK)
 
-    async def _tell_status(self) -> None:
+    def _cut_off(self) -> None:
+        """Cut the connections that do not read; part from viewers that nobody looks at."""
+        for connection in list(self._connections):
+            if waiting_bytes(connection) > self._most_waiting or connection.pings > MOST_PINGS:
+                connection.transport.abort()
+            connection.pings = 0
+        for viewer in self._welcomed():
+            if viewer.unseen and not viewer.leaving:
+                viewer.leaving = True
+                self._later(viewer, part(viewer.socket, LEFT_BEHIND, "frames are not acknowledged"))
+
+    def _trouble(self, where: str, error: BaseException) -> None:
+        """Tell of an unexpected error, each once."""
+        text = shortened(f"{where} failed: {type(error).__name__}: {error}", 200)
+        if text not in self._troubles:
+            self._troubles.add(text)
+            LOG.error("%s; the server goes on", text, exc_info=error if LOG.isEnabledFor(logging.DEBUG) else None)
+
+    def _tell_status(self) -> None:
         status = self.show.status()
         still = {name: value for name, value in status["tool"].items() if name not in ("position", "quaternion")}
         told = repr(({**status, "tool": still}, len(self.viewers), id(self.driver)))
@@ -142,7 +129,7 @@ class Server:
             return
         self._told = told
         for viewer in self._welcomed():
-            await self._say_to(viewer, self._status(viewer, status))
+            self._later(viewer, self._send_to(viewer, _text(self._status(viewer, status))))
 
     def _status(self, viewer: Viewer, status: dict[str, Any]) -> dict[str, Any]:
         about = {"driver": viewer is self.driver, "viewers": len(self.viewers), "recording": False}
@@ -152,41 +139,58 @@ class Server:
         return [viewer for viewer in self.viewers if viewer.welcomed]
 
     def _broadcast(self, message: dict[str, Any]) -> None:
+        text = _text(message)
         for viewer in self._welcomed():
-            task = asyncio.ensure_future(self._say_to(viewer, message))
-            viewer.tasks.add(task)
-            task.add_done_callback(viewer.tasks.discard)
+            self._later(viewer, self._send_to(viewer, text))
+
+    def _later(self, viewer: Viewer, work: Coroutine[Any, Any, None]) -> None:
+        """Do something for a viewer while others have their turn; all of it has a limit of time."""
+
+        def done(task: asyncio.Future[None]) -> None:
+            viewer.tasks.discard(task)
+            if not task.cancelled() and (error := task.exception()) is not None:
+                self._trouble("a viewer's connection", error)
+
+        task = asyncio.ensure_future(work)
+        viewer.tasks.add(task)
+        task.add_done_callback(done)
 
     @staticmethod
-    async def _say_to(viewer: Viewer, message: dict[str, Any]) -> None:
+    async def _send_to(viewer: Viewer, text: str) -> None:
         with contextlib.suppress(ConnectionClosed):
-            await viewer.say(message)
+            await viewer.send(text)
 
     # viewers
 
     async def _meet(self, connection: ServerConnection) -> None:
-        with contextlib.suppress(ConnectionClosed):
+        """Look after a connection until it ends; an unexpected error ends it alone."""
+        try:
             viewer = await self._admitted(connection)
-            if viewer is None:
-                return
+            if viewer is not None:
+                await self._attend(viewer)
+        except* ConnectionClosed:
+            pass
+        except* Exception as errors:
+            self._trouble("a viewer's connection", _first(errors))
+            await part(connection, FAULT, "the server failed; it said why where it was started")
+
+    async def _attend(self, viewer: Viewer) -> None:
+        try:
             self._enter(viewer)
-            try:
-                await viewer.say(self._hello(viewer))
-                await connection.send(frames.geometry_frame(self.show.surface))
-                await viewer.say(self._status(viewer, self.show.status()))
-                viewer.welcomed = True
-                async with asyncio.TaskGroup() as group:
-                    streams = [group.create_task(self._stream(viewer)), group.create_task(self._stream_force(viewer))]
-                    heeding = group.create_task(self._heed_all(viewer))
-                    await self._listen(viewer)
-                    viewer.inbox.end()
-                    await heeding
-                    for stream in streams:
-                        stream.cancel()
-            except* ConnectionClosed:
-                pass
-            finally:
-                self._leave(viewer)
+            await viewer.say(self._hello(viewer))
+            await viewer.send(frames.geometry_frame(self.show.surface))
+            await viewer.say(self._status(viewer, self.show.status()))
+            viewer.welcomed = True
+            async with asyncio.TaskGroup() as group:
+                streams = [group.create_task(stream(viewer)) for stream in (self._streams.states, self._streams.forces)]
+                heeding = group.create_task(self._heed_all(viewer))
+                await self._listen(viewer)
+                viewer.inbox.end()
+                await heeding
+                for stream in streams:
+                    stream.cancel()
+        finally:
+            self._leave(viewer)
 
     async def _admitted(self, connection: ServerConnection) -> Viewer | None:
         """Return a viewer that said hello with the token in time; close the connection of another one."""
@@ -194,36 +198,41 @@ class Server:
             async with asyncio.timeout(PATIENCE):
                 hello = parsed(await connection.recv())
         except TimeoutError:
-            await connection.close(WRONG_TOKEN, "no hello in time")
+            await part(connection, WRONG_TOKEN, "no hello in time")
             return None
         except InputError as error:
-            await connection.close(WRONG_TOKEN, str(error)[:100])
+            await part(connection, WRONG_TOKEN, str(error))
             return None
         if hello["type"] != "hello" or not hmac.compare_digest(hello["token"].encode(), self._token.encode()):
-            await connection.close(WRONG_TOKEN, "wrong token: open the address that palpate view prints")
+            await part(connection, WRONG_TOKEN, "wrong token: open the address that palpate view prints")
             return None
         if hello["protocol"] != PROTOCOL:
-            await connection.close(TOO_MANY_MISTAKES, f"this server speaks protocol {PROTOCOL}")
+            await part(connection, TOO_MANY_MISTAKES, f"this server speaks protocol {PROTOCOL}")
             return None
         if len(self.viewers) >= MOST_VIEWERS:
-            await connection.close(FULL, f"{MOST_VIEWERS} viewers watch already")
+            await part(connection, FULL, f"{MOST_VIEWERS} viewers watch already")
             return None
         return Viewer(connection)
 
     def _enter(self, viewer: Viewer) -> None:
         self.viewers.append(viewer)
         if self.driver is None:
-            self.driver, viewer.heard = viewer, time.monotonic()
+            self.driver, viewer.drove = viewer, time.monotonic()
         if len(self.viewers) == 1 and self.show.paused_because in ("nobody watches", "closed tab"):
-            self.show.resume()
+            with contextlib.suppress(InputError):  # the state ran away: whoever comes is to see that, and reset it
+                self.show.resume()
 
     def _leave(self, viewer: Viewer) -> None:
         self.viewers.remove(viewer)
-        if viewer is self.driver:
-            self.driver = None
-            self.show.release()
-        if not self.viewers:
-            self.show.pause("closed tab")
+        for task in list(viewer.tasks):
+            task.cancel()
+        try:
+            if viewer is self.driver:
+                self.driver = None
+                self.show.release()
+        finally:
+            if not self.viewers:
+                self.show.pause("closed tab")
 
     def _hello(self, viewer: Viewer) -> dict[str, Any]:
         surface = self.show.surface
@@ -238,16 +247,17 @@ class Server:
 
     async def _listen(self, viewer: Viewer) -> None:
         """Take all that a viewer says, until it has left."""
-        count = 0
+        count, turn = 0, time.monotonic()
         async for text in viewer.socket:
-            count += 1
-            if count % TOGETHER == 0:
-                await asyncio.sleep(0)  # a client that talks without pause must not keep others, or itself, waiting
+            count, viewer.heard = count + 1, time.monotonic()
+            if count % TOGETHER == 0:  # a client that talks without pause must not keep others, or itself, waiting
+                await asyncio.sleep(max(0.0, turn + TOGETHER / MOST_HEARD - time.monotonic()))
+                turn = time.monotonic()
             try:
                 message = parsed(text)
             except InputError as error:
                 if viewer.mistaken():
-                    await viewer.socket.close(TOO_MANY_MISTAKES, "too many messages that are not understood")
+                    await part(viewer.socket, TOO_MANY_MISTAKES, "too many messages that are not understood")
                     return
                 await viewer.say({"type": "error", "reason": str(error)})
                 continue
@@ -275,75 +285,33 @@ class Server:
                 raise InputError(f"show: allowed here are {', '.join(map(repr, allowed))}")
             viewer.scalar = message["scalar"]
         elif kind == "force":
-            viewer.rate = message["rate"]
+            viewer.pace(message["rate"])
         elif kind == "drive":
             self._hand_over(viewer)
         elif kind in DRIVING:
             if viewer is not self.driver:
                 raise InputError(f"{kind}: another viewer drives, or none; ask for it by 'drive'")
-            viewer.heard = time.monotonic()
+            viewer.drove = time.monotonic()
             self.show.handle(message)
         else:
             raise InputError(f"{kind}: was said already")
 
     def _hand_over(self, viewer: Viewer) -> None:
         now = time.monotonic()
-        if self.driver is not None and self.driver is not viewer and now - self.driver.heard < SILENT:
+        if self.driver is not None and self.driver is not viewer and now - self.driver.drove < SILENT:
             raise InputError("drive: another viewer drives; it may be asked for 10 s after its last message")
         if self.driver is not viewer:
             self.show.release()
-        self.driver, viewer.heard = viewer, now
-
-    # what viewers see
-
-    async def _stream(self, viewer: Viewer) -> None:
-        """Send the newest state whenever there is one and the viewer has drawn enough of those before."""
-        shown: Any = None
-        while True:
-            await viewer.room.wait()
-            began = time.monotonic()
-            made = self._frame(viewer.scalar)
-            if made.key == shown:
-                await asyncio.sleep(IDLE)
-                continue
-            shown, sequence, vertices = made.key, viewer.next_frame(), len(self.show.surface.rest)
-            positions = self.show.overlay(made.time)
-            if positions is not None:
-                await viewer.socket.send(frames.headed(frames.OVERLAY, sequence, vertices, frames.overlay(positions)))
-            await viewer.socket.send(frames.headed(frames.STATE, sequence, vertices, made.body))
-            await asyncio.sleep(max(0.0, began + FASTEST - time.monotonic()))
-
-    def _frame(self, scalar: str) -> _Made:
-        """Return a frame of the newest state; made once for all who want it within a moment."""
-        snapshot = self.show.snapshot()
-        key = (scalar, snapshot.steps, snapshot.time, snapshot.state, snapshot.tool, snapshot.sequence,
-               *snapshot.position)  # fmt: skip
-        made = self._made.get(scalar)
-        if made is None or (made.key != key and time.monotonic() - made.at > 0.5 * FASTEST):
-            body = frames.state(self.show.surface, snapshot, scalar)
-            made = self._made[scalar] = _Made(key, time.monotonic(), snapshot.time, body)
-        return made
-
-    async def _stream_force(self, viewer: Viewer) -> None:
-        """Send force frames at the rate that the viewer asked for, of a body that stands still only now and then."""
-        sequence, due, steps, sent = 0, time.monotonic(), -1, 0.0
-        while True:
-            if viewer.rate <= 0.0:
-                await asyncio.sleep(TICK)
-                due = time.monotonic()
-                continue
-            due = max(due + 1 / viewer.rate, time.monotonic() - CATCHING_UP)
-            await _sleep(due - time.monotonic())
-            snapshot = self.show.snapshot()
-            if snapshot.steps == steps and time.monotonic() - sent < TICK:
-                continue
-            steps, sent, sequence = snapshot.steps, time.monotonic(), sequence + 1
-            await viewer.socket.send(frames.force_frame(snapshot, sequence))
+        self.driver, viewer.drove = viewer, now
 
 
-async def _sleep(seconds: float) -> None:
-    """Sleep, to a fraction of a millisecond if it is short: asyncio's own sleep is rounded up to whole ones."""
-    if 0.0 < seconds < SHORT:
-        await asyncio.to_thread(time.sleep, seconds)
-    else:
-        await asyncio.sleep(max(0.0, seconds))
+def _text(message: dict[str, Any]) -> str:
+    return json.dumps(message, allow_nan=False)
+
+
+def _first(errors: BaseExceptionGroup) -> BaseException:
+    """Return the first error in a group of groups."""
+    error: BaseException = errors
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return error

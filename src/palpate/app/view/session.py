@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 import time
 from collections.abc import Iterator
@@ -81,6 +82,8 @@ class Session:
         self.news: list[dict[str, Any]] = []  # what all who watch are still to be told
         self.folder = Path("out/view")  # of recordings
         self._recorder: Recorder | None = None
+        self._path: Path | None = None  # of the recording that goes on, where it was chosen
+        self._writers: list[threading.Thread] = []
         self._lock, self._beat = threading.RLock(), (time.time(), time.monotonic())
 
     # what it tells
@@ -94,7 +97,7 @@ class Session:
                 trust=row.trust, position=self._home + seen.place, quaternion=turned(self._turn, row.quaternion),
                 sequence=row.sequence, kinetic=row.kinetic, strain=row.strain, computing=row.computing,
                 lateness=row.lateness, coordinates=seen.coordinates, state=row.state, hand=seen.hand, nodes=seen.nodes,
-                forces=seen.forces, firmness=self.firmness, tool=self.held.kind,
+                forces=seen.forces, firmness=seen.firmness, tool=self.held.kind,
             )  # fmt: skip
 
     def _together(self) -> tuple[Reading, Seen]:
@@ -190,6 +193,14 @@ class Session:
         """End the engine's thread."""
         self.engine.stop()
 
+    def close(self) -> None:
+        """End the engine's thread and the recording that goes on, and return when all recordings are written."""
+        self.stop()
+        if self._recorder is not None:
+            self.finish_recording()
+        for writer in self._writers:
+            writer.join()
+
     def pause(self, because: str | None = None) -> None:
         """Let the body's time stand still."""
         self.engine.pause()
@@ -227,8 +238,13 @@ class Session:
 
     # recordings
 
-    def record(self) -> None:
+    def record(self, path: Path | None = None) -> None:
         """Begin a recording.
+
+        Parameters
+        ----------
+        path : path, optional
+            Where it is written in the end, whoever ends it; by default a new name in the session's folder.
 
         Raises
         ------
@@ -237,7 +253,7 @@ class Session:
         """
         if self._recorder is not None:
             raise InputError("record: a recording goes on already")
-        self._recorder = Recorder(self._moment)
+        self._recorder, self._path = Recorder(self._moment), path
 
     def finish_recording(self, path: Path | None = None, wait: bool = False) -> None:
         """End the recording and write it, in a thread of its own; `news` then tells where it is.
@@ -245,7 +261,7 @@ class Session:
         Parameters
         ----------
         path : path, optional
-            By default a new name in the session's folder.
+            By default that of `record`.
         wait : bool
             Whether to return only when it is written.
 
@@ -258,20 +274,24 @@ class Session:
             raise InputError("record: no recording goes on")
         recorder, self._recorder = self._recorder, None
         recorder.stop()
-        path = path or self.folder / time.strftime("recording-%Y%m%d-%H%M%S.h5")
         recording = Recording(
             self.title, self.model, np.array(recorder.times), recorder.moments, recorder.tools, {}
         )  # fmt: skip
-        writer = threading.Thread(target=self._write, args=(path, recording), name="palpate writer")
+        writer = threading.Thread(target=self._write, args=(path or self._path, recording), name="palpate writer")
+        self._writers = [*(each for each in self._writers if each.is_alive()), writer]
         writer.start()
         if wait:
             writer.join()
 
-    def _write(self, path: Path, recording: Recording) -> None:
+    def _write(self, path: Path | None, recording: Recording) -> None:
+        chosen = path
         try:
+            path = chosen or _new_file(self.folder)
             save_recording(path, recording)
         except (InputError, OSError) as error:
             self.news.append({"type": "error", "reason": f"the recording is lost: {error}"})
+            if path is not None and chosen is None:
+                path.unlink(missing_ok=True)  # nothing is in it
         else:
             self.news.append({"type": "recorded", "file": str(path), "frames": len(recording.times)})
 
@@ -357,3 +377,15 @@ class Session:
         self._watched.put(self.engine.read().coordinates, np.zeros(3))
         self.engine.place_tool(np.zeros(3), turn, sequence)
         self.held, self._home, self._turn = held, np.array(position), quaternion if grasps else UNTURNED
+
+
+def _new_file(folder: Path) -> Path:
+    """Make an empty file for a recording, of a name that nobody else has; named after the time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    stem = time.strftime("recording-%Y%m%d-%H%M%S")
+    for number in itertools.count(1):
+        path = folder / (f"{stem}.h5" if number == 1 else f"{stem}-{number}.h5")
+        with contextlib.suppress(FileExistsError):
+            path.touch(exist_ok=False)
+            break
+    return path

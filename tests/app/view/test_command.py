@@ -1,0 +1,112 @@
+"""What `palpate view` does with its options and its end: recordings are written, and cost no other file."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import h5py
+import pytest
+
+from palpate.app.cli import main
+from palpate.app.view.recording import load_recording
+from palpate.app.view.session import Session
+
+
+@pytest.fixture(scope="module")
+def file(model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "block.rom"
+    model.save(path)
+    return path
+
+
+@pytest.fixture
+def ended(monkeypatch):
+    """A function that sends this process a signal once a session has recorded something."""
+    made = []
+    start = Session.start
+    monkeypatch.setattr(Session, "start", lambda self: (made.append(self), start(self)))
+
+    def send(number, *, begin=False):
+        def wait():
+            while not made:
+                time.sleep(0.01)
+            if begin:
+                made[0].record()
+            while made[0]._recorder is None or len(made[0]._recorder.times) < 5:
+                time.sleep(0.01)
+            os.kill(os.getpid(), number)
+            if number != signal.SIGINT:
+                time.sleep(0.05)
+                os.kill(os.getpid(), number)  # once more, while the recording is written
+
+        threading.Thread(target=wait, daemon=True).start()
+
+    return send
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("more", [["--headless", "--seconds", "60"], ["--no-browser", "--port", "18990"]])
+def test_a_recording_survives_the_signals_that_end_a_program(file, tmp_path, ended, name, more):
+    number, before = getattr(signal, name), signal.getsignal(getattr(signal, name))
+    ended(number)
+    with pytest.raises(SystemExit) as end:
+        main(["view", str(file), "--record", str(tmp_path / "run.h5"), *more])
+    assert end.value.code == 128 + number
+    assert len(load_recording(tmp_path / "run.h5").moments) >= 5
+    assert signal.getsignal(number) == before
+
+
+def test_a_recording_of_the_page_survives_the_end_of_the_server(file, tmp_path, ended, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    ended(signal.SIGINT, begin=True)
+    assert main(["view", str(file), "--no-browser", "--port", "18990"]) == 0
+    (written,) = (tmp_path / "out" / "view").glob("*.h5")
+    assert len(load_recording(written).moments) >= 5
+    assert "recorded" in capsys.readouterr().err
+
+
+def test_a_recording_costs_no_other_file(file, tmp_path, assert_refused):
+    view = ["view", str(file), "--headless", "--seconds", "0.1", "--record"]
+    content = file.read_bytes()
+    assert_refused([*view, str(file)], "record must end in .h5")
+    assert_refused([*view, str(tmp_path / "r.vtkhdf")], "record must end in .h5")
+    (tmp_path / "link.h5").symlink_to(file)
+    assert_refused([*view, str(tmp_path / "link.h5")], "another file than the one that is shown")
+    (tmp_path / "text.h5").write_text("precious")
+    assert_refused([*view, str(tmp_path / "text.h5")], "text.h5 exists and is none")
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other.attrs["format"] = "another"
+    assert_refused([*view, str(tmp_path / "other.h5")], "other.h5 exists and is none")
+    (tmp_path / "folder.h5").mkdir()
+    assert_refused([*view, str(tmp_path / "folder.h5")], "folder.h5 exists and is none")
+    (tmp_path / "beside.vtkhdf").write_text("precious")
+    assert_refused([*view, str(tmp_path / "beside.h5")], "beside.vtkhdf exists and is none")
+    assert file.read_bytes() == content
+    assert (tmp_path / "text.h5").read_text() == (tmp_path / "beside.vtkhdf").read_text() == "precious"
+    assert main([*view, str(tmp_path / "new.h5")]) == 0
+    assert main([*view, str(tmp_path / "new.h5")]) == 0  # an earlier recording gives way
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"\xff\xfe{}", "not text in UTF-8"),
+        (b'{"time": 0, "type": "release"}\n' + b"[" * 30_000, "line 2"),
+        (b'{"time": 1e999, "type": "release"}', "line 1"),
+        (b'{"time": true, "type": "release"}', "line 1"),
+        (b'{"time": 0, "type": "force", "rate": 1}', "a script knows"),
+    ],
+)
+def test_scripts_that_are_none_are_refused(file, tmp_path, assert_refused, content, said):
+    (tmp_path / "script.jsonl").write_bytes(content)
+    assert_refused(["view", str(file), "--headless", "--script", str(tmp_path / "script.jsonl")], said)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes of a name")
+def test_a_script_that_is_a_pipe_is_refused_at_once(file, tmp_path, assert_refused):
+    os.mkfifo(tmp_path / "script.jsonl")
+    assert_refused(["view", str(file), "--headless", "--script", str(tmp_path / "script.jsonl")], "not a regular file")
