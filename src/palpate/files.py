@@ -167,7 +167,7 @@ def json_of(text: str | bytes) -> Any:
     except RecursionError:
         raise InputError(f"the JSON text has more than {DEEPEST} nested levels") from None
     except ValueError as error:
-        raise InputError(f"this is not valid JSON: {shortened(str(error))}") from None
+        raise InputError(f"this is not valid JSON: {shortened(str(error), 150)}") from None
     _check_plain(value, DEEPEST)
     return value
 

@@ -200,7 +200,7 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Any]:
         "displacement error of held-out runs at the largest, median; 95 %": _expected(felt["expected_error"]),
     }
     if "held_out" in report["model"]:
-        error = report["model"]["held_out"]["mean"]["reaction"]
+        error = report["model"]["held_out"]["mean"].get("reaction")
         single["error of reaction forces on held-out runs, mean"] = "-" if error is None else percent(error)
     return [
         quantities_table(title, ["computing (the model)", "lateness (the scheduler)"], rows),
