@@ -21,7 +21,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
-from io import RawIOBase
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -30,16 +29,15 @@ from numpy.typing import NDArray
 
 from palpate.faults import FileFormatError, InputError
 from palpate.files import json_of, regular_file, shortened, whole_file
+from palpate.hdf5_frame import HEAD, lay_out
 
-__all__ = ["Entry", "SealedFile", "array_of", "checked_shape", "loading", "open_sealed", "write_sealed"]
+__all__ = ["HEAD", "Entry", "SealedFile", "array_of", "checked_shape", "loading", "open_sealed", "write_sealed"]
 
 Array = NDArray[Any]
 
-HEAD = 512  # bytes before HDF5's own
 TYPES = ("<f8", "<f4", "<i8", "|u1", "|b1")
 MOST_DIMENSIONS = 4
 BLOCK = 1 << 20  # bytes that are read at once
-LONGEST_ATTRIBUTE = 32_000  # characters that HDF5 takes in an object's header
 SPARE = 1 << 16  # bytes of the disk that stay free
 HEX = re.compile(r"[0-9a-f]{64}")
 
@@ -337,8 +335,9 @@ def write_sealed(
             f"some space or choose another folder"
         )
     with whole_file(path) as partial:
-        frame = _Sparse()
-        offsets = _lay_out(frame, kind, version, header, types, shapes)
+        told = {name: value if isinstance(value, str | bool | float) else _json(value).decode()
+                for name, value in header.items()}  # fmt: skip
+        frame, offsets = lay_out(types, shapes, told | {"format": kind, "version": version, "units": "SI"})
         entries = {}
         with partial.open("w+b") as file:
             frame.copy_to(file)
@@ -363,85 +362,6 @@ def write_sealed(
 def _listed(entry: Entry) -> dict[str, Any]:
     digests: Any = list(entry.digests) if entry.by_row else entry.digests[0]
     return {"type": entry.type, "shape": list(entry.shape), "offset": entry.offset, "sha256": digests}
-
-
-class _Sparse(RawIOBase):
-    """A file in memory that keeps only the pages that are written, so that room for arrays costs nothing.
-
-    HDF5 does not survive a disk that is full. So it writes here, and what it wrote is copied by plain writes.
-    """
-
-    PAGE = 4096  # bytes
-
-    def __init__(self) -> None:
-        self.pages: dict[int, bytearray] = {}
-        self.at = self.size = 0
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        self.at = offset + (0, self.at, self.size)[whence]
-        return self.at
-
-    def tell(self) -> int:
-        return self.at
-
-    def truncate(self, size: int | None = None) -> int:
-        self.size = self.at if size is None else size
-        return self.size
-
-    def readinto(self, buffer: Any) -> int:
-        view = memoryview(buffer).cast("B")
-        count = max(0, min(len(view), self.size - self.at))
-        for k in range(count):
-            page = self.pages.get((self.at + k) // self.PAGE)
-            view[k] = page[(self.at + k) % self.PAGE] if page else 0
-        self.at += count
-        return count
-
-    def write(self, content: Any) -> int:
-        view = memoryview(content).cast("B")
-        for k in range(len(view)):
-            page = self.pages.setdefault((self.at + k) // self.PAGE, bytearray(self.PAGE))
-            page[(self.at + k) % self.PAGE] = view[k]
-        self.at += len(view)
-        self.size = max(self.size, self.at)
-        return len(view)
-
-    def copy_to(self, file: BinaryIO) -> None:
-        """Write the pages to a file of the same size."""
-        file.truncate(self.size)
-        for number, page in self.pages.items():
-            file.seek(number * self.PAGE)
-            file.write(page[: self.size - number * self.PAGE])
-
-
-def _lay_out(
-    frame: _Sparse,
-    kind: str,
-    version: int,
-    header: Mapping[str, Any],
-    types: Mapping[str, str],
-    shapes: Mapping[str, tuple[int, ...]],
-) -> dict[str, int]:
-    """Make an HDF5 file with room for arrays; return where each begins."""
-    import h5py
-
-    offsets = {}
-    with h5py.File(frame, "w", userblock_size=HEAD) as file:
-        layout, parents = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
-        layout.set_layout(h5py.h5d.CONTIGUOUS)
-        layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-        layout.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-        layout.set_obj_track_times(False)  # equal content makes equal files
-        parents.set_create_intermediate_group(True)
-        for name, shape in shapes.items():
-            own, space = h5py.h5t.py_create(np.dtype(types[name]), logical=True), h5py.h5s.create_simple(shape)
-            made = h5py.h5d.create(file.id, name.encode(), own, space, layout, parents)
-            offsets[name] = made.get_offset() if math.prod(shape) else HEAD
-        told = {name: value if isinstance(value, str | bool | float) else _json(value).decode()
-                for name, value in header.items()}  # fmt: skip
-        told |= {"format": kind, "version": version, "units": "SI"}
-        file.attrs.update({name: v for name, v in told.items() if len(str(v)) < LONGEST_ATTRIBUTE})
-    return offsets
 
 
 def _json(value: Any) -> bytes:

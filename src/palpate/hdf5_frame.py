@@ -1,0 +1,102 @@
+"""HDF5 files with room for arrays: their structures alone, in memory, with the place of every array."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from io import RawIOBase
+from typing import Any, BinaryIO
+
+import numpy as np
+
+__all__ = ["HEAD", "Frame", "lay_out"]
+
+HEAD = 512  # bytes before HDF5's own, which it leaves to its users
+LONGEST_ATTRIBUTE = 32_000  # characters that HDF5 takes in an object's header
+
+
+class Frame(RawIOBase):
+    """A file in memory that keeps only the pages that are written, so that room for arrays costs nothing.
+
+    HDF5 does not survive a disk that is full. So it writes here, and what it wrote is copied by plain writes.
+    """
+
+    PAGE = 4096  # bytes
+
+    def __init__(self) -> None:
+        self.pages: dict[int, bytearray] = {}
+        self.at = self.size = 0
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        self.at = offset + (0, self.at, self.size)[whence]
+        return self.at
+
+    def tell(self) -> int:
+        return self.at
+
+    def truncate(self, size: int | None = None) -> int:
+        self.size = self.at if size is None else size
+        return self.size
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer).cast("B")
+        count = max(0, min(len(view), self.size - self.at))
+        for k in range(count):
+            page = self.pages.get((self.at + k) // self.PAGE)
+            view[k] = page[(self.at + k) % self.PAGE] if page else 0
+        self.at += count
+        return count
+
+    def write(self, content: Any) -> int:
+        view = memoryview(content).cast("B")
+        for k in range(len(view)):
+            page = self.pages.setdefault((self.at + k) // self.PAGE, bytearray(self.PAGE))
+            page[(self.at + k) % self.PAGE] = view[k]
+        self.at += len(view)
+        self.size = max(self.size, self.at)
+        return len(view)
+
+    def copy_to(self, file: BinaryIO) -> None:
+        """Write the pages to a file of the same size."""
+        file.truncate(self.size)
+        for number, page in self.pages.items():
+            file.seek(number * self.PAGE)
+            file.write(page[: self.size - number * self.PAGE])
+
+
+def lay_out(
+    types: Mapping[str, str], shapes: Mapping[str, tuple[int, ...]], attributes: Mapping[str, str | bool | float]
+) -> tuple[Frame, dict[str, int]]:
+    """Make an HDF5 file with room for contiguous arrays.
+
+    Parameters
+    ----------
+    types : mapping of name to str
+        In NumPy's notation. Slashes in a name make groups.
+    shapes : mapping of name to tuple of int
+    attributes : mapping
+        Of the file; those that are too long for HDF5 are left out.
+
+    Returns
+    -------
+    frame : Frame
+        The file, with zeros for arrays.
+    offsets : dict
+        First byte of every array; that after the head for empty ones.
+    """
+    import h5py
+
+    frame, offsets = Frame(), {}
+    with h5py.File(frame, "w", userblock_size=HEAD) as file:
+        layout, parents = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
+        layout.set_layout(h5py.h5d.CONTIGUOUS)
+        layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+        layout.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+        layout.set_obj_track_times(False)  # equal content makes equal files
+        parents.set_create_intermediate_group(True)
+        for name, shape in shapes.items():
+            own, space = h5py.h5t.py_create(np.dtype(types[name]), logical=True), h5py.h5s.create_simple(shape)
+            made = h5py.h5d.create(file.id, name.encode(), own, space, layout, parents)
+            offsets[name] = made.get_offset() if math.prod(shape) else HEAD
+        file.attrs.update({name: value for name, value in attributes.items() if len(str(value)) < LONGEST_ATTRIBUTE})
+    return frame, offsets
