@@ -203,7 +203,7 @@ def open_sealed(path: Path, kind: str, version: int) -> SealedFile:
     InputError
         It is of another kind or version, truncated, or its table is damaged or names bytes outside the file.
     """
-    size = regular_file(path, kind)
+    size = regular_file(path, kind.removeprefix("palpate "))
     with path.open("rb") as file:
         offset, length, digest = _place_of_table(file.read(HEAD), kind, version)
         if offset < HEAD or offset + length != size:

@@ -157,7 +157,7 @@ class Trajectory:
         """
         path = Path(path)
         with loading(path, REMEDY):
-            regular_file(path, FORMAT)
+            regular_file(path, "trajectory")
             if is_journal(path):
                 return _from_journal(path)
             file = open_sealed(path, FORMAT, VERSION)
@@ -268,7 +268,7 @@ class StoredTrajectory:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         with loading(self.path, REMEDY):
-            regular_file(self.path, FORMAT)
+            regular_file(self.path, "trajectory")
             if is_journal(self.path):
                 self._open_journal()
             else:
