@@ -367,3 +367,12 @@ def test_a_signal_between_a_time_and_its_frame_costs_no_other_frame(held, path, 
 def test_what_is_no_name_of_a_file_is_refused(run, name):
     with pytest.raises(OSError, match="no name of a file"):
         run.save(name)
+
+
+def test_displacements_that_no_run_has_are_refused(run, path, forge):
+    run.save(path)
+    forge(path, lambda header, arrays: arrays["displacements"].__setitem__(3, 1e160), FORMAT, VERSION)
+    with pytest.raises(pt.FileFormatError, match="displacements go beyond"):
+        pt.Trajectory.load(path)
+    with pytest.raises(pt.FileFormatError, match="frame 3 of the displacements"):
+        StoredTrajectory(path).displacements[3]

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 
 FORMAT, VERSION = "palpate trajectory", 2
 REMEDY = "run the simulation again"
+FARTHEST = 1e30  # [m] of a displacement, so that sums of squares are finite
 SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
 ROWS = ("displacements", "velocities")  # stored frame by frame
 NAMED = ("reactions", "moments")  # (f, 3) arrays by name
@@ -218,6 +219,8 @@ def _checked(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
         wanted = np.bool_ if name == "held" else np.float64
         if data[name].shape != shape or data[name].dtype != wanted or not np.isfinite(data[name]).all():
             raise InputError(f"{name} is not finite, or has shape {data[name].shape}, expected {shape}")
+    if np.abs(data["displacements"]).max(initial=0.0) > FARTHEST:
+        raise InputError(f"displacements go beyond {FARTHEST:g} m, which no run does")
     if not n or np.any(np.diff(data["times"]) < 0) or np.any(np.diff(data["steps"]) < 0):
         raise InputError("times and steps must not decrease, and there must be points")
     _check_touches(data["touches"], frames, n)
@@ -340,6 +343,6 @@ class Frames:
 
     def _frame(self, k: int) -> Floats:
         frame = self.read(k)
-        if not np.isfinite(frame).all():
-            raise InputError(f"frame {k} of the displacements is not finite")
+        if not np.all(np.abs(frame) <= FARTHEST):
+            raise InputError(f"frame {k} of the displacements is not finite, or goes beyond {FARTHEST:g} m")
         return frame
