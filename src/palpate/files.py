@@ -50,6 +50,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     OSError
         The file cannot be written, or `path` exists and is not a regular file; names it.
     """
+    if not path.name or "\0" in path.name:
+        raise OSError(f"cannot write {str(path)!r}: this is no name of a file; choose another name")
     partial = path.with_name(f".{path.stem}.{uuid4().hex[:12]}.partial{path.suffix}")
     _sweep(path)
     try:

@@ -75,7 +75,7 @@ def lay_out(
         In NumPy's notation. Slashes in a name make groups.
     shapes : mapping of name to tuple of int
     attributes : mapping
-        Of the file; those that are too long for HDF5 are left out.
+        Of the file; those that HDF5 cannot hold are left out: long ones, and text with null characters.
 
     Returns
     -------
@@ -98,5 +98,6 @@ def lay_out(
             own, space = h5py.h5t.py_create(np.dtype(types[name]), logical=True), h5py.h5s.create_simple(shape)
             made = h5py.h5d.create(file.id, name.encode(), own, space, layout, parents)
             offsets[name] = made.get_offset() if math.prod(shape) else HEAD
-        file.attrs.update({name: value for name, value in attributes.items() if len(str(value)) < LONGEST_ATTRIBUTE})
+        short = {name: v for name, v in attributes.items() if len(str(v)) < LONGEST_ATTRIBUTE and "\0" not in str(v)}
+        file.attrs.update(short)
     return frame, offsets

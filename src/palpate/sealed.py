@@ -317,10 +317,11 @@ def write_sealed(
     Raises
     ------
     InputError
-        A value in the header is not one of JSON's.
+        A value in the header or a name is not one of JSON's, or would be refused when it is read.
     OSError
         The file cannot be written or the disk is full; a file that was there is unchanged.
     """
+    _json([dict(header), *arrays, *(rows or {})])  # names, too, must be text that can be read again
     blocks: dict[str, tuple[Array, ...]] = {name: (_plain(values),) for name, values in arrays.items()}
     shapes = {name: block[0].shape for name, block in blocks.items()}
     for name, values in (rows or {}).items():
@@ -365,10 +366,13 @@ def _listed(entry: Entry) -> dict[str, Any]:
 
 
 def _json(value: Any) -> bytes:
+    """Return the JSON of a value, as `json_of` reads it."""
     try:
-        return json.dumps(value, allow_nan=False).encode()
-    except (TypeError, ValueError) as error:
+        text = json.dumps(value, allow_nan=False).encode()
+        json_of(text)
+    except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"the header of the file cannot be written: {error}") from error
+    return text
 
 
 def _plain(values: Any) -> Array:

@@ -365,3 +365,17 @@ def test_a_cluster_that_is_not_there_is_refused(tmp_path, assert_refused, monkey
     pytest.importorskip("distributed", reason="dask.distributed is not installed: palpate[cluster]")
     monkeypatch.setattr("palpate.app.train.cluster.ANSWER", 0.5)
     assert_refused(command(tmp_path / "new", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers there")
+
+
+def test_a_run_with_times_that_no_run_has_is_refused(whole, tmp_path, capsys, forge):
+    shutil.copytree(whole, tmp_path / "copy")
+    path = tmp_path / "copy" / "runs" / "train_000000.h5"
+    forge(path, lambda header, arrays: arrays["times"].__imul__(1e9), FORMAT, VERSION)
+    assert_stopped(command(tmp_path / "copy"), capsys, "train_000000.h5 has other times", "delete it")
+
+
+def test_a_lock_that_is_a_pipe_is_refused_and_not_waited_for(whole, tmp_path, capsys):
+    shutil.copytree(whole, tmp_path / "copy")
+    (tmp_path / "copy" / ".lock").unlink(missing_ok=True)
+    os.mkfifo(tmp_path / "copy" / ".lock")
+    assert_stopped(command(tmp_path / "copy"), capsys, "not a regular file")

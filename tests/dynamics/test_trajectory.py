@@ -132,7 +132,7 @@ def test_a_frame_that_is_not_finite_is_refused_when_it_is_read(run, path, forge)
         ("complete", "yes", "complete must be true or false"),
         ("wall_seconds", "5", "wall_seconds"),
         ("viscosity", -1.0, "viscosity = -1.0 is out of range"),
-        ("viscosity", 10**300, "JSON"),
+        ("viscosity", None, "viscosity must be a number"),
         ("reactions", "x-", "reactions must be a list of names"),
         ("reactions", ["x-", "x-"], "reactions must be a list of names"),
         ("reactions", [["x-"]], "reactions must be a list of names"),
@@ -317,3 +317,62 @@ except OSError as error:
 def test_the_balance_is_kinetic_and_strain_and_dissipated_less_external(run):
     energies = run.kinetic + run.strain + run.dissipated - run.external
     np.testing.assert_allclose(run.balance, energies - energies[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [["a", "a/b"], ["a/b", "a"], ["."], [".."], ["", "%"], ["a//b", "a/b"], ["a", "./a", "/a", "a/"], ["a\0b", "a"],
+     ["a%2Fb", "a/b"], ["Leber \u4e2d"], ["x" * 70_000]],
+)  # fmt: skip
+def test_groups_of_any_name_keep_their_forces(run, path, names):
+    forces = {name: np.full((len(run.times), 3), float(k)) for k, name in enumerate(names)}
+    replace(run, reactions=forces, moments=forces, label="\0").save(path)
+    loaded = pt.Trajectory.load(path)
+    assert list(loaded.reactions) == list(loaded.moments) == names
+    for name, force in forces.items():
+        np.testing.assert_array_equal(loaded.reactions[name], force)
+        np.testing.assert_array_equal(loaded.moments[name], force)
+
+
+def test_a_name_that_cannot_be_read_again_is_refused_before_the_run(run, held, path):
+    with pytest.raises(pt.InputError, match="surrogate"):
+        replace(run, label="\ud800").save(path)
+    with pytest.raises(pt.InputError, match="surrogate"):
+        pt.rollout(held, duration=1e-3, every=1e-3, file=path, label="\ud800")
+    assert not list(path.parent.iterdir())
+
+
+def test_a_signal_between_a_time_and_its_frame_costs_no_other_frame(held, path, monkeypatch):
+    class Interrupted(list):
+        def append(self, frame):
+            if len(self) == 2:
+                raise KeyboardInterrupt
+            super().append(frame)
+
+    real = Recorder.__init__
+
+    def begin(self, *arguments, **options):
+        real(self, *arguments, **options)
+        self.frames = Interrupted()
+
+    monkeypatch.setattr(Recorder, "__init__", begin)
+    with pytest.raises(KeyboardInterrupt):
+        pt.rollout(held, duration=4e-3, every=1e-3, file=path)
+    loaded = pt.Trajectory.load(path)
+    assert len(loaded.times) == len(loaded.displacements) == 2
+    assert not loaded.complete
+
+
+@pytest.mark.parametrize("name", ["", ".", "a\0b.h5"])
+def test_what_is_no_name_of_a_file_is_refused(run, name):
+    with pytest.raises(OSError, match="no name of a file"):
+        run.save(name)
+
+
+def test_displacements_that_no_run_has_are_refused(run, path, forge):
+    run.save(path)
+    forge(path, lambda header, arrays: arrays["displacements"].__setitem__(3, 1e160), FORMAT, VERSION)
+    with pytest.raises(pt.FileFormatError, match="displacements go beyond"):
+        pt.Trajectory.load(path)
+    with pytest.raises(pt.FileFormatError, match="frame 3 of the displacements"):
+        StoredTrajectory(path).displacements[3]

@@ -317,6 +317,8 @@ def test_loads_that_it_does_not_know_are_refused(body, rom, grasped):
         rollout(grasped[2], [pt.PrescribedMotion("x+", lambda X, t: 1e3 * t * X**2)])
     with pytest.raises(pt.InputError, match="the engine moves one tool"):
         rom.realtime()
+    with pytest.raises(pt.InputError, match="step = 1e-30 is out of range"):
+        grasped[2].with_step(1e-30).realtime()
 
 
 def test_an_unknown_cloud_is_refused(runs):

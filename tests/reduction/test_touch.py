@@ -210,6 +210,15 @@ def test_forces_are_made_those_of_runs(pressed):
         pt.reduce(body, runs[:1], modes=4, repeated=[([], run_without(runs[0]))])
 
 
+@pytest.mark.parametrize("longer", [0.0, 1e9, -1.0])
+def test_runs_that_no_model_can_follow_are_refused(pressed, longer):
+    body, runs, _ = pressed
+    with pytest.raises(pt.InputError, match="cannot follow a training run"):
+        pt.reduce(
+            body, [replace(runs[0], times=longer * runs[0].times)], modes=0, enrichment=pt.vibration_modes(body, 24)[0]
+        )
+
+
 def test_the_surface_of_its_own_is_needed(pressed):
     """What the modes alone, without the surface's compliance, make of it: a far too large force."""
     _body, runs, model = pressed

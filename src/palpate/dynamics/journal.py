@@ -59,6 +59,8 @@ class Journal:
 
         Raises
         ------
+        InputError
+            The header is not one that can be read again.
         OSError
             The disk is full.
         """
@@ -167,6 +169,7 @@ def _length(chain: bytes, length: int) -> bytes:
 def _packed(header: Mapping[str, Any], arrays: Arrays) -> bytes:
     listed = {name: [values.dtype.str, list(values.shape)] for name, values in arrays.items()}
     table = json.dumps({"header": dict(header), "arrays": listed}, allow_nan=False).encode()
+    json_of(table)  # what cannot be read again is refused now
     return b"".join(
         [TABLE.pack(len(table)), table, *(np.ascontiguousarray(each).tobytes() for each in arrays.values())]
     )

@@ -84,7 +84,8 @@ class Recorder:
     def _collected(self, wall_seconds: float, complete: bool) -> Trajectory:
         frames, n = self.frames, len(self.points)
         points: Any = np.asarray(self.points, dtype=float)
-        series: dict[str, Any] = {"times": self.times, "steps": self.steps}
+        count = len(frames)  # a signal may have come between the time and the frame
+        series: dict[str, Any] = {"times": self.times[:count], "steps": self.steps[:count]}
         series |= {name: [getattr(o, name) for o in frames] for name in SERIES if name not in series}
         own: dict[str, Any] = {name: np.array(values, dtype=float) for name, values in series.items()}
         forces: dict[str, Any] = {

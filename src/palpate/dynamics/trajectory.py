@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 
 FORMAT, VERSION = "palpate trajectory", 2
 REMEDY = "run the simulation again"
+FARTHEST = 1e30  # [m] of a displacement, so that sums of squares are finite
 SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
 ROWS = ("displacements", "velocities")  # stored frame by frame
 NAMED = ("reactions", "moments")  # (f, 3) arrays by name
@@ -128,8 +129,7 @@ class Trajectory:
             The file cannot be written; a file that was there is unchanged.
         """
         arrays: dict[str, Any] = {name: getattr(self, name) for name in (*SERIES, "points", "touches", "held")}
-        arrays |= {f"reactions/{name}": force for name, force in self.reactions.items()}
-        arrays |= {f"moments/{name}": moment for name, moment in self.moments.items()}
+        arrays |= {_key(name, of): force for name in NAMED for of, force in getattr(self, name).items()}
         rows = {name: getattr(self, name) for name in ROWS}
         if not len(self.times):
             arrays, rows = arrays | rows, {}
@@ -173,7 +173,7 @@ def _from_journal(path: Path) -> Trajectory:
     data |= {name: stacked([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in ROWS}
     for name, each in names.items():
         forces = stacked([arrays[name] for _, arrays in frames], (len(each), 3))
-        data |= {f"{name}/{of}": forces[:, k] for k, of in enumerate(each)}
+        data |= {_key(name, of): forces[:, k] for k, of in enumerate(each)}
     numbered = [np.insert(arrays["touches"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
     data["touches"] = np.concatenate([np.zeros((0, 5)), *numbered])
     data["held"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["held"] for _, arrays in frames)])
@@ -206,7 +206,7 @@ def _checked(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     names = {name: listed_names(name, header[name]) for name in NAMED}
     frames, n = len(data["times"]), len(data["points"])
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(ROWS, (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
-    shapes |= {f"{name}/{of}": (frames, 3) for name, each in names.items() for of in each}
+    shapes |= {_key(name, of): (frames, 3) for name, each in names.items() for of in each}
     touches = len(data.get("touches", ()))
     shapes |= {
         "touches": (touches, 5),
@@ -219,10 +219,12 @@ def _checked(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
         wanted = np.bool_ if name == "held" else np.float64
         if data[name].shape != shape or data[name].dtype != wanted or not np.isfinite(data[name]).all():
             raise InputError(f"{name} is not finite, or has shape {data[name].shape}, expected {shape}")
+    if np.abs(data["displacements"]).max(initial=0.0) > FARTHEST:
+        raise InputError(f"displacements go beyond {FARTHEST:g} m, which no run does")
     if not n or np.any(np.diff(data["times"]) < 0) or np.any(np.diff(data["steps"]) < 0):
         raise InputError("times and steps must not decrease, and there must be points")
     _check_touches(data["touches"], frames, n)
-    forces: dict[str, Any] = {name: {of: data[f"{name}/{of}"] for of in each} for name, each in names.items()}
+    forces: dict[str, Any] = {name: {of: data[_key(name, of)] for of in each} for name, each in names.items()}
     arrays = {name: data[name] for name in (*SERIES, *ROWS, "points", "touches", "held")}
     return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
 
@@ -232,6 +234,13 @@ def listed_names(what: str, names: Any) -> list[str]:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or len({*names}) < len(names):
         raise InputError(f"{what} must be a list of names, got {names!r:.60}")
     return names
+
+
+def _key(what: str, of: str) -> str:
+    """Return the name of an array of a group or tool, in which HDF5 finds neither a path nor an end."""
+    if of in ("", ".", ".."):
+        return f"{what}/%{of}"
+    return f"{what}/{of.replace('%', '%25').replace('/', '%2F').replace(chr(0), '%00')}"
 
 
 def _check_touches(touches: Floats, frames: int, nodes: int) -> None:
@@ -285,6 +294,8 @@ class StoredTrajectory:
             raise InputError(f"displacements have shape {shape}, expected {wanted}; or touches do not fit")
         if self.points.ndim != 2 or self.times.ndim != 1 or self.steps.shape != self.times.shape:
             raise InputError("points, times and steps do not fit together")
+        if file.arrays["displacements"].type not in ("<f8", "<f4") or np.any(np.diff(self.times) < 0):
+            raise InputError("displacements must be of type <f8 or <f4, and times must not decrease")
         if not all(np.isfinite(each).all() for each in (self.points, self.times, self.steps, self.touches)):
             raise InputError("points, times, steps or touches are not finite")
         _check_touches(self.touches, len(self.times), len(self.points))
@@ -332,6 +343,6 @@ class Frames:
 
     def _frame(self, k: int) -> Floats:
         frame = self.read(k)
-        if not np.isfinite(frame).all():
-            raise InputError(f"frame {k} of the displacements is not finite")
+        if not np.all(np.abs(frame) <= FARTHEST):
+            raise InputError(f"frame {k} of the displacements is not finite, or goes beyond {FARTHEST:g} m")
         return frame

@@ -22,6 +22,7 @@ from palpate.dynamics.contact_state import check_apart, check_way, untouched
 from palpate.dynamics.full import FullModel
 from palpate.dynamics.loads import Drive
 from palpate.dynamics.model import Touch as TouchState
+from palpate.dynamics.rollout import CRAWL, MOST_STEPS
 from palpate.dynamics.tools import Forceps, surface_nodes
 from palpate.dynamics.trajectory import Trajectory
 from palpate.faults import InputError
@@ -318,15 +319,28 @@ def _without_affine(points: Floats, fields: Floats) -> Floats:
 
 
 def _led(model: ReducedModel, run: Any) -> Floats:
-    """Return the coordinates (f, m) of the model led through a run by the forces on its nodes."""
+    """Return the coordinates (f, m) of the model led through a run by the forces on its nodes.
+
+    Raises
+    ------
+    InputError
+        The run's times do not increase, or the model would crawl through it as no run does.
+    """
     drive, columns = model.drive(()), model.parts.columns[: model.count]
+    calm = model.stable_step(model.state(drive), drive)
     state = model.state(drive, run.displacements[0], time=float(run.times[0]))
     found, start = [state.coordinates], np.searchsorted(run.touches[:, 0], np.arange(len(run.times) + 1))
     for frame in range(1, len(run.times)):
         touches = run.touches[start[frame] : start[frame + 1]]
         forces = np.einsum("mkc,kc->m", columns[:, touches[:, 1].astype(int)], touches[:, 2:])
         interval = float(run.times[frame] - state.time)
-        steps = int(np.ceil(interval / min(model.stable_step(state, drive), interval / model.fewest) * (1 - 1e-9)))
+        wished = interval / max(min(model.stable_step(state, drive), interval / model.fewest), 1e-300)
+        if not 0 < wished <= min(CRAWL * max(interval / calm, model.fewest), MOST_STEPS):
+            raise InputError(
+                f"the model cannot follow a training run at t = {state.time:.4g} s, which needs {wished:.3g} steps to "
+                "the next snapshot: leave that run out, or make it again"
+            )
+        steps = int(np.ceil(wished * (1 - 1e-9)))
         state = model.advance(state, drive, interval / steps, steps, forces)
         found.append(state.coordinates)
     return np.array(found)

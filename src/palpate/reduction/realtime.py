@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from palpate.dynamics.foundation import Foundation
 from palpate.dynamics.loads import drive
 from palpate.dynamics.tools import Contact, Grasp
-from palpate.faults import InputError
+from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact_stiffness import contact_stiffness, contact_system
 from palpate.reduction.dents import Handling
 from palpate.reduction.foundation import Springs, springs_of
 from palpate.reduction.implicit import newton
-from palpate.reduction.period import PeriodData, period_functions
+from palpate.reduction.period import MOST_SUBSTEPS, PeriodData, period_functions
 from palpate.reduction.samples import scratch
 from palpate.reduction.skin import tools_of, touched
 
@@ -67,6 +67,7 @@ def realtime_model(
     root = np.linalg.cholesky(model.mass / model.masses.sum()).T
     which = np.r_[:count, len(parts.columns) - parts.witnesses : len(parts.columns)]
     watched = model.sampled(which)
+    number_in_range("step", model.step or longest, longest / MOST_SUBSTEPS, unit="s")
     frequency, steps = model._highest(np.zeros(count)), int(np.ceil(longest / (model.step or longest)))
     own, vectors = scratch(model._samples), np.zeros((8, count))
     vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)

@@ -193,6 +193,8 @@ class ReducedModel(Model):
             self._frequency, self._frequency_at = self._highest(state.coordinates, held), moved
         springs = self._loads(drive).own
         highest = float(np.hypot(max(self._frequency, self.parts.slack), np.sqrt(springs.square)))
+        if not highest:  # nothing holds any motion
+            return np.inf
         return stable_step(highest, self.viscosity + springs.rate / highest**2)
 
     def _highest(self, coordinates: Floats, held: bool = True) -> float:

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 import time
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -15,9 +16,10 @@ from view_scenes import BALL, MIDDLE, block
 
 import palpate as pt
 from palpate.app.cli import main
+from palpate.app.view.frames import state
 from palpate.app.view.fullrun import full_model, run_full
 from palpate.app.view.messages import checked
-from palpate.app.view.recording import FORMAT, VERSION, load_recording
+from palpate.app.view.recording import FORMAT, VERSION, load_recording, save_recording
 from palpate.app.view.replay import Replay
 from palpate.app.view.session import Session
 
@@ -225,6 +227,7 @@ LIES = {
         lambda header, arrays: arrays.update(trust=arrays["trust"][1:]), "array trust has shape"
     ),
     "time before the start": (entry("time", 0, -1.0), "time must not be negative"),
+    "a clock without end": (entry("wall", -1, 1e6), "pass 600 s"),
     "a clock that goes back": (entry("wall", 0, 9.0), "wall must not decrease"),
     "half a step": (entry("steps", 0, 0.5), "steps must hold whole numbers"),
     "no moduli": (entry("firmness", 3, 0.0), "firmness must be positive"),
@@ -248,6 +251,77 @@ def test_what_no_session_leaves_is_refused_even_with_right_checksums(recorded, t
     path = forge(recorded[0], change, FORMAT, VERSION, tmp_path / "lie.h5")
     with pytest.raises(pt.FileFormatError, match=rf"lie\.h5: .*{message}"):
         load_recording(path)
+
+
+def held_tool(kind, code):
+    def change(header, arrays):
+        for each in header["tools"]:
+            each["kind"] = kind if each["kind"] == "sphere" else each["kind"]
+        arrays["tool"][arrays["tool"] > 0] = code
+
+    return change
+
+
+def slow(header, arrays):
+    arrays["time"] *= 1e8
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (held_tool("group", 1), "moments of another one"),
+        (held_tool("group", 4), "not exactly one that tools hold"),
+        (held_tool("none", 1), "moments of another one"),
+        (held_tool("sphere", 2), "moments of another one"),
+        (slow, "more than 1200 s"),
+    ],
+)
+def test_a_path_that_no_tool_took_is_not_run(recorded, tmp_path, forge, change, message):
+    path = forge(recorded[0], change, FORMAT, VERSION, tmp_path / "lie.h5")
+    with pytest.raises(pt.InputError, match=message):
+        run_full(load_recording(path), block().model)
+
+
+def test_what_a_viewer_gets_is_finite_whatever_a_recording_holds(recorded, tmp_path, forge):
+    def change(header, arrays):
+        arrays["coordinates"][:] = 1e9
+        arrays["firmness"][:] = 1e9
+
+    show = Replay(load_recording(forge(recorded[0], change, FORMAT, VERSION, tmp_path / "lie.h5")))
+    for scalar in show.surface.scalars:
+        body = state(show.surface, show.snapshot(), scalar)
+        assert np.isfinite(np.frombuffer(body[:200], "<f8")).all()
+        assert np.isfinite(np.frombuffer(body[200:], "<f4")).all()
+
+
+SESSIONS = {
+    "a title without end": lambda r, m: replace(r, title="x" * 255),
+    "a title of odd characters": lambda r, m: replace(r, title="\0\udc80"),
+    "a body far from its training": lambda r, m: replace(r, moments=[replace(each, trust=np.inf) for each in m]),
+    "a week": lambda r, m: replace(r, moments=[replace(each, steps=10**10, sequence=10**10) for each in m]),
+    "a stiff body": lambda r, m: replace(r, moments=[replace(each, stiffness=1e11 * np.eye(3)) for each in m]),
+    "a reset": lambda r, m: replace(r, moments=[*m[:-1], replace(m[-1], time=0.0, steps=0)]),
+    "one moment": lambda r, m: replace(r, moments=m[:1], times=r.times[:1], tools=r.tools[:1]),
+}
+
+
+@pytest.mark.parametrize("what", SESSIONS)
+def test_what_a_session_leaves_is_loaded(recorded, tmp_path, what):
+    own = load_recording(recorded[0])
+    save_recording(tmp_path / "own.h5", SESSIONS[what](own, own.moments))
+    assert load_recording(tmp_path / "own.h5").moments
+
+
+def test_no_export_replaces_the_recording(recorded, tmp_path, assert_refused):
+    path = tmp_path / "press.vtkhdf"
+    content = recorded[0].read_bytes()
+    path.write_bytes(content)
+    assert_refused(["replay", str(path), "--full"], "would replace the recording")
+    with pytest.raises(pt.InputError, match="vtkhdf"):
+        save_recording(path, load_recording(path))
+    (tmp_path / "press.png").symlink_to(path)
+    assert_refused(["replay", str(path), "--png", str(tmp_path / "press.png")], "would replace the recording")
+    assert path.read_bytes() == content
 
 
 @pytest.mark.parametrize("scene", ["evil_module:run", "os:system", "palpate.app.cli:main", "builtins:exec", "beam:x"])

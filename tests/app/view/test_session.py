@@ -242,6 +242,20 @@ def test_a_recording_that_cannot_be_written_leaves_nothing_behind(session, tmp_p
     assert not list(tmp_path.iterdir())
 
 
+def test_a_recording_stays_where_only_the_file_for_paraview_is_lost(session, tmp_path, monkeypatch, until):
+    def full(path, recording):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("palpate.app.view.recording._write_surface", full)
+    session.folder = tmp_path
+    session.record()
+    until(lambda: len(session._recorder.times) > 1)
+    session.finish_recording(wait=True)
+    assert session.news == [{"type": "error", "reason": "the file for ParaView is lost: no space left"}]
+    (path,) = tmp_path.iterdir()
+    assert load_recording(path).moments
+
+
 def test_a_recording_goes_where_it_was_to_go_whoever_ends_it(session, tmp_path, until):
     session.record(tmp_path / "all.h5")
     until(lambda: len(session._recorder.times) > 1)

@@ -14,10 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from palpate import __version__
 from palpate.dynamics.trajectory import StoredTrajectory
 from palpate.faults import FileFormatError, InputError
-from palpate.files import digest_of, read_sealed_json, write_sealed_json
+from palpate.files import digest_of, read_sealed_json, regular_file, write_sealed_json
 from palpate.scenes.scene import TrainingScene
 from palpate.sealed import loading
 
@@ -134,8 +136,14 @@ class Folder:
     def check_run(self, job: Job) -> None:
         """Raise `FileFormatError` unless the file of a finished run is a trajectory of this run."""
         path = self.file(job)
-        if StoredTrajectory(path).label != self.label(job):
+        run = StoredTrajectory(path)
+        if run.label != self.label(job):
             raise FileFormatError(f"{path} is the file of another run; delete it, and the same command runs it again")
+        wanted = self.manifest["every"] * np.arange(len(run.times))
+        if len(wanted) < 2 or not np.allclose(run.times, wanted, rtol=1e-6):
+            raise FileFormatError(
+                f"{path} has other times than the run's; delete it, and the same command runs it again"
+            )
 
     def left(self, wanted: Sequence[Job]) -> list[Job]:
         """Return those of some runs that there is no result of."""
@@ -161,6 +169,8 @@ def opened(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
     elif folder.runs.exists():
         raise InputError(f"{path} holds runs, but no campaign.json that tells whose: choose another folder")
     folder.runs.mkdir(parents=True, exist_ok=True)
+    if (path / ".lock").exists():
+        regular_file(path / ".lock", "lock")  # opening a pipe would wait
     with (path / ".lock").open("a") as lock:
         _lock(lock, path)
         if not own.exists():

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from palpate.app.view.recording import Recording
+from palpate.app.view.recording import LONGEST, Recording
 from palpate.app.view.snapshot import Snapshot
 from palpate.dynamics.loads import Load, PrescribedMotion
 from palpate.dynamics.model import Model
@@ -93,7 +93,13 @@ def path_of(recording: Recording) -> tuple[slice, dict[str, Any]]:
     used = [tool for tool, end in zip(recording.tools, ends, strict=True) if tool["frame"] < last and end > first]
     if not held[span].all() or len(used) > 1:
         raise InputError("the tool was released or changed in between: record one press or grasp at a time for --full")
-    moments = recording.moments[span]
+    moments, kind = recording.moments[span], used[0]["kind"]
+    if any(moment.tool != kind for moment in moments):
+        raise InputError(f"the recording names a {kind} as the tool, and moments of another one: record it again")
+    if kind == "group" and len(recording.model.parts.driven) != 1:
+        raise InputError("the recording holds a group, and its model has not exactly one that tools hold")
+    if moments[-1].time - moments[0].time > 2 * LONGEST:
+        raise InputError(f"the body moves for more than {2 * LONGEST:g} s in this recording, which no session does")
     if any(moment.firmness != 1.0 for moment in moments):
         raise InputError("the moduli were changed in this recording: the scene's full model has its own")
     if np.any(np.diff([moment.time for moment in moments]) < 0):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from palpate.app.export import write_vtkhdf
 from palpate.app.view.snapshot import STATES, TOOLS, Snapshot
 from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.files import plain
+from palpate.files import plain, shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.reduced import ReducedModel
 from palpate.reduction.storage import contents, model_of
@@ -34,6 +34,7 @@ Floats = NDArray[np.float64]
 FORMAT, VERSION = "palpate recording", 2
 REMEDY = "record the session again"
 LARGEST = 1e9  # of the numbers of a recording, in SI units
+BEYOND = {"steps": 2.0**53, "sequence": 2.0**53, "stiffness": 1e30}  # where these may be larger
 LONGEST_TITLE = 200  # characters
 ERRORS = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of a run of the full model
 EVERY = 0.01  # [s] between moments
@@ -94,6 +95,8 @@ class Recorder:
         began, due = time.monotonic(), 0.0
         while not self._end.is_set() and due < LONGEST:
             now = time.monotonic() - began
+            if now > LONGEST:  # the machine slept
+                return
             moment, told = self._moment()
             told = {name: value for name, value in told.items() if name not in ("position", "quaternion", "held")}
             if not self.tools or any(self.tools[-1][name] != value for name, value in told.items()):
@@ -110,17 +113,20 @@ def save_recording(path: Path, recording: Recording) -> None:
     Raises
     ------
     InputError
-        There is nothing in it, or a number is not finite.
+        There is nothing in it, a number is not finite, or the name is that of a file for ParaView.
     OSError
         A file cannot be written; names it.
     """
     if not recording.moments:
         raise InputError("the recording is empty")
+    if path.suffix == ".vtkhdf":
+        raise InputError(f"a recording's name must not end in .vtkhdf, got {str(path)!r}: the file for ParaView has it")
     path.parent.mkdir(parents=True, exist_ok=True)
     moments, model = recording.moments, recording.model
     header, arrays = contents(model.parts, step=model.step, single=model.single)
     arrays = {f"model/{name}": values for name, values in arrays.items()}
     arrays |= {name: np.array([getattr(moment, name) for moment in moments], dtype=float) for name in NUMBERS}
+    arrays["trust"] = np.minimum(arrays["trust"], LARGEST)  # a body trained at rest has almost no reach
     arrays |= {
         "wall": np.array(recording.times, dtype=float),
         "tool": np.array([TOOLS.index(moment.tool) for moment in moments], dtype="u1"),
@@ -137,7 +143,7 @@ def save_recording(path: Path, recording: Recording) -> None:
         if not np.isfinite(values).all():
             raise InputError(f"{name} of the recording is not finite: {path} was not written")
     about = {
-        "title": recording.title, "tools": plain(recording.tools), "model": header,
+        "title": shortened(recording.title, LONGEST_TITLE), "tools": plain(recording.tools), "model": header,
         "errors": plain(recording.full["errors"]) if recording.full else None,
         "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }  # fmt: skip
@@ -205,8 +211,9 @@ def recording_of(file: SealedFile) -> Recording:
                        for each, found in zip(shape, own[name].shape, strict=False))  # fmt: skip
         if own[name].ndim != len(shape) or own[name].shape != wanted or own[name].dtype != kind:
             raise InputError(f"array {name} has shape {own[name].shape} of {own[name].dtype.str}, expected {shape}")
-        if not (np.abs(own[name]) <= LARGEST).all():
-            raise InputError(f"array {name} holds numbers that are not finite, or beyond {LARGEST:g}")
+        most = BEYOND.get(name, LARGEST)
+        if not (np.abs(own[name]) <= most).all():
+            raise InputError(f"array {name} holds numbers that are not finite, or beyond {most:g}")
     _check_numbers(own, len(model._skin.nodes))
     tools = checked_tools(header["tools"], frames)
     start, nodes, forces = (own[f"touched/{name}"] for name in ("start", "nodes", "forces"))
@@ -238,8 +245,8 @@ def _check_numbers(own: dict[str, Any], touchable: int) -> None:
     for name in ("steps", "sequence"):
         if np.any(own[name] != np.floor(own[name])):
             raise InputError(f"{name} must hold whole numbers")
-    if np.any(np.diff(own["wall"]) < 0) or np.any(own["firmness"] <= 0):
-        raise InputError("wall must not decrease, and firmness must be positive")
+    if np.any(np.diff(own["wall"]) < 0) or own["wall"][-1] > LONGEST or np.any(own["firmness"] <= 0):
+        raise InputError(f"wall must not decrease or pass {LONGEST:g} s, and firmness must be positive")
     if np.any(np.abs(np.linalg.norm(own["quaternion"], axis=1) - 1) > 1e-3):
         raise InputError("quaternion must have length 1")
     if own["tool"].max() >= len(TOOLS) or own["state"].max() >= len(STATES):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,9 +57,11 @@ def replay(
         check_film(movie)
     if png is not None and png.suffix.lower() != ".png":
         raise InputError(f"png = {str(png)!r}: allowed is a name that ends in .png")
-    for path, name in ((png, "png"), (movie, "movie")):
+    for path, name in ((png, "png"), (movie, "movie"), (file.with_suffix(".vtkhdf") if full else None, "full")):
         if path is not None:
             check_folder(path.parent, name)
+            if path.exists() and file.exists() and os.path.samefile(path, file):
+                raise InputError(f"{name} would replace the recording {str(file)!r} itself; choose another name")
     if scene is not None and not full:
         raise InputError("scene is for the run of the full model: add --full, or leave --scene out")
     recording = load_recording(file)

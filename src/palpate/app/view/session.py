@@ -289,9 +289,11 @@ class Session:
             path = chosen or _new_file(self.folder)
             save_recording(path, recording)
         except (InputError, OSError) as error:
-            self.news.append({"type": "error", "reason": f"the recording is lost: {error}"})
-            if path is not None and chosen is None:
-                path.unlink(missing_ok=True)  # nothing is in it
+            written = chosen is None and path is not None and path.stat().st_size > 0
+            lost = "the file for ParaView" if written else "the recording"
+            self.news.append({"type": "error", "reason": f"{lost} is lost: {error}"})
+            if path is not None and chosen is None and not written:
+                path.unlink(missing_ok=True)
         else:
             self.news.append({"type": "recorded", "file": str(path), "frames": len(recording.times)})
 

@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 STATES = ("stopped", "running", "paused", "ran away")
 UNITS = {"displacement": ("mm", 1e3), "stress": ("kPa", 1e-3), "pressure": ("kPa", 1e-3)}  # of scalars, and factors
 TOOLS = ("none", "sphere", "capsule", "grasp", "group")
+MOST = 1e30  # what is shown in place of an infinity
 WITHOUT_DENTS = "without the tool's dent"
 
 
@@ -45,13 +46,19 @@ class Snapshot(Period):
     tool: str
 
     def displacements(self, surface: Surface) -> NDArray[np.float32]:
-        """Return the displacements (n, 3) [m] of a surface's vertices."""
-        return surface.displacements(self.coordinates, self.nodes, self.forces, self.tool == "grasp")
+        """Return the displacements (n, 3) [m] of a surface's vertices, which are finite."""
+        moved = surface.displacements(self.coordinates, self.nodes, self.forces, self.tool == "grasp")
+        return np.nan_to_num(moved, nan=0.0, posinf=MOST, neginf=-MOST)
 
     def scalar(self, surface: Surface, name: str, moved: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return a number (n,) for every vertex, displaced by `moved` (n, 3) [m]; see `Surface.scalar`."""
-        values = surface.scalar(name, self.coordinates, moved)
-        return values if name == "displacement" else np.float32(self.firmness) * values
+        """Return a finite number (n,) for every vertex, displaced by `moved` (n, 3) [m]; see `Surface.scalar`.
+
+        A vertex whose stress is not a number, in a body that is turned inside out, has 0.
+        """
+        with np.errstate(all="ignore"):
+            values = surface.scalar(name, self.coordinates, moved)
+            values = values if name == "displacement" else np.float32(self.firmness) * values
+        return np.nan_to_num(values, nan=0.0, posinf=MOST, neginf=-MOST)
 
 
 def told_scalars(surface: Surface) -> list[dict[str, Any]]:
