@@ -19,7 +19,7 @@ from palpate import load
 from palpate.app.run.liver import cache
 from palpate.app.train.campaign import MODEL
 from palpate.app.view.messages import checked
-from palpate.app.view.recording import load_recording, save_recording
+from palpate.app.view.recording import ERRORS, load_recording, save_recording
 from palpate.app.view.replay import Replay
 from palpate.app.view.session import Session
 
@@ -84,7 +84,8 @@ def recording(session, ball, until, tmp_path):
     session.finish_recording(path, wait=True)
     own = load_recording(path)
     positions = np.array([session.surface.rest + m.displacements(session.surface) for m in own.moments]) + 1e-3
-    full = {"times": own.times, "positions": positions, "force": np.zeros((len(own.times), 3)), "errors": {}}
+    full = {"times": own.times, "positions": positions, "force": np.zeros((len(own.times), 3))}
+    full["errors"] = dict.fromkeys(ERRORS, 0.0)
     save_recording(path, replace(own, full=full))
     return load_recording(path)
 
