@@ -34,7 +34,7 @@ import numpy as np
 from palpate.faults import DivergenceError, InputError
 
 MEMORY = 200 << 20  # bytes a trial may take beyond the program's own
-SECONDS = 10.0  # of computing time after which a trial hangs
+SECONDS = 30.0  # of computing time after which a trial hangs: a forged model may need kernels that are not yet compiled
 SLOW = 1.0  # [s] of computing time that a trial should not exceed
 GOOD = ("refused", "equal", "accepted")
 
@@ -70,7 +70,7 @@ def _perform(trial: Trial, seed: int, number: int, folder: Path, pipe: int) -> N
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 28, 1 << 28))
     signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS)  # of computing time
-    signal.alarm(int(12 * SECONDS))  # for what waits without computing
+    signal.alarm(int(6 * SECONDS))  # for what waits without computing
     answer: dict[str, Any] = {}
     try:
         answer["what"] = trial(np.random.default_rng([seed, number]), folder)

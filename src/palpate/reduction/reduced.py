@@ -195,7 +195,7 @@ class ReducedModel(Model):
         highest = float(np.hypot(max(self._frequency, self.parts.slack), np.sqrt(springs.square)))
         if not highest:  # nothing holds any motion
             return np.inf
-        return stable_step(highest, self.viscosity + springs.rate / highest**2)
+        return stable_step(highest, self.viscosity + springs.rate / highest / highest)
 
     def _highest(self, coordinates: Floats, held: bool = True) -> float:
         moving = slice(self.parts.modes if held else None)
