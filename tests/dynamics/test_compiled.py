@@ -9,7 +9,7 @@ import sys
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled import law_digest
+from palpate.dynamics.compiled import KeyedFile, law_digest
 
 SECOND_PROCESS = """
 import sys
@@ -75,3 +75,16 @@ def test_code_compiled_by_two_processes_is_not_mixed_up_by_a_third(tmp_path):
     assert split != direct
     assert forces("split", "direct") == split + direct
     assert forces("direct", "split") == direct + split
+
+
+def test_two_processes_that_save_at_once_do_not_exchange_their_code(tmp_path, monkeypatch):
+    """Both read the index before either writes it, as when workers of a campaign compile side by side."""
+    caches = [KeyedFile(str(tmp_path), "kernel", (1.0, 1)) for _ in range(2)]
+    with monkeypatch.context() as patch:
+        patch.setattr(KeyedFile, "_load_index", lambda self: {})
+        caches[0].save(("one signature", "digest"), "code of one")
+        caches[1].save(("another signature", "digest"), "code of another")
+    reader = KeyedFile(str(tmp_path), "kernel", (1.0, 1))
+    found = {key: reader.load((key, "digest")) for key in ("one signature", "another signature")}
+    assert found["one signature"] in (None, "code of one")
+    assert found["another signature"] == "code of another"

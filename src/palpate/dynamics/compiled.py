@@ -16,16 +16,35 @@ from types import CellType, FunctionType
 from typing import Any
 
 from numba import njit
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import register_jitable
 
 __all__ = ["inlined", "kernel_njit", "law_digest", "law_njit", "named_for"]
+
+
+class KeyedFile(IndexDataCacheFile):  # type: ignore[misc]
+    """Compiled code on the disk, in a file of its own for each key.
+
+    Numba numbers these files. Two processes that save at once give two codes one number, and who reads them then runs
+    the code of another signature, which crashes.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Save compiled code under a key."""
+        known = self._load_index()
+        base = self._index_name.removesuffix(".nbi")
+        name = f"{base}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+        if known.get(key) != name:
+            self._save_index(known | {key: name})
+        self._save_data(name, data)
 
 
 class _DigestCache(FunctionCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], digest: str) -> None:
         super().__init__(function)
         self._digest = digest
+        locator = self._impl.locator
+        self._cache_file = KeyedFile(self._cache_path, self._impl.filename_base, locator.get_source_stamp())
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         return (sig, codegen.magic_tuple(), self._digest)
