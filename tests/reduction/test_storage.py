@@ -16,6 +16,7 @@ from palpate.reduction.compliance import Dents
 from palpate.reduction.cubature import Cubature
 from palpate.reduction.inside import Inside
 from palpate.reduction.reduced import ReducedModel, ReducedParts
+from palpate.reduction.surface import Surface
 from palpate.sealed import open_sealed
 
 
@@ -295,7 +296,8 @@ def put(name, values):
     """Replace an array by others' values, given the old ones."""
 
     def change(header, arrays):
-        arrays[name] = values(arrays[name])
+        new = values(arrays[name])
+        arrays[name] = np.array(new, arrays[name].dtype) if isinstance(new, list) else new
 
     return change
 
@@ -379,6 +381,7 @@ CASES = {
     "directions of no length": (entry("fibres/directions", (0, 3), 0.0), "unit vectors; one at nodes 3 has length 0"),
     "directions for fewer nodes": (put("fibres/directions", lambda a: a[:, 1:]), r"shape \(1, 111, 3\) .* expected"),
     "no directions": (put("fibres/directions", lambda a: a[:0]), r"have shape \(0, 112, 3\)"),
+    "a touched node twice": (put("dents/nodes", lambda a: [a[0], *a[:-1]]), "dents/nodes names a node twice"),
     "inner nodes out of range": (entry("inside/nodes", -1, 112), r"inside/nodes names nodes outside 0\.\.111"),
     "what follows nothing": (entry("inside/sources", (0, 0), 5000), "inside/sources names more than 5 nodes inside"),
     "half a node": (put("inside/flexibility", lambda a: a[:, 1:]), "holds 14 columns, not 3 a node"),
@@ -509,3 +512,9 @@ def test_an_unwritable_place_is_named(trained, tmp_path):
     with pytest.raises(OSError, match=r"cannot write .*folder"):
         trained.save(tmp_path / "folder")
     assert os.listdir(tmp_path) == ["folder"]
+
+
+def test_a_surface_whose_patches_are_all_of_one_node_is_drawn(altered):
+    model = pt.load(altered(put("dents/patches", np.zeros_like)))
+    surface = Surface(model)
+    assert np.isfinite(surface.displacements(np.ones(model.count), np.array([0]), np.ones((1, 3)))).all()

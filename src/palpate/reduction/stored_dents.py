@@ -38,6 +38,8 @@ def stored_dents(arrays: Arrays, grip: float) -> Dents | None:
     dents = Dents(**known, grip=grip)
     if not len(dents.nodes):
         return None
+    if len(np.unique(dents.nodes)) < len(dents.nodes):
+        raise InputError("array dents/nodes names a node twice")
     diagonal = np.diagonal(dents.flexibility)
     if not (np.all(diagonal >= 0) and diagonal.sum() > 0):
         raise InputError("array dents/flexibility holds no positive compliance")

@@ -71,7 +71,9 @@ class Surface:
         rows = np.repeat(np.arange(len(dents.nodes)), dents.patches.shape[1])
         shares = dents.shares.ravel().astype(np.float32), (rows, dents.patches.ravel())
         own = dents.patches.shape[1] == 1 and np.array_equal(dents.patches[:, 0], np.arange(len(dents.nodes)))
-        self._patches = None if own or not self._drawn.all() else sparse.csr_array(shares)
+        self._patches = (
+            None if own or not self._drawn.all() else sparse.csr_array(shares, shape=(len(dents.nodes),) * 2)
+        )
 
     def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, held: bool = False) -> Singles:
         """Return the displacements (n, 3) [m] of the vertices.
