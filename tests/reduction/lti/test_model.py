@@ -12,6 +12,7 @@ import palpate as pt
 from palpate.reduction.lti.forms import held_over
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.projection import projected
+from palpate.reduction.lti.storage import FORMAT, VERSION
 
 HOLD = {"duration": 0.02, "every": 0.0005, "progress": False}
 
@@ -229,3 +230,35 @@ def test_files_that_hold_no_linear_model_are_refused(system, tmp_path):
     (tmp_path / "cut.lti").write_bytes(content[: len(content) // 2])
     with pytest.raises(pt.FileFormatError):
         pt.load_linear(tmp_path / "cut.lti", system)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda header, arrays: arrays.update(mass=1e-320 * arrays["mass"]), "not finite"),
+        (lambda header, arrays: arrays.update(mass=0 * arrays["mass"]), "linear model again"),
+        (lambda header, arrays: arrays["stiffness"].__setitem__((0, 0), np.nan), "stiffness is not of finite numbers"),
+        (lambda header, arrays: arrays.update(input=arrays["input"][:, :1]), "array input has shape"),
+        (lambda header, arrays: arrays.pop("fields"), "the arrays are"),
+        (lambda header, arrays: header.update(kind="third"), "kind must be one of"),
+        (lambda header, arrays: header.update(kind=["second"]), "kind must be one of"),
+        (lambda header, arrays: header.update(report=[]), "header is not that of a linear model"),
+    ],
+)
+def test_what_no_linear_model_has_is_refused_even_with_right_checksums(system, tmp_path, forge, change, message):
+    pt.reduce_linear(system, "modal", 3).save(tmp_path / "lie.lti")
+    forge(tmp_path / "lie.lti", change, FORMAT, VERSION)
+    with pytest.raises(pt.FileFormatError, match=rf"lie\.lti: .*{message}"):
+        pt.load_linear(tmp_path / "lie.lti", system)
+
+
+def test_a_flipped_bit_of_a_linear_model_is_refused_wherever_it_is(system, tmp_path):
+    path = tmp_path / "bar.lti"
+    pt.reduce_linear(system, "modal", 3).save(path)
+    data, generator = path.read_bytes(), np.random.default_rng(4)
+    for place in [0, 30, 511, *generator.integers(len(data), size=60)]:
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(generator.integers(8))
+        path.write_bytes(changed)
+        with pytest.raises(pt.FileFormatError, match=r"bar\.lti"):
+            pt.load_linear(path, system)

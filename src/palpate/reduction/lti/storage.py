@@ -91,7 +91,11 @@ def load_linear(path: str | Path, system: LinearSystem) -> LinearModel:
         raise InputError(f"{path} was made of another linear system: {', '.join(differ) or 'points'} differ")
     with loading(path, REMEDY):
         _check_shapes(arrays, {"p": len(system.inputs), "q": len(system.outputs), "n": len(points)})
-        return LinearModel(system, form(**arrays), header["report"])
+        with np.errstate(all="ignore"):
+            model = LinearModel(system, form(**arrays), header["report"])
+        if not all(np.isfinite(matrix).all() for matrix in (model.A, model.B, model.C, model.D)):
+            raise InputError("its matrices make equations that are not finite")
+        return model
 
 
 def _check_shapes(arrays: dict[str, Any], sizes: dict[str | int, int]) -> None:
