@@ -11,7 +11,7 @@ import h5py
 import pytest
 
 from palpate.app.cli import main
-from palpate.app.view.recording import load_recording
+from palpate.app.view.recording import load_recording, save_recording
 from palpate.app.view.session import Session
 
 
@@ -25,9 +25,16 @@ def file(model, tmp_path_factory):
 @pytest.fixture
 def ended(monkeypatch):
     """A function that sends this process a signal once a session has recorded something."""
-    made = []
+    made, sent = [], []
     start = Session.start
     monkeypatch.setattr(Session, "start", lambda self: (made.append(self), start(self)))
+
+    def saving(path, recording):
+        for number in sent:  # once more, while the recording is written
+            os.kill(os.getpid(), number)
+        save_recording(path, recording)
+
+    monkeypatch.setattr("palpate.app.view.session.save_recording", saving)
 
     def send(number, *, begin=False):
         def wait():
@@ -37,10 +44,8 @@ def ended(monkeypatch):
                 made[0].record()
             while made[0]._recorder is None or len(made[0]._recorder.times) < 5:
                 time.sleep(0.01)
+            sent.extend([number] if number != signal.SIGINT else [])
             os.kill(os.getpid(), number)
-            if number != signal.SIGINT:
-                time.sleep(0.05)
-                os.kill(os.getpid(), number)  # once more, while the recording is written
 
         threading.Thread(target=wait, daemon=True).start()
 
@@ -66,8 +71,12 @@ def test_a_recording_survives_the_signals_that_end_a_program(file, tmp_path, end
 
 def test_a_recording_of_the_page_survives_the_end_of_the_server(file, tmp_path, ended, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    ended(signal.SIGINT, begin=True)
-    assert main(["view", str(file), "--no-browser", "--port", "18990"]) == 0
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
+    try:
+        ended(signal.SIGINT, begin=True)
+        assert main(["view", str(file), "--no-browser", "--port", "18990"]) == 0
+    finally:
+        signal.signal(signal.SIGINT, before)
     (written,) = (tmp_path / "out" / "view").glob("*.h5")
     assert len(load_recording(written).moments) >= 5
     assert "recorded" in capsys.readouterr().err
