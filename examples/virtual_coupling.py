@@ -13,7 +13,7 @@ import sys
 import numpy as np
 
 import palpate as pt
-from palpate.dynamics.tools import surface_nodes
+from palpate.dynamics.contact.tools import surface_nodes
 from palpate.realtime.watched import DAMPING, HAND, MASS, STIFFNESS, watched
 
 PERIOD, LASTING, RADIUS, DEPTH, GAP = 1e-3, 4.0, 0.02, 0.008, 0.002  # [s], [s], [m], [m], [m]

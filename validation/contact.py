@@ -23,7 +23,7 @@ import numpy as np
 from contact_elements import Block, punch, sphere
 
 import palpate as pt
-from palpate.dynamics.contact_step import push
+from palpate.dynamics.contact.impulses import push
 
 HERE = Path(__file__).parent
 OUTPUT = HERE.parent / "docs" / "validation" / "contact.json"

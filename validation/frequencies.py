@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import palpate as pt
-from palpate.dynamics.stability import stiffness
+from palpate.dynamics.nodal.stability import stiffness
 
 HERE = Path(__file__).parent
 OUTPUT = HERE.parent / "docs" / "validation" / "frequencies.json"

@@ -24,12 +24,12 @@ from palpate.app.view import recording as recordings
 from palpate.app.view.messages import parsed
 from palpate.app.view.replay import Replay
 from palpate.app.view.snapshot import Snapshot
-from palpate.dynamics import trajectory as trajectories
-from palpate.dynamics.recorder import Recorder
+from palpate.dynamics.run import trajectory as trajectories
+from palpate.dynamics.run.recorder import Recorder
 from palpate.faults import InputError
 from palpate.files import read_sealed_json, write_sealed_json
-from palpate.reduction import storage
 from palpate.reduction.lti import storage as linear_storage
+from palpate.reduction.storage import model_file as storage
 from palpate.sealed import HEAD, open_sealed, write_sealed
 
 Rng = np.random.Generator
@@ -278,7 +278,7 @@ def model() -> pt.ReducedModel:
 def use_model(found: pt.ReducedModel) -> None:
     """Show the model's surface as the page would, and run the model for a millisecond."""
     from palpate.app.view.snapshot import told_scalars, told_training
-    from palpate.reduction.surface import Surface
+    from palpate.reduction.realtime.display_surface import Surface
 
     told_scalars(Surface(found))
     told_training(found)

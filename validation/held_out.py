@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 import palpate as pt
-from palpate.reduction.cubature import non_negative
-from palpate.reduction.training import reduce
-from palpate.reduction.trust import Frames, tried_frames
+from palpate.reduction.hyper.cubature import non_negative
+from palpate.reduction.hyper.error_indicator import Frames, tried_frames
+from palpate.reduction.training.reduce import reduce
 from palpate.scenes.motions import random_motion, training_motions
 
 Floats = NDArray[np.float64]

@@ -27,8 +27,8 @@ from equilibrium import relax
 from scipy.interpolate import LinearNDInterpolator
 
 import palpate as pt
-from palpate.dynamics.full import DAMPING
-from palpate.dynamics.stability import stable_step
+from palpate.dynamics.nodal.stability import stable_step
+from palpate.dynamics.solid.model import DAMPING
 from palpate.meshfree.quadrature import integration_weights, quadratic_misses
 from palpate.meshfree.stencils import moving_least_squares
 

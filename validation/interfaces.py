@@ -23,7 +23,7 @@ from scipy.optimize import brentq, newton_krylov
 from scipy.sparse.linalg import LinearOperator, splu
 
 import palpate as pt
-from palpate.reduction.linear import rest_stiffness
+from palpate.reduction.basis.linear_modes import rest_stiffness
 
 OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "interfaces.json"
 LENGTH, ACROSS = 0.08, 4  # cells across: the lattice is even in all directions

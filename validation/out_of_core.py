@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import palpate as pt
-from palpate.dynamics.trajectory import FORMAT, VERSION
-from palpate.reduction.bases import SMALLEST, main_modes
-from palpate.reduction.incremental import block_size
-from palpate.reduction.snapshots import Snapshots
+from palpate.dynamics.run.trajectory import FORMAT, VERSION
+from palpate.reduction.basis.incremental_pod import block_size
+from palpate.reduction.basis.snapshots import Snapshots
+from palpate.reduction.basis.strain_pod import SMALLEST, main_modes
 from palpate.sealed import write_sealed
 
 Floats = NDArray[np.float64]

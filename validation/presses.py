@@ -24,8 +24,8 @@ import numpy as np
 import palpate as pt
 from palpate.app.train.campaign import REPEATED
 from palpate.app.train.folder import HELD_OUT, jobs
-from palpate.dynamics.tools import surface_nodes
-from palpate.reduction.linear import carried_modes
+from palpate.dynamics.contact.tools import surface_nodes
+from palpate.reduction.basis.linear_modes import carried_modes
 from palpate.scenes.training import training_scene
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "presses.json"

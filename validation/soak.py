@@ -25,7 +25,7 @@ import numpy as np
 import palpate as pt
 from palpate.app.view.session import Session
 from palpate.app.view.stand import Stand
-from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.hyper.model import ReducedModel
 
 HERE = Path(__file__).parent
 SIZE, SPACING, LASTING, EVERY = (0.048, 0.048, 0.024), 0.006, 0.12, 0.005  # [m], [m], [s], [s]

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from palpate.app.cli import main
-from palpate.dynamics.reactions import evaluate
+from palpate.dynamics.run.reactions import evaluate
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def stop_after(monkeypatch):
                 raise error
             return evaluate(model, state, drive)
 
-        monkeypatch.setattr("palpate.dynamics.nodal.evaluate", late)
+        monkeypatch.setattr("palpate.dynamics.nodal.model.evaluate", late)
 
     return stop
 

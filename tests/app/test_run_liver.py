@@ -11,7 +11,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.run import liver
-from palpate.reduction.errors import touch_errors
+from palpate.reduction.training.errors import touch_errors
 from palpate.scenes.liver import pressed_liver
 
 COARSE = {"spacing": 0.012, "radius": 0.03, "depth": 0.012}

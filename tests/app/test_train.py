@@ -21,7 +21,7 @@ import palpate as pt
 from palpate.app.cli import main
 from palpate.app.train import folder as folders
 from palpate.app.train.report import _by_load
-from palpate.dynamics.trajectory import FORMAT, VERSION
+from palpate.dynamics.run.trajectory import FORMAT, VERSION
 from palpate.files import read_sealed_json, write_sealed_json
 from palpate.scenes.training import training_scene
 from palpate.sealed import open_sealed

@@ -6,8 +6,8 @@ import os
 
 import numpy as np
 
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.loads import PrescribedMotion
+from palpate.dynamics.loads.loads import PrescribedMotion
+from palpate.dynamics.solid.model import FullModel
 from palpate.meshfree.cloud import box
 from palpate.scenes.scene import TrainingScene
 from palpate.tissue.materials import MooneyRivlin

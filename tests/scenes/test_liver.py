@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.linear import carried_modes
+from palpate.reduction.basis.linear_modes import carried_modes
 from palpate.scenes.liver import ToolPaths, pressed_liver
 from palpate.scenes.training import training_scene
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.dynamics.compiled import law_digest
-from palpate.reduction.stored_material import described, material_of
+from palpate.dynamics.compiled.cache import law_digest
+from palpate.reduction.storage.material import described, material_of
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.volumetric import volumetric_form
 

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.console import Console, count_nodes
-from palpate.dynamics.model import Model
-from palpate.dynamics.nodal import NodalModel
-from palpate.dynamics.rollout import rollout
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError
 from palpate.files import check_folder, check_space, settle
-from palpate.reduction.errors import errors
-from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.errors import errors
 from palpate.scenes.scene import Scene
 
 __all__ = [

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.realtime.blackbox import Ring, keep
 from palpate.realtime.clock import computing_time, now, sleep_until
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST

@@ -29,12 +29,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled import law_digest, law_njit
+from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.faults import number_in_range
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
 from palpate.realtime.exchange import Slot, publish, snapshot
 from palpate.realtime.loop import _name, _sources
-from palpate.reduction.realtime import RealtimeModel
+from palpate.reduction.realtime.model import RealtimeModel
 
 __all__ = ["Seen", "WatchedModel", "watched"]
 
@@ -86,7 +86,7 @@ class Seen(NamedTuple):
     Parameters
     ----------
     coordinates, nodes, forces : arrays
-        As `palpate.reduction.surface.Surface.displacements` takes them; the forces for the model's own moduli.
+        As `palpate.reduction.realtime.display_surface.Surface.displacements` takes them; the forces for the model's own moduli.
     place : (3,) array [m]
         Displacement of the tool, which is not the hand's where a spring is between them.
     hand : (3,) array [N]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.loads import Traction
+from palpate.dynamics.loads.loads import Traction
+from palpate.dynamics.solid.model import FullModel
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import box
 from palpate.scenes.scene import Scene

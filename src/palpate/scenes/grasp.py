@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.loads import Load, PrescribedMotion
+from palpate.dynamics.loads.loads import Load, PrescribedMotion
+from palpate.dynamics.solid.model import FullModel
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import Cloud, box
 from palpate.scenes.beam import COARSEST, FINEST, SIZE

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.tools import Contact, Grasp, Sphere
+from palpate.dynamics.contact.tools import Contact, Grasp, Sphere
+from palpate.dynamics.solid.model import FullModel
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.attachment import near_plane
 from palpate.meshfree.cloud import Cloud

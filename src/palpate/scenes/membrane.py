@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from palpate.dynamics.loads import PrescribedMotion
-from palpate.dynamics.membrane import Membrane
+from palpate.dynamics.loads.loads import PrescribedMotion
+from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.sheets import disc
 from palpate.scenes.scene import Scene

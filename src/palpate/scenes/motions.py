@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.dynamics.loads import Load, Traction
+from palpate.dynamics.loads.loads import Load, Traction
 from palpate.faults import InputError, integer_in_range
 from palpate.scenes.beam import DURATION
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads import Load, PrescribedMotion
-from palpate.dynamics.membrane import Membrane
+from palpate.dynamics.loads.loads import Load, PrescribedMotion
+from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import number_in_range
 from palpate.meshfree.sheets import disc
 from palpate.scenes.membrane import FINEST, RADIUS, THICKNESS

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.loads import Load
-from palpate.dynamics.membrane import Membrane
-from palpate.dynamics.nodal import NodalModel
+from palpate.dynamics.loads.loads import Load
+from palpate.dynamics.membrane.model import Membrane
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.solid.model import FullModel
 
 __all__ = ["MOST_FRAMES", "Scene", "TrainingScene"]
 
@@ -59,7 +59,7 @@ class TrainingScene:
     coarse : function, optional
         Returns a model of the same body of at most 5,000 nodes, in its energy form. Where tools touch a body anywhere,
         modes of the runs are dents where those runs had them: the vibrations of this model stand for modes, and its
-        statics tell what they leave of dents (`palpate.reduction.flexibility`).
+        statics tell what they leave of dents (`palpate.reduction.contact.residual_flexibility`).
     cubature : float
         As of `palpate.reduce`: what the sampled forces may miss of the whole ones.
     """

@@ -16,7 +16,7 @@ which has no differences of stretches in it: equal stretches, and rest, are no s
     dS = N D N^T,   D_ii = sum over j of ds_i/dx_j K_jj,   D_ij = (s_i - s_j)/(x_i - x_j) K_ij,   K = N^T dC N,
 
 x_i = l_i^2; the quotient becomes ds_i/dx_i - ds_i/dx_j where the stretches meet (Ogden, Non-Linear Elastic
-Deformations, 1984, section 6.1). The compiled forces use both (`palpate.dynamics.principal`).
+Deformations, 1984, section 6.1). The compiled forces use both (`palpate.dynamics.material.principal_stretches`).
 
 Powers are exponentials of logarithms, which all terms of a law share: half as dear as powers.
 """

@@ -9,7 +9,7 @@ bulk modulus there:
 
 The first is the law's of the paper. The second (Hencky) and the third (Simo, Taylor, Comput. Methods Appl. Mech. Eng.
 51, 1985) have no finite energy at J = 0; of the second p = U'(J) falls again beyond J = e. A squared measure is what a
-smoothing and a few moments can be taken of, so that the energy stays one (`palpate.dynamics.solid_energy`).
+smoothing and a few moments can be taken of, so that the energy stays one (`palpate.dynamics.solid.energy_form`).
 
 The functions take x = J - 1, of which nothing is lost near rest, are inlined in the compiled kernels, and take whole
 arrays elsewhere.

@@ -8,11 +8,11 @@ import scipy.linalg
 from scipy.sparse import csr_array
 
 import palpate as pt
-from palpate.reduction.lti.cost import Budget, dense_lyapunov, sparse_lyapunov
+from palpate.reduction.lti.budget import Budget, dense_lyapunov, sparse_lyapunov
 from palpate.reduction.lti.gramians import residual
 from palpate.reduction.lti.hankel import Realisation, hankel_norm, lyapunov_factor
-from palpate.reduction.lti.projection import condensed, eigenvectors
-from palpate.reduction.lti.reduction import METHODS, PYMOR, Reduction
+from palpate.reduction.lti.projection_methods import condensed, eigenvectors
+from palpate.reduction.lti.reductors import METHODS, PYMOR, Reduction
 
 WHY = "pyMOR is not installed: pip install 'palpate[linear]'"
 CONDENSED = 40
@@ -338,7 +338,7 @@ def test_emphasis_lets_one_input_count_more(system, soft_pull):
 
 
 def test_the_sizes_of_inputs_are_those_of_the_run(tool_system, system, soft_pull):
-    from palpate.reduction.lti.run import input_sizes
+    from palpate.reduction.lti.simulate import input_sizes
 
     found = input_sizes(system, [soft_pull], 0.02)
     np.testing.assert_allclose(found, 1e-4 * np.array([0.6, 0.15, 0.05]), rtol=1e-3)

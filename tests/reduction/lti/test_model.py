@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.lti.forms import held_over
 from palpate.reduction.lti.model import LinearModel
-from palpate.reduction.lti.projection import projected
+from palpate.reduction.lti.projection_methods import projected
+from palpate.reduction.lti.state_space import held_over
 from palpate.reduction.lti.storage import FORMAT, VERSION
 
 HOLD = {"duration": 0.02, "every": 0.0005, "progress": False}

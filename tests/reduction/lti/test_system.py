@@ -7,9 +7,9 @@ import pytest
 from scipy.io import loadmat, mmread
 
 import palpate as pt
-from palpate.dynamics.stability import stiffness
-from palpate.reduction.linear import rest_stiffness
-from palpate.reduction.lti.tangent import coupling, independent_groups, nodal_stiffness
+from palpate.dynamics.nodal.stability import stiffness
+from palpate.reduction.basis.linear_modes import rest_stiffness
+from palpate.reduction.lti.stiffness import coupling, independent_groups, nodal_stiffness
 
 MOTION = (0.0, 0.0, 0.0)
 
@@ -77,7 +77,7 @@ def test_statics_at_zero_frequency(form, request):
 
 
 def test_a_small_run_of_the_full_body_is_the_linear_one(system, energetic, soft_pull):
-    from palpate.reduction.lti.run import linear_run
+    from palpate.reduction.lti.simulate import linear_run
 
     run = pt.rollout(energetic, [soft_pull], duration=0.01, every=0.0005, progress=False)
     times, free, whole = linear_run(system, [soft_pull], duration=0.01, every=0.0005)

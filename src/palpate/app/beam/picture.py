@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from palpate.app.figures import RED, figure, scale_bar
 from palpate.app.pictures import COLOURS, check_drawing, off_screen, surface
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from palpate.app.console import percent, quantities_table, reduced_table
 from palpate.app.report import Claim, finished, listed, preamble, time_per_mode
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.files import plain
-from palpate.reduction.errors import errors
+from palpate.reduction.training.errors import errors
 
 __all__ = ["ENERGY_FORM", "build_report", "tables", "tip_displacement"]
 

@@ -20,12 +20,12 @@ from palpate.app.console import Console
 from palpate.app.export import write_vtkhdf
 from palpate.app.report import deliver
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Phase, Study, Train, prepare, run_full, run_reduced
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.rollout import rollout
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.solid.model import FullModel
 from palpate.faults import DivergenceError, integer_in_range
-from palpate.reduction.pod import pod
-from palpate.reduction.projected import project
-from palpate.reduction.training import reduce
+from palpate.reduction.basis.pod import pod
+from palpate.reduction.galerkin.model import project
+from palpate.reduction.training.reduce import reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
 
 __all__ = ["FIGURES", "FILES", "reproduce_beam", "von_mises"]

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
 from palpate.app.console import Console
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.loads import Load, Traction
-from palpate.dynamics.model import Model
-from palpate.dynamics.rollout import rollout
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.loads.loads import Load, Traction
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.trajectory import Trajectory
+from palpate.dynamics.solid.model import FullModel
 from palpate.meshfree.cloud import box
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.training import reduce
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.reduce import reduce
 from palpate.scenes.beam import beam
 from palpate.tissue.materials import MooneyRivlin
 

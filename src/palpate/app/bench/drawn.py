@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, identity, vstack
 
-from palpate.reduction.surface import Surface
+from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["FinelyDrawn", "centred", "divided"]
 
@@ -71,11 +71,11 @@ class FineSurface:
         self.rest: Singles = self._weights @ surface.rest
 
     def displacements(self, *arguments: Any) -> Singles:
-        """As `palpate.reduction.surface.Surface.displacements`."""
+        """As `palpate.reduction.realtime.display_surface.Surface.displacements`."""
         return np.asarray(self._weights @ self._coarse.displacements(*arguments))
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
-        """As `palpate.reduction.surface.Surface.scalar`."""
+        """As `palpate.reduction.realtime.display_surface.Surface.scalar`."""
         if name == "displacement":
             return self._coarse.scalar(name, coordinates, displacements)
         coarse = displacements[: len(self._coarse.rest)]  # the old vertices come first

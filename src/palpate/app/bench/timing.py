@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.loads import Drive
-from palpate.dynamics.model import State
-from palpate.reduction.reduced import ReducedModel
+from palpate.dynamics.loads.loads import Drive
+from palpate.dynamics.run.model import State
+from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["force_seconds", "median_seconds", "read_seconds", "step_seconds"]
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.loads import Load, PrescribedMotion, Traction
-from palpate.dynamics.model import Model
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.loads.loads import Load, PrescribedMotion, Traction
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.run.trajectory import Trajectory
+from palpate.dynamics.solid.model import FullModel
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.projected import project
-from palpate.reduction.training import reduce
+from palpate.reduction.galerkin.model import project
+from palpate.reduction.training.reduce import reduce
 from palpate.scenes.beam import beam, pull
 from palpate.scenes.liver import MARGIN, pressed_liver
 

@@ -11,8 +11,8 @@ from palpate.app.compare.report import build_report, tables, write_markdown
 from palpate.app.console import Console, print_json, print_plain
 from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder, write_json
-from palpate.reduction.lti.pymor import need_pymor
-from palpate.reduction.lti.reduction import METHODS, PYMOR
+from palpate.reduction.lti.pymor_bridge import need_pymor
+from palpate.reduction.lti.reductors import METHODS, PYMOR
 
 __all__ = ["compare"]
 

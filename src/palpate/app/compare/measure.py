@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from palpate.app.compare.bodies import Body
 from palpate.app.console import Console, percent
-from palpate.dynamics.model import Model
-from palpate.dynamics.rollout import rollout
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError
-from palpate.reduction.errors import errors
 from palpate.reduction.lti.model import LinearModel, propagate
-from palpate.reduction.lti.reduction import METHODS, Reduction
-from palpate.reduction.lti.run import input_sizes
+from palpate.reduction.lti.reductors import METHODS, Reduction
+from palpate.reduction.lti.simulate import input_sizes
 from palpate.reduction.lti.system import LinearSystem, linearise
+from palpate.reduction.training.errors import errors
 
 __all__ = ["Comparison", "compare_methods", "prepare_comparison"]
 

@@ -28,7 +28,7 @@ from palpate.app.figures import (
 )
 from palpate.app.report import finished
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.membrane import RADIUS
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from palpate.app.console import quantities_table, reduced_table
 from palpate.app.report import Claim, finished, listed, preamble, time_per_mode
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.files import plain
 
 __all__ = ["build_report", "tables"]

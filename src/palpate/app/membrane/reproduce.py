@@ -20,13 +20,13 @@ from palpate.app.export import write_vtkhdf
 from palpate.app.membrane.report import build_report, tables
 from palpate.app.report import deliver
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Phase, Study, Train, prepare, run_full, run_reduced
-from palpate.dynamics.membrane import Membrane
-from palpate.dynamics.nodal import NodalModel
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.membrane.model import Membrane
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import integer_in_range
-from palpate.reduction.projected import ProjectedModel, project
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.training import reduce
+from palpate.reduction.galerkin.model import ProjectedModel, project
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.reduce import reduce
 from palpate.scenes.membrane import DURATION, EVERY, PUSHED, membrane
 
 __all__ = ["FIGURES", "FILES", "reproduce_membrane"]

@@ -13,15 +13,15 @@ from palpate.app.console import Console, count_nodes, percent, print_json, print
 from palpate.app.report import machine
 from palpate.app.run.grasp import run_grasp
 from palpate.app.study import ReproduceError, prepare
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.model import Model
-from palpate.dynamics.rollout import rollout
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.trajectory import Trajectory
+from palpate.dynamics.solid.model import FullModel
 from palpate.faults import DivergenceError, InputError, integer_in_range
 from palpate.files import plain, write_json
-from palpate.reduction.errors import errors
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.training import reduce
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.errors import errors
+from palpate.reduction.training.reduce import reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
 from palpate.scenes.scene import Scene
 

@@ -9,8 +9,8 @@ from palpate.app.console import Console
 from palpate.app.run.quick import trained
 from palpate.app.run.realtime import Poses, run_realtime
 from palpate.faults import integer_in_range
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.storage import load
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.storage.model_file import load
 from palpate.scenes.beam import COARSEST
 from palpate.scenes.grasp import Hand, grasped_beam
 from palpate.scenes.scene import TrainingScene

@@ -19,11 +19,11 @@ from palpate.app.console import Console, count_nodes
 from palpate.app.run.realtime import Poses, run_realtime
 from palpate.app.train.campaign import MODEL, make_model, make_runs
 from palpate.app.train.folder import jobs, manifest_of, opened
-from palpate.dynamics.tools import Contact
+from palpate.dynamics.contact.tools import Contact
 from palpate.faults import FileFormatError, InputError
 from palpate.files import check_folder
-from palpate.reduction import storage
-from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.storage import model_file as storage
 from palpate.scenes.liver import ToolPaths
 from palpate.scenes.training import training_scene, typed
 

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from time import perf_counter
 
 from palpate.app.console import Console, count_nodes
-from palpate.dynamics.loads import Load
-from palpate.dynamics.rollout import rollout
-from palpate.dynamics.trajectory import Trajectory
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.training import reduce
+from palpate.dynamics.loads.loads import Load
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.trajectory import Trajectory
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.reduce import reduce
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["train", "trained"]

@@ -13,14 +13,14 @@ import numpy as np
 from palpate.app.console import Console, percent, print_json, print_plain, quantities_table
 from palpate.app.report import machine
 from palpate.app.study import ReproduceError
-from palpate.dynamics.progress import progress_bar
-from palpate.dynamics.tools import Contact
+from palpate.dynamics.contact.tools import Contact
+from palpate.dynamics.run.progress import progress_bar
 from palpate.faults import number_in_range
 from palpate.files import check_folder, check_space, plain, write_json
 from palpate.realtime.device import DummyDevice
 from palpate.realtime.engine import Engine
 from palpate.realtime.statistics import Distribution, Statistics
-from palpate.reduction.reduced import ReducedModel
+from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["FILES", "Poses", "run_realtime"]
 

@@ -12,12 +12,12 @@ from palpate.app.train.cluster import run_on_cluster
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.app.train.local import run_here
 from palpate.app.train.work import Outcome
-from palpate.dynamics.full import FullModel
-from palpate.dynamics.tools import Contact, Grasp
+from palpate.dynamics.contact.tools import Contact, Grasp
+from palpate.dynamics.solid.model import FullModel
 from palpate.files import check_space
-from palpate.reduction.linear import carried_modes
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.training import reduce
+from palpate.reduction.basis.linear_modes import carried_modes
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.reduce import reduce
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["MODEL", "make_model", "make_runs"]

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from palpate import __version__
-from palpate.dynamics.trajectory import StoredTrajectory
+from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import FileFormatError, InputError
 from palpate.files import digest_of, read_sealed_json, regular_file, write_sealed_json
 from palpate.scenes.scene import TrainingScene

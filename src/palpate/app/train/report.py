@@ -12,10 +12,10 @@ from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, lege
 from palpate.app.report import machine
 from palpate.app.train.campaign import MODEL
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
-from palpate.dynamics.trajectory import StoredTrajectory
+from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.files import plain, whole_file, write_json
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.training import HELD_SHARE
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.reduce import HELD_SHARE
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["FILES", "deliver"]
@@ -26,7 +26,7 @@ TOUCH = {
     "force": "force on tools, median",
     "force_95": "force on tools, 95th percentile",
     "surface_95": "displacement of the surface, 95th percentile",
-}  # as `palpate.reduction.errors.TouchErrors` names them
+}  # as `palpate.reduction.training.errors.TouchErrors` names them
 KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
 

@@ -14,7 +14,7 @@ from uuid import uuid4
 import numba
 
 from palpate.app.train.folder import Folder, Job
-from palpate.dynamics.rollout import rollout
+from palpate.dynamics.run.rollout import rollout
 from palpate.faults import DivergenceError, InputError
 from palpate.files import settle, write_sealed_json
 from palpate.scenes.scene import TrainingScene

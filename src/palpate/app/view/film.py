@@ -17,7 +17,7 @@ from palpate.app.view.recording import Recording
 from palpate.app.view.snapshot import UNITS, Snapshot
 from palpate.faults import InputError
 from palpate.files import whole_file
-from palpate.reduction.surface import Surface
+from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["FILMS", "Draw", "check_film", "drawn", "write_film", "write_picture"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.view.snapshot import STATES, TOOLS, Snapshot
-from palpate.reduction.surface import Surface
+from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = [
     "FORCE", "GEOMETRY", "OVERLAY", "STATE", "colour_range", "force_frame", "geometry_frame", "headed", "overlay",

@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from palpate.app.view.recording import LONGEST, Recording
 from palpate.app.view.snapshot import Snapshot
-from palpate.dynamics.loads import Load, PrescribedMotion
-from palpate.dynamics.model import Model
-from palpate.dynamics.rollout import rollout
-from palpate.dynamics.tools import Capsule, Contact, Grasp, Sphere
-from palpate.dynamics.trajectory import Trajectory
+from palpate.dynamics.contact.tools import Capsule, Contact, Grasp, Sphere
+from palpate.dynamics.loads.loads import Load, PrescribedMotion
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.files import shortened
-from palpate.reduction.surface import Surface
+from palpate.reduction.realtime.display_surface import Surface
 from palpate.scenes.training import TRAINING, search_current_folder, training_scene, typed
 
 __all__ = ["compared", "full_model", "path_of", "run_full"]

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.view.messages import Message
-from palpate.dynamics.contact import gaps
-from palpate.dynamics.tools import Capsule, Forceps, Sphere, Tool
+from palpate.dynamics.contact.geometry import gaps
+from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
-from palpate.reduction.surface import Surface
+from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["UNTURNED", "Held", "Outside", "forceps", "shape", "turned"]
 

@@ -22,9 +22,9 @@ from palpate.app.view.snapshot import STATES, TOOLS, Snapshot
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain, shortened
 from palpate.meshfree.cloud import Cloud
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.storage import contents, model_of
-from palpate.reduction.surface import Surface
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.storage.model_file import contents, model_of
 from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
 
 __all__ = ["EVERY", "Recorder", "Recording", "load_recording", "save_recording"]

@@ -13,7 +13,7 @@ from palpate.app.view.messages import Message
 from palpate.app.view.recording import Recording
 from palpate.app.view.snapshot import Snapshot, told_scalars, told_training
 from palpate.faults import InputError
-from palpate.reduction.surface import Surface
+from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["Replay"]
 

@@ -14,7 +14,7 @@ from palpate.app.view.fullrun import full_model, path_of, run_full
 from palpate.app.view.recording import Recording, load_recording, save_recording
 from palpate.app.view.replay import Replay
 from palpate.app.view.stand import PORT, serve_show
-from palpate.dynamics.progress import progress_bar
+from palpate.dynamics.run.progress import progress_bar
 from palpate.faults import InputError
 from palpate.files import check_folder
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from palpate.app.view.messages import Message, checked
 from palpate.app.view.session import Session
-from palpate.dynamics.progress import progress_bar
+from palpate.dynamics.run.progress import progress_bar
 from palpate.faults import FileFormatError, InputError
 from palpate.files import json_of, read_text
 

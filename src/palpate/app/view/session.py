@@ -17,14 +17,14 @@ from palpate.app.view.hand import UNTURNED, Held, Outside, forceps, shape, turne
 from palpate.app.view.messages import Message
 from palpate.app.view.recording import Recorder, Recording, save_recording
 from palpate.app.view.snapshot import Snapshot, told_scalars, told_training
-from palpate.dynamics.tools import Contact, Forceps, Sphere, Tool
+from palpate.dynamics.contact.tools import Contact, Forceps, Sphere, Tool
 from palpate.faults import InputError
 from palpate.realtime.engine import Engine
 from palpate.realtime.row import Reading
 from palpate.realtime.watched import Seen, watched
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.retooling import retool
-from palpate.reduction.surface import Surface
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.change_tool import retool
+from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["Session"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.realtime.row import Period
-from palpate.reduction.reduced import ReducedModel
-from palpate.reduction.surface import Surface
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["STATES", "TOOLS", "UNITS", "Snapshot", "told_scalars", "told_training"]
 

@@ -11,7 +11,7 @@ from palpate.app.view import frames
 from palpate.app.view.messages import Message
 from palpate.app.view.snapshot import Snapshot
 from palpate.app.view.viewer import Viewer
-from palpate.reduction.surface import Surface
+from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["Show", "Streams"]
 

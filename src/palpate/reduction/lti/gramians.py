@@ -14,8 +14,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.faults import InputError
-from palpate.reduction.lti.cost import Budget, sparse_lyapunov
-from palpate.reduction.lti.forms import FirstOrder
+from palpate.reduction.lti.budget import Budget, sparse_lyapunov
+from palpate.reduction.lti.state_space import FirstOrder
 
 if TYPE_CHECKING:
     from palpate.reduction.lti.system import LinearSystem

@@ -15,11 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads import FREE, Drive, Gravity, Load, Traction
-from palpate.dynamics.model import Model, Nodes, Outputs, State
-from palpate.dynamics.reactions import evaluate
+from palpate.dynamics.loads.loads import FREE, Drive, Gravity, Load, Traction
+from palpate.dynamics.run.model import Model, Nodes, Outputs, State
+from palpate.dynamics.run.reactions import evaluate
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.lti.forms import FirstOrder, Reduced, SecondOrder, held_over
+from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder, held_over
 from palpate.reduction.lti.system import LinearSystem, force_inputs
 
 __all__ = ["LinearModel"]

@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads import DRIVEN
+from palpate.dynamics.loads.loads import DRIVEN
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.lti.forms import SecondOrder, held_over
+from palpate.reduction.lti.state_space import SecondOrder, held_over
 
 if TYPE_CHECKING:
     from palpate.reduction.lti.model import LinearModel

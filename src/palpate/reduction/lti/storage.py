@@ -10,8 +10,8 @@ import numpy as np
 
 from palpate.faults import InputError
 from palpate.files import plain
-from palpate.reduction.lti.forms import FirstOrder, SecondOrder
 from palpate.reduction.lti.model import LinearModel
+from palpate.reduction.lti.state_space import FirstOrder, SecondOrder
 from palpate.sealed import loading, open_sealed, write_sealed
 
 if TYPE_CHECKING:

@@ -29,12 +29,12 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from palpate.dynamics.loads import FREE, Drive, Gravity, Load, PrescribedMotion, Traction
-from palpate.dynamics.model import State
-from palpate.dynamics.nodal import NodalModel
-from palpate.dynamics.tools import Grasp
+from palpate.dynamics.contact.tools import Grasp
+from palpate.dynamics.loads.loads import FREE, Drive, Gravity, Load, PrescribedMotion, Traction
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.run.model import State
 from palpate.faults import InputError
-from palpate.reduction.lti.tangent import nodal_stiffness
+from palpate.reduction.lti.stiffness import nodal_stiffness
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -147,7 +147,7 @@ class LinearSystem:
 
     def to_pymor(self) -> Any:
         """Return a `pymor.models.iosys.SecondOrderModel`: its E is the damping, its D the feedthrough."""
-        from palpate.reduction.lti.pymor import second_order_model
+        from palpate.reduction.lti.pymor_bridge import second_order_model
 
         return second_order_model(self)
 

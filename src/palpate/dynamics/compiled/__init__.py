@@ -1,0 +1,1 @@
+"""Compiled code: vector lanes, the cache of kernels, and passes over nodes."""

@@ -1,0 +1,196 @@
+"""What the compiled forces of solids and membranes have in common.
+
+A *formulation* turns displacements, or few coordinates, into forces in two passes over blocks of `LANES` nodes: first
+every node's derivatives and what its material answers; then, when all are known, the force at every node. Each
+node's result depends on no other's, so any number of threads gives the same bits.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+from numba import get_thread_id, njit, prange
+
+from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.lanes import LANES, lane_sums_1x1, lane_sums_3x1
+
+__all__ = [
+    "Formulation",
+    "add_blocks",
+    "combine",
+    "differences",
+    "forgetful",
+    "gather_fluxes",
+    "internal_force",
+    "lift_passes",
+    "smooth_field",
+    "weights_address",
+]
+
+
+@njit(cache=True)
+def forgetful(work, interval):  # type: ignore[no-untyped-def]
+    """`Formulation.after` of a body that remembers nothing."""
+
+
+class Formulation(NamedTuple):
+    """The compiled passes of a body, for one material law.
+
+    Parameters
+    ----------
+    digest : str
+        Of everything that the passes are made from.
+    numbers : int
+        Derivatives a node: 27 in a solid (12 in its energy form), 15 in a membrane.
+    respond : function
+        ``respond(u, body, work)``: responses of all nodes to displacements (n, 3).
+    respond_to_columns : function
+        ``respond_to_columns(columns, table, body, work)``: the same for displacements given by the coordinates (m,) of
+        columns whose derivatives stand in a table (b, m, numbers, LANES).
+    differentiate : function
+        ``differentiate(modes, body, work, table)``: writes that table for columns (m, n, 3).
+    finish : function
+        ``finish(body, work, force)``: forces by node [N/m^3] from the responses.
+    project : function or None
+        ``project(table, body, work, volumes, partial, result)``: virtual work of the responses on the columns of the
+        table, by way of partial sums (b, m), where the forces are the derivative of an energy.
+    after : function
+        ``after(work, interval)``: the next evaluation is that of an interval [s] later, and remembered by tissue that
+        relaxes; with 0 none is.
+    """
+
+    digest: str
+    numbers: int
+    respond: Any
+    respond_to_columns: Any
+    differentiate: Any
+    finish: Any
+    project: Any = None
+    after: Any = forgetful
+
+
+@njit(cache=True, forceinline=True)
+def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
+    """Where the weights of block b begin in memory."""
+    if lanes.shared[b]:
+        return weights.one[lanes.weight_start[b] :].ctypes.data
+    return weights.lanes[lanes.weight_start[b] :].ctypes.data
+
+
+@njit(cache=True, forceinline=True)
+def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
+    """Gather u_J - u_I of the neighbours J of the nodes I of one block; return how many neighbours they have."""
+    begin, end = lanes.start[b], lanes.start[b + 1]
+    for k in range(begin, end):
+        for lane in range(LANES):
+            i, j = lanes.nodes[b, lane], lanes.neighbours[k, lane]
+            for c in range(3):
+                fields[k - begin, c, lane] = u[j, c] - u[i, c]
+    return end - begin
+
+
+@njit(cache=True, fastmath={"contract"})
+def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
+    """Derivatives of one block from the coordinates of columns."""
+    for q in range(table.shape[2]):
+        for lane in range(LANES):
+            out[q, lane] = table[b, 0, q, lane] * columns[0]
+    for m in range(1, table.shape[1]):
+        for q in range(table.shape[2]):
+            for lane in range(LANES):
+                out[q, lane] += table[b, m, q, lane] * columns[m]
+
+
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def smooth_field(lanes, value, own, fields, derivatives, values, smooth):  # type: ignore[no-untyped-def]
+    """Fitted value of a nodal field (n,) at every node."""
+    for b in prange(lanes.nodes.shape[0]):
+        field = fields[get_thread_id()].reshape(-1, LANES)
+        total = derivatives[get_thread_id()]
+        begin, end = lanes.start[b], lanes.start[b + 1]
+        for k in range(begin, end):
+            for lane in range(LANES):
+                field[k - begin, lane] = values[lanes.neighbours[k, lane]]
+        lane_sums_1x1(
+            weights_address(value, lanes, b), field.ctypes.data, total.ctypes.data, end - begin, lanes.shared[b]
+        )
+        for lane in range(LANES):
+            i = lanes.nodes[b, lane]
+            smooth[i] = total[0, lane] + own[i] * values[i]
+
+
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def gather_fluxes(lanes, back, own, fields, sums, flux, force):  # type: ignore[no-untyped-def]
+    """Force [N/m^3] that is the slope of an energy: minus the transposed derivatives of the fluxes (n, 3 w)."""
+    for b in prange(lanes.nodes.shape[0]):
+        field, total = fields[get_thread_id()], sums[get_thread_id()]
+        begin, end = lanes.start[b], lanes.start[b + 1]
+        for k in range(begin, end):
+            for lane in range(LANES):
+                i = lanes.neighbours[k, lane]
+                for w in range(own.shape[1]):
+                    for c in range(3):
+                        field[own.shape[1] * (k - begin) + w, c, lane] = flux[i, 3 * w + c]
+        count = own.shape[1] * (end - begin)
+        lane_sums_3x1(weights_address(back, lanes, b), field.ctypes.data, total.ctypes.data, count, lanes.shared[b])
+        for lane in range(LANES):
+            i = lanes.nodes[b, lane]
+            for c in range(3):
+                value = total[c, lane]
+                for w in range(own.shape[1]):
+                    value += own[i, w] * flux[i, 3 * w + c]
+                force[i, c] = -value
+
+
+@njit(cache=True)
+def add_blocks(partial, result):  # type: ignore[no-untyped-def]
+    """Sum parts (b, m) over the blocks, in one order whatever the number of threads."""
+    result[:] = 0.0
+    for b in range(partial.shape[0]):
+        for m in range(partial.shape[1]):
+            result[m] += partial[b, m]
+
+
+def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int) -> tuple[Any, Any]:
+    """Make the passes that differentiate displacements, from the sums of first and of second derivatives.
+
+    Returns
+    -------
+    lift, differentiate : functions
+        ``lift(b, u, lanes, first, second, fields, out)`` writes the derivatives at the nodes of one block into out
+        (numbers, LANES), the first `first_numbers` being first derivatives; for `differentiate` see `Formulation`.
+    """
+    digest = law_digest("lift", name, first_numbers)
+
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"})
+    def lift(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]
+        count, shared = differences(b, u, lanes, fields), lanes.shared[b]
+        rest = out[first_numbers:]
+        first_sums(weights_address(first, lanes, b), fields.ctypes.data, out.ctypes.data, count, shared)
+        second_sums(weights_address(second, lanes, b), fields.ctypes.data, rest.ctypes.data, count, shared)
+
+    @law_njit(digest, inner=True, parallel=True)
+    def lift_columns(modes, lanes, first, second, fields, table):  # type: ignore[no-untyped-def]
+        for b in prange(lanes.nodes.shape[0]):
+            for m in range(modes.shape[0]):
+                lift(b, modes[m], lanes, first, second, fields[get_thread_id()], table[b, m])
+
+    @law_njit(digest)
+    def differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
+        lift_columns(modes, body.lanes, body.first, body.second, work.fields, table)
+
+    return lift, differentiate
+
+
+@cache
+def internal_force(formulation: Formulation) -> Any:
+    """Compile ``internal_force(u, body, work, force)``: the force density [N/m^3] of displacements (n, 3)."""
+    respond, finish = formulation.respond, formulation.finish
+
+    @law_njit(formulation.digest)
+    def internal_force(u, body, work, force):  # type: ignore[no-untyped-def]
+        respond(u, body, work)
+        finish(body, work, force)
+
+    return internal_force

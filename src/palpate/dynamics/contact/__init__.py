@@ -1,0 +1,1 @@
+"""Rigid tools, their geometry, and contact impulses."""

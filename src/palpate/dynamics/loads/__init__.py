@@ -1,0 +1,1 @@
+"""Loads, foundations, and loads prepared for a body."""

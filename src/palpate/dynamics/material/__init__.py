@@ -1,0 +1,1 @@
+"""Compiled stresses: principal stretches, fibres, viscoelastic history and material fields."""

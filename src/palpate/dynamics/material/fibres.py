@@ -1,0 +1,153 @@
+"""The compiled stress and energy of fibres (`palpate.tissue.fibres`), added to those of a law point by point.
+
+Both take F - I as it is at a point, nine numbers row by row, and the point's lane in its block. Bodies without fibres
+get functions that add nothing, and cost nothing.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.cache import law_digest, law_njit, named_for
+from palpate.dynamics.compiled.lanes import LANES
+from palpate.faults import InputError
+from palpate.tissue.fibres import LEAST, FibreLaw
+from palpate.tissue.materials import Material
+
+__all__ = ["BARE", "Families", "FibrePoints", "fibre_points", "firm", "laid_out", "placed"]
+
+Floats = NDArray[np.float64]
+
+
+class Families(NamedTuple):
+    """Fibres of points in blocks of lanes: coefficients of their law, and directions (b, f, 3, LANES)."""
+
+    coefficients: Floats
+    directions: Floats
+
+
+class FibrePoints(NamedTuple):
+    """Compiled functions of a point.
+
+    Parameters
+    ----------
+    digest : str
+        Of what they are made from; empty without fibres.
+    stressed : function
+        ``stressed(P, d0, ..., d8, b, v, families)`` returns P, nine numbers, with the stress of the fibres.
+    charged : function
+        ``charged(W, d0, ..., d8, b, v, families)`` returns W with their energy.
+    """
+
+    digest: str
+    stressed: Any
+    charged: Any
+
+
+def placed(fibres: FibreLaw | None, material: Material, form: str, points: Floats) -> FibreLaw | None:
+    """Return the fibres of a body with a direction for every node; refuse bodies that cannot have any."""
+    if fibres is None:
+        return None
+    if not isinstance(fibres, FibreLaw):
+        raise InputError(f"fibres is {fibres!r}: give palpate.Fibres or palpate.Guccione")
+    if form != "energy" or material.variables == "small strain":
+        raise InputError("tissue with fibres needs form='energy' and a law of finite strain")
+    return fibres.at(points)
+
+
+def firm(families: Families) -> Families:
+    """Return fibres for the search of a stable step: they carry compression, too."""
+    coefficients = families.coefficients.copy()
+    coefficients[-1:] = 1.0
+    return families._replace(coefficients=coefficients)
+
+
+def laid_out(fibres: FibreLaw | None, nodes: NDArray[np.integer[Any]]) -> Families:
+    """Lay out the fibres of nodes (b, LANES), or of none."""
+    if fibres is None:
+        return Families(np.zeros(0), np.zeros((0, 0, 3, LANES)))
+    directions = np.ascontiguousarray(fibres.directions[:, nodes].transpose(1, 0, 3, 2))
+    return Families(np.array(fibres.coefficients), directions)
+
+
+@register_jitable
+def _unchanged(of, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+    return of
+
+
+@register_jitable
+def _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8):  # type: ignore[no-untyped-def]
+    """F, cof F, C (00 11 22 01 02 12), and J^(-2/3) with its derivative."""
+    F = (1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8)
+    cofactor = (
+        F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
+        F[2] * F[7] - F[1] * F[8], F[0] * F[8] - F[2] * F[6], F[1] * F[6] - F[0] * F[7],
+        F[1] * F[5] - F[2] * F[4], F[2] * F[3] - F[0] * F[5], F[0] * F[4] - F[1] * F[3],
+    )  # fmt: skip
+    C = (
+        F[0] * F[0] + F[3] * F[3] + F[6] * F[6], F[1] * F[1] + F[4] * F[4] + F[7] * F[7],
+        F[2] * F[2] + F[5] * F[5] + F[8] * F[8], F[0] * F[1] + F[3] * F[4] + F[6] * F[7],
+        F[0] * F[2] + F[3] * F[5] + F[6] * F[8], F[1] * F[2] + F[4] * F[5] + F[7] * F[8],
+    )  # fmt: skip
+    J = F[0] * cofactor[0] + F[1] * cofactor[1] + F[2] * cofactor[2]
+    large = max(J, LEAST)
+    root = np.cbrt(large)
+    power = 1.0 / (root * root)
+    slope = -2.0 / 3.0 * power / large
+    return F, cofactor, C, power + slope * (J - large), slope
+
+
+BARE = FibrePoints("", _unchanged, _unchanged)
+
+
+def fibre_points(fibres: FibreLaw | None) -> FibrePoints:
+    """Return the compiled functions of some fibres, or of none."""
+    if fibres is None:
+        return BARE
+    return _compiled(type(fibres), len(fibres.directions))
+
+
+@cache
+def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
+    """Compile the points of a law with some number of families."""
+    digest = law_digest("fibres", law.respond, count, LEAST)
+    respond = register_jitable(named_for(digest, law.respond))
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def stressed(P, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+        F, c, C, s, slope = _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
+        isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
+        S0, S1, S2, S3, S4, S5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for f in range(count):
+            a = families.directions[b, f]
+            _, S = respond(isochoric, (a[0, v], a[1, v], a[2, v]), families.coefficients)
+            S0, S1, S2, S3, S4, S5 = S0 + S[0], S1 + S[1], S2 + S[2], S3 + S[3], S4 + S[4], S5 + S[5]
+        p = 0.5 * slope * (S0 * C[0] + S1 * C[1] + S2 * C[2] + 2.0 * (S3 * C[3] + S4 * C[4] + S5 * C[5]))
+        return (
+            P[0] + s * (F[0] * S0 + F[1] * S3 + F[2] * S4) + p * c[0],
+            P[1] + s * (F[0] * S3 + F[1] * S1 + F[2] * S5) + p * c[1],
+            P[2] + s * (F[0] * S4 + F[1] * S5 + F[2] * S2) + p * c[2],
+            P[3] + s * (F[3] * S0 + F[4] * S3 + F[5] * S4) + p * c[3],
+            P[4] + s * (F[3] * S3 + F[4] * S1 + F[5] * S5) + p * c[4],
+            P[5] + s * (F[3] * S4 + F[4] * S5 + F[5] * S2) + p * c[5],
+            P[6] + s * (F[6] * S0 + F[7] * S3 + F[8] * S4) + p * c[6],
+            P[7] + s * (F[6] * S3 + F[7] * S1 + F[8] * S5) + p * c[7],
+            P[8] + s * (F[6] * S4 + F[7] * S5 + F[8] * S2) + p * c[8],
+        )
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def charged(W, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+        _, _, C, s, _ = _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
+        isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
+        for f in range(count):
+            a = families.directions[b, f]
+            w, _ = respond(isochoric, (a[0, v], a[1, v], a[2, v]), families.coefficients)
+            W += w
+        return W
+
+    return FibrePoints(digest, stressed, charged)

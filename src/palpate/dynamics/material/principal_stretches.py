@@ -1,0 +1,265 @@
+"""The compiled stress of laws of the principal stretches, by the eigenvectors of C.
+
+The eigenvalue that stands farthest from the other two is the root of largest size of b^3 - 3 b - 2 h = 0, of the scaled
+deviator of C; that root depends smoothly on h, and three Newton steps from a parabola give it to the last bit. Its
+eigenvector is the largest cross product of two rows (Eberly, A Robust Eigensolver for 3x3 Symmetric Matrices, 2014);
+one Jacobi rotation in the plane across separates the other two. No eigenvalue is divided by its distance from another,
+so equal stretches are no special case: the directions are orthonormal always, if arbitrary where stretches meet.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from palpate.dynamics.compiled.cache import inlined, law_njit
+from palpate.dynamics.compiled.lanes import LANES
+
+__all__ = ["make_principal_response", "make_principal_stress", "principal"]
+
+NEAR = 1e-5  # of squared stretches: closer ones count as equal in quotients of differences, wrong by its square
+
+NEVER = 1e-300  # added to squares that are divided by where they vanish
+
+
+@njit(cache=True, fastmath={"contract"}, forceinline=True)
+def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
+    """Return the eigenvalues of a symmetric matrix, in no order, and the matrix of its eigenvectors, row by row."""
+    mean = (C00 + C11 + C22) / 3.0
+    a, b, c = C00 - mean, C11 - mean, C22 - mean
+    size = np.sqrt((a * a + b * b + c * c + 2.0 * (C01 * C01 + C02 * C02 + C12 * C12)) / 6.0 + NEVER)
+    scale = 1.0 / size
+    a, b, c, d, e, f = a * scale, b * scale, c * scale, C01 * scale, C02 * scale, C12 * scale
+    half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
+    sign = 1.0 if half >= 0.0 else -1.0
+    h = min(sign * half, 1.0)
+    root = 1.7320508 + h * (0.3334 - 0.0655 * h)
+    for _ in range(3):
+        square = root * root
+        root -= (root * (square - 3.0) - 2.0 * h) / (3.0 * (square - 1.0))
+    far = sign * root
+    # rows of the deviator less its farthest eigenvalue span the plane across its eigenvector
+    a, b, c = a - far, b - far, c - far
+    x0, x1, x2 = d * f - e * b, e * d - a * f, a * b - d * d
+    y0, y1, y2 = d * c - e * f, e * e - a * c, a * f - d * e
+    z0, z1, z2 = b * c - f * f, f * e - d * c, d * f - b * e
+    xx, yy, zz = x0 * x0 + x1 * x1 + x2 * x2, y0 * y0 + y1 * y1 + y2 * y2, z0 * z0 + z1 * z1 + z2 * z2
+    if yy > xx:
+        x0, x1, x2, xx = y0, y1, y2, yy
+    if zz > xx:
+        x0, x1, x2, xx = z0, z1, z2, zz
+    if xx < 1e-30:  # the unit matrix times a number: any direction will do
+        x0, x1, x2, xx = 1.0, 0.0, 0.0, 1.0
+    r = 1.0 / np.sqrt(xx)
+    n00, n10, n20 = x0 * r, x1 * r, x2 * r
+    # a basis across it (Duff and others, J. Comput. Graph. Tech. 6, 2017)
+    s = 1.0 if n20 >= 0.0 else -1.0
+    t = -1.0 / (s + n20)
+    q = n00 * n10 * t
+    u0, u1, u2 = 1.0 + s * n00 * n00 * t, s * q, -s * n00
+    v0, v1, v2 = q, s + n10 * n10 * t, -n10
+    Cu0, Cu1, Cu2 = C00 * u0 + C01 * u1 + C02 * u2, C01 * u0 + C11 * u1 + C12 * u2, C02 * u0 + C12 * u1 + C22 * u2
+    Cv0, Cv1, Cv2 = C00 * v0 + C01 * v1 + C02 * v2, C01 * v0 + C11 * v1 + C12 * v2, C02 * v0 + C12 * v1 + C22 * v2
+    Cn0, Cn1 = C00 * n00 + C01 * n10 + C02 * n20, C01 * n00 + C11 * n10 + C12 * n20
+    Cn2 = C02 * n00 + C12 * n10 + C22 * n20
+    uu, vv, uv = u0 * Cu0 + u1 * Cu1 + u2 * Cu2, v0 * Cv0 + v1 * Cv1 + v2 * Cv2, u0 * Cv0 + u1 * Cv1 + u2 * Cv2
+    # tangent of the smaller angle that makes the plane's part diagonal
+    gap = 0.5 * (vv - uu)
+    reach = abs(gap) + np.sqrt(gap * gap + uv * uv) + NEVER
+    tangent = (uv if gap >= 0.0 else -uv) / reach
+    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+    sine = tangent * cosine
+    return (
+        (n00 * Cn0 + n10 * Cn1 + n20 * Cn2, uu - tangent * uv, vv + tangent * uv),
+        (
+            n00, cosine * u0 - sine * v0, sine * u0 + cosine * v0,
+            n10, cosine * u1 - sine * v1, sine * u1 + cosine * v1,
+            n20, cosine * u2 - sine * v2, sine * u2 + cosine * v2,
+        ),
+    )  # fmt: skip
+
+
+@njit(cache=True, fastmath={"contract"}, forceinline=True)
+def _quotient(x, y, s, t, slope):  # type: ignore[no-untyped-def]
+    """(s - t) / (x - y), or `slope`, its limit, where x and y meet."""
+    near = abs(x - y) <= NEAR * (x + y)
+    return slope if near else (s - t) / (1.0 if near else x - y)
+
+
+def make_principal_stress(digest: str, law_first: Any) -> Any:
+    """Make the compiled shear stress of one point for a law of the stretches, as `solid_energy.make_stress` does."""
+    first_of = inlined(digest, law_first)
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+        F00, F01, F02, F10, F11, F12, F20, F21, F22 = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
+        c00, c01, c02 = F11 * F22 - F12 * F21, F12 * F20 - F10 * F22, F10 * F21 - F11 * F20
+        c10, c11, c12 = F02 * F21 - F01 * F22, F00 * F22 - F02 * F20, F01 * F20 - F00 * F21
+        c20, c21, c22 = F01 * F12 - F02 * F11, F02 * F10 - F00 * F12, F00 * F11 - F01 * F10
+        J = F00 * c00 + F01 * c01 + F02 * c02
+        (x0, x1, x2), (n00, n01, n02, n10, n11, n12, n20, n21, n22) = principal(
+            F00 * F00 + F10 * F10 + F20 * F20,
+            F01 * F01 + F11 * F11 + F21 * F21,
+            F02 * F02 + F12 * F12 + F22 * F22,
+            F00 * F01 + F10 * F11 + F20 * F21,
+            F00 * F02 + F10 * F12 + F20 * F22,
+            F01 * F02 + F11 * F12 + F21 * F22,
+        )
+        l0, l1, l2 = np.sqrt(x0), np.sqrt(x1), np.sqrt(x2)
+        w0, w1, w2 = first_of(l0, l1, l2, coefficients)
+        s0, s1, s2 = w0 / l0, w1 / l1, w2 / l2
+        S00, S01 = s0 * n00 * n00 + s1 * n01 * n01 + s2 * n02 * n02, s0 * n00 * n10 + s1 * n01 * n11 + s2 * n02 * n12
+        S11, S02 = s0 * n10 * n10 + s1 * n11 * n11 + s2 * n12 * n12, s0 * n00 * n20 + s1 * n01 * n21 + s2 * n02 * n22
+        S22, S12 = s0 * n20 * n20 + s1 * n21 * n21 + s2 * n22 * n22, s0 * n10 * n20 + s1 * n11 * n21 + s2 * n12 * n22
+        P = (
+            F00 * S00 + F01 * S01 + F02 * S02, F00 * S01 + F01 * S11 + F02 * S12, F00 * S02 + F01 * S12 + F02 * S22,
+            F10 * S00 + F11 * S01 + F12 * S02, F10 * S01 + F11 * S11 + F12 * S12, F10 * S02 + F11 * S12 + F12 * S22,
+            F20 * S00 + F21 * S01 + F22 * S02, F20 * S01 + F21 * S11 + F22 * S12, F20 * S02 + F21 * S12 + F22 * S22,
+        )  # fmt: skip
+        return P, (c00, c01, c02, c10, c11, c12, c20, c21, c22), J - 1.0
+
+    return stress
+
+
+def make_principal_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
+    """Make the compiled response of one block for a law of the stretches, as `solid` does for one of the invariants.
+
+    All is said in the axes N of C, where S is diagonal: with F and H turned there, column a of P and its divergence are
+
+        P_a = s_a F_a,   Div P = sum of s_a H_aa + F_a v_a,
+        v_a = sum over j of ds_a/dx_j G_jj,a + sum over b of g_ab G_ab,b,
+
+    G_ij,b = dC_ij/dX_b, and g the quotients (s_a - s_b)/(x_a - x_b). The law is called in a loop of its own, which has
+    powers and logarithms in it; the loops before and after have none, and run in vector lanes.
+    """
+    slopes = _make_slopes(digest, law_first, law_second, volume, direct)
+
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
+    def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
+        axes, squares = cofactor[b], shear[b]
+        for v in range(LANES):
+            _axes(v, d, axes, squares)
+        for v in range(LANES):
+            slopes(v, squares, d, coefficients, lame)
+        for v in range(LANES):
+            _divergence(b, v, d, boundary, axes, squares)
+        for v in range(LANES):
+            d[0, v] = _cofactor(v, d, axes)
+        for v in range(LANES):
+            pressure[nodes[b, v]] = lame * volume(d[0, v])[0]
+
+    return respond
+
+
+@njit(cache=True, fastmath={"contract"}, forceinline=True)
+def _axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
+    """Write the principal axes (9) and squared stretches (3) of a lane."""
+    F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
+    F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
+    F20, F21, F22 = d[6, v], d[7, v], 1.0 + d[8, v]
+    x, n = principal(
+        F00 * F00 + F10 * F10 + F20 * F20,
+        F01 * F01 + F11 * F11 + F21 * F21,
+        F02 * F02 + F12 * F12 + F22 * F22,
+        F00 * F01 + F10 * F11 + F20 * F21,
+        F00 * F02 + F10 * F12 + F20 * F22,
+        F01 * F02 + F11 * F12 + F21 * F22,
+    )
+    squares[0, v], squares[1, v], squares[2, v] = x[0], x[1], x[2]
+    axes[0, v], axes[1, v], axes[2, v] = n[0], n[1], n[2]
+    axes[3, v], axes[4, v], axes[5, v] = n[3], n[4], n[5]
+    axes[6, v], axes[7, v], axes[8, v] = n[6], n[7], n[8]
+
+
+def _make_slopes(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
+    """Make the function that writes s_a, ds_a/dx_b and the quotients of a lane, twelve numbers, into rows 27 to 38."""
+    first_of, second_of = (inlined(digest, f) for f in (law_first, law_second))
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def slopes(v, squares, d, coefficients, lame):  # type: ignore[no-untyped-def]
+        x0, x1, x2 = squares[0, v], squares[1, v], squares[2, v]
+        l0, l1, l2 = np.sqrt(x0), np.sqrt(x1), np.sqrt(x2)
+        w0, w1, w2 = first_of(l0, l1, l2, coefficients)
+        w00, w11, w22, w01, w02, w12 = second_of(l0, l1, l2, coefficients)
+        if direct:  # the volumetric part, too
+            J = l0 * l1 * l2
+            slope, bend = volume(J - 1.0)
+            p, k = lame * slope * J, lame * bend * J * J
+            w0, w1, w2 = w0 + p / l0, w1 + p / l1, w2 + p / l2
+            w00, w11, w22 = w00 + k / x0, w11 + k / x1, w22 + k / x2
+            w01, w02, w12 = w01 + (k + p) / (l0 * l1), w02 + (k + p) / (l0 * l2), w12 + (k + p) / (l1 * l2)
+        s0, s1, s2 = w0 / l0, w1 / l1, w2 / l2
+        s00, s11, s22 = 0.5 * (w00 - s0) / x0, 0.5 * (w11 - s1) / x1, 0.5 * (w22 - s2) / x2
+        s01, s02, s12 = 0.5 * w01 / (l0 * l1), 0.5 * w02 / (l0 * l2), 0.5 * w12 / (l1 * l2)
+        d[27, v], d[28, v], d[29, v] = s0, s1, s2
+        d[30, v], d[31, v], d[32, v], d[33, v], d[34, v], d[35, v] = s00, s11, s22, s01, s02, s12
+        d[36, v] = _quotient(x0, x1, s0, s1, 0.5 * (s00 + s11) - s01)
+        d[37, v] = _quotient(x0, x2, s0, s2, 0.5 * (s00 + s22) - s02)
+        d[38, v] = _quotient(x1, x2, s1, s2, 0.5 * (s11 + s22) - s12)
+
+    return slopes
+
+
+@njit(cache=True, fastmath={"contract"}, forceinline=True)
+def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
+    """Div P - P b of a lane, from what `_axes` and the slopes have left."""
+    n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
+    n10, n11, n12 = axes[3, v], axes[4, v], axes[5, v]
+    n20, n21, n22 = axes[6, v], axes[7, v], axes[8, v]
+    s0, s1, s2 = d[27, v], d[28, v], d[29, v]
+    s00, s11, s22, s01, s02, s12 = d[30, v], d[31, v], d[32, v], d[33, v], d[34, v], d[35, v]
+    g01, g02, g12 = d[36, v], d[37, v], d[38, v]
+    b0, b1, b2 = boundary[b, 0, v], boundary[b, 1, v], boundary[b, 2, v]
+    v0 = -s0 * (n00 * b0 + n10 * b1 + n20 * b2)
+    v1 = -s1 * (n01 * b0 + n11 * b1 + n21 * b2)
+    v2 = -s2 * (n02 * b0 + n12 * b1 + n22 * b2)
+    for c in range(3):
+        F0 = d[3 * c, v] + (1.0 if c == 0 else 0.0)
+        F1 = d[3 * c + 1, v] + (1.0 if c == 1 else 0.0)
+        F2 = d[3 * c + 2, v] + (1.0 if c == 2 else 0.0)
+        f0, f1, f2 = F0 * n00 + F1 * n10 + F2 * n20, F0 * n01 + F1 * n11 + F2 * n21, F0 * n02 + F1 * n12 + F2 * n22
+        h00, h11, h22, h01, h02, h12 = _turned(c, v, d, axes)
+        force[c, v] = s0 * h00 + s1 * h11 + s2 * h22
+        v0 += 2.0 * (s00 * f0 * h00 + s01 * f1 * h01 + s02 * f2 * h02)
+        v1 += 2.0 * (s01 * f0 * h01 + s11 * f1 * h11 + s12 * f2 * h12)
+        v2 += 2.0 * (s02 * f0 * h02 + s12 * f1 * h12 + s22 * f2 * h22)
+        v0 += g01 * (h01 * f1 + f0 * h11) + g02 * (h02 * f2 + f0 * h22)
+        v1 += g01 * (h01 * f0 + f1 * h00) + g12 * (h12 * f2 + f1 * h22)
+        v2 += g02 * (h02 * f0 + f2 * h00) + g12 * (h12 * f1 + f2 * h11)
+    y0, y1, y2 = n00 * v0 + n01 * v1 + n02 * v2, n10 * v0 + n11 * v1 + n12 * v2, n20 * v0 + n21 * v1 + n22 * v2
+    force[0, v] += (1.0 + d[0, v]) * y0 + d[1, v] * y1 + d[2, v] * y2
+    force[1, v] += d[3, v] * y0 + (1.0 + d[4, v]) * y1 + d[5, v] * y2
+    force[2, v] += d[6, v] * y0 + d[7, v] * y1 + (1.0 + d[8, v]) * y2
+
+
+@njit(cache=True, fastmath={"contract"}, forceinline=True)
+def _turned(c, v, d, axes):  # type: ignore[no-untyped-def]
+    """Second derivatives of component c of a lane, in the principal axes: 00 11 22 01 02 12, as they stand in d."""
+    n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
+    n10, n11, n12 = axes[3, v], axes[4, v], axes[5, v]
+    n20, n21, n22 = axes[6, v], axes[7, v], axes[8, v]
+    k = 9 + 6 * c
+    p0, p1, p2, p3, p4, p5 = d[k, v], d[k + 1, v], d[k + 2, v], d[k + 3, v], d[k + 4, v], d[k + 5, v]
+    a0, a1, a2 = p0 * n00 + p3 * n10 + p4 * n20, p3 * n00 + p1 * n10 + p5 * n20, p4 * n00 + p5 * n10 + p2 * n20
+    e0, e1, e2 = p0 * n01 + p3 * n11 + p4 * n21, p3 * n01 + p1 * n11 + p5 * n21, p4 * n01 + p5 * n11 + p2 * n21
+    i0, i1, i2 = p0 * n02 + p3 * n12 + p4 * n22, p3 * n02 + p1 * n12 + p5 * n22, p4 * n02 + p5 * n12 + p2 * n22
+    return (
+        n00 * a0 + n10 * a1 + n20 * a2, n01 * e0 + n11 * e1 + n21 * e2, n02 * i0 + n12 * i1 + n22 * i2,
+        n01 * a0 + n11 * a1 + n21 * a2, n02 * a0 + n12 * a1 + n22 * a2, n02 * e0 + n12 * e1 + n22 * e2,
+    )  # fmt: skip
+
+
+@njit(cache=True, fastmath={"contract"}, forceinline=True)
+def _cofactor(v, d, cofactor):  # type: ignore[no-untyped-def]
+    """Write cof(F) of a lane, and return its J - 1."""
+    F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
+    F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
+    F20, F21, F22 = d[6, v], d[7, v], 1.0 + d[8, v]
+    c00, c01, c02 = F11 * F22 - F12 * F21, F12 * F20 - F10 * F22, F10 * F21 - F11 * F20
+    cofactor[0, v], cofactor[1, v], cofactor[2, v] = c00, c01, c02
+    cofactor[3, v], cofactor[4, v] = F02 * F21 - F01 * F22, F00 * F22 - F02 * F20
+    cofactor[5, v], cofactor[6, v] = F01 * F20 - F00 * F21, F01 * F12 - F02 * F11
+    cofactor[7, v], cofactor[8, v] = F02 * F10 - F00 * F12, F00 * F11 - F01 * F10
+    return F00 * c00 + F01 * c01 + F02 * c02 - 1.0

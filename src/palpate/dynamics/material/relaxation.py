@@ -1,0 +1,328 @@
+"""The compiled overstress of relaxing tissue (`palpate.tissue.prony.Prony`), and the memory that it needs.
+
+Between two evaluations that are an interval h apart, the isochoric strain is taken to change evenly. Then
+
+    A(t + h) = exp(-h / tau) A(t) + (1 - exp(-h / tau)) tau / h (C̄(t + h) - C̄(t))
+
+is exact, whatever h, and so is what is lost in between. An evaluation with h = 0 answers at once (the limit) and is
+not remembered: it asks what the forces would be. The overstress follows from the branches' energy,
+
+    P = J^(-2/3) (F Q - (Q : C) / (3 J) cof F),     Q = sum of mu_i A_i.
+
+F comes from its cofactor, cof(cof F) = J F, which all passes leave behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.lanes import LANES
+from palpate.tissue.materials import Material
+
+__all__ = [
+    "Memory",
+    "Relaxation",
+    "after",
+    "at_ease",
+    "even_change",
+    "followed",
+    "forget",
+    "memory",
+    "overstress",
+    "overstress_alone",
+    "prepare",
+    "recall",
+    "relax_volume",
+    "relaxation",
+    "remember",
+    "remembered",
+]
+
+Floats = NDArray[np.float64]
+
+LEAST = 0.1  # volume ratio that a crushed point counts with
+
+
+class Relaxation(NamedTuple):
+    """The branches: shear moduli [Pa], bulk moduli over the law's volumetric coefficient, times [s], (k,) each."""
+
+    moduli: Floats
+    bulk: Floats
+    times: Floats
+
+
+class Memory(NamedTuple):
+    """What relaxing tissue remembers, point by point in blocks of lanes.
+
+    Parameters
+    ----------
+    interval : (2,) array [s]
+        From the last evaluation that was remembered to the next, 0 to ask without remembering; and the time that has
+        passed since, where the steps keep it.
+    strain : (b, 6, LANES) array
+        C̄ as last remembered: 00 11 22 01 02 12.
+    branches : (b, k, 6, LANES) array
+        A_i.
+    dilatation : (v,) array
+        What the bulk modulus multiplies, as last remembered: theta of the nodes, or the moments of a reduced model.
+    volume : (v, k) array
+        Its branches.
+    effective : (v,) array
+        It and what its branches add, as last evaluated.
+    factors : (k, 5) array
+        Of every branch, for the interval.
+    stress : (b, 9, LANES) array [Pa]
+        Overstress, as last evaluated, row by row.
+    energy, lost : (b, LANES) arrays [J/m^3]
+        Stored in the branches as last evaluated; lost in them since it was last set to zero.
+    volume_energy, volume_lost : (v,) arrays
+        The same of the volume's, over its modulus.
+    """
+
+    interval: Floats
+    strain: Floats
+    branches: Floats
+    dilatation: Floats
+    volume: Floats
+    effective: Floats
+    factors: Floats
+    stress: Floats
+    energy: Floats
+    lost: Floats
+    volume_energy: Floats
+    volume_lost: Floats
+
+
+def relaxation(material: Material) -> Relaxation:
+    """Return the branches of a material; none if it does not relax."""
+    series = material.prony
+    if series is None:
+        return Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))
+    moduli, times = np.array(series.shares) * material.shear_modulus, np.array(series.times)
+    if not series.bulk_shares:
+        return Relaxation(moduli, np.zeros(len(times)), times)
+    return Relaxation(moduli, np.array(series.bulk_shares) * material.bulk_modulus / material.lame, times)
+
+
+def memory(branches: int, blocks: int, volumes: int) -> Memory:
+    """Allocate the memory of a body at rest that has always been there."""
+    if branches == 0:
+        blocks = volumes = 0
+    kept = Memory(
+        np.zeros(2),
+        np.zeros((blocks, 6, LANES)),
+        np.zeros((blocks, branches, 6, LANES)),
+        np.zeros(volumes),
+        np.zeros((volumes, branches)),
+        np.zeros(volumes),
+        np.zeros((branches, 5)),
+        np.zeros((blocks, 9, LANES)),
+        np.zeros((blocks, LANES)),
+        np.zeros((blocks, LANES)),
+        np.zeros(volumes),
+        np.zeros(volumes),
+    )
+    kept.strain[:, :3] = 1.0
+    return kept
+
+
+def _kept(of: Memory) -> tuple[Floats, ...]:
+    return of.strain, of.branches, of.dilatation, of.volume
+
+
+def recall(into: Memory, old: tuple[Floats, ...]) -> None:
+    """Let a memory go on from what was remembered, or from rest if that is nothing; its losses are counted anew."""
+    if not into.branches.size:
+        return
+    if old:
+        for own, was in zip(_kept(into), old, strict=True):
+            own[:] = was
+    else:
+        forget(into)
+    into.lost[:] = 0.0
+    into.volume_lost[:] = 0.0
+
+
+def followed(
+    of: Memory, old: tuple[Floats, ...], interval: float, evaluate: Callable[[], object]
+) -> tuple[Floats, ...]:
+    """Return what a body remembers in the state that is evaluated, an even change over an interval [s] later."""
+    recall(of, old)
+    of.interval[0] = interval
+    evaluate()
+    of.interval[0] = 0.0
+    return remembered(of)
+
+
+def at_ease(of: Memory, evaluate: Callable[[], object]) -> tuple[Floats, ...]:
+    """Return what a body remembers that has long been in the state that is evaluated; nothing if it does not relax."""
+    if not of.branches.size:
+        return ()
+    of.interval[0] = 1.0  # any: the strain is remembered, and the branches then have faded
+    evaluate()
+    of.interval[:] = 0.0
+    of.branches[:] = 0.0
+    of.volume[:] = 0.0
+    return remembered(of)
+
+
+def remembered(of: Memory) -> tuple[Floats, ...]:
+    """Return copies of what a memory must not forget between evaluations; nothing if the body does not relax."""
+    return tuple(array.copy() for array in _kept(of)) if of.branches.size else ()
+
+
+@njit(cache=True)
+def prepare(relaxation, memory):  # type: ignore[no-untyped-def]
+    """Write for every branch what is left of it after the interval, what of an even change is, and what both lose."""
+    interval = memory.interval[0]
+    for k in range(relaxation.times.shape[0]):
+        factors = memory.factors[k]
+        if interval == 0.0:
+            factors[0], factors[1], factors[2:] = 1.0, 1.0, 0.0
+            continue
+        ratio = interval / relaxation.times[k]
+        factors[0], factors[1] = np.exp(-ratio), -np.expm1(-ratio) / ratio
+        factors[2], factors[3], factors[4] = -np.expm1(-ratio), -np.expm1(-2.0 * ratio), ratio
+
+
+@njit(cache=True, forceinline=True)
+def _lost(a, added, factors):  # type: ignore[no-untyped-def]
+    """Integral of A^2 / tau over an interval in which A begins at a and the strain changes evenly by `added`."""
+    rate = added / factors[4]
+    b = a - rate
+    return 0.5 * b * b * factors[3] + 2.0 * b * rate * factors[2] + rate * rate * factors[4]
+
+
+@njit(cache=True, forceinline=True)
+def _isochoric(c):  # type: ignore[no-untyped-def]
+    """Return F, J, J^(-2/3) and C̄ from cof F (nine numbers, row by row)."""
+    det = c[0] * (c[4] * c[8] - c[5] * c[7]) - c[1] * (c[3] * c[8] - c[5] * c[6]) + c[2] * (c[3] * c[7] - c[4] * c[6])
+    J = np.sqrt(max(det, LEAST * LEAST))
+    r = 1.0 / J
+    F = (
+        r * (c[4] * c[8] - c[5] * c[7]), r * (c[5] * c[6] - c[3] * c[8]), r * (c[3] * c[7] - c[4] * c[6]),
+        r * (c[2] * c[7] - c[1] * c[8]), r * (c[0] * c[8] - c[2] * c[6]), r * (c[1] * c[6] - c[0] * c[7]),
+        r * (c[1] * c[5] - c[2] * c[4]), r * (c[2] * c[3] - c[0] * c[5]), r * (c[0] * c[4] - c[1] * c[3]),
+    )  # fmt: skip
+    scale = J ** (-2.0 / 3.0)
+    C = (
+        scale * (F[0] * F[0] + F[3] * F[3] + F[6] * F[6]), scale * (F[1] * F[1] + F[4] * F[4] + F[7] * F[7]),
+        scale * (F[2] * F[2] + F[5] * F[5] + F[8] * F[8]), scale * (F[0] * F[1] + F[3] * F[4] + F[6] * F[7]),
+        scale * (F[0] * F[2] + F[3] * F[5] + F[6] * F[8]), scale * (F[1] * F[2] + F[4] * F[5] + F[7] * F[8]),
+    )  # fmt: skip
+    return F, J, scale, C
+
+
+@njit(cache=True, forceinline=True)
+def remember(relaxation, memory, b, v, C):  # type: ignore[no-untyped-def]
+    """Bring the branches and the strain of one point up to date."""
+    for k in range(relaxation.times.shape[0]):
+        factors, lost = memory.factors[k], 0.0
+        for q in range(6):
+            old, change = memory.branches[b, k, q, v], C[q] - memory.strain[b, q, v]
+            lost += (1.0 if q < 3 else 2.0) * _lost(old, change, factors)
+            memory.branches[b, k, q, v] = factors[0] * old + factors[1] * change
+        memory.lost[b, v] += 0.5 * relaxation.moduli[k] * lost
+    for q in range(6):
+        memory.strain[b, q, v] = C[q]
+
+
+@njit(cache=True, forceinline=True)
+def even_change(memory, b, k, q, v, now):  # type: ignore[no-untyped-def]
+    """Return component q of a point's branch k when its strain there has changed evenly over the interval."""
+    return memory.factors[k, 0] * memory.branches[b, k, q, v] + memory.factors[k, 1] * (now - memory.strain[b, q, v])
+
+
+@njit(cache=True)
+def after(work, interval):  # type: ignore[no-untyped-def]
+    """Let the next evaluation be remembered as that of an interval [s] later; with 0 none is."""
+    work.memory.interval[0] = interval
+
+
+@njit(cache=True, fastmath={"contract"})
+def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyped-def]
+    """Write the overstress of the points of one block."""
+    old, kept, stress = memory.branches[b], memory.strain[b], memory.stress[b]
+    for v in range(LANES):
+        c = (cofactor[b, 0, v], cofactor[b, 1, v], cofactor[b, 2, v], cofactor[b, 3, v], cofactor[b, 4, v],
+             cofactor[b, 5, v], cofactor[b, 6, v], cofactor[b, 7, v], cofactor[b, 8, v])  # fmt: skip
+        F, J, scale, C = _isochoric(c)
+        Q0, Q1, Q2, Q3, Q4, Q5, stored = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(relaxation.times.shape[0]):
+            left, new, mu = memory.factors[k, 0], memory.factors[k, 1], relaxation.moduli[k]
+            A0, A1 = left * old[k, 0, v] + new * (C[0] - kept[0, v]), left * old[k, 1, v] + new * (C[1] - kept[1, v])
+            A2, A3 = left * old[k, 2, v] + new * (C[2] - kept[2, v]), left * old[k, 3, v] + new * (C[3] - kept[3, v])
+            A4, A5 = left * old[k, 4, v] + new * (C[4] - kept[4, v]), left * old[k, 5, v] + new * (C[5] - kept[5, v])
+            Q0, Q1, Q2 = Q0 + mu * A0, Q1 + mu * A1, Q2 + mu * A2
+            Q3, Q4, Q5 = Q3 + mu * A3, Q4 + mu * A4, Q5 + mu * A5
+            stored += 0.25 * mu * (A0 * A0 + A1 * A1 + A2 * A2 + 2.0 * (A3 * A3 + A4 * A4 + A5 * A5))
+        memory.energy[b, v] = stored
+        if interval > 0.0:
+            remember(relaxation, memory, b, v, C)
+        trace = Q0 * C[0] + Q1 * C[1] + Q2 * C[2] + 2.0 * (Q3 * C[3] + Q4 * C[4] + Q5 * C[5])
+        trace /= 3.0 * J
+        for i in range(3):
+            x, y, z = scale * F[3 * i], scale * F[3 * i + 1], scale * F[3 * i + 2]
+            stress[3 * i, v] = x * Q0 + y * Q3 + z * Q4 - trace * c[3 * i]
+            stress[3 * i + 1, v] = x * Q3 + y * Q1 + z * Q5 - trace * c[3 * i + 1]
+            stress[3 * i + 2, v] = x * Q4 + y * Q5 + z * Q2 - trace * c[3 * i + 2]
+
+
+@njit(cache=True)
+def overstress_alone(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
+    """Do as `overstress` on one thread."""
+    prepare(relaxation, memory)
+    for b in range(cofactor.shape[0]):
+        _answer(relaxation, memory, cofactor, b, memory.interval[0])
+
+
+@njit(cache=True)
+def forget(memory):  # type: ignore[no-untyped-def]
+    """Let a memory be that of a body that has always been at rest."""
+    for b in range(memory.strain.shape[0]):
+        for q in range(6):
+            for v in range(LANES):
+                memory.strain[b, q, v] = 1.0 if q < 3 else 0.0
+    memory.branches[:] = 0.0
+    memory.dilatation[:] = 0.0
+    memory.volume[:] = 0.0
+    memory.interval[:] = 0.0
+
+
+@njit(cache=True, parallel=True)
+def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
+    """Write the overstress of all points into `memory.stress`; remember their strain if the interval is not 0.
+
+    `cofactor` is cof F, (b, 9, LANES), row by row.
+    """
+    prepare(relaxation, memory)
+    for b in prange(cofactor.shape[0]):
+        _answer(relaxation, memory, cofactor, b, memory.interval[0])
+
+
+@njit(cache=True)
+def relax_volume(relaxation, memory, values):  # type: ignore[no-untyped-def]
+    """Write values (v,) that the volumetric coefficient multiplies, and what branches add, to `memory.effective`."""
+    interval = memory.interval[0]
+    for i in range(values.shape[0]):
+        total, stored, gone = values[i], 0.0, 0.0
+        change = values[i] - memory.dilatation[i]
+        for k in range(relaxation.times.shape[0]):
+            share = relaxation.bulk[k]
+            old = memory.volume[i, k]
+            now = memory.factors[k, 0] * old + memory.factors[k, 1] * change
+            total += share * now
+            stored += 0.5 * share * now * now
+            if interval > 0.0:
+                gone += share * _lost(old, change, memory.factors[k])
+                memory.volume[i, k] = now
+        memory.effective[i] = total
+        memory.volume_energy[i] = stored
+        if interval > 0.0:
+            memory.volume_lost[i] += gone
+            memory.dilatation[i] = values[i]

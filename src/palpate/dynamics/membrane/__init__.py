@@ -1,0 +1,1 @@
+"""Membranes: passes, moduli and additional stress."""

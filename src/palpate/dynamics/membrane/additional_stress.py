@@ -1,0 +1,143 @@
+"""What stands beside the law of a membrane: the overstress of relaxing tissue, and fibres in the sheet's plane.
+
+Both are energies of the whole strain of the incompressible sheet: of C in its plane and of C33 = 1 / det C across it.
+With Q twice their derivative by that strain, and no stress across the sheet, the second Piola-Kirchhoff stress is
+
+    S = Q - Q33 / (det C)^2 adj(C).
+
+Where a relaxed sheet is wrinkled, its strain is that of simple tension, C* = c1 N N^T + w (1 - N N^T), w = c1^(-1/2),
+and where it is slack it is none: what the material between the wrinkles has. The chain rule through C* gives
+
+    S = (Q_NN - w^3 / 2 (Q_TT + Q_33)) N N^T + Q_NT (c1 - w) / (c1 - c2) (N T^T + T N^T),
+
+T across N, c2 the lesser eigenvalue of C: forces are the slope of an energy there, too.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.cache import inlined, law_digest, law_njit
+from palpate.dynamics.material.relaxation import even_change, remember
+from palpate.dynamics.membrane.principal_moduli import axes
+from palpate.tissue.fibres import FibreLaw
+
+__all__ = ["ALONE", "Beside", "SheetExtras", "beside", "gathered"]
+
+Floats = NDArray[np.float64]
+
+NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
+
+
+class SheetExtras(NamedTuple):
+    """What the functions of `Beside` read and write: of `Families`, of `Relaxation` and of the `Memory` of points."""
+
+    coefficients: Floats
+    directions: Floats
+    moduli: Floats
+    times: Floats
+    interval: Floats
+    strain: Floats
+    branches: Floats
+    factors: Floats
+    lost: Floats
+
+
+@njit(cache=True)
+def gathered(families, relaxation, memory):  # type: ignore[no-untyped-def]
+    """Gather them in one flat tuple, as threads take it."""
+    return SheetExtras(
+        families.coefficients, families.directions, relaxation.moduli, relaxation.times,
+        memory.interval, memory.strain, memory.branches, memory.factors, memory.lost,
+    )  # fmt: skip
+
+
+class Beside(NamedTuple):
+    """What is compiled beside a law.
+
+    Parameters
+    ----------
+    digest : str
+        Of what it is made from; empty where there is nothing.
+    answer : function
+        ``answer(C00, C11, C01, b, point, v, extras)``: energy, then S as 00 11 01, of a lane's point; `b` is the block
+        of the node, `point` that of the point. None where there is nothing.
+    """
+
+    digest: str
+    answer: Any
+
+
+ALONE = Beside("", None)
+
+
+def beside(fibres: FibreLaw | None, relaxing: bool, relaxed: bool) -> Beside:
+    """Return what stands beside a sheet's law: some fibres, the branches of tissue that relaxes, both or nothing."""
+    if fibres is None and not relaxing:
+        return ALONE
+    kind = (None, 0) if fibres is None else (type(fibres), len(fibres.directions))
+    return _compiled(*kind, relaxing, relaxed)
+
+
+@cache
+def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: bool) -> Beside:
+    respond_of = _nothing if law is None else law.respond
+    digest = law_digest("beside a sheet", respond_of, count, relaxing, relaxed)
+    respond = inlined(digest, respond_of)
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def answer(C00, C11, C01, b, point, v, extras):  # type: ignore[no-untyped-def]
+        D = C00 * C11 - C01 * C01
+        E = (C00, C11, 1.0 / D, C01, 0.0, 0.0)
+        c1, c2, w, p, q = 1.0, 1.0, 0.0, 1.0, 0.0
+        if relaxed:
+            c1, c2, p, q = axes(C00, C11, C01)
+            w = 1.0 / np.sqrt(max(c1, 1.0))
+            if c2 < w:
+                c = max(c1, 1.0)
+                E = (w + (c - w) * p * p, w + (c - w) * q * q, w, (c - w) * p * q, 0.0, 0.0)
+        W, Q0, Q1, Q2, Q3 = 0.0, 0.0, 0.0, 0.0, 0.0
+        for f in range(count):
+            a = extras.directions[b, f]
+            energy, S = respond(E, (a[0, v], a[1, v], a[2, v]), extras.coefficients)
+            W, Q0, Q1, Q2, Q3 = W + energy, Q0 + S[0], Q1 + S[1], Q2 + S[2], Q3 + S[3]
+        if relaxing:
+            stored, R0, R1, R2, R3 = _overstress(E, point, v, extras)
+            W, Q0, Q1, Q2, Q3 = W + stored, Q0 + R0, Q1 + R1, Q2 + R2, Q3 + R3
+        if relaxed and c2 < w:
+            if c1 <= 1.0:
+                return W, 0.0, 0.0, 0.0
+            along = p * p * Q0 + q * q * Q1 + 2.0 * p * q * Q3
+            across = q * q * Q0 + p * p * Q1 - 2.0 * p * q * Q3
+            turn = (p * q * (Q1 - Q0) + (p * p - q * q) * Q3) * (c1 - w) / max(c1 - c2, NEVER)
+            along -= 0.5 * w * w * w * (across + Q2)
+            both = 2.0 * p * q * turn
+            return W, p * p * along - both, q * q * along + both, p * q * along + (p * p - q * q) * turn
+        r = Q2 / (D * D)
+        return W, Q0 - r * C11, Q1 - r * C00, Q3 + r * C01
+
+    return Beside(digest, answer)
+
+
+def _nothing(C, a, c):  # type: ignore[no-untyped-def]
+    return 0.0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@njit(cache=True, fastmath={"contract"})
+def _overstress(E, point, v, extras):  # type: ignore[no-untyped-def]
+    """Energy of a point's branches and Q (00 11 33 01); their strain is remembered if the interval is not 0."""
+    stored, Q0, Q1, Q2, Q3 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(extras.times.shape[0]):
+        mu = extras.moduli[k]
+        A0, A1 = even_change(extras, point, k, 0, v, E[0]), even_change(extras, point, k, 1, v, E[1])
+        A2, A3 = even_change(extras, point, k, 2, v, E[2]), even_change(extras, point, k, 3, v, E[3])
+        Q0, Q1, Q2, Q3 = Q0 + mu * A0, Q1 + mu * A1, Q2 + mu * A2, Q3 + mu * A3
+        stored += 0.25 * mu * (A0 * A0 + A1 * A1 + A2 * A2 + 2.0 * A3 * A3)
+    if extras.interval[0] > 0.0:
+        remember(extras, extras, point, v, E)
+    return stored, Q0, Q1, Q2, Q3

@@ -1,0 +1,285 @@
+"""A hyperelastic membrane: three displacements of every node of a plane sheet, without bending stiffness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.lanes import Lanes, Weights, lane_table, transposed
+from palpate.dynamics.loads.loads import Drive, Load, Traction, drive
+from palpate.dynamics.material.fibres import laid_out, placed
+from palpate.dynamics.material.relaxation import at_ease, recall, relaxation, remembered
+from palpate.dynamics.membrane.additional_stress import ALONE, Beside, beside
+from palpate.dynamics.membrane.passes import POINTS, RADIUS, SheetBody, sheet, sheet_work
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
+from palpate.dynamics.run.model import State
+from palpate.faults import InputError, number_in_range
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.consistent import consistent_gradient
+from palpate.meshfree.stencils import moving_least_squares
+from palpate.tissue.fibres import FibreLaw
+from palpate.tissue.materials import Material
+
+__all__ = ["Membrane", "load_areas"]
+
+Floats = NDArray[np.float64]
+
+FLAT = 1e-6  # how far the direction of a fibre may stand out of the plane
+TAUT = 1e-3  # extension at which the whole sheet answers, to find its highest frequency
+DAMPING = {"energy": 0.1, "strong": 0.5}  # default viscosity times the highest frequency
+NEIGHBOURS = {"energy": 14, "strong": 18}  # default; fewer do not hold the strong form, more soften the energy form
+
+
+class Membrane(NodalModel):
+    """An incompressible membrane in plane stress.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        In the plane (d = 2), as mounted. Displacements have three components; the sheet lies in z = 0.
+    material : Material
+        With ``poisson=0.5``.
+    thickness : float [m]
+        Of the unstressed sheet.
+    fixed : str or sequence of str
+        Groups that are held; none leaves the sheet free.
+    prestretch : float
+        How many times longer the mounted sheet is than unstressed, in both directions; at least 1.
+    relaxed : bool
+        Whether the sheet wrinkles instead of carrying compression (tension-field theory).
+    form : str
+        ``"energy"``: nodal forces are the derivative of a nodally summed energy, stable in every state of tension.
+        ``"strong"``: the equations of motion are collocated; a slack or wrinkling sheet is not stable then.
+    viscosity : float, optional [s]
+        Stiffness-proportional viscosity beta of C = beta K in (29). By default 0.1 over the highest frequency, so that
+        waves as short as the spacing lose a tenth of their amplitude in a third of a period; 0.5 over it in the
+        strong form.
+    neighbours : int, optional
+        Wished number of points in a stencil; by default 14, in the strong form 18.
+    fibres : FibreLaw, optional
+        What reinforces the sheet, in its plane; of the energy form, and of a sheet that is not relaxed: how fibres let
+        a sheet narrow before it wrinkles is not known here.
+
+    Raises
+    ------
+    InputError
+        A cloud in space, a compressible or linear elastic material, an unknown group or a parameter out of range.
+    CloudError
+        The cloud cannot carry the stencils.
+    """
+
+    name = "full"
+
+    def __init__(
+        self,
+        cloud: Cloud,
+        material: Material,
+        thickness: float,
+        fixed: str | Sequence[str] = (),
+        *,
+        prestretch: float = 1.0,
+        relaxed: bool = True,
+        form: str = "energy",
+        viscosity: float | None = None,
+        neighbours: int | None = None,
+        fibres: FibreLaw | None = None,
+    ) -> None:
+        self.fibres = _checked(cloud, material, form, relaxed, fibres)
+        self.cloud, self.material = cloud, material
+        self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
+        self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
+        self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
+        self.relaxed, self.form, self.conservative = bool(relaxed), form, form == "energy"
+        # the mounted boundary vectors are those of the half cell, c = 2, which the energy form has by itself
+        self.half_cell = 1.0
+        self.viscosity = 0.0
+        wished = NEIGHBOURS[form] if neighbours is None else neighbours
+        self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=wished)
+        self._areas = cloud.volumes / self.prestretch**2
+        body, longest = self._body()
+        self._compile(
+            sheet(type(material), self.relaxed, form == "strong", self._beside()),
+            body,
+            sheet_work(
+                len(cloud), len(body.lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS, len(body.relaxation.times)
+            ),
+            body.lanes,
+        )
+        self._at_ease(np.zeros((len(cloud), 3)))
+        self._taut = resting_frequency(self, TAUT * self._flat(cloud.points))
+        wanted = DAMPING[form] / self._taut if viscosity is None else viscosity
+        used = number_in_range("viscosity", wanted, 0.0, unit="s")
+        needed = 0.0 if self.conservative else np.nan
+        step = stable_step(self._taut, used)
+        self._examined(StabilityReport("the taut sheet", None, needed, used, self._taut, step))
+
+    def _beside(self) -> Beside:
+        """What is compiled beside the law."""
+        return beside(self.fibres, self.material.prony is not None, self.relaxed)
+
+    def _body(self) -> tuple[SheetBody, int]:
+        """Lay out the stencils; return them with the longest list of neighbours that a pass holds."""
+        cloud, stencils = self.cloud, self.stencils
+        row, first, second = stencils.row, stencils.first, stencils.second
+        own = np.zeros((len(cloud), 5))
+        carriers, back = Lanes.none(), Weights.none()
+        if self.form == "energy":
+            edges = cloud.boundary_vectors() * cloud.volumes[:, None] / self.prestretch
+            first = consistent_gradient(stencils, cloud.points / self.prestretch, self._areas, edges)
+            row, second = np.arange(len(cloud), dtype=np.int32), second[row]
+            both = np.concatenate([first, second], axis=2)
+            own = -both.sum(axis=1)
+            near, weights = transposed(stencils.neighbours, both, self._areas)
+            carriers, (back,) = lane_table(near, row, weights)
+        lanes, (first_weights, second_weights) = lane_table(stencils.neighbours, row, first, second)
+        body = SheetBody(
+            lanes, first_weights, second_weights, carriers, back, own,
+            np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
+            RADIUS * np.sqrt(self._areas), self.material.coefficients, self.prestretch,
+            relaxation(self.material), laid_out(self.fibres, lanes.nodes),
+        )  # fmt: skip
+        return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(carriers.start).max(initial=0)))
+
+    @staticmethod
+    def _flat(points: Floats) -> Floats:
+        """Plane points as displacements or places in space, shape (n, 3)."""
+        return np.column_stack([points, np.zeros(len(points))])
+
+    @property
+    def volumes(self) -> Floats:
+        return self._areas * self.thickness
+
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        """Return F = dx/dX of the unstressed sheet at every node, (n, 3, 2), for displacements (n, 3) [m].
+
+        By the fit at the node. The forces and the energy of the energy form come from six points about it instead.
+        """
+        return self.stencils.gradient(displacements) + self.prestretch * np.eye(3, 2)
+
+    def strain_energy(self, displacements: Floats) -> float:
+        self.force(displacements)
+        return float(np.sum(self.volumes * self.work.energy))
+
+    def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
+        return at_ease(self.work.memory, lambda: self.force(displacements))
+
+    def _recall(self, state: State | None) -> None:
+        recall(self.work.memory, () if state is None else state.memory)
+        if state is None:
+            self._at_ease(np.zeros((len(self.cloud), 3)))
+
+    def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
+        if self.material.prony is None:
+            return 0.0, ()
+        lost = self.work.memory.lost
+        by_node = lost.reshape(-1, POINTS, lost.shape[1]).mean(axis=1).ravel()[self.slot]
+        return float(self.volumes @ by_node), remembered(self.work.memory)
+
+    def stress(self, displacements: Floats) -> Floats:
+        """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 2), for displacements (n, 3) [m].
+
+        With fibres, or in tissue that relaxes, the mean over the six points about the node.
+        """
+        if self._beside() == ALONE:
+            return self.stress_at(self.deformation_gradient(displacements))
+        self.force(displacements)
+        return np.array(self.work.flux[:, :6].reshape(-1, 2, 3).transpose(0, 2, 1))
+
+    def stress_at(self, F: Floats) -> Floats:
+        """Return the law's own first Piola-Kirchhoff stress [Pa], (..., 3, 2), for gradients (..., 3, 2)."""
+        stretches, directions = _principal(F)
+        tensions = self._nominal(stretches)
+        scaled = np.divide(tensions, stretches, out=np.zeros_like(tensions), where=stretches > 0)
+        return np.asarray(F @ np.einsum("...la,...a,...ma->...lm", directions, scaled, directions))
+
+    def principal_stretches(self, displacements: Floats) -> Floats:
+        """Return the principal stretches at every node, the larger first, (n, 2), for displacements (n, 3) [m]."""
+        return _principal(self.deformation_gradient(displacements))[0]
+
+    def principal_stress(self, displacements: Floats) -> Floats:
+        """Return the Cauchy stresses [Pa] along the principal stretches, (n, 2), for displacements (n, 3) [m]."""
+        F = self.deformation_gradient(displacements)
+        stretches, directions = _principal(F)
+        if self._beside() == ALONE:
+            return np.asarray(self._nominal(stretches) * stretches)
+        return np.asarray(np.sum((F @ directions) * (self.stress(displacements) @ directions), axis=1))
+
+    def tension(self, displacements: Floats) -> NDArray[np.int8]:
+        """Return 0 where the sheet is slack, 1 wrinkled, 2 taut, shape (n,), for displacements (n, 3) [m]."""
+        stretches = self.principal_stretches(displacements)
+        taut = stretches[:, 1] >= np.maximum(stretches[:, 0], 1.0) ** -0.5
+        return np.where(taut, 2, np.where(stretches[:, 0] > 1.0, 1, 0)).astype(np.int8)
+
+    def wrinkled_area(self, displacements: Floats) -> float:
+        """Return how much of the mounted sheet [m^2] is taut in one direction only, for displacements (n, 3) [m]."""
+        return float(self.cloud.volumes[self.tension(displacements) == 1].sum())
+
+    def _nominal(self, stretches: Floats) -> Floats:
+        """Principal nominal stresses [Pa], (..., 2), of principal stretches."""
+        l1, l2 = stretches[..., 0], stretches[..., 1]
+        if self.relaxed:
+            l1 = np.maximum(l1, 1.0)
+            l2 = np.maximum(l2, l1**-0.5)
+        if self.material.variables == "stretches":
+            l3 = 1 / (l1 * l2)
+            w1, w2, w3 = self.material.first(l1, l2, l3, self.material.coefficients)
+            return np.stack([w1 - w3 * l3 / l1, w2 - w3 * l3 / l2], axis=-1)
+        t, D = l1**2 + l2**2, (l1 * l2) ** 2
+        I1, I2 = t + 1 / D, D + t / D
+        W1, W2, _ = self.material.first(I1, I2, np.ones_like(I1), self.material.coefficients)
+        nominal = [2 * (W1 * (a - 1 / (a * D)) + W2 * (a * b**2 + (a - t / a) / D)) for a, b in ((l1, l2), (l2, l1))]
+        return np.stack(nominal, axis=-1)
+
+    def drive(self, loads: Sequence[Load]) -> Drive:
+        return drive(self.cloud, self.fixed, loads, partial(load_areas, self.cloud, self.prestretch))
+
+    def stable_step(self, state: State, drive: Drive) -> float:
+        # a slack place has no frequency until it is taut, sooner than the next estimate
+        frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
+        return self._step(max(frequency, self._taut), drive)
+
+
+def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres: FibreLaw | None) -> FibreLaw | None:
+    """Refuse what is no membrane; return its fibres, with a direction for every node."""
+    if cloud.points.shape[1] != 2:
+        raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
+    if not isinstance(material, Material):
+        raise InputError(f"a membrane has one material everywhere, not {material!r}")
+    if not material.incompressible:
+        raise InputError(f"a membrane is incompressible: give its material poisson=0.5, not {material.poisson:g}")
+    if material.variables == "small strain":
+        raise InputError("a membrane needs a law of large strains; a linear elastic sheet has no forces out of plane")
+    if form not in DAMPING:
+        raise InputError(f"form = {form!r}: allowed are 'energy' and 'strong'")
+    if material.prony is not None and material.prony.bulk_shares:
+        raise InputError("a membrane keeps its volume: leave bulk_shares out of its Prony series")
+    if material.prony is not None and form != "energy":
+        raise InputError("tissue that relaxes (prony=) needs form='energy'")
+    placed_fibres = placed(fibres, material, form, cloud.points)
+    if placed_fibres is not None and relaxed:
+        raise InputError("a sheet with fibres carries compression: give it relaxed=False")
+    if placed_fibres is not None and np.abs(placed_fibres.directions[..., 2]).max() > FLAT:
+        raise InputError("directions of fibres must lie in the plane of the sheet: their third component is 0")
+    return placed_fibres
+
+
+def load_areas(cloud: Cloud, prestretch: float, load: Traction) -> Floats:
+    """Return area vectors (k, 3) of a load on a sheet: a pressure acts on the face, a force on an edge, or all over."""
+    face = cloud.volumes[cloud.group(load.group), None] / prestretch**2 * [0.0, 0.0, 1.0]
+    if load.pressure is not None:
+        return face
+    try:
+        return cloud.area_vectors(load.group)
+    except InputError:
+        return face
+
+
+def _principal(F: Floats) -> tuple[Floats, Floats]:
+    """Principal stretches (..., 2), the larger first, and their directions in the sheet (..., 2, 2), last the pair."""
+    squares, directions = np.linalg.eigh(np.swapaxes(F, -1, -2) @ F)
+    return np.sqrt(np.maximum(squares[..., ::-1], 0.0)), directions[..., ::-1]

@@ -1,0 +1,362 @@
+"""The compiled internal force of a membrane: three displacements over a plane sheet.
+
+With F = dx/dX (3, 2) and C = F^T F, incompressibility gives the thickness stretch 1 / sqrt(det C), and plane stress
+the first Piola-Kirchhoff stress of any isotropic law W(I1, I2),
+
+    P = a F + g F adj(C),    I1 = tr C + 1 / det C,    I2 = det C + tr C / det C.
+
+A sheet without bending stiffness wrinkles instead of carrying compression. Its relaxed energy (Pipkin, IMA J. Appl.
+Math. 36, 1986) follows from the principal stretches l1 >= l2: where l2 < l1^(-1/2), the width that simple tension
+leaves, the sheet is wrinkled, l2 drops out of the energy and P is uniaxial; where l1 <= 1 it is slack, and P = 0.
+
+Two forms of the equations of motion are compiled from the first and second derivatives H of the displacement at nodes:
+
+*energy*    rho a V = -d/du sum of V mean of W(F + H xi) over six points xi about the node: the derivative of an energy.
+*strong*    rho a = Div P - P b, differentiated directly with H, b the boundary vector of the half-cell balance.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import get_thread_id, njit, prange
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
+from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
+from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, gather_fluxes, lift_passes
+from palpate.dynamics.material.fibres import Families
+from palpate.dynamics.material.relaxation import Memory, Relaxation, after, memory, prepare
+from palpate.dynamics.membrane.additional_stress import ALONE, Beside, gathered
+from palpate.dynamics.membrane.principal_moduli import make_principal_moduli, make_principal_strong
+from palpate.tissue.materials import Material
+
+__all__ = ["COSINE", "POINTS", "SINE", "SheetBody", "SheetWork", "make_moduli", "sheet", "sheet_work"]
+
+NUMBERS = 15  # derivatives a node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
+POINTS = 6  # about a node: six keep the symmetry of a triangular lattice
+# Distance of the points from the node, in roots of its area. In a hexagonal cell 0.4 would integrate exactly; but the
+# fitted gradient is too small in short waves, by about as much as points at 1.0 add: they cancel the leading error.
+RADIUS = 1.0
+COSINE, SINE = (f(np.arange(POINTS) * (2 * np.pi / POINTS)) for f in (np.cos, np.sin))
+NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
+
+
+class SheetBody(NamedTuple):
+    """Everything constant about a membrane that the compiled passes read."""
+
+    lanes: Lanes
+    first: Weights
+    second: Weights
+    transposed: Lanes  # of every node, the nodes whose stencils hold it
+    back: Weights  # their five weights on it, times the ratio of the volumes
+    own: NDArray[np.float64]  # (n, 5) own weights
+    boundary: NDArray[np.float64]  # (b, 2, LANES) boundary vectors [1/m]
+    radius: NDArray[np.float64]  # (n,) of the points about a node [m]
+    coefficients: tuple[float, ...]
+    prestretch: float
+    relaxation: Relaxation
+    families: Families  # of fibres
+
+
+class SheetWork(NamedTuple):
+    """What the passes hand on, so that a step allocates nothing."""
+
+    fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences, or their fluxes
+    derivatives: NDArray[np.float64]  # (threads, 15, LANES)
+    cofactor: NDArray[np.float64]  # (b, 9, LANES): the last of every three is the deformed normal's component
+    flux: NDArray[np.float64]  # (n, 15) stress and its first moments; in the strong form the force (n, 0:3)
+    energy: NDArray[np.float64]  # (n,) [J/m^3]
+    memory: Memory  # of tissue that relaxes: of point q about the nodes of block b at POINTS b + q
+
+
+def sheet_work(nodes: int, blocks: int, longest: int, threads: int, branches: int = 0) -> SheetWork:
+    """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
+    return SheetWork(
+        np.zeros((threads, longest, 3, LANES)),
+        np.zeros((threads, NUMBERS, LANES)),
+        np.zeros((blocks, 9, LANES)),
+        np.zeros((nodes, NUMBERS)),
+        np.zeros(nodes),
+        memory(branches, POINTS * blocks, 0),
+    )
+
+
+_lift, _differentiate = lift_passes("sheet", lane_sums_3x2, lane_sums_3x3, 6)
+
+
+@njit(cache=True, parallel=True, fastmath={"contract"})
+def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
+    """Minus the work [J] of the fluxes of every block on the derivatives of every column, (b, m)."""
+    for b in prange(table.shape[0]):
+        for m in range(table.shape[1]):
+            total = 0.0
+            for lane in range(LANES):
+                i = nodes[b, lane]
+                if lane > 0 and i == nodes[b, lane - 1]:
+                    break  # the last node of an unfilled block is repeated
+                work = 0.0
+                for c in range(3):
+                    work += flux[i, c] * table[b, m, 2 * c, lane] + flux[i, 3 + c] * table[b, m, 2 * c + 1, lane]
+                    for w in range(3):
+                        work += flux[i, 6 + 3 * w + c] * table[b, m, 6 + 3 * c + w, lane]
+                total -= volumes[i] * work
+            partial[b, m] = total
+
+
+@kernel_njit()
+def _project(table, body, work, volumes, partial, result):  # type: ignore[no-untyped-def]
+    _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
+    add_blocks(partial, result)
+
+
+@njit(cache=True)
+def _copy_force(flux, force):  # type: ignore[no-untyped-def]
+    for i in range(force.shape[0]):
+        for c in range(3):
+            force[i, c] = flux[i, c]
+
+
+@njit(cache=True, forceinline=True)
+def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
+    """Eigenvalues of C, and the squared stretch to which a sheet in simple tension narrows."""
+    mean, reach = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
+    return mean + reach, mean - reach, 1.0 / np.sqrt(max(mean + reach, 1.0))
+
+
+def make_moduli(
+    digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool, variables: str = "invariants"
+) -> tuple[Any, Any]:
+    """Make the functions of C that give energy, a and g in P = a F + g F adj(C), and their derivatives.
+
+    For a law of the stretches the second is None (the strong form takes another way).
+
+    In a wrinkled state P = h F N N^T, N the direction of tension, is of the same form: by the theorem of Cayley and
+    Hamilton F N N^T (c1 - c2) = c1 F - F adj(C), c1 > c2 the eigenvalues of C.
+    """
+    if variables == "stretches":
+        return make_principal_moduli(digest, energy_of, law_first, law_second, relaxed), None
+    energy, first_of, second_of = (inlined(digest, f) for f in (energy_of, law_first, law_second))
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
+        """Energy, a and g; in the relaxed law the state is first moved to where the energy is the same."""
+        t, D = C00 + C11, C00 * C11 - C01 * C01
+        if relaxed:
+            c1, c2, width = _principal(C00, C11, C01)
+            if c2 < width:
+                I1, I2 = 1.0 / (width * width) + 2.0 * width, 2.0 / width + width * width
+                W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
+                h = 2.0 * (W1 * (1.0 - width**3) + W2 * (width - width**4)) / max(c1 - c2, NEVER)
+                return energy(I1, I2, 1.0, coefficients), h * c1, -h
+        I1, I2 = t + 1.0 / D, D + t / D
+        W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
+        a, g = 2.0 * (W1 + W2 / D), 2.0 * (W2 * (1.0 - t / (D * D)) - W1 / (D * D))
+        return energy(I1, I2, 1.0, coefficients), a, g
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def slopes(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
+        """Derivatives of a and g by t = tr C, then by D = det C."""
+        t, D = C00 + C11, C00 * C11 - C01 * C01
+        if relaxed:
+            c1, c2, width = _principal(C00, C11, C01)
+            if c2 < width:
+                I1, I2 = 1.0 / (width * width) + 2.0 * width, 2.0 / width + width * width
+                W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
+                W11, W12, W22, _, _, _ = second_of(I1, I2, 1.0, coefficients)
+                gap = max(c1 - c2, NEVER)
+                s1, s2 = 1.0 - width**3, width - width**4  # derivatives of I1 and I2 by c1
+                h = 2.0 * (W1 * s1 + W2 * s2) / gap
+                dh = 2.0 * (W11 * s1 * s1 + 2.0 * W12 * s1 * s2 + W22 * s2 * s2)
+                dh += 2.0 * (W1 * 1.5 * width**5 + W2 * (2.0 * width**6 - 0.5 * width**3))
+                if c1 <= 1.0:
+                    dh = 0.0
+                # c1 - c2 = sqrt(t^2 - 4 D); c1 by t is c1 / gap, by D -1 / gap
+                h_t = (dh * c1 / gap - h * t / gap) / gap
+                h_D = (-dh / gap + 2.0 * h / gap) / gap
+                return h_t * c1 + h * c1 / gap, h_D * c1 - h / gap, -h_t, -h_D
+        I1, I2 = t + 1.0 / D, D + t / D
+        W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
+        W11, W12, W22, _, _, _ = second_of(I1, I2, 1.0, coefficients)
+        I1_D, I2_t, I2_D = -1.0 / (D * D), 1.0 / D, 1.0 - t / (D * D)
+        W1_t, W1_D = W11 + W12 * I2_t, W11 * I1_D + W12 * I2_D
+        W2_t, W2_D = W12 + W22 * I2_t, W12 * I1_D + W22 * I2_D
+        a_t, a_D = 2.0 * (W1_t + W2_t / D), 2.0 * (W1_D + W2_D / D - W2 / (D * D))
+        g_t = 2.0 * (W2_t * I2_D - W2 / (D * D) - W1_t / (D * D))
+        g_D = 2.0 * (W2_D * I2_D + 2.0 * (W2 * t + W1) / D**3 - W1_D / (D * D))
+        return a_t, a_D, g_t, g_D
+
+    return moduli, slopes
+
+
+def _make_energy_answer(digest: str, moduli: Any, added: Any) -> Any:
+    """Make the energy form's answer of one block: mean stress about a node, its moments with xi, the energy."""
+    more = added is not None
+
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
+    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+        for v in range(LANES):
+            i = nodes[b, v]
+            total = 0.0
+            for q in range(NUMBERS):
+                flux[i, q] = 0.0
+            for q in range(POINTS):
+                x, y = radius[i] * COSINE[q], radius[i] * SINE[q]
+                F00 = prestretch + d[0, v] + d[6, v] * x + d[8, v] * y
+                F10 = d[2, v] + d[9, v] * x + d[11, v] * y
+                F20 = d[4, v] + d[12, v] * x + d[14, v] * y
+                F01 = d[1, v] + d[8, v] * x + d[7, v] * y
+                F11 = prestretch + d[3, v] + d[11, v] * x + d[10, v] * y
+                F21 = d[5, v] + d[14, v] * x + d[13, v] * y
+                C00 = F00 * F00 + F10 * F10 + F20 * F20
+                C11 = F01 * F01 + F11 * F11 + F21 * F21
+                C01 = F00 * F01 + F10 * F11 + F20 * F21
+                W, a, g = moduli(C00, C11, C01, coefficients)
+                l00, l01, l11 = (a + g * C11) / POINTS, -g * C01 / POINTS, (a + g * C00) / POINTS
+                if more:
+                    w, S00, S11, S01 = added(C00, C11, C01, b, POINTS * b + q, v, extras)
+                    W, l00, l01, l11 = W + w, l00 + S00 / POINTS, l01 + S01 / POINTS, l11 + S11 / POINTS
+                total += W
+                P00, P01 = F00 * l00 + F01 * l01, F00 * l01 + F01 * l11
+                P10, P11 = F10 * l00 + F11 * l01, F10 * l01 + F11 * l11
+                P20, P21 = F20 * l00 + F21 * l01, F20 * l01 + F21 * l11
+                flux[i, 0] += P00
+                flux[i, 1] += P10
+                flux[i, 2] += P20
+                flux[i, 3] += P01
+                flux[i, 4] += P11
+                flux[i, 5] += P21
+                flux[i, 6] += P00 * x
+                flux[i, 7] += P10 * x
+                flux[i, 8] += P20 * x
+                flux[i, 9] += P01 * y
+                flux[i, 10] += P11 * y
+                flux[i, 11] += P21 * y
+                flux[i, 12] += P00 * y + P01 * x
+                flux[i, 13] += P10 * y + P11 * x
+                flux[i, 14] += P20 * y + P21 * x
+            energy[i] = total / POINTS
+            _normal(b, v, d, prestretch, cofactor)
+
+    return answer
+
+
+def _make_strong_answer(digest: str, moduli: Any, slopes: Any) -> Any:
+    """Make the strong form's answer of one block: Div P - P b from F and H."""
+
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
+    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+        for v in range(LANES):
+            i = nodes[b, v]
+            C00, C11, C01, K00, K11, L00, L11, L01, M01 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for c in range(3):
+                F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)
+                F1 = d[2 * c + 1, v] + (prestretch if c == 1 else 0.0)
+                H00, H11, H01 = d[6 + 3 * c, v], d[7 + 3 * c, v], d[8 + 3 * c, v]
+                C00, C11, C01 = C00 + F0 * F0, C11 + F1 * F1, C01 + F0 * F1
+                # derivatives of C00, C11, C01 by X0, then by X1
+                K00, K11, L01 = K00 + 2 * F0 * H00, K11 + 2 * F1 * H01, L01 + F0 * H01 + F1 * H00
+                L00, L11, M01 = L00 + 2 * F0 * H01, L11 + 2 * F1 * H11, M01 + F0 * H11 + F1 * H01
+            energy[i], a, g = moduli(C00, C11, C01, coefficients)
+            a_t, a_D, g_t, g_D = slopes(C00, C11, C01, coefficients)
+            D0, D1 = K00 * C11 + C00 * K11 - 2 * C01 * L01, L00 * C11 + C00 * L11 - 2 * C01 * M01
+            t0, t1 = K00 + K11, L00 + L11
+            b0, b1 = boundary[b, 0, v], boundary[b, 1, v]
+            a0, a1 = a_t * t0 + a_D * D0 - a * b0, a_t * t1 + a_D * D1 - a * b1
+            g0, g1 = g_t * t0 + g_D * D0 - g * b0, g_t * t1 + g_D * D1 - g * b1
+            for c in range(3):
+                F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)
+                F1 = d[2 * c + 1, v] + (prestretch if c == 1 else 0.0)
+                H00, H11, H01 = d[6 + 3 * c, v], d[7 + 3 * c, v], d[8 + 3 * c, v]
+                # columns of F adj(C), and its divergence
+                G0, G1 = F0 * C11 - F1 * C01, F1 * C00 - F0 * C01
+                spread = H00 * C11 + H11 * C00 - 2 * H01 * C01 + F0 * (K11 - M01) + F1 * (L00 - L01)
+                flux[i, c] = a * (H00 + H11) + F0 * a0 + F1 * a1 + g * spread + G0 * g0 + G1 * g1
+            _normal(b, v, d, prestretch, cofactor)
+
+    return answer
+
+
+@njit(cache=True, forceinline=True)
+def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
+    """Deformed normal times the ratio of areas, where `surface_force` looks for it."""
+    F00, F01, F10 = prestretch + d[0, v], d[1, v], d[2, v]
+    F11, F20, F21 = prestretch + d[3, v], d[4, v], d[5, v]
+    cofactor[b, 2, v] = F10 * F21 - F20 * F11
+    cofactor[b, 5, v] = F20 * F01 - F00 * F21
+    cofactor[b, 8, v] = F00 * F11 - F10 * F01
+
+
+def _make_answer(digest: str, law: type[Material], relaxed: bool, strong: bool, added: Any) -> Any:
+    moduli, slopes = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
+    if not strong:
+        return _make_energy_answer(digest, moduli, added)
+    if law.variables == "stretches":
+        return make_principal_strong(digest, law.first, law.second, moduli, relaxed, _normal)
+    return _make_strong_answer(digest, moduli, slopes)
+
+
+@cache
+def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALONE) -> Formulation:
+    """Compile the passes of a membrane.
+
+    Parameters
+    ----------
+    law : type
+        A material; its functions are compiled, not its parameters.
+    relaxed : bool
+        Whether wrinkled and slack states carry no compression.
+    strong : bool
+        The strong form instead of the energy form.
+    added : Beside
+        Fibres and branches of tissue that relaxes, of the energy form.
+    """
+    digest = law_digest("sheet", law.variables, law.energy, law.first, law.second, relaxed, strong, added.digest)
+    answer, more = _make_answer(digest, law, relaxed, strong, added.answer), added.answer is not None
+
+    @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
+    def each(  # type: ignore[no-untyped-def]
+        u, lanes, first, second, boundary, radius, coefficients, prestretch, extras, fields, derivatives,
+        cofactor, flux, energy,
+    ):  # fmt: skip
+        for b in prange(lanes.nodes.shape[0]):
+            out = derivatives[get_thread_id()]
+            _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
+            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy)
+
+    @law_njit(digest, inner=True)
+    def respond(u, body, work):  # type: ignore[no-untyped-def]
+        if more:
+            prepare(body.relaxation, work.memory)
+        each(u, body.lanes, body.first, body.second, body.boundary, body.radius, body.coefficients, body.prestretch,
+             gathered(body.families, body.relaxation, work.memory),
+             work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
+
+    @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
+    def each_column(  # type: ignore[no-untyped-def]
+        columns, table, lanes, boundary, radius, coefficients, prestretch, extras, derivatives, cofactor, flux, energy,
+    ):  # fmt: skip
+        for b in prange(table.shape[0]):
+            out = derivatives[get_thread_id()]
+            combine(b, columns, table, out)
+            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy)
+
+    @law_njit(digest, inner=True)
+    def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
+        if more:
+            prepare(body.relaxation, work.memory)
+        each_column(columns, table, body.lanes, body.boundary, body.radius, body.coefficients, body.prestretch,
+                    gathered(body.families, body.relaxation, work.memory),
+                    work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
+
+    @law_njit(digest, inner=True)
+    def finish(body, work, force):  # type: ignore[no-untyped-def]
+        if strong:
+            _copy_force(work.flux, force)
+        else:
+            gather_fluxes(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
+
+    project = None if strong else _project
+    return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, project, after)

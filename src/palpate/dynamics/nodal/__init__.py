@@ -1,0 +1,1 @@
+"""Models of nodal displacements: central differences and stability."""

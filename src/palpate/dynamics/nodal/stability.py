@@ -1,0 +1,259 @@
+"""How large a step is stable, and how much viscosity a collocated body needs.
+
+The collocated stiffness is not symmetric, so some of its eigenvalues w^2 are complex: such a mode grows at the rate
+|Im w| unless stiffness-proportional viscosity beta damps it, beta >= 2 |Im w| / |w|^2. On small clouds the dense
+spectrum says what is needed; on large ones the body itself does: a tiny random motion is stepped without loads, what
+grows is what needs damping, and beta is raised until nothing grows (a power iteration on the step map). A negative
+real part of w^2 cannot be damped away: it is a fault of the cloud, and is refused.
+
+With viscosity, the step is stable up to dt = (sqrt(z^2 + 4) - z) / w with z = beta w, at the highest frequency w; w
+follows the deforming body by a few power iterations on its present tangent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.run.model import State
+from palpate.faults import CloudError, InputError, number_in_range
+
+if TYPE_CHECKING:
+    from palpate.dynamics.nodal.model import NodalModel
+    from palpate.dynamics.solid.model import FullModel
+
+__all__ = [
+    "FrequencyTracker",
+    "StabilityReport",
+    "choose_viscosity",
+    "resting_frequency",
+    "spectrum",
+    "stable_step",
+]
+
+Floats = NDArray[np.float64]
+
+SAFETY = 0.85  # of the step: the power iteration comes from below, and the body moves on
+MARGIN = 2.0  # of the viscosity: a body stretched four times over needs 1.8 times what it needs at rest
+DENSE_NODES = 400
+WINDOW, WINDOWS, ROUNDS = 100, 12, 8  # steps a window, windows a round, rounds of raising the viscosity
+GROWTH = 0.03  # logarithmic growth a window that counts as growth
+LOWEST, HIGHEST = 1e-6, 1e15  # [rad/s] of a body's highest frequency: beyond, its squares leave double precision
+
+
+@dataclass(frozen=True)
+class StabilityReport:
+    """What decides the stability of a full model at rest.
+
+    Parameters
+    ----------
+    method : str
+        ``"dense spectrum"``, ``"step map"``, ``"given"`` where nothing was examined, or ``"the taut sheet"`` of a
+        membrane.
+    worst_real_part : float or None [1/s^2]
+        Least real part among the eigenvalues w^2; None where only the step map was examined.
+    needed, used : float [s]
+        Viscosity that just stops growth, and the one in use.
+    highest_frequency : float [rad/s]
+    step : float [s]
+        Stable step at rest, with the safety factor.
+    growth : float or None [1/s]
+        Fastest growth left in the step map, with the needed viscosity.
+    """
+
+    method: str
+    worst_real_part: float | None
+    needed: float
+    used: float
+    highest_frequency: float
+    step: float
+    growth: float | None = None
+
+    @property
+    def _needed(self) -> str:
+        return "not examined" if np.isnan(self.needed) else f"{self.needed:.3g} s"
+
+    def __str__(self) -> str:
+        worst = "not computed" if self.worst_real_part is None else f"{self.worst_real_part:.4g} 1/s^2"
+        lines = [
+            f"stability at rest, by {self.method}",
+            f"  worst real part of the spectrum  {worst}",
+            f"  viscosity needed                 {self._needed}",
+            f"  viscosity used                   {self.used:.3g} s",
+            f"  highest frequency                {self.highest_frequency:.4g} rad/s",
+            f"  stable step                      {self.step:.3g} s",
+        ]
+        if self.growth is not None:
+            lines.insert(3, f"  growth left at that viscosity    {self.growth:.3g} 1/s")
+        return "\n".join(lines)
+
+
+def stable_step(frequency: float, viscosity: float) -> float:
+    """Return the stable step [s] for a highest frequency [rad/s] and a viscosity [s], with the safety factor.
+
+    It is 0 where their product is not finite.
+    """
+    z = viscosity * frequency
+    if not z * z < np.inf:
+        return 0.0
+    return float(SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency)
+
+
+def resting_frequency(model: NodalModel, displacements: Floats | None = None) -> float:
+    """Return the highest frequency [rad/s] of a body at rest.
+
+    Parameters
+    ----------
+    model : NodalModel
+    displacements : (n, 3) array, optional [m]
+        Of a sheet, which resists when it is taut.
+
+    Raises
+    ------
+    InputError
+        It is zero, not finite, or beyond what double precision resolves.
+    """
+    at = np.zeros((len(model.cloud), 3)) if displacements is None else displacements
+    with np.errstate(all="ignore"):
+        frequency = model.highest_frequency(at, model.held)
+    if not LOWEST <= frequency <= HIGHEST:
+        raise InputError(
+            f"the highest frequency of the body must be from {LOWEST:g} to {HIGHEST:g} rad/s, got {frequency:.3g}: "
+            f"give its shear modulus ({model.material.shear_modulus:.3g} Pa), density ({model.material.density:.3g} "
+            f"kg/m^3) and spacing ({model.cloud.spacing:.3g} m) in SI units"
+        )
+    return frequency
+
+
+def stiffness(model: NodalModel, displacements: Floats | None = None) -> Floats:
+    """Return the dense tangent -d(acceleration)/du of the free nodes [1/s^2], by central differences."""
+    u = np.zeros((len(model.cloud), 3)) if displacements is None else displacements.copy()
+    free = np.flatnonzero(np.repeat(~model.held, 3))
+    flat, step = u.reshape(-1), 1e-5 * model.cloud.spacing
+    columns = np.empty((len(free), len(free)))
+    for column, k in enumerate(free):
+        flat[k] += step
+        ahead = model.force(u).reshape(-1)[free]
+        flat[k] -= 2 * step
+        behind = model.force(u).reshape(-1)[free]
+        flat[k] += step
+        columns[:, column] = (behind - ahead) / (2 * step * model.material.density)
+    return columns
+
+
+def spectrum(model: NodalModel, displacements: Floats | None = None) -> NDArray[np.complex128]:
+    """Return all eigenvalues w^2 [1/s^2] of the linearised body at a state: the oracle for small clouds."""
+    return np.linalg.eigvals(stiffness(model, displacements)).astype(complex)
+
+
+def needed_viscosity(eigenvalues: NDArray[np.complex128]) -> float:
+    """Return max 2 |Im w| / |w|^2 [s] over the oscillating eigenvalues w^2."""
+    frequency = np.sqrt(eigenvalues)
+    moving = np.abs(eigenvalues) > 1e-6 * np.abs(eigenvalues).max()  # rigid motions have w = 0
+    return float(np.max(2 * np.abs(frequency.imag[moving]) / np.abs(eigenvalues[moving])))
+
+
+class FrequencyTracker:
+    """Highest frequency of a deforming body, by power iterations that go on from call to call."""
+
+    def __init__(self, model: NodalModel) -> None:
+        self._model = model
+        self._noise = np.random.default_rng(0).standard_normal((len(model.cloud), 3))
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the body's past, so that equal runs take equal steps."""
+        self._vector, self._iterations = self._noise, 60
+
+    def __call__(self, displacements: Floats, held: NDArray[np.bool_]) -> float:
+        """Return the highest frequency [rad/s] at a state with some nodes held."""
+        model, vector = self._model, self._vector
+        amplitude = 1e-6 * model.cloud.spacing
+        rest, ratio = model.firm_force(displacements), 0.0
+        # some noise lets another mode take over when the fastest place of the body moves
+        vector = vector / np.abs(vector).max() + 0.03 * self._noise
+        for _ in range(self._iterations):
+            vector = np.where(held[:, None], 0.0, vector)
+            vector *= amplitude / np.abs(vector).max()
+            image = (rest - model.firm_force(displacements + vector)) / model.material.density
+            image[held] = 0.0
+            if not image.any():  # nothing resists, as in a slack sheet
+                self.restart()
+                return 0.0
+            ratio = float(np.linalg.norm(image) / np.linalg.norm(vector))
+            vector = image
+        self._vector, self._iterations = vector, 4
+        return float(np.sqrt(ratio))
+
+
+def choose_viscosity(model: FullModel, viscosity: float | None) -> StabilityReport:
+    """Examine a model at rest and choose its viscosity unless it is given.
+
+    Raises
+    ------
+    CloudError
+        A mode that no viscosity can damp; names the node where it lives.
+    InputError
+        A given viscosity that is negative or not finite, or a highest frequency that double precision does not resolve.
+    """
+    frequency = resting_frequency(model)
+    if viscosity is not None:
+        given = number_in_range("viscosity", viscosity, 0.0, unit="s")
+        return StabilityReport("given", None, np.nan, given, frequency, stable_step(frequency, given))
+    if len(model.cloud) <= DENSE_NODES:
+        eigenvalues = spectrum(model)
+        worst = float(eigenvalues.real.min())
+        if worst < -1e-6 * np.abs(eigenvalues).max():
+            raise _undampable(model, np.linalg.eig(stiffness(model)))
+        needed = needed_viscosity(eigenvalues)
+        used = MARGIN * needed
+        return StabilityReport("dense spectrum", worst, needed, used, frequency, stable_step(frequency, used))
+    needed, growth = _viscosity_by_steps(model, frequency)
+    used = MARGIN * needed
+    return StabilityReport("step map", None, needed, used, frequency, stable_step(frequency, used), growth)
+
+
+def _undampable(model: FullModel, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]) -> CloudError:
+    values, vectors = eigen
+    shape = np.abs(vectors[:, np.argmin(values.real)]).reshape(-1, 3)
+    return _cloud_fault(model, int(np.flatnonzero(~model.held)[np.argmax(np.linalg.norm(shape, axis=1))]))
+
+
+def _cloud_fault(model: FullModel, node: int) -> CloudError:
+    return CloudError(
+        f"the body is unstable at rest: a mode that viscosity cannot damp lives at node {node}, "
+        f"{model.cloud.points[node]} m. Use more neighbours (now {model.neighbours}), less jitter, or move that node"
+    )
+
+
+def _viscosity_by_steps(model: FullModel, frequency: float) -> tuple[float, float]:
+    """Raise beta until a tiny random motion no longer grows; return it and the growth rate left."""
+    drive, needed, rate = model.drive(()), 0.0, 0.0
+    for _ in range(ROUNDS):
+        model.viscosity = needed
+        step = stable_step(frequency, needed)
+        tiny = 1e-9 * model.cloud.spacing * np.random.default_rng(1).standard_normal((len(model.cloud), 3))
+        tiny[model.held] = 0.0
+        state, logs = State(tiny, np.zeros_like(tiny)), []
+        size = np.linalg.norm(model.force(state.coordinates))
+        for _ in range(WINDOWS):
+            state = model.advance(state, drive, step, WINDOW)
+            force = model.force(state.coordinates)
+            logs.append(np.log(np.linalg.norm(force) / size))
+            scale = np.linalg.norm(tiny) / max(float(np.linalg.norm(state.coordinates)), 1e-300)
+            state = State(state.coordinates * scale, state.velocities * scale)
+            size = np.linalg.norm(force) * scale
+        growth = float(np.mean(logs[-4:]))
+        rate = growth / (WINDOW * step)
+        if growth < GROWTH:
+            return needed, rate
+        power = -np.sum(state.coordinates * model.force(state.coordinates)) / model.material.density
+        stiff = power / np.sum(state.coordinates**2)
+        node = int(np.argmax(np.linalg.norm(state.coordinates, axis=1)))
+        if stiff <= 0 or needed * frequency > 10:
+            raise _cloud_fault(model, node)
+        needed = max(1.25 * needed, needed + 2 * rate / stiff)
+    raise _cloud_fault(model, node)

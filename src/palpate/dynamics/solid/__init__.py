@@ -1,0 +1,1 @@
+"""Solids: the strong form and the energy form."""

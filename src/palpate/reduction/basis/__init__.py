@@ -1,0 +1,1 @@
+"""Reduced bases: snapshots, POD, lifting columns and linear modes."""

@@ -1,0 +1,154 @@
+"""Proper orthogonal decomposition of snapshots (section 4, equations 22 to 28).
+
+The Hilbert space of the paper is the L2 of the body: (u, v) = sum over the nodes of V_I u_I . v_I, with the nodal
+volumes V_I (`FullModel.weights`). The inner product decides: without the volumes the reduced model is unstable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.reduction.basis.incremental_pod import allowance, block_size, decomposed
+from palpate.reduction.basis.snapshots import Run, Snapshots
+
+__all__ = ["Basis", "pod"]
+
+Floats = NDArray[np.float64]
+
+NUMERICAL_RANK = 1e-12  # of the largest singular value; below it directions are rounding noise
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Modes that are orthonormal in the nodal-volume inner product.
+
+    Parameters
+    ----------
+    modes : (M, n, 3) array [m^-3/2]
+        The phi_k of (24); their columns form Q of (28).
+    singular_values : (r,) array [m^5/2]
+        All of the snapshots, in descending order; squared and divided by their number L they are the eigenvalues
+        lambda_j of (25). Where the snapshots were decomposed block by block, those that were not dropped.
+    snapshots : int
+        Number L of snapshots.
+    weights : (n,) array [m^3]
+        Of the inner product: nodal volumes.
+    dropped : float [m^5]
+        Sum of the squares of all other singular values.
+    """
+
+    modes: Floats
+    singular_values: Floats
+    snapshots: int
+    weights: Floats
+    dropped: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.modes)
+
+    def project(self, fields: Floats) -> Floats:
+        """Return the coordinates (..., M) of nodal fields (..., n, 3)."""
+        weighted = (fields * self.weights[:, None]).reshape(*fields.shape[:-2], -1)
+        return weighted @ self.modes.reshape(len(self), -1).T
+
+    def lift(self, coordinates: Floats) -> Floats:
+        """Return the nodal fields (..., n, 3) of coordinates (..., M) (equation 24)."""
+        flat = coordinates @ self.modes.reshape(len(self), -1)
+        return np.asarray(flat.reshape(*coordinates.shape[:-1], -1, 3))
+
+    def truncated(self, modes: int) -> Basis:
+        """Return the basis of the first few modes."""
+        integer_in_range("modes", modes, 1, len(self))
+        return replace(self, modes=self.modes[:modes])
+
+    @property
+    def lost_energy(self) -> float:
+        """Share of the snapshots' squared norm that the modes do not hold: the sum in (27) over the whole."""
+        squares = self.singular_values**2
+        return float((squares[len(self) :].sum() + self.dropped) / (squares.sum() + self.dropped))
+
+
+def pod(
+    snapshots: Floats | Run | Sequence[Run],
+    weights: Floats,
+    *,
+    modes: int | None = None,
+    tolerance: float | None = None,
+) -> Basis:
+    """Find the modes that hold most of some displacement snapshots.
+
+    Parameters
+    ----------
+    snapshots : (L, n, 3) array [m], a trajectory or the path of its file, or several
+        More than fit into a block of memory are decomposed block by block (`palpate.reduction.basis.incremental_pod`).
+    weights : (n,) array [m^3]
+        Of the inner product: nodal volumes, or `FullModel.weights`.
+    modes : int, optional
+        Number of modes M.
+    tolerance : float, optional
+        Instead: the fewest modes whose root-mean-square projection error is at most this share of the snapshots'.
+
+    Raises
+    ------
+    InputError
+        More modes than independent snapshots, snapshots that are all zero or not finite, or not one choice of size.
+    """
+    if (modes is None) == (tolerance is None):
+        raise InputError("give either modes or tolerance")
+    if isinstance(snapshots, np.ndarray) and (snapshots.ndim != 3 or snapshots.shape[1:] != (len(weights), 3)):
+        raise InputError(f"snapshots have shape {snapshots.shape}; this body needs (L, {len(weights)}, 3)")
+    own = Snapshots(snapshots)
+    if own.nodes != len(weights):
+        raise InputError(f"snapshots have {own.nodes} nodes; this body needs (L, {len(weights)}, 3)")
+    roots = np.repeat(np.sqrt(weights), 3)
+    shapes, values, dropped = _decomposed(own, roots, modes or 0)
+    rank = int(np.sum(values > NUMERICAL_RANK * values[0])) if values[0] > 0 else 0
+    if rank == 0:
+        raise InputError("all snapshots are zero: there is nothing to find modes in")
+    if modes is None:
+        squares = np.cumsum(values[::-1] ** 2)[::-1] + dropped  # squares[m] is what m modes leave
+        bound = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True) ** 2 * squares[0]
+        modes = max(1, int(np.sum(squares > bound)))
+    integer_in_range("modes", modes, 1)
+    if modes > rank:
+        raise InputError(f"modes = {modes}: the {len(own)} snapshots hold only {rank} independent shapes")
+    rows = shapes(modes) / roots
+    return Basis(rows.reshape(modes, -1, 3), values, len(own), np.asarray(weights, dtype=float), dropped)
+
+
+def _decomposed(own: Snapshots, roots: Floats, least: int) -> tuple[Callable[[int], Floats], Floats, float]:
+    """Return a function of how many modes are wanted, times the roots, as rows; singular values; what was dropped."""
+    size = block_size(own.nodes)
+    if len(own) <= size:
+        left, values = _thin_svd(next(own.blocks(size)).reshape(len(own), -1) * roots)
+        return lambda count: left[:count], values, 0.0
+    weights = (roots**2).reshape(-1, 3)
+    squares = sum(float(np.einsum("bnc,bnc,nc->", block, block, weights)) for block in own.blocks(size))
+    found = decomposed(own.blocks(size), lambda u: u * weights, allowance(squares, len(own), size), least)
+
+    def shapes(count: int) -> Floats:
+        # the products know small directions less well than their span
+        q, r = np.linalg.qr((found.shapes(count).reshape(count, -1) * roots).T)
+        return np.asarray((q * np.sign(np.diag(r))).T)
+
+    return shapes, found.values, found.dropped
+
+
+def _thin_svd(rows: Floats) -> tuple[Floats, Floats]:
+    """Right singular vectors (as rows) and singular values of a wide matrix, which is overwritten.
+
+    By a QR decomposition of the tall transpose and the SVD of its small factor: as accurate as a direct SVD, unlike
+    the eigenvalues of the Gram matrix, and with one copy of the snapshots beside them.
+    """
+    if rows.shape[0] > rows.shape[1]:
+        _, values, right = np.linalg.svd(rows, full_matrices=False)
+        return right, values
+    q, r = scipy.linalg.qr(rows.T, mode="economic", overwrite_a=True, check_finite=False)
+    u, values, _ = np.linalg.svd(r)
+    return (q @ u).T, values

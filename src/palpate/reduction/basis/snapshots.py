@@ -1,0 +1,105 @@
+"""Snapshots of several runs, from memory or from files that together need not fit there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
+from palpate.faults import InputError
+
+__all__ = ["Run", "Snapshots"]
+
+Floats = NDArray[np.float64]
+Run = Trajectory | str | Path  # a path is that of a trajectory's file
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """An array of snapshots that belongs to no run."""
+
+    displacements: Floats
+    points: None = None
+    times: Floats = field(default_factory=lambda: np.zeros(0))
+    touches: Floats = field(default_factory=lambda: np.zeros((0, 5)))
+    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+
+class Snapshots:
+    """The displacements in all frames of some runs, one run after the other; read again whenever they are asked for.
+
+    Parameters
+    ----------
+    runs : run or several, or (L, n, 3) array [m]
+        Trajectories, or paths of their files, of which never more is read than is asked for.
+
+    Attributes
+    ----------
+    nodes : int
+    lengths : list of int
+        Frames of every run.
+    runs : list
+        With `times`, `displacements`, `touches` and `held` each.
+    touched : bool
+        Whether tools touch the body in any run.
+
+    Raises
+    ------
+    InputError
+        No runs, an array of another shape, or runs of different bodies.
+    FileNotFoundError, FileFormatError
+        A file that is missing, or holds no trajectory.
+    """
+
+    def __init__(self, runs: Run | Sequence[Run] | Floats) -> None:
+        if isinstance(runs, np.ndarray):
+            if runs.ndim != 3 or runs.shape[2] != 3:
+                raise InputError(f"snapshots have shape {runs.shape}; needed is (L, n, 3)")
+            self.runs: list[_Frames | Trajectory | StoredTrajectory] = [_Frames(runs)]
+        else:
+            some = [runs] if isinstance(runs, Run) else list(runs)
+            self.runs = [run if isinstance(run, Trajectory) else StoredTrajectory(run) for run in some]
+        if not self.runs:
+            raise InputError("there is no trajectory to learn from: give at least one")
+        self.points = [part.points for part in self.runs if part.points is not None]
+        self.lengths = [len(part.displacements) for part in self.runs]
+        self.nodes = int(self.runs[0].displacements.shape[1])
+        for part in self.runs:
+            if part.displacements.shape[1] != self.nodes:
+                raise InputError(
+                    f"snapshots of bodies of {self.nodes} and of {part.displacements.shape[1]} nodes do not go together"
+                )
+        self.touched = any(len(run.touches) for run in self.runs)
+        self._ends = np.cumsum(self.lengths)
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    def spread(self, most: int) -> NDArray[np.int64]:
+        """Return the numbers of at most so many snapshots, evenly spread over all."""
+        return np.linspace(0, len(self) - 1, min(most, len(self))).astype(int)
+
+    def blocks(self, most: int) -> Iterator[Floats]:
+        """Yield all snapshots in order, at most so many at a time: (b, n, 3) arrays that may be written to."""
+        for first in range(0, len(self), most):
+            last = min(first + most, len(self))
+            block, begin = np.empty((last - first, self.nodes, 3)), 0
+            for part, length, end in zip(self.runs, self.lengths, self._ends, strict=True):
+                start, stop = max(first, end - length), min(last, end)
+                if start < stop:
+                    own = slice(start - (end - length), stop - (end - length))
+                    block[begin : begin + stop - start] = part.displacements[own]
+                    begin += stop - start
+            if not np.isfinite(block).all():
+                raise InputError("snapshots are not finite")
+            yield block
+
+    def each(self, which: NDArray[np.int64]) -> Iterator[Floats]:
+        """Yield some snapshots (n, 3) by number, one at a time."""
+        for k in which:
+            part = int(np.searchsorted(self._ends, k, side="right"))
+            yield self.runs[part].displacements[int(k) - int(self._ends[part]) + self.lengths[part]]

@@ -1,0 +1,99 @@
+"""Bases: the main modes of runs, and fields that join them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.membrane.model import Membrane
+from palpate.dynamics.solid.model import FullModel
+from palpate.faults import InputError
+from palpate.reduction.basis.incremental_pod import allowance, block_size, decomposed
+from palpate.reduction.basis.snapshots import Snapshots
+
+__all__ = ["joined", "main_modes"]
+
+Floats = NDArray[np.float64]
+
+SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
+NOISE = 1e-10  # of the largest eigenvalue: below it shapes are not told from noise
+
+
+def main_modes(
+    body: FullModel | Membrane,
+    snapshots: Snapshots | Floats,
+    modes: int,
+    spare: int = 0,
+    prepared: Callable[[Floats], Floats] | None = None,
+) -> tuple[Floats, float]:
+    """Return modes (M, n, 3) that hold most of some snapshots (t, n, 3), orthonormal in the volumes, and what was lost.
+
+    Of a solid, the proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not
+    only in displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so
+    that small motions are not lost beside large ones. Of a membrane, which is slack at first, that of u, and all
+    snapshots count the same: waves begin small. Behind them come up to `spare` further ones, as many as there are.
+
+    The snapshots are read twice, a block at a time (`palpate.reduction.basis.incremental_pod`), and `prepared`, where it is
+    given, of every block: modes are found in what it returns. What was lost on the way is the root of the sum of
+    squares dropped over that of the snapshots, each as it counts; by so much at most do the modes miss more than the
+    best would.
+
+    Raises
+    ------
+    InputError
+        More modes than independent snapshots, or snapshots that are all zero or not finite.
+    """
+    own = snapshots if isinstance(snapshots, Snapshots) else Snapshots(snapshots)
+    prepare = prepared or (lambda block: block)
+    sheet, image = isinstance(body, Membrane), _inner_product(body)
+    size = block_size(own.nodes)
+    sizes = np.concatenate([_sizes(prepare(block), image) for block in own.blocks(size)])
+    if sizes.max() == 0:
+        raise InputError("all snapshots are zero: there is nothing to find modes in")
+    scale = np.maximum(sizes, SMALLEST * sizes.max()) ** (-1.0 if sheet else -0.5)
+    parts = np.split(scale, range(size, len(own), size))
+    scaled = (prepare(u) * part[:, None, None] for u, part in zip(own.blocks(size), parts, strict=True))
+    squares = float(np.sum((sizes * scale) ** 2))
+    found = decomposed(scaled, image, allowance(squares, len(own), size), least=modes + spare)
+    rank = int(np.sum(found.values**2 > NOISE * found.values[0] ** 2))
+    if modes > rank:
+        raise InputError(f"modes = {modes}: the {len(own)} snapshots hold only {rank} independent shapes")
+    lost = float(np.sqrt(found.dropped / squares))
+    return _orthonormal(body, found.shapes(min(modes + spare, rank))), lost
+
+
+def _inner_product(body: FullModel | Membrane) -> Callable[[Floats], Floats]:
+    """Return A of the inner product u . A v of fields (b, n, 3): of du/dX, or of a membrane's u, over the volume."""
+    if isinstance(body, Membrane):
+        return lambda fields: fields * body.volumes[:, None]
+    matrix = body.stencils.products(body.volumes)
+
+    def image(fields: Floats) -> Floats:
+        return np.stack([matrix @ u for u in fields])
+
+    return image
+
+
+def _sizes(fields: Floats, image: Callable[[Floats], Floats]) -> Floats:
+    return np.sqrt(np.maximum(np.einsum("bnc,bnc->b", fields, image(fields)), 0.0))
+
+
+def _orthonormal(body: FullModel | Membrane, fields: Floats) -> Floats:
+    """Fields (m, n, 3) with the same span, orthonormal in the volumes."""
+    weights = np.repeat(np.sqrt(body.volumes), 3)
+    orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
+    return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
+
+
+def joined(body: FullModel | Membrane, modes: Floats | None, enrichment: Floats | None) -> Floats:
+    """Modes and enrichment, orthonormal together."""
+    if enrichment is None:
+        return np.zeros((0, len(body.cloud), 3)) if modes is None else modes
+    if enrichment.ndim != 3 or enrichment.shape[1:] != (len(body.cloud), 3) or not np.isfinite(enrichment).all():
+        raise InputError(f"enrichment has shape {enrichment.shape}; this body needs (e, {len(body.cloud)}, 3), finite")
+    if np.abs(enrichment[:, body.held]).max(initial=0.0) > 0:
+        raise InputError("enrichment moves nodes of the supports")
+    sizes = np.linalg.norm(enrichment, axis=2).max(axis=1)[:, None, None]
+    return _orthonormal(body, enrichment / sizes if modes is None else np.concatenate([modes, enrichment / sizes]))

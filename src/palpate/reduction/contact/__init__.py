@@ -1,0 +1,1 @@
+"""Contact of reduced bodies: surface compliance and projected Gauss-Seidel contact."""

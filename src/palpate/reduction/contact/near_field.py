@@ -1,0 +1,175 @@
+"""What a coarser model misses of the compliance between surface nodes of a body that are close to each other.
+
+A coarse surface knows how forces move the surface some way off, not how a fine one gives way around them. The
+difference is local: a fine and a coarse piece of the body about a place, both held where they are cut out, differ as
+the whole bodies do, up to what falls with the third power of the distance. So the compliances of many small pieces give
+it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.spatial import cKDTree
+
+from palpate.dynamics.solid.model import FullModel
+from palpate.reduction.basis.linear_modes import stiffness_blocks
+
+__all__ = ["close_compliance", "made_positive"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+PIECE, REACH, MARGIN = 1.0, 2.5, 1.0  # coarse spacings: a piece's heart, how far beyond nodes are close, and the rest
+FALLING = 0.5  # of the reach, from where on the difference is faded out
+TOLERANCE, SPARE = 1e-3, 0.05  # of the lowest compliance
+
+
+def close_compliance(
+    fine: FullModel, nodes: Ints, coarse: FullModel, those: Ints, places: Ints, weights: Floats
+) -> tuple[Ints, NDArray[np.float32]]:
+    """Return what a coarser model misses of the compliance between close surface nodes at rest.
+
+    Parameters
+    ----------
+    fine, coarse : FullModel
+        Of one body, in the energy form.
+    nodes, those : (k,), (c,) int arrays
+        Surface nodes of either; none of them held.
+    places, weights : (k, w) arrays
+        Which of `those` stand for each of `nodes` (`palpate.reduction.contact.residual_flexibility.carriers`).
+
+    Returns
+    -------
+    close : (k, q) int array
+        In `nodes`, those close to each; where there are fewer, the node itself again.
+    between : (k, q, 3, 3) float32 array [m/N]
+        How a force on a close node moves the node, more than by its carriers; zero where `close` repeats.
+
+    Raises
+    ------
+    InputError
+        A strong form.
+    """
+    points = fine.cloud.points[nodes]
+    heart, reach, margin = (coarse.cloud.spacing * share for share in (PIECE, REACH, MARGIN))
+    tree, bodies = cKDTree(points), (_Piece(fine), _Piece(coarse))
+    carried = sparse.csr_array(
+        (weights.ravel(), (np.repeat(np.arange(len(nodes)), weights.shape[1]), those[places].ravel())),
+        (len(nodes), len(coarse.cloud)),
+    )
+    rows, columns, blocks = [], [], []
+    for middle, own in _hearts(tree, heart):
+        around = np.array(tree.query_ball_point(points[middle], heart + reach))
+        radius = heart + reach + margin
+        exact = bodies[0].compliance(points[middle], radius, nodes[own], nodes[around])
+        used = np.unique(carried[around].indices)
+        rough = bodies[1].compliance(points[middle], radius, used, used)
+        first, second = carried[own][:, used], carried[around][:, used]
+        known = np.einsum("acbd,jb->acjd", rough, second.toarray(), optimize=True)
+        missed = exact - np.einsum("ia,acjd->icjd", first.toarray(), known, optimize=True)
+        distance = np.linalg.norm(points[own][:, None] - points[around], axis=2)
+        i, j = np.nonzero(distance < reach)
+        rows.append(own[i])
+        columns.append(around[j])
+        blocks.append(missed[i, :, j] * _fading(distance[i, j], reach)[:, None, None])
+    return _by_row(np.concatenate(rows), np.concatenate(columns), np.concatenate(blocks), len(nodes))
+
+
+class _Piece:
+    """A body of which pieces are cut out."""
+
+    def __init__(self, body: FullModel) -> None:
+        self.tree, self.free = cKDTree(body.cloud.points), ~body.held
+        self.blocks = stiffness_blocks(body, np.float32)
+
+    def compliance(self, middle: Floats, radius: float, moved: Ints, pushed: Ints) -> Floats:
+        """Return how forces on some nodes move others (m, 3, p, 3) [m/N], if all beyond a radius are held.
+
+        Nodes that are held themselves do not move.
+        """
+        ball = np.array(self.tree.query_ball_point(middle, radius))
+        ball = np.sort(ball[self.free[ball]])
+        size = len(ball)
+        stiffness = np.empty((size, 3, size, 3), np.float32)  # the error, 5e-7, is far below that of any piece
+        for (c, e), block in self.blocks.items():
+            own = block[ball][:, ball].toarray()
+            stiffness[:, c, :, e] = own
+            stiffness[:, e, :, c] = own.T
+        # symmetric: its transpose is the same, and LAPACK need not copy it
+        factor = cho_factor(stiffness.reshape(3 * size, -1).T, lower=True, overwrite_a=True, check_finite=False)
+        result = np.zeros((len(moved), 3, len(pushed), 3))
+        here, there = np.isin(moved, ball), np.isin(pushed, ball)
+        axes = np.arange(3)
+        of = (3 * np.searchsorted(ball, moved[here])[:, None] + np.arange(3)).ravel()
+        by = (3 * np.searchsorted(ball, pushed[there])[:, None] + np.arange(3)).ravel()
+        unit = np.zeros((3 * size, len(of)), np.float32, order="F")
+        unit[of, np.arange(len(of))] = 1.0
+        answer = cho_solve(factor, unit, overwrite_b=True, check_finite=False)[by].T
+        result[np.ix_(np.flatnonzero(here), axes, np.flatnonzero(there), axes)] = answer.reshape(
+            here.sum(), 3, there.sum(), 3
+        )
+        return result
+
+
+def _hearts(tree: Any, size: float) -> list[tuple[int, Ints]]:
+    """Part points into sets within a distance of one of theirs; return that one and the set."""
+    left, found = np.ones(tree.n, dtype=bool), []
+    for middle in range(tree.n):
+        if left[middle]:
+            own = np.array(tree.query_ball_point(tree.data[middle], size))
+            own = np.sort(own[left[own]])
+            left[own] = False
+            found.append((middle, own))
+    return found
+
+
+def _fading(distance: Floats, reach: float) -> Floats:
+    along = np.clip((distance / reach - FALLING) / (1 - FALLING), 0.0, 1.0)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * along))
+
+
+def _by_row(rows: Ints, columns: Ints, blocks: Floats, count: int) -> tuple[Ints, NDArray[np.float32]]:
+    """Return blocks of pairs, made symmetric, as a table of so many rows."""
+    there = np.lexsort((columns, rows))
+    back = np.lexsort((rows, columns))
+    mean = 0.5 * (blocks[there] + blocks[back].transpose(0, 2, 1))
+    rows, columns = rows[there], columns[there]
+    number = np.bincount(rows, minlength=count)
+    place = np.arange(len(rows)) - np.repeat(np.cumsum(number) - number, number)
+    close = np.repeat(np.arange(count)[:, None], number.max(), axis=1)
+    between = np.zeros((*close.shape, 3, 3), dtype=np.float32)
+    close[rows, place], between[rows, place] = columns, mean
+    return close, between
+
+
+def made_positive(
+    flexibility: Floats, carriers: Ints, weights: Floats, close: Ints, between: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return `between` with so much more of the nodes' own compliance that no forces pull the surface towards them.
+
+    Parameters are those of `palpate.reduction.contact.compliance.Dents`.
+    """
+    count, size = len(close), len(flexibility) // 3
+    pairs = (weights.ravel(), (np.repeat(np.arange(count), weights.shape[1]), carriers.ravel()))
+    spread = sparse.csr_array(pairs, (count, size))
+
+    def moved(forces: Floats) -> Floats:
+        force = forces.reshape(count, 3)
+        far = spread @ (flexibility @ (spread.T @ force).ravel()).reshape(size, 3)
+        return np.asarray(far + np.einsum("kqcd,kqd->kc", between, force[close])).ravel()
+
+    start = np.random.default_rng(0).standard_normal(3 * count)
+    whole = LinearOperator((3 * count, 3 * count), matvec=moved, dtype=float)
+    lowest = float(eigsh(whole, k=1, which="SA", tol=TOLERANCE, v0=start, return_eigenvectors=False)[0])
+    if lowest > 0:
+        return between
+    itself = (close == np.arange(count)[:, None]).argmax(axis=1)
+    raised = between.copy()
+    raised[np.arange(count), itself] -= (1 + SPARE) * lowest * np.eye(3, dtype=np.float32)
+    return raised

@@ -1,0 +1,1 @@
+"""Galerkin projection of the equations of motion at every node."""

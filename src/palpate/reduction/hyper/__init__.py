@@ -1,0 +1,1 @@
+"""The hyper-reduced model: sampled energy, steps, loads and error indicator."""

@@ -1,0 +1,74 @@
+"""What loads and rigid tools do on the columns of a reduced model."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.loads.loads import Drive, Places
+from palpate.dynamics.run.model import State
+from palpate.reduction.hyper.foundation import Springs, springs_of
+
+__all__ = ["ColumnLoads", "column_loads", "load_forces", "load_work", "pose_map"]
+
+Floats = NDArray[np.float64]
+
+
+class ColumnLoads(NamedTuple):
+    """What the loads of a drive do on the columns."""
+
+    drive: Drive
+    work: Floats  # (6 g + 3, c), see `load_work`
+    springs: Springs  # on all columns
+    own: Springs  # on the coordinates
+
+    def at(self, times: Floats) -> Floats:
+        """Return the generalised forces (t, c) of tractions and gravity at some times."""
+        schedule, count = self.drive.schedule(times), len(times)
+        values = (schedule.force.reshape(count, -1), schedule.moment.reshape(count, -1), schedule.gravity)
+        return np.asarray(np.hstack(values) @ self.work)
+
+
+def column_loads(drive: Drive, columns: Floats, masses: Floats, mass: Floats) -> ColumnLoads:
+    """Work out what the loads of a drive do on columns (c, n, 3), the first of which have a mass matrix (m, m)."""
+    springs = springs_of(drive.places, columns, mass)
+    work = load_work(drive.places, columns, masses)
+    return ColumnLoads(drive, work, springs, springs.of(np.arange(len(mass))))
+
+
+def load_work(places: Places, columns: Floats, masses: Floats) -> Floats:
+    """Work of unit forces and moments of the force groups, and of unit gravity, on columns (m, n, 3): (6 g + 3, m)."""
+    forces, moments = [], []
+    for g in range(len(places.force_start) - 1):
+        own = slice(places.force_start[g], places.force_start[g + 1])
+        at = columns[:, places.force_node[own]]
+        forces.append(np.einsum("k,mkc->cm", places.force_share[own], at))
+        moments.append(np.einsum("kcd,mkc->dm", places.moment_share[own], at))
+    return np.concatenate([*forces, *moments, np.einsum("n,mnc->cm", masses, columns)])
+
+
+def load_forces(drive: Drive, masses: Floats, columns: Floats, state: State) -> Floats:
+    """Forces [N] of tractions, gravity and springs on the nodes in a state of a reduced model, shape (n, 3)."""
+    places, schedule = drive.places, drive.schedule(np.array([state.time]))
+    result = np.asarray(masses[:, None] * schedule.gravity[0])
+    for g in range(len(places.force_start) - 1):
+        own = slice(places.force_start[g], places.force_start[g + 1])
+        share = places.force_share[own, None] * schedule.force[0, g] + places.moment_share[own] @ schedule.moment[0, g]
+        np.add.at(result, places.force_node[own], share)
+    at = columns[: len(state.coordinates), places.foundation_node]
+    moved, speed = np.tensordot(state.coordinates, at, 1), np.tensordot(state.velocities, at, 1)
+    drawn = places.foundation_spring[:, None] * moved + places.foundation_dashpot[:, None] * speed
+    np.subtract.at(result, places.foundation_node, drawn)
+    return result
+
+
+def pose_map(points: Floats, columns: Floats) -> Floats:
+    """Coordinates of a rigid tool's columns (l, k, 3) at its nodes (k, 3): (l, 12), see `ReducedModel.tool_map`."""
+    arms, fields = points - points.mean(axis=0), np.zeros((12, len(points), 3))
+    for c in range(3):
+        fields[c, :, c] = 1.0
+        for d in range(arms.shape[1]):
+            fields[3 + 3 * c + d, :, c] = arms[:, d]
+    return np.asarray(np.linalg.lstsq(columns.reshape(len(columns), -1).T, fields.reshape(12, -1).T, rcond=None)[0])

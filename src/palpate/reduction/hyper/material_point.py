@@ -1,0 +1,208 @@
+"""The energy of one sampled point, compiled: of a solid, and of a membrane.
+
+A point answers to the derivatives of the displacement, nine numbers row by row of du/dX, with its stress, cof(F) and
+J - 1, and with its energy density and J - 1. The pressure of nearly incompressible solids is not in it: it comes from
+moments of J - 1, or of another measure g(J) of the volume (`palpate.tissue.volumetric`). A membrane has no such
+pressure (its thickness follows), and only the first two columns of du/dX.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.cache import inlined, law_digest, law_njit
+from palpate.dynamics.material.fibres import BARE, FibrePoints, fibre_points
+from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
+from palpate.dynamics.material.principal_point import make_principal_point
+from palpate.dynamics.membrane.passes import make_moduli
+from palpate.dynamics.solid.energy_form import make_stress
+from palpate.faults import InputError
+from palpate.tissue.fibres import FibreLaw
+from palpate.tissue.materials import Material
+from palpate.tissue.volumetric import QUADRATIC, volumetric_form
+
+__all__ = ["Kinematics", "PointLaw", "measured", "point_law"]
+
+CRUSHED = 0.1  # of a sample's volume
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """What F is of the displacement's derivatives.
+
+    Parameters
+    ----------
+    sheet : bool
+        Whether the body is a membrane.
+    prestretch : float
+        Of a mounted membrane.
+    relaxed : bool
+        Whether a membrane wrinkles instead of carrying compression.
+    """
+
+    sheet: bool = False
+    prestretch: float = 1.0
+    relaxed: bool = False
+
+
+@dataclass(frozen=True)
+class PointLaw:
+    """Compiled functions of a point.
+
+    Parameters
+    ----------
+    digest : str
+        Of everything they are made from.
+    stress : function
+        ``stress(d0, ..., d8, coefficients)`` returns P and cof(F), nine numbers each, and J - 1.
+    density : function
+        ``density(d0, ..., d8, coefficients)`` returns the energy density [J/m^3] and J - 1.
+    measure : function, optional
+        ``measure(x)`` returns g and g' of x = J - 1, which go on as a tangent where the point is crushed; None where g
+        is x itself.
+    fibres : FibrePoints
+        What fibres add to them.
+    varied : int
+        Number of the law's parameters if they differ from point to point.
+    """
+
+    digest: str
+    stress: Any
+    density: Any
+    measure: Any = None
+    fibres: FibrePoints = BARE
+    varied: int = EVERYWHERE
+
+    @property
+    def at(self) -> Any:
+        """``at(coefficients, b, v)``: the law's parameters at a lane's point."""
+        return parameters_at(self.varied)
+
+
+def point_law(
+    material: Material, kinematics: Kinematics, fibres: FibreLaw | None = None, varied: bool = False
+) -> tuple[PointLaw, tuple[float, ...]]:
+    """Return the compiled law of a body's points, and its coefficients; or of points whose parameters differ."""
+    compiled, coefficients = _bare_law(material, kinematics)
+    if varied:
+        count = len(coefficients)
+        compiled = replace(compiled, digest=law_digest(compiled.digest, "varied", count), varied=count)
+    if fibres is None:
+        return compiled, coefficients
+    added = fibre_points(fibres)
+    return replace(compiled, digest=law_digest(compiled.digest, added.digest), fibres=added), coefficients
+
+
+def _bare_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
+    law = type(material) if kinematics.sheet else material.law
+    if kinematics.sheet:
+        compiled = _sheet_point(law, kinematics.relaxed)
+        return compiled, (kinematics.prestretch, *material.coefficients)
+    if law.variables == "small strain":
+        raise InputError(f"{law.__name__} is for small strain: it has no reduced model; take a law of finite strain")
+    make = _stretched_point if law.variables == "stretches" else _solid_point
+    return _held(make(law.energy, law.first, law.second), material.volumetric), material.coefficients
+
+
+def measured(material: Material, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return g and g' of many points' x = J - 1, as `PointLaw.measure` has them."""
+    if material.volumetric == QUADRATIC:
+        return x, np.ones_like(x)
+    value, slope = volumetric_form(material.volumetric).measure(np.maximum(x, CRUSHED - 1.0))
+    return value + slope * np.minimum(x - (CRUSHED - 1.0), 0.0), slope
+
+
+@cache
+def _held(law: PointLaw, volumetric: str) -> PointLaw:
+    """Give a law the measure of its volume."""
+    if volumetric == QUADRATIC:
+        return law
+    measure_of = volumetric_form(volumetric).measure
+    digest = law_digest(law.digest, measure_of)
+    whole = inlined(digest, measure_of)
+
+    @law_njit(digest, cached=False)
+    def measure(x):  # type: ignore[no-untyped-def]
+        value, slope = whole(max(x, CRUSHED - 1.0))
+        return value + slope * min(x - (CRUSHED - 1.0), 0.0), slope
+
+    return replace(law, digest=digest, measure=measure)
+
+
+@cache
+def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
+    """Compile the points of a solid; where one is crushed or inside out, W_s goes on as a parabola in J."""
+    digest = law_digest("solid point", energy_of, first_of, second_of)
+    energy_density, slopes, bends = (inlined(digest, f) for f in (energy_of, first_of, second_of))
+
+    @register_jitable
+    def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
+        """The law's first derivatives, gone on with below CRUSHED."""
+        W1, W2, WJ = slopes(I1, I2, max(J, CRUSHED), coefficients)
+        if J < CRUSHED:
+            _, _, _, W1J, W2J, _ = bends(I1, I2, CRUSHED, coefficients)
+            _, _, _, _, _, rise = bends(3.0, 3.0, CRUSHED, coefficients)
+            less = J - CRUSHED
+            return W1 + W1J * less, W2 + W2J * less, WJ + rise * less
+        return W1 + 0.0, W2 + 0.0, WJ + 0.0
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+        F00, F01, F02, F10, F11, F12, F20, F21, F22 = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
+        J = F00 * (F11 * F22 - F12 * F21) + F01 * (F12 * F20 - F10 * F22) + F02 * (F10 * F21 - F11 * F20)
+        C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
+        C22, C01 = F02 * F02 + F12 * F12 + F22 * F22, F00 * F01 + F10 * F11 + F20 * F21
+        C02, C12 = F00 * F02 + F10 * F12 + F20 * F22, F01 * F02 + F11 * F12 + F21 * F22
+        I1 = C00 + C11 + C22
+        I2 = C00 * C11 + C00 * C22 + C11 * C22 - C01 * C01 - C02 * C02 - C12 * C12
+        W = energy_density(I1, I2, max(J, CRUSHED), coefficients)
+        if J < CRUSHED:
+            _, _, slope = slopes(I1, I2, CRUSHED, coefficients)
+            _, _, _, _, _, rise = bends(3.0, 3.0, CRUSHED, coefficients)
+            W += (slope + 0.5 * rise * (J - CRUSHED)) * (J - CRUSHED)
+        return W, J - 1.0
+
+    return PointLaw(digest, make_stress(digest, extended), density)
+
+
+@cache
+def _stretched_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
+    """Compile the points of a solid whose law is one of the principal stretches."""
+    digest = law_digest("stretched point", energy_of, first_of, second_of)
+    return PointLaw(digest, *make_principal_point(digest, energy_of, first_of, second_of, CRUSHED))
+
+
+@cache
+def _sheet_point(law: type[Material], relaxed: bool) -> PointLaw:
+    """Compile the points of a membrane; the first coefficient is the prestretch."""
+    digest = law_digest("sheet point", law.variables, law.energy, law.first, law.second, relaxed)
+    moduli, _ = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+        F00, F01, F10, F11, F20, F21 = coefficients[0] + d0, d1, d3, coefficients[0] + d4, d6, d7
+        C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
+        C01 = F00 * F01 + F10 * F11 + F20 * F21
+        _, a, g = moduli(C00, C11, C01, coefficients[1:])
+        l00, l01, l11 = a + g * C11, -g * C01, a + g * C00
+        P = (
+            F00 * l00 + F01 * l01, F00 * l01 + F01 * l11, 0.0,
+            F10 * l00 + F11 * l01, F10 * l01 + F11 * l11, 0.0,
+            F20 * l00 + F21 * l01, F20 * l01 + F21 * l11, 0.0,
+        )  # fmt: skip
+        return P, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0
+
+    @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
+    def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+        F00, F01, F10, F11, F20, F21 = coefficients[0] + d0, d1, d3, coefficients[0] + d4, d6, d7
+        C00, C11 = F00 * F00 + F10 * F10 + F20 * F20, F01 * F01 + F11 * F11 + F21 * F21
+        W, _, _ = moduli(C00, C11, F00 * F01 + F10 * F11 + F20 * F21, coefficients[1:])
+        return W, 0.0
+
+    return PointLaw(digest, stress, density)

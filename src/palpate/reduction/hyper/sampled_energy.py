@@ -1,0 +1,301 @@
+"""The compiled force of a reduced model: an energy sampled at few nodes.
+
+With the coordinates a of modes and lifting columns, F_s = I + B_s a at the sampled nodes s,
+
+    E(a) = sum of w_s W_s(F_s) + 1/2 |c|^2 + 1/2 a . H a,      c = Z (J - 1),      force = -dE/da.
+
+Weights w_s are positive; c are few moments of the dilatations at the samples, one for every pressure mode, so that the
+pressure is Z^T c; H is the constant stiffness of what stencils miss. Each term is an energy bounded from below,
+whatever w, Z and B are: this is why the model cannot blow up. Where a sample is crushed to less than a tenth of its
+volume, or inside out, W_s goes on as a parabola in J. A law that holds its volume in another form has its measure g(J)
+in the place of J - 1 (`palpate.tissue.volumetric`). The cost knows the samples and coordinates, not the body.
+
+The energy is that of `palpate.dynamics.solid.energy_form` with some of its nodes; with all nodes, their volumes, and the
+smoothed dilatations for moments it is the Galerkin model itself. A membrane is sampled at the points of
+`palpate.dynamics.membrane.passes`, six about a node, and has no moments.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.lanes import LANES, column_sums, column_work
+from palpate.dynamics.material.fibres import Families, laid_out
+from palpate.dynamics.material.material_fields import spread
+from palpate.dynamics.material.relaxation import Memory, Relaxation, memory, overstress_alone, relax_volume
+from palpate.reduction.hyper.material_point import PointLaw
+from palpate.tissue.fibres import FibreLaw
+from palpate.tissue.regions import Regions
+
+__all__ = ["Samples", "Scratch", "firm_weights", "sampled_energy", "samples", "scratch"]
+
+Floats = NDArray[np.float64]
+
+EASY = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # tissue that does not relax
+
+
+class Samples(NamedTuple):
+    """What the force is computed from.
+
+    Parameters
+    ----------
+    table : (b, m, 9, LANES) float32 or float64 array [1/m times the columns' unit]
+        Derivatives of every column at the samples, row by row of du/dX, in blocks of LANES samples.
+    weights : (b, LANES) array [m^3]
+        Zero where a block is not filled.
+    pressure : (b, k, LANES) array
+        Z, with the root of the bulk modulus in it.
+    constant : (m, m) array
+        H.
+    coefficients : tuple, or (b, p + 1, LANES) array
+        Of the law; where they differ, by lane, the last the shear modulus at rest over the body's.
+    relaxation : Relaxation
+        Of tissue that relaxes.
+    families : Families
+        Of fibres.
+    """
+
+    table: NDArray[np.float32] | Floats
+    weights: Floats
+    pressure: Floats
+    constant: Floats
+    coefficients: tuple[float, ...] | Floats
+    relaxation: Relaxation
+    families: Families
+
+
+class Scratch(NamedTuple):
+    """Where the passes write, so that a step allocates nothing."""
+
+    stress: Floats  # (b, 9, LANES)
+    cofactor: Floats  # (b, 9, LANES)
+    dilatation: Floats  # (b, LANES): J - 1, or g(J)
+    slope: Floats  # (b, LANES): 1, or g'(J)
+    moments: Floats  # (k,)
+    partial: Floats  # (m, LANES)
+    spare: Floats  # (m,)
+    memory: Memory  # of tissue that relaxes: of the samples, and of the moments
+
+
+def samples(
+    gradients: Floats,
+    weights: Floats,
+    pressure: Floats,
+    constant: Floats,
+    law: tuple[float, ...] | Regions,
+    dtype: Any = np.float32,
+    relaxation: Relaxation = EASY,
+    fibres: FibreLaw | None = None,
+) -> Samples:
+    """Lay samples out in blocks.
+
+    Parameters
+    ----------
+    gradients : (s, m, 9) array
+        Derivatives of the columns at the samples.
+    weights : (s,) array [m^3]
+    pressure : (k, s) array
+    constant : (m, m) array
+    law : tuple or Regions
+        Coefficients, or materials at the samples.
+    dtype : type
+        Of the table.
+    relaxation : Relaxation
+    fibres : FibreLaw, optional
+        With directions at the samples.
+    """
+    count = len(gradients)
+    padded = -count % LANES
+    blocks = (count + padded) // LANES
+
+    def lanes(values: Floats) -> Floats:
+        filled = np.concatenate([values, np.zeros((padded, *values.shape[1:]))])
+        return np.ascontiguousarray(np.moveaxis(filled.reshape(blocks, LANES, *values.shape[1:]), 1, -1))
+
+    table = np.ascontiguousarray(lanes(gradients), dtype=dtype)
+    places = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
+    own = spread(law, places) if isinstance(law, Regions) else law
+    return Samples(
+        table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), own, relaxation,
+        laid_out(fibres, places),
+    )  # fmt: skip
+
+
+def scratch(of: Samples, remembered: Memory | None = None) -> Scratch:
+    """Allocate for some samples, with a memory of their own or another one's."""
+    blocks, columns, _, _ = of.table.shape
+    two = np.zeros((2, blocks, 9, LANES))
+    return Scratch(
+        two[0], two[1], np.zeros((blocks, LANES)), np.ones((blocks, LANES)), np.zeros(of.pressure.shape[1]),
+        np.zeros((columns, LANES)), np.zeros(columns),
+        memory(len(of.relaxation.times), blocks, of.pressure.shape[1]) if remembered is None else remembered,
+    )  # fmt: skip
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
+    for k in range(pressure.shape[1]):
+        total = 0.0
+        for b in range(pressure.shape[0]):
+            for lane in range(LANES):
+                total += pressure[b, k, lane] * dilatation[b, lane]
+        moments[k] = total
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _add_pressure(weights, pressure, moments, stress, cofactor, dilatation, slope, curved):  # type: ignore[no-untyped-def]
+    """Multiply the stresses by their weights and add the pressure times its volume."""
+    dilatation[:] = 0.0
+    for b in range(weights.shape[0]):
+        for k in range(pressure.shape[1]):
+            for lane in range(LANES):
+                dilatation[b, lane] += pressure[b, k, lane] * moments[k]
+        if curved:
+            for lane in range(LANES):
+                dilatation[b, lane] *= slope[b, lane]
+        for q in range(9):
+            for lane in range(LANES):
+                stress[b, q, lane] = weights[b, lane] * stress[b, q, lane] + dilatation[b, lane] * cofactor[b, q, lane]
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"})
+def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
+    for m in range(partial.shape[0]):
+        total = 0.0
+        for lane in range(LANES):
+            total += partial[m, lane]
+        for k in range(columns.shape[0]):
+            total += constant[m, k] * columns[k]
+        force[m] = -total
+
+
+def firm_weights(of: Samples) -> Floats:
+    """Return the weights [m^3] of the samples times their firmness, with which branches of a Prony series count."""
+    return of.weights if isinstance(of.coefficients, tuple) else of.weights * of.coefficients[:, -1]
+
+
+@njit(cache=True)
+def _in_branches(weights, memory):  # type: ignore[no-untyped-def]
+    """Energy [J] stored in the branches of relaxing tissue, as last evaluated."""
+    total = 0.0
+    for b in range(weights.shape[0]):
+        for lane in range(LANES):
+            total += weights[b, lane] * memory.energy[b, lane]
+    for k in range(memory.volume_energy.shape[0]):
+        total += memory.volume_energy[k]
+    return total
+
+
+@cache
+def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
+    """Compile force and energy of sampled bodies.
+
+    Parameters
+    ----------
+    law : PointLaw
+    single : bool
+        Whether the table is of single precision; sums are of double precision anyhow.
+
+    Returns
+    -------
+    force, energy : functions
+        ``force(columns, samples, scratch, result)`` writes -dE/da (m,); ``energy(columns, samples, scratch)`` returns
+        E [J].
+    """
+    digest = law_digest("sampled energy", law.digest, single)
+    sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
+    measure_of, curved = law.measure, law.measure is not None
+    stressed, charged, at, varied = law.fibres.stressed, law.fibres.charged, law.at, law.varied
+
+    @law_njit(digest)
+    def measure(scratch):  # type: ignore[no-untyped-def]
+        """Turn the samples' J - 1 into g, and write g'."""
+        if curved:
+            for b in range(scratch.dilatation.shape[0]):
+                for v in range(LANES):
+                    scratch.dilatation[b, v], scratch.slope[b, v] = measure_of(scratch.dilatation[b, v])
+
+    @law_njit(digest)
+    def relax(samples, scratch):  # type: ignore[no-untyped-def]
+        """Add the overstresses to the stresses, and bring the moments' branches up to date."""
+        overstress_alone(samples.relaxation, scratch.memory, scratch.cofactor)
+        for b in range(scratch.stress.shape[0]):
+            for q in range(9):
+                for v in range(LANES):
+                    firm = samples.coefficients[b, varied, v] if varied else 1.0
+                    scratch.stress[b, q, v] += firm * scratch.memory.stress[b, q, v]
+        relax_volume(samples.relaxation, scratch.memory, scratch.moments)
+
+    @law_njit(digest, fastmath={"contract"})
+    def force(columns, samples, scratch, result):  # type: ignore[no-untyped-def]
+        for b in range(samples.table.shape[0]):
+            P, c = scratch.stress[b], scratch.cofactor[b]
+            sums(samples.table[b].ctypes.data, columns.ctypes.data, P.ctypes.data, columns.shape[0])
+            for v in range(LANES):
+                stress, cofactor, volume = stress_of(
+                    P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
+                    at(samples.coefficients, b, v),
+                )  # fmt: skip
+                stress = stressed(
+                    stress, P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
+                    b, v, samples.families,
+                )  # fmt: skip
+                P[0, v], P[1, v], P[2, v] = stress[0], stress[1], stress[2]
+                P[3, v], P[4, v], P[5, v] = stress[3], stress[4], stress[5]
+                P[6, v], P[7, v], P[8, v] = stress[6], stress[7], stress[8]
+                c[0, v], c[1, v], c[2, v] = cofactor[0], cofactor[1], cofactor[2]
+                c[3, v], c[4, v], c[5, v] = cofactor[3], cofactor[4], cofactor[5]
+                c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
+                scratch.dilatation[b, v] = volume
+        measure(scratch)
+        _moments(samples.pressure, scratch.dilatation, scratch.moments)
+        effective = scratch.moments
+        if samples.relaxation.times.shape[0] > 0:
+            relax(samples, scratch)
+            effective = scratch.memory.effective
+        _add_pressure(samples.weights, samples.pressure, effective, scratch.stress, scratch.cofactor,
+                      scratch.dilatation, scratch.slope, curved)  # fmt: skip
+        scratch.partial[:] = 0.0
+        for b in range(samples.table.shape[0]):
+            work(samples.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
+                 columns.shape[0])  # fmt: skip
+        _collect(scratch.partial, samples.constant, columns, result)
+
+    @law_njit(digest)
+    def energy(columns, samples, scratch):  # type: ignore[no-untyped-def]
+        total = 0.0
+        for b in range(samples.table.shape[0]):
+            d = scratch.stress[b]
+            sums(samples.table[b].ctypes.data, columns.ctypes.data, d.ctypes.data, columns.shape[0])
+            for v in range(LANES):
+                density, scratch.dilatation[b, v] = density_of(
+                    d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
+                    at(samples.coefficients, b, v),
+                )  # fmt: skip
+                density = charged(
+                    density, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
+                    b, v, samples.families,
+                )  # fmt: skip
+                total += samples.weights[b, v] * density
+        measure(scratch)
+        _moments(samples.pressure, scratch.dilatation, scratch.moments)
+        for k in range(scratch.moments.shape[0]):
+            total += 0.5 * scratch.moments[k] * scratch.moments[k]
+        if samples.relaxation.times.shape[0] > 0:
+            force(columns, samples, scratch, scratch.spare)
+            if varied:
+                total += _in_branches(samples.weights * samples.coefficients[:, varied], scratch.memory)
+            else:
+                total += _in_branches(samples.weights, scratch.memory)
+        for m in range(columns.shape[0]):
+            for k in range(columns.shape[0]):
+                total += 0.5 * columns[m] * samples.constant[m, k] * columns[k]
+        return total
+
+    return force, energy

@@ -1,0 +1,98 @@
+"""What dense and sparse work costs on this machine, asked before it is done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.linalg
+
+from palpate.dynamics.run.rollout import machine_memory
+from palpate.faults import InputError
+from palpate.reduction.lti.projection_methods import factorised
+
+if TYPE_CHECKING:
+    from palpate.reduction.lti.system import LinearSystem
+
+__all__ = ["Budget", "Estimate", "dense_lyapunov", "sparse_lyapunov"]
+
+TRIAL = 240  # order of the dense equation that is timed
+ARRAYS = 8  # square arrays of the order that solving a dense equation holds at a time: the Schur form, vectors and work
+STEPS = 100  # shifts of an alternating-direction iteration for a lightly damped body, at least
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What something will cost: memory [bytes] and time [s]."""
+
+    memory: float
+    seconds: float
+
+    def __str__(self) -> str:
+        size = f"{self.memory / 1e9:.1f} GB" if self.memory >= 1e8 else f"{self.memory / 1e6:.0f} MB"
+        minutes = f"{self.seconds / 60:.0f} minutes" if self.seconds >= 120 else f"{self.seconds:.0f} s"
+        return f"about {size} and {minutes}"
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a reduction may cost.
+
+    Parameters
+    ----------
+    seconds : float [s]
+    memory : float, optional [bytes]
+        By default half of the machine's.
+    """
+
+    seconds: float = 600.0
+    memory: float | None = None
+
+    def check(self, estimate: Estimate, what: str, instead: str) -> None:
+        """Refuse what costs more.
+
+        Raises
+        ------
+        InputError
+            It does; the message has the estimate, and what to do instead.
+        """
+        memory = self.memory if self.memory is not None else 0.5 * machine_memory()
+        if estimate.memory > memory or estimate.seconds > self.seconds:
+            raise InputError(
+                f"{what} would take {estimate}; allowed are {memory / 1e9:.1f} GB and {self.seconds:g} s. {instead}"
+            )
+
+
+def dense_lyapunov(order: int) -> Estimate:
+    """Estimate the two dense Lyapunov equations of a system of first order: O(N^2) numbers, O(N^3) operations."""
+    return Estimate(8.0 * ARRAYS * order**2, 2 * _dense_seconds() * (order / TRIAL) ** 3)
+
+
+@cache
+def _dense_seconds() -> float:
+    """Time [s] of one dense equation of order `TRIAL`, the shorter of two."""
+    a = np.random.default_rng(0).standard_normal((TRIAL, TRIAL)) - 40 * np.eye(TRIAL)
+    times = []
+    for _ in range(2):
+        start = perf_counter()
+        scipy.linalg.solve_continuous_lyapunov(a, -np.eye(TRIAL))
+        times.append(perf_counter() - start)
+    return min(times)
+
+
+def sparse_lyapunov(system: LinearSystem) -> Estimate:
+    """Estimate two low-rank alternating-direction iterations, from one sparse factorisation that is made and timed."""
+    start = perf_counter()
+    factors = factorised(system, 1j * float(np.sqrt(_middle(system))))
+    seconds = perf_counter() - start
+    numbers = factors.L.nnz + factors.U.nnz
+    columns = 2 * STEPS * max(system.input.shape[1], system.output.shape[0])
+    return Estimate(16.0 * numbers + 16.0 * columns * system.order, 2 * STEPS * seconds)
+
+
+def _middle(system: LinearSystem) -> float:
+    """Some eigenvalue [1/s^2] between the slowest and the fastest."""
+    return float(np.median(system.stiffness.diagonal() / system.mass.diagonal()))

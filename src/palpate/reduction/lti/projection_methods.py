@@ -1,0 +1,199 @@
+"""Linear reductions that project the sparse equations: modal truncation, moment matching, and POD.
+
+Each finds columns V of displacements and test columns W, and reduces to W^T M V, W^T D V, W^T K V. With W = V
+(Galerkin) a symmetric, positive definite body stays so: whatever V, the reduced body is stable. The collocated
+stiffness of the strong form is not symmetric and has no such promise. Its modal truncation takes left eigenvectors as
+test columns, which keeps poles as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh, splu
+
+from palpate.faults import InputError, integer_in_range
+from palpate.reduction.basis.pod import pod
+from palpate.reduction.lti.state_space import SecondOrder
+from palpate.reduction.lti.system import LinearSystem
+
+__all__ = ["Columns", "condensed", "eigenvectors", "modal", "moments", "projected", "proper"]
+
+Floats = NDArray[np.float64]
+Columns = tuple[Floats, Floats]
+
+TWINS, SPARE = 1e-5, 12  # relative distance of squares of frequencies that count as one; modes sought beside
+DEFLATED = 1e-10  # of its size before: what is left of a column that the others span already
+
+
+def projected(system: LinearSystem, columns: Floats, test: Floats | None = None) -> SecondOrder:
+    """Project a system on columns V (d, k), with test columns W (d, k), by default the same."""
+    w = columns if test is None else test
+    return SecondOrder(
+        w.T @ (system.mass @ columns), w.T @ (system.damping @ columns), w.T @ (system.stiffness @ columns),
+        w.T @ system.input.toarray(), system.output @ columns, system.rate_output @ columns,
+        system.feedthrough, system.fields(columns),
+    )  # fmt: skip
+
+
+def factorised(system: LinearSystem, s: complex = 0.0) -> Any:
+    """Return the sparse factors of s^2 M + s D + K, in real numbers where s is.
+
+    Raises
+    ------
+    InputError
+        It is singular: nothing holds the body, or the sheet is slack.
+    """
+    try:
+        return splu(system.stiffness if s == 0 else system.pencil(s.real if s.imag == 0 else s))
+    except RuntimeError as error:
+        raise InputError(
+            "the body at rest has no stiffness against some motion: fix a group, or give a sheet a prestretch"
+        ) from error
+
+
+def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex128], Floats, Floats]:
+    """Return squares of frequencies (k,) [1/s^2] of the slowest modes, and real columns (d, k) of these and left ones.
+
+    With a complex pair, real and imaginary parts stand for both vectors. Where `count` would part a pair, or the twins
+    of a body of symmetric shape in its strong form, there are more.
+    """
+    integer_in_range("modes", count, 1, system.order - 2)
+    solver, order = factorised(system), system.stiffness.shape
+    start = np.random.default_rng(0).standard_normal(system.order)
+    ask = min(count + SPARE, system.order - 2)
+    try:
+        if system.symmetric:
+            inverse = LinearOperator(order, matvec=solver.solve)
+            values, vectors = eigsh(system.stiffness, k=ask, M=system.mass, sigma=0.0, OPinv=inverse, v0=start)
+            chosen = np.argsort(values)[:count]
+            columns = np.ascontiguousarray(vectors[:, chosen])
+            return values[chosen].astype(complex), columns, columns
+        found = []
+        for trans in "NT":
+            inverse = LinearOperator(order, matvec=lambda x, t=trans: solver.solve(x, t))
+            matrix = system.stiffness if trans == "N" else system.stiffness.T.tocsc()
+            found.append(eigs(matrix, k=ask, M=system.mass, sigma=0.0, OPinv=inverse, v0=start))
+    except ArpackNoConvergence as error:
+        raise InputError(f"the slowest {count} modes were not found: {error}") from error
+    (values, right), (others, left) = (_by_size(*pair) for pair in found)
+    sizes = np.abs(values)
+    while count < len(sizes) and sizes[count] - sizes[count - 1] < TWINS * sizes[count]:
+        count += 1  # complex pairs and twins stay together: of parted ones, left and right modes need not match
+    columns, tests = _real(values, right, count), _real(others, left, count)
+    if columns.shape != tests.shape:
+        raise InputError(f"modes = {count}: left and right modes do not match there; ask for a few more or fewer")
+    return values[:count], columns, tests
+
+
+def _by_size(values: NDArray[np.complex128], vectors: NDArray[np.complex128]) -> tuple[Any, Any]:
+    order = np.argsort(np.abs(values))
+    return values[order], vectors[:, order]
+
+
+def _real(values: NDArray[np.complex128], vectors: NDArray[np.complex128], count: int) -> Floats:
+    """Real columns (d, count) with the span of the first eigenvectors, which hold all of their conjugates.
+
+    Of every pair, however nearly real, one vector gives both columns: twins' pairs come in any order.
+    """
+    columns = []
+    for value, vector in zip(values[:count], vectors[:, :count].T, strict=True):
+        if value.imag > 0:
+            columns += [vector.real, vector.imag]
+        elif value.imag == 0:
+            columns.append(vector.real)
+    stacked = np.stack(columns, axis=1)
+    return np.asarray(stacked / np.linalg.norm(stacked, axis=0))
+
+
+def modal(system: LinearSystem, modes: int) -> SecondOrder:
+    """Keep the slowest modes: their poles are the body's own, so that the reduced body is stable where it is."""
+    _, right, left = eigenvectors(system, modes)
+    return _balanced(system, right, left)
+
+
+def _balanced(system: LinearSystem, right: Floats, left: Floats) -> SecondOrder:
+    """Project with test columns such that the reduced mass is 1."""
+    return projected(system, right, left @ np.linalg.inv((left.T @ (system.mass @ right)).T))
+
+
+def condensed(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
+    """Project on many slow modes and the static responses to the inputs that they leave: a smaller system to balance.
+
+    The modes keep their poles, and the static responses the transfer function at s = 0. Returns also V and W (d, k).
+    Where a static response would make a strong form's condensed body unstable, it is left out.
+    """
+    _, right, left = eigenvectors(system, modes)
+    left = left @ np.linalg.inv((left.T @ (system.mass @ right)).T)
+    static = factorised(system).solve(system.input.toarray())
+    static = static - right @ (left.T @ (system.mass @ static))
+    more = _orthonormal(system, static, np.zeros((system.order, 0)))
+    other = more if system.symmetric else more - left @ (right.T @ (system.mass @ more))
+    wide, test = np.hstack([right, more]), np.hstack([left, other])
+    reduced = projected(system, wide, test)
+    if not system.symmetric and reduced.poles().real.max() >= 0:
+        wide, test = right, left
+        reduced = projected(system, wide, test)
+    return reduced, (wide, test)
+
+
+def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)) -> SecondOrder:
+    """Match moments of the transfer function at some points s [1/s], by Krylov spaces.
+
+    Where D = beta K, s^2 M + s D + K is a multiple of Q + d M, Q what it is at a point, so that all moments there lie
+    in the Krylov space of Q^-1 M and Q^-1 B (Beattie and Gugercin, 44th IEEE Conf. Decision and Control, 2005): half as
+    many columns as a second-order Arnoldi takes. The points take turns, a block of as many columns as inputs each,
+    until there are `modes` columns; of complex ones real and imaginary parts are taken. One-sided (W = V): a symmetric
+    body stays stable.
+
+    Raises
+    ------
+    InputError
+        No point, one with a negative real part, or more modes than inputs and points give independent columns.
+    """
+    integer_in_range("modes", modes, 1, system.order)
+    points = [complex(s) for s in points]
+    if not points or any(s.real < 0 for s in points):
+        raise InputError(f"points = {points}: needed are points s with real parts of at least 0")
+    solvers = [factorised(system, s) for s in points]
+    basis, nothing = np.zeros((system.order, 0)), np.zeros((system.order, 0))
+    known = [nothing.astype(complex if s.imag != 0 else float) for s in points]
+    fresh = [solver.solve(_typed(system.input.toarray(), s)) for solver, s in zip(solvers, points, strict=True)]
+    while basis.shape[1] < modes:
+        before = basis.shape[1]
+        for at, s in enumerate(points):
+            own = _orthonormal(system, fresh[at], known[at])
+            known[at] = np.hstack([known[at], own])
+            fresh[at] = solvers[at].solve(_typed(system.mass @ own, s)) if own.shape[1] else own
+            parts = np.hstack([own.real, own.imag]) if s.imag != 0 else own
+            basis = np.hstack([basis, _orthonormal(system, parts, basis)])
+        if basis.shape[1] == before:
+            raise InputError(f"modes = {modes}: these inputs and points give only {before} independent columns")
+    return projected(system, np.ascontiguousarray(basis[:, :modes]))
+
+
+def _typed(block: Any, s: complex) -> Any:
+    return block.astype(complex) if s.imag != 0 else np.ascontiguousarray(block.real)
+
+
+def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
+    """What columns (d, b) add to the span of a basis that is orthonormal in the mass, orthonormal with it."""
+    masses, kept = system.mass.diagonal(), basis[:, :0]
+    for column in block.T:
+        own, size = column.copy(), np.sqrt(np.vdot(column, masses * column).real)
+        for _ in range(2):  # once more, for rounding
+            for known in (basis, kept):
+                own = own - known @ (known.conj().T @ (masses * own))
+        left = np.sqrt(np.vdot(own, masses * own).real)
+        if left > DEFLATED * size:
+            kept = np.hstack([kept, (own / left)[:, None]])
+    return kept
+
+
+def proper(system: LinearSystem, snapshots: Floats, modes: int) -> SecondOrder:
+    """Decompose displacements (t, n, 3) [m] of the linearised body (POD), without its tools' fields, and project."""
+    basis = pod(snapshots, system.model.weights, modes=modes)
+    return projected(system, np.ascontiguousarray(basis.modes.reshape(len(basis), -1)[:, system.dofs].T))

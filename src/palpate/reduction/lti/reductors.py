@@ -1,0 +1,354 @@
+"""Linear reductions of one body by all methods, which share what is dear: modes, Gramians, and runs.
+
+pyMOR (R. Milk, S. Rave, F. Schindler, SIAM J. Sci. Comput. 38, 2016) balances: its second-order variants, its balanced
+truncation of first order, and its iterative rational Krylov method. It knows no Hankel-norm approximation and no modal
+truncation of second order; these are here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.loads.loads import Load
+from palpate.faults import InputError, integer_in_range
+from palpate.reduction.lti.budget import Budget, dense_lyapunov
+from palpate.reduction.lti.gramians import balanced_in_low_rank, dense_solver
+from palpate.reduction.lti.hankel import Realisation, balanced, hankel_norm, nearest_fields
+from palpate.reduction.lti.model import LinearModel
+from palpate.reduction.lti.projection_methods import condensed, modal, moments, projected, proper
+from palpate.reduction.lti.pymor_bridge import need_pymor
+from palpate.reduction.lti.simulate import linear_run
+from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder
+from palpate.reduction.lti.system import LinearSystem
+
+__all__ = ["METHODS", "Reduction", "reduce_linear"]
+
+Floats = NDArray[np.float64]
+
+SECOND_ORDER_BALANCING = {
+    "sobt": "SOBTReductor", "sobt-p": "SOBTpReductor", "sobt-v": "SOBTvReductor", "sobt-pv": "SOBTpvReductor",
+    "sobt-vp": "SOBTvpReductor", "sobt-fv": "SOBTfvReductor",
+}  # fmt: skip
+METHODS = {
+    "modal": "modal truncation",
+    "moments": "Krylov, moments matched",
+    "irka": "Krylov, second-order IRKA",
+    "balanced": "balanced truncation, first order",
+    "balanced-low-rank": "balanced truncation of the whole body in low rank, first order",
+    "hankel": "Hankel-norm approximation, first order",
+    "pod": "POD of the linearised run",
+    "sobt": "second-order balanced truncation",
+    "sobt-p": "the same, position",
+    "sobt-v": "the same, velocity",
+    "sobt-pv": "the same, position-velocity",
+    "sobt-vp": "the same, velocity-position",
+    "sobt-fv": "the same, free velocity",
+}
+PYMOR = {"irka", "balanced", "balanced-low-rank", *SECOND_ORDER_BALANCING}
+CONDENSED = 240  # modes of the condensed body that large ones are balanced by
+IRKA: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
+Run = tuple[Sequence[Load], float, float]
+
+
+class Reduction:
+    """Makes linear models of one linearised body.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        At rest.
+    condense : int, optional
+        Balancing and rational Krylov work on a body condensed to this many of its slowest modes and the static
+        responses that they leave (`palpate.reduction.lti.projection_methods.condensed`); by default 240. 0, or as many as there
+        are unknowns, takes the body itself, if the budget allows it.
+    budget : Budget
+        What may be spent; more is refused with an estimate.
+    training : (loads, duration, every), optional
+        The run that POD learns from, the linearised body's.
+    emphasis : (p,) array, optional
+        How much every input counts where several are balanced together; by default all alike.
+
+    Raises
+    ------
+    InputError
+        A system at another state than rest.
+    """
+
+    def __init__(
+        self,
+        system: LinearSystem,
+        *,
+        condense: int | None = None,
+        budget: Budget | None = None,
+        training: Run | None = None,
+        emphasis: Sequence[float] | Floats | None = None,
+    ) -> None:
+        if system.at.any():
+            raise InputError("linear reductions are of a body at rest")
+        self.system, self.budget, self.training = system, budget or Budget(), training
+        self.condense = min(CONDENSED, system.order) if condense is None else integer_in_range("condense", condense, 0)
+        count = len(system.inputs)
+        self.emphasis = np.ones(count) if emphasis is None else np.array(emphasis, dtype=float)
+        if self.emphasis.shape != (count,) or not np.all(np.isfinite(self.emphasis) & (self.emphasis > 0)):
+            raise InputError(f"emphasis must be {count} positive numbers, one an input, not {emphasis!r}")
+        self.seconds: dict[str, float] = {}
+
+    def model(self, method: str, modes: int, **options: Any) -> LinearModel:
+        """Return a linear model.
+
+        Parameters
+        ----------
+        method : str
+            One of `METHODS`.
+        modes : int
+            Number of displacement coordinates; methods of first order have twice as many states.
+        options
+            Of `moments`: points, complex frequencies [1/s].
+
+        Raises
+        ------
+        InputError
+            An unknown method, too many modes, a cost beyond the budget, or pyMOR missing; the message says how to
+            install it.
+        """
+        if method not in METHODS:
+            raise InputError(f"method = {method!r}: allowed are {', '.join(map(repr, METHODS))}")
+        if options and method != "moments":
+            raise InputError(f"method {method!r} has no {', '.join(options)}")
+        integer_in_range("modes", modes, 1, self.system.order - 1)
+        if method in PYMOR:
+            need_pymor(f"method {method!r}")
+        before, start = sum(self.seconds.values()), perf_counter()
+        reduced = self._reduced(method, modes, options)
+        shared = sum(self.seconds.values()) - before  # what other methods profit from, too
+        report = {
+            "method": method, "modes": len(reduced.fields), "states": reduced.states,
+            "seconds": perf_counter() - start - shared, "shared_seconds": self._shared(method),
+            "unknowns": self.system.order,
+        }  # fmt: skip
+        return LinearModel(self.system, reduced, report)
+
+    def _reduced(self, method: str, modes: int, options: dict[str, Any]) -> Reduced:
+        system = self.system
+        if method == "modal":
+            return modal(system, modes)
+        if method == "moments":
+            return moments(system, modes, **options)
+        if method == "pod":
+            return proper(system, self.snapshots, modes)
+        if method == "hankel":
+            return self._hankel(modes)
+        if method == "balanced":
+            return self._balanced(modes)
+        if method == "balanced-low-rank":
+            return balanced_in_low_rank(system, modes, self.scales, self.budget, self._timed)
+        return self._second_order(method, modes)
+
+    def _shared(self, method: str) -> float:
+        """Time [s] of what a method needs and shares with others."""
+        parts = {
+            "modal": (),
+            "moments": (),
+            "pod": ("run",),
+            "balanced-low-rank": ("low-rank",),
+        }
+        own = parts.get(method, ("condensed", "hankel" if method == "hankel" else "gramians"))
+        return float(sum(self.seconds.get(part, 0.0) for part in own))
+
+    def _timed(self, part: str, make: Callable[[], Any]) -> Any:
+        start = perf_counter()
+        made = make()
+        self.seconds[part] = perf_counter() - start
+        return made
+
+    # what is shared
+
+    @cached_property
+    def snapshots(self) -> Floats:
+        """Displacements (t, n, 3) [m] of the training run, without what follows the tools at once."""
+        if self.training is None:
+            raise InputError("POD learns from a run of the linearised body: give training=(loads, duration, every)")
+        loads, duration, every = self.training
+        return np.asarray(self._timed("run", lambda: linear_run(self.system, loads, duration=duration, every=every)[1]))
+
+    @cached_property
+    def source(self) -> SecondOrder:
+        """The dense body that is balanced: condensed, or the whole one."""
+        system = self.system
+        if self.condense and self.condense < system.order - 2:
+            return self._timed("condensed", lambda: condensed(system, self.condense)[0])
+        estimate = dense_lyapunov(2 * system.order)
+        self.budget.check(
+            estimate, f"dense Lyapunov equations of order {2 * system.order}",
+            f"Give condense={CONDENSED} to balance that many of the slowest modes instead, or a coarser cloud",
+        )  # fmt: skip
+        roots = 1.0 / np.sqrt(system.mass.diagonal())
+        return self._timed("condensed", lambda: projected(system, np.diag(roots)))
+
+    @cached_property
+    def scales(self) -> tuple[Floats, Floats]:
+        """Factors (q,) of the outputs and (p,) of the inputs by which different units count alike in balancing.
+
+        Displacements and forces each over their largest static response to the inputs as they count, and a tool's
+        rotations over its radius.
+        """
+        static = np.abs(self.system.transfer(0.0)[0].real) * self.emphasis
+        kinds = np.array([name.split()[0] for name in self.system.outputs])
+        outputs = np.ones(len(kinds))
+        for kind in np.unique(kinds):
+            outputs[kinds == kind] = 1.0 / max(static[kinds == kind].max(), 1e-300)
+        inputs = np.ones(len(self.system.inputs))
+        if len(self.system.lifting):
+            inputs[self.system.forces :] = 1.0 / np.abs(self.system.lifting).max(axis=(1, 2))
+        return outputs, inputs * self.emphasis
+
+    @cached_property
+    def scaled(self) -> SecondOrder:
+        """The body that is balanced, its inputs and outputs scaled."""
+        own, (outputs, inputs) = self.source, self.scales
+        return SecondOrder(
+            own.mass, own.damping, own.stiffness, own.input * inputs, outputs[:, None] * own.output,
+            outputs[:, None] * own.rate_output, outputs[:, None] * own.feedthrough * inputs, own.fields,
+        )  # fmt: skip
+
+    @cached_property
+    def pymor(self) -> Any:
+        """The scaled body as pyMOR's second-order model; its Gramians are kept."""
+        need_pymor("balancing")
+        from pymor.models.iosys import SecondOrderModel
+        from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
+
+        own = self.scaled
+        return SecondOrderModel.from_matrices(
+            own.mass, own.damping, own.stiffness, own.input, own.output, own.rate_output, own.feedthrough,
+            matrix_equation_solvers=MatrixEquationSolvers(lyapunov_lr=dense_solver()), name="palpate",
+        )  # fmt: skip
+
+    def _gramians(self) -> None:
+        """Let pyMOR find the Gramians, once."""
+        if "gramians" not in self.seconds:
+            self._timed("gramians", lambda: [self.pymor.gramian(kind) for kind in ("pc_lr", "po_lr")])
+
+    @cached_property
+    def realisation(self) -> tuple[Realisation, Floats, Floats]:
+        """Balanced realisation of the scaled body, its Hankel singular values, and T (2 m, n): x = T z."""
+        return self._timed("hankel", lambda: balanced(Realisation(*self.scaled.state_space())))
+
+    @property
+    def hankel_singular_values(self) -> Floats:
+        """Hankel singular values of the scaled body, descending."""
+        return self.realisation[1]
+
+    def bound(self, states: int) -> float:
+        """Return the bound of the scaled transfer function's error: twice the sum of the discarded values."""
+        return float(2 * self.hankel_singular_values[states:].sum())
+
+    def scaled_error(self, reduced: Reduced, frequencies: Any, *, whole: bool = False) -> Floats:
+        """Return the largest singular value of the scaled transfer function's error, (t,), at frequencies [rad/s].
+
+        Against the body that was balanced, or the whole one.
+        """
+        s = 1j * np.atleast_1d(np.asarray(frequencies, dtype=float))
+        outputs, inputs = self.scales
+        exact = self.system.transfer(s) if whole else self.source.transfer(s)
+        return np.linalg.norm(outputs[:, None] * (exact - reduced.transfer(s)) * inputs, 2, axis=(1, 2))
+
+    # methods of pyMOR, and the Hankel norm
+
+    def _second_order(self, method: str, modes: int) -> SecondOrder:
+        if modes >= len(self.source.mass):
+            raise InputError(f"modes = {modes}: the body to balance has only {len(self.source.mass)}; condense less")
+        fom, own = self.pymor, self.scaled
+        if method == "irka":
+            from pymor.reductors.bt import BTReductor
+            from pymor.reductors.sor_irka import SORIRKAReductor
+
+            self._gramians()
+            start = BTReductor(fom.to_lti()).reduce(modes)  # as many poles as there are points to begin with
+            reductor = SORIRKAReductor(fom)
+            rom = reductor.reduce(start, **IRKA)
+            fields = _columns(reductor.V)
+        else:
+            from pymor.reductors import sobt
+
+            self._gramians()
+            reductor = getattr(sobt, SECOND_ORDER_BALANCING[method])(fom)
+            rom = reductor.reduce(modes)
+            if method == "sobt":
+                v1, w1, v2 = (_columns(block) for block in (reductor.V1, reductor.W1, reductor.V2))
+                fields = v1 @ np.linalg.solve(w1.T @ v1, w1.T @ v2)
+            else:
+                fields = _columns(reductor.V)
+        m, e, k, b, cp, cv, _ = rom.to_matrices()
+        outputs, inputs = self.scales
+        cv = np.zeros_like(cp) if cv is None else cv
+        return SecondOrder(
+            m, e, k, b / inputs, cp / outputs[:, None], cv / outputs[:, None],
+            own.feedthrough / outputs[:, None] / inputs, np.tensordot(fields.T, own.fields, 1),
+        )  # fmt: skip
+
+    def _balanced(self, modes: int) -> FirstOrder:
+        from pymor.reductors.bt import BTReductor
+
+        if 2 * modes >= self.source.states:
+            raise InputError(f"modes = {modes}: the body to balance has only {len(self.source.mass)}; condense less")
+        self._gramians()
+        reductor = BTReductor(self.pymor.to_lti())
+        a, b, c, _, e = reductor.reduce(2 * modes).to_matrices()
+        if e is not None:
+            a, b = np.linalg.solve(e, a), np.linalg.solve(e, b)
+        position = _columns(reductor.V.blocks[0])
+        return self._unscaled(
+            Realisation(a, b, c, self.scaled.feedthrough), np.tensordot(position.T, self.scaled.fields, 1)
+        )
+
+    def _hankel(self, modes: int) -> FirstOrder:
+        own, values, into = self.realisation
+        if 2 * modes >= len(values):
+            raise InputError(
+                f"modes = {modes}: the body has {len(values)} Hankel singular values that can be told from noise"
+            )
+        reduced = hankel_norm(own, values, 2 * modes)
+        fields = np.tensordot(into[: len(self.scaled.fields)].T, self.scaled.fields, 1)
+        return self._unscaled(reduced, nearest_fields(own, fields, reduced))
+
+    def _unscaled(self, own: Realisation, fields: Floats) -> FirstOrder:
+        outputs, inputs = self.scales
+        return FirstOrder(
+            own.A, own.B / inputs, own.C / outputs[:, None], own.D / outputs[:, None] / inputs, fields
+        )  # fmt: skip
+
+
+def _columns(vectors: Any) -> Floats:
+    """Columns (d, k) of a pyMOR array of vectors."""
+    return np.asarray(vectors.to_numpy())
+
+
+def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any) -> LinearModel:
+    """Reduce a linearised body by one method; `Reduction` makes several and shares what they have in common.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    method : str
+        ``"modal"``, ``"moments"``, ``"pod"``, ``"hankel"``, and by pyMOR ``"irka"``, ``"balanced"``,
+        ``"balanced-low-rank"``, ``"sobt"``, ``"sobt-p"``, ``"sobt-v"``, ``"sobt-pv"``, ``"sobt-vp"``,
+        ``"sobt-fv"``: see docs/linear.md.
+    modes : int
+        Number of displacement coordinates; methods of first order have twice as many states.
+    options
+        `condense`, `budget`, `training` and `emphasis` of `Reduction`; `points` of the moments.
+
+    Raises
+    ------
+    InputError
+        As `Reduction.model`.
+    """
+    shared = {name: options.pop(name) for name in ("condense", "budget", "training", "emphasis") if name in options}
+    return Reduction(system, **shared).model(method, modes, **options)

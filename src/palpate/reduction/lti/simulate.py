@@ -1,0 +1,86 @@
+"""Runs of the unreduced linear system: what POD learns from, and what linear reductions are measured against."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from palpate.dynamics.loads.loads import Load
+from palpate.faults import InputError, number_in_range
+from palpate.reduction.lti.model import LinearModel
+from palpate.reduction.lti.projection_methods import projected
+from palpate.reduction.lti.system import LinearSystem
+
+__all__ = ["input_sizes", "linear_run"]
+
+Floats = NDArray[np.float64]
+
+
+def input_sizes(system: LinearSystem, loads: Sequence[Load], duration: float, samples: int = 2000) -> Floats:
+    """Return the largest size (p,) of every input in a run: forces [N], gravity, and accelerations of tools."""
+    guide = LinearModel(system, projected(system, np.ones((system.order, 1))))
+    drive, step = guide.drive(loads), duration / samples
+    times: Floats = step * np.arange(-1.0, samples + 2)
+    g = guide.tool_coordinates(drive, times)
+    bends = np.abs(g[2:] - 2 * g[1:-1] + g[:-2]).max(axis=0) / step**2
+    return np.concatenate([np.abs(guide._inputs(drive).at(times[1:-1], system.forces)).max(axis=0), bends])
+
+
+def linear_run(
+    system: LinearSystem, loads: Sequence[Load], *, duration: float, every: float, steps: int = 20
+) -> tuple[Floats, Floats, Floats]:
+    """Step the linearised body from rest by the trapezium rule, which is stable with any step.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        Linearised at rest.
+    loads : sequence of loads
+        As it was made with, with their values in time.
+    duration, every : float [s]
+        Length, and time between snapshots.
+    steps : int
+        Steps between two snapshots.
+
+    Returns
+    -------
+    times : (t,) array [s]
+    free, whole : (t, n, 3) arrays [m]
+        Displacements without what follows the tools at once (`LinearSystem.lifting`), and all of them.
+
+    Raises
+    ------
+    InputError
+        Other loads, or times out of range.
+    """
+    number_in_range("duration", duration, 0.0, open_low=True, unit="s")
+    number_in_range("every", every, 0.0, duration * (1 + 1e-9), open_low=True, unit="s")
+    if not loads:
+        raise InputError("a linear run from rest needs a load, or nothing moves")
+    # any reduced model knows what loads are to the inputs; one of a single column is the cheapest
+    guide = LinearModel(system, projected(system, np.ones((system.order, 1))))
+    drive = guide.drive(loads)
+    frames, step = round(duration / every), every / steps
+    times: Floats = step * np.arange(-1.0, frames * steps + 2)
+    f = guide._inputs(drive).at(times[1:-1], system.forces)
+    g = guide.tool_coordinates(drive, times)
+    kicks = (g[2:] - 2 * g[1:-1] + g[:-2]) / step
+    pushed = f @ system.input.toarray()[:, : system.forces].T
+    lift = system.lifts[:, system.dofs]
+    solver = splu((system.mass + 0.5 * step * system.damping + 0.25 * step**2 * system.stiffness).tocsc())
+    w, v = np.zeros(system.order), np.zeros(system.order)
+    kept = [w.copy()]
+    for s in range(frames * steps):
+        v -= 0.5 * kicks[s] @ lift
+        # mean velocity of the step: M (v1 - v0) = h (f - D vm - K (w0 + h/2 vm)), v1 = 2 vm - v0
+        right = system.mass @ v + 0.5 * step * (0.5 * (pushed[s] + pushed[s + 1]) - system.stiffness @ w)
+        mean = solver.solve(right)
+        w, v = w + step * mean, 2 * mean - v
+        v -= 0.5 * kicks[s + 1] @ lift
+        if (s + 1) % steps == 0:
+            kept.append(w.copy())
+    free = system.fields(np.array(kept).T)
+    return times[1:-1:steps].copy(), free, free + np.tensordot(g[1:-1:steps], system.lifting, 1)

@@ -1,0 +1,102 @@
+"""The stiffness of a body at a state, sparse, by differences of its nonlinear force.
+
+Columns whose rows do not meet are moved together (Curtis, Powell and Reid, J. Inst. Maths Applics 13, 1974), so that a
+large cloud needs as many differences as a stencil reaches nodes, not as many as there are nodes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.lanes import Lanes
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.solid.model import FullModel
+from palpate.reduction.basis.linear_modes import rest_stiffness
+
+__all__ = ["coupling", "independent_groups", "nodal_stiffness"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+STEP = 1e-5  # of the spacing: displacements for central differences, as in `palpate.dynamics.nodal.stability.stiffness`
+NOISE = 1e-10  # of the largest entry: what differences leave where there is nothing
+
+
+def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> Any:
+    """Return the stiffness [N/m] of a body, sparse (3 n, 3 n), rows 3 i + c of node i: minus the slope of its forces.
+
+    Row i is the internal force density at node i times the node's weight in the inner product (`NodalModel.weights`),
+    so that a traction's nodal forces are its shares of the total force. In the energy form it is symmetric; the strong
+    form is collocated, and its stiffness is not.
+
+    Parameters
+    ----------
+    model : NodalModel
+    displacements : (n, 3) array, optional [m]
+        The state; rest by default. There the energy form's is assembled from its stencils, otherwise differences are
+        taken, accurate to about 1e-9 of the largest entry.
+    """
+    plain = isinstance(model, FullModel) and model.conservative and model.fibres is None
+    if displacements is None and plain:
+        assert isinstance(model, FullModel)
+        return rest_stiffness(model)
+    u = np.zeros((len(model.cloud), 3)) if displacements is None else np.array(displacements, dtype=float)
+    n, reach, delta = len(u), coupling(model), STEP * model.cloud.spacing
+    rows, columns, values = [], [], []
+    model._recall(None)
+    for group in independent_groups(reach):
+        inside = reach[:, group].tocoo()
+        node, moved = inside.row, group[inside.col]
+        for c in range(3):
+            u[group, c] += delta
+            ahead = model.force(u)
+            u[group, c] -= 2 * delta
+            slope = (model.force(u) - ahead) / (2 * delta) * model.weights[:, None]
+            u[group, c] += delta
+            for e in range(3):
+                rows.append(3 * node + e)
+                columns.append(3 * moved + c)
+                values.append(slope[node, e])
+    entries = np.concatenate(values)
+    kept = np.abs(entries) > NOISE * np.abs(entries).max()
+    places = np.concatenate(rows)[kept], np.concatenate(columns)[kept]
+    return sparse.csc_matrix((entries[kept], places), (3 * n, 3 * n))
+
+
+def coupling(model: NodalModel) -> Any:
+    """Return which nodes' displacements the force at a node knows, sparse (n, n) of ones, force by row."""
+    body, n = model.body, len(model.cloud)
+    names = ["carriers", "transposed", "transposed_smoothing", "smoothing", "lanes"]
+    if not model.conservative:  # the smoothed pressure is differentiated at the node itself
+        names = ["lanes", "smoothing", "lanes"]
+    pattern = sparse.identity(n, dtype=np.int32, format="csr")
+    for name in names:
+        family = getattr(body, name, None)
+        if isinstance(family, Lanes):
+            pattern = pattern @ _neighbours(family, n)
+            pattern.data[:] = 1
+    return pattern.tocsc()
+
+
+def _neighbours(lanes: Lanes, n: int) -> Any:
+    """Nodes that a family of stencils reads, the node itself too, sparse (n, n)."""
+    counts = np.diff(lanes.start)
+    nodes = np.repeat(lanes.nodes, counts, axis=0).ravel()
+    pattern = sparse.csr_matrix((np.ones(nodes.size, dtype=np.int32), (nodes, lanes.neighbours.ravel())), (n, n))
+    return (pattern + sparse.identity(n, dtype=np.int32, format="csr")).astype(bool).astype(np.int32)
+
+
+def independent_groups(pattern: Any) -> list[Ints]:
+    """Return groups of columns of a sparse matrix of which no two have an entry in one row; together all columns."""
+    meets = (pattern.T @ pattern).tocsr()
+    colours = np.full(pattern.shape[1], -1, dtype=np.int64)
+    for column in range(len(colours)):
+        near = colours[meets.indices[meets.indptr[column] : meets.indptr[column + 1]]]
+        used = np.zeros(len(near) + 1, dtype=np.bool_)
+        used[near[(near >= 0) & (near < len(used))]] = True
+        colours[column] = int(np.argmin(used))
+    return [np.flatnonzero(colours == colour) for colour in range(int(colours.max()) + 1)]

@@ -1,0 +1,1 @@
+"""Hyper-reduced models at a fixed rate."""

@@ -1,0 +1,171 @@
+"""The surface of a reduced body, for whoever draws it: where its vertices are, and how strained the tissue is there.
+
+Positions are those of the modes and of what tools dent beside them, and, where a tool pushes, those of the patches of
+surface that it meets (`palpate.meshfree.patches`): a node by itself goes deeper than the tool. Stresses are those of
+the modes alone, from the gradients of the modes at the surface nodes: the dent right under a small tool, which is
+beside the modes, adds nothing to them, and tissue that relaxes is taken at its instantaneous stiffness.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from palpate.faults import InputError
+from palpate.reduction.contact.compliance import carried, softness
+
+if TYPE_CHECKING:
+    from palpate.reduction.hyper.model import ReducedModel
+
+__all__ = ["SCALARS", "Surface"]
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Ints = NDArray[np.int64]
+
+SCALARS = ("displacement", "stress", "pressure")
+
+
+class Surface:
+    """The drawing surface of a reduced model.
+
+    Parameters
+    ----------
+    model : ReducedModel
+
+    Attributes
+    ----------
+    nodes : (n,) int array
+        The body's nodes that are its vertices.
+    triangles : (t, 3) uint32 array
+        Of vertices, counter-clockwise from outside.
+    rest : (n, 3) float32 array [m]
+        Where they are at rest.
+    """
+
+    def __init__(self, model: ReducedModel) -> None:
+        cloud, parts = model.cloud, model.parts
+        self.model = model
+        self.nodes, triangles = np.unique(cloud.triangles, return_inverse=True)
+        self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)
+        flat = cloud.points[self.nodes]
+        self.rest = np.zeros((len(self.nodes), 3), dtype=np.float32)
+        self.rest[:, : flat.shape[1]] = flat
+        columns = parts.columns[: model.count, self.nodes].reshape(model.count, -1)
+        self._columns = np.ascontiguousarray(columns.T, dtype=np.float32)
+        self._gradients: Singles | None = None
+        self._dents = parts.dents
+        if parts.dents is None:
+            return
+        skin, dents = model._skin, parts.dents
+        place = np.full(len(cloud), -1)
+        place[dents.nodes] = np.arange(len(dents.nodes))
+        self._touched = place[skin.nodes]  # of the skin's nodes, in those of the compliance
+        place[:] = -1
+        place[self.nodes] = np.arange(len(self.nodes))
+        self._vertex = place[dents.nodes]
+        self._drawn = self._vertex >= 0
+        rows = np.repeat(np.arange(len(dents.nodes)), dents.patches.shape[1])
+        shares = dents.shares.ravel().astype(np.float32), (rows, dents.patches.ravel())
+        own = dents.patches.shape[1] == 1 and np.array_equal(dents.patches[:, 0], np.arange(len(dents.nodes)))
+        self._patches = (
+            None if own or not self._drawn.all() else sparse.csr_array(shares, shape=(len(dents.nodes),) * 2)
+        )
+
+    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, held: bool = False) -> Singles:
+        """Return the displacements (n, 3) [m] of the vertices.
+
+        Parameters
+        ----------
+        coordinates : (m,) array
+        nodes : (e,) int array
+            Touched places in the model's skin.
+        forces : (e, 3) array [N]
+            On the patches of surface there, or on the nodes themselves where they are held.
+        held : bool
+            Whether a tool holds nodes; else the displacements are those of `met`.
+        """
+        moved = (self._columns @ coordinates.astype(np.float32)).reshape(-1, 3)
+        if len(nodes) and self._dents is not None:
+            moved[self._vertex[self._drawn]] += self._dent(nodes, forces, held)[self._drawn]
+        return moved if held else self.met(moved)
+
+    def met(self, moved: Singles) -> Singles:
+        """Return the displacements (n, 3) [m] of the surface that tools meet for those of the vertices."""
+        if self._dents is None or self._patches is None:
+            return moved
+        result = moved.copy()
+        result[self._vertex] = self._patches @ moved[self._vertex]
+        return result
+
+    def _dent(self, nodes: Ints, forces: Floats, held: bool) -> Floats:
+        """Return what forces do beside the modes (k, 3) [m], as `palpate.reduction.contact.compliance.dents_of`."""
+        dents = self._dents
+        assert dents is not None
+        touched, own = self._touched[nodes], np.zeros((len(dents.nodes), 3))
+        if held:
+            np.add.at(own, touched, forces)
+        else:
+            np.add.at(own, dents.patches[touched], dents.shares[touched][:, :, None] * forces[:, None])
+        on = np.flatnonzero(own.any(axis=1))
+        if not len(on):
+            return np.zeros_like(own)
+        soft = dents.grip if held else softness(dents.hardening, float(np.linalg.norm(forces.sum(axis=0))))
+        return np.asarray(soft * carried(dents, own[on], on, np.arange(len(own))))
+
+    # scalars
+
+    @property
+    def scalars(self) -> tuple[str, ...]:
+        """Names of what can be told of every vertex: of a membrane its displacement alone."""
+        return SCALARS[:1] if self.model.parts.kinematics.sheet else SCALARS
+
+    def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
+        """Return a number for every vertex.
+
+        Parameters
+        ----------
+        name : str
+            ``"displacement"``: its length [m]; ``"stress"``: von Mises' of the Cauchy stress [Pa]; ``"pressure"``:
+            minus a third of that stress's trace [Pa].
+        coordinates : (m,) array
+        displacements : (n, 3) array [m]
+
+        Raises
+        ------
+        InputError
+            The name is none of `scalars`.
+        """
+        if name not in self.scalars:
+            raise InputError(f"scalar = {name!r}: allowed are {', '.join(map(repr, self.scalars))}")
+        if name == "displacement":
+            return np.asarray(np.linalg.norm(displacements, axis=1), dtype=np.float32)
+        stress = self.cauchy(coordinates)
+        mean = np.trace(stress, axis1=1, axis2=2) / 3
+        if name == "pressure":
+            return np.asarray(-mean, dtype=np.float32)
+        shear = stress - mean[:, None, None] * np.eye(3)
+        return np.asarray(np.sqrt(1.5 * np.einsum("nij,nij->n", shear, shear)), dtype=np.float32)
+
+    def cauchy(self, coordinates: Floats) -> Floats:
+        """Return the Cauchy stress (n, 3, 3) [Pa] at the vertices, of a solid."""
+        if self._gradients is None:
+            self._gradients = self._differentiated()
+        parts = self.model.parts
+        F = (self._gradients @ coordinates.astype(np.float32)).reshape(-1, 3, 3) + np.eye(3)
+        law = parts.material if parts.regions is None else parts.regions.at(self.nodes)
+        stress = law.stress(F)
+        if parts.fibres is not None:
+            stress = stress + parts.fibres.of(self.nodes).stress(F)
+        stress = parts.stiffness[self.nodes, None, None] * stress
+        return np.asarray(stress @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None])
+
+    def _differentiated(self) -> Singles:
+        """Return the derivatives of the columns at the vertices (9 n, m) by the model's stencils."""
+        result = np.empty((9 * len(self.nodes), self.model.count), dtype=np.float32)
+        for m in range(self.model.count):
+            result[:, m] = self.model.stencils.gradient(self.model.parts.columns[m])[self.nodes].reshape(-1)
+        return result

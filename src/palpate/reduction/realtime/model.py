@@ -1,0 +1,103 @@
+"""A reduced model made ready for `palpate.Engine`: held by one tool or touched by one, and tied by springs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.contact.tools import Contact, Grasp
+from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.loads.loads import drive
+from palpate.faults import InputError, number_in_range
+from palpate.reduction.contact.surface import tools_of, touched
+from palpate.reduction.contact.tangent import contact_stiffness, contact_system
+from palpate.reduction.hyper.foundation import Springs, springs_of
+from palpate.reduction.hyper.implicit import newton
+from palpate.reduction.hyper.sampled_energy import scratch
+from palpate.reduction.realtime.period import MOST_SUBSTEPS, PeriodData, period_functions
+from palpate.reduction.training.fit_compliance import Handling
+
+if TYPE_CHECKING:
+    from palpate.reduction.hyper.model import ReducedModel
+
+__all__ = ["RealtimeModel", "realtime_model"]
+
+Floats = NDArray[np.float64]
+
+
+class RealtimeModel(NamedTuple):
+    """A model as the engine takes it.
+
+    Parameters
+    ----------
+    advance, stiffness : functions
+        Compiled; see `period_functions`.
+    data : PeriodData
+    rest : (m,) array
+        Coordinates at rest.
+    tool : (l, 12) array
+        Tool coordinates of a rigid pose, see `ReducedModel.tool_map`.
+    """
+
+    advance: Any
+    stiffness: Any
+    data: PeriodData
+    rest: Floats
+    tool: Floats
+
+
+def realtime_model(
+    model: ReducedModel, longest: float, contact: Contact | Grasp | None, foundations: Sequence[Foundation]
+) -> RealtimeModel:
+    """Make what `ReducedModel.realtime` returns."""
+    parts, count = model.parts, model.count
+    handling = None if contact is None else Handling(model._skin, model.drive([contact]))
+    if contact is None and len(parts.driven) != 1:
+        raise InputError(
+            f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP', "
+            "or give it a tool to touch it with"
+        )
+    home, tools, touch = np.zeros(3), tools_of(None, model._skin), touched(model._skin, 0)
+    if handling is not None:
+        handling.begun(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
+        home, tools, touch = handling.drive.schedule(np.zeros(1)).poses[0, 0, :3], handling.tools, handling.touch
+    root = np.linalg.cholesky(model.mass / model.masses.sum()).T
+    which = np.r_[:count, len(parts.columns) - parts.witnesses : len(parts.columns)]
+    watched = model.sampled(which)
+    number_in_range("step", model.step or longest, longest / MOST_SUBSTEPS, unit="s")
+    frequency, steps = model._highest(np.zeros(count)), int(np.ceil(longest / (model.step or longest)))
+    own, vectors = scratch(model._samples), np.zeros((8, count))
+    vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
+    springs = _springs(model, foundations).of(which)
+    tangent = model.stiffness(np.zeros(count))
+    if springs.stiffness.size:
+        tangent += springs.stiffness[:count]
+    modes = slice(parts.modes)
+    system = contact_system(model._skin.columns[:, :, modes], model.mass[modes, modes], len(touch.near.node))
+    data = PeriodData(
+        parts.modes, model.viscosity, model.step or 0.0, model.tolerance, model.mass, model._held,
+        model._differences, model._samples, own, newton(count),
+        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, np.inf if contact else parts.leeway,
+        watched, scratch(watched, own.memory),
+        model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
+        tangent, np.zeros((count, count)), np.array([frequency, frequency, 0.0, 0.0]),
+        np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
+        model._skin, touch, tools, home, system, springs,
+    )  # fmt: skip
+    advance, stiffness = period_functions(model._law, model.single)
+    if contact is None:
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.driven[0]))
+    return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12))
+
+
+def _springs(model: ReducedModel, foundations: Sequence[Foundation]) -> Springs:
+    """Project springs on all columns, and refuse other loads."""
+    for load in foundations:
+        if not isinstance(load, Foundation):
+            raise InputError(
+                f"foundations: {load!r} is no Foundation: in real time a body knows springs and one tool, no other load"
+            )
+    return springs_of(drive(model.cloud, model.fixed, foundations).places, model.parts.columns, model.mass)

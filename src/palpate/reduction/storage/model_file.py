@@ -1,0 +1,363 @@
+"""One file for a reduced model: a sealed HDF5 file (`palpate.sealed`) that holds data only.
+
+Arrays have the names they have in `ReducedParts` (``cloud/points``, ``cubature/weights`` ...); what is short is in the
+header. Columns are kept in single precision: they say where the body is and how heavy its motions are, while forces
+come from the gradients, which are kept as they are.
+"""
+
+from __future__ import annotations
+
+import json
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.files import json_of, plain, shortened
+from palpate.meshfree.cloud import Cloud
+from palpate.reduction.contact.compliance import NO_DENTS
+from palpate.reduction.hyper.cubature import Cubature
+from palpate.reduction.hyper.material_point import Kinematics
+from palpate.reduction.hyper.model import ReducedModel, ReducedParts
+from palpate.reduction.storage.compliance import DENTS, WITHIN, stored_dents
+from palpate.reduction.storage.material import (
+    described,
+    described_fibres,
+    described_regions,
+    fibres_of,
+    material_of,
+    regions_of,
+)
+from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
+
+__all__ = ["REMEDY", "contents", "load", "model_of", "save"]
+
+Header = dict[str, Any]
+Arrays = dict[str, np.ndarray[Any, Any]]
+
+FORMAT, VERSION = "palpate reduced model", 8
+REMEDY = "copy the file again, or train the model again"
+LONGEST_NAME = 200  # characters of a scene's name
+LARGEST = 1e30  # of all numbers of a file, in SI units
+
+# One line a dataset: its type, and its shape in sizes that all datasets share.
+LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "cloud/points": ("<f8", ("nodes", "space")),
+    "cloud/volumes": ("<f8", ("nodes",)),
+    "cloud/face_nodes": ("<i8", ("faces",)),
+    "cloud/face_normals": ("<f8", ("faces", "space")),
+    "cloud/face_areas": ("<f8", ("faces",)),
+    "cloud/group_sizes": ("<i8", ("groups",)),
+    "cloud/group_nodes": ("<i8", ("members",)),
+    "cloud/triangles": ("<i8", ("triangles", 3)),
+    "volumes": ("<f8", ("nodes",)),
+    "stiffness": ("<f8", ("nodes",)),
+    "columns": ("<f4", ("columns", "nodes", 3)),
+    "cubature/nodes": ("<i8", ("samples",)),
+    "cubature/weights": ("<f8", ("samples",)),
+    "cubature/pressure": ("<f8", ("moments", "samples")),
+    "gradients": ("<f8", ("samples", "columns", 9)),
+    "constant": ("<f8", ("columns", "columns")),
+    "trained": ("<f8", ("states", "coordinates")),
+    "fibres/directions": ("<f8", ("families", "nodes", 3)),
+    "dents/nodes": ("<i8", ("touched",)),
+    "dents/carriers": ("<i8", ("touched", "carried")),
+    "dents/weights": ("<f8", ("touched", "carried")),
+    "dents/flexibility": ("<f4", ("carriers", "carriers")),
+    "dents/close": ("<i8", ("touched", "close")),
+    "dents/between": ("<f4", ("touched", "close", 3, 3)),
+    "dents/patches": ("<i8", ("touched", "patched")),
+    "dents/shares": ("<f8", ("touched", "patched")),
+    "dents/hardening": ("<f8", (2,)),
+}
+PLACED: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "regions": ("<i8", ("nodes",))
+}  # where there are several materials
+NODES = (
+    "cloud/face_nodes",
+    "cloud/group_nodes",
+    "cloud/triangles",
+    "cubature/nodes",
+    "dents/nodes",
+    "inside/nodes",
+)  # hold numbers of nodes
+ATTRIBUTES = {
+    "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
+    "groups": list, "spacing": float, "fixed": list, "driven": list,
+    "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
+    "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
+    "witnesses": int, "leeway": float, "dents_grip": float, "step": float, "single": bool,
+}  # fmt: skip
+
+
+def save(parts: ReducedParts, path: str | Path, *, step: float | None = None, single: bool = True) -> None:
+    """Write a model to a sealed HDF5 file, whole or not at all.
+
+    Parameters
+    ----------
+    parts : ReducedParts
+    path : path
+    step : float, optional [s]
+        Of the implicit rule; by default the steps are explicit.
+    single : bool
+        Whether the model keeps the derivatives at its samples in single precision; the file has them in double.
+
+    Raises
+    ------
+    InputError
+        Parts that `load` would refuse, such as a material of one's own or numbers that are not finite.
+    OSError
+        The place cannot be written or the disk is full; a file that was there is unchanged.
+    """
+    write_sealed(Path(path), FORMAT, VERSION, *contents(parts, step=step, single=single))
+
+
+def load(path: str | Path) -> ReducedModel:
+    """Read a reduced model as it was saved: with its step rule, explicit or implicit, and its precision.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    FileFormatError
+        The file is truncated, changed, of another kind or version, or holds what no reduced model can hold: the message
+        names the file and what is wrong in it.
+    """
+    path = Path(path)
+    with loading(path, REMEDY):
+        file = open_sealed(path, FORMAT, VERSION)
+        return model_of(file.header, file)
+
+
+# writing
+
+
+def contents(parts: ReducedParts, *, step: float | None = None, single: bool = True) -> tuple[Header, Arrays]:
+    """Return the header and the arrays of a model's file.
+
+    Raises
+    ------
+    InputError
+        Parts that `model_of` would refuse.
+    """
+    header, arrays = _header(parts) | {"step": float(step or 0.0), "single": bool(single)}, _arrays(parts)
+    _check_header(header)
+    _rule(header)
+    if _parts(header, _fitting(header, arrays)).material != parts.material:
+        raise InputError(f"the file would not give {parts.material} back")
+    return header, arrays
+
+
+def _header(parts: ReducedParts) -> Header:
+    return {
+        **described(parts.material),
+        "fibres": described_fibres(parts.fibres),
+        "regions": described_regions(parts.regions),
+        "groups": list(parts.cloud.groups),
+        "spacing": float(parts.cloud.spacing),
+        "fixed": list(parts.fixed),
+        "driven": list(parts.driven),
+        "viscosity": float(parts.viscosity),
+        "fastest": float(parts.fastest),
+        "modes": int(parts.modes),
+        "lifted": int(parts.lifted),
+        "residual": float(parts.cubature.residual),
+        "reach": float(parts.reach),
+        "witnesses": int(parts.witnesses),
+        "leeway": float(parts.leeway),
+        "sheet": parts.kinematics.sheet,
+        "prestretch": float(parts.kinematics.prestretch),
+        "relaxed": parts.kinematics.relaxed,
+        "slack": float(parts.slack),
+        "dents_grip": float((parts.dents or NO_DENTS).grip),
+        "report": json.dumps(plain(parts.report)),
+    }
+
+
+def _arrays(parts: ReducedParts) -> Arrays:
+    groups = list(parts.cloud.groups.values())
+    dents = parts.dents or NO_DENTS
+    listed: dict[str, Any] = {
+        "cloud/group_sizes": [len(nodes) for nodes in groups],
+        "cloud/group_nodes": [node for nodes in groups for node in nodes],
+        "regions": None if parts.regions is None else parts.regions.which,
+        "fibres/directions": np.zeros((0, len(parts.cloud), 3)) if parts.fibres is None else parts.fibres.directions,
+        **{f"dents/{name}": getattr(dents, name) for name in DENTS},
+    }
+    layout = LAYOUT if parts.regions is None else LAYOUT | PLACED
+    if dents.inside is not None:
+        layout = layout | WITHIN
+        listed |= {f"inside/{name}": array for name, array in dents.inside._asdict().items()}
+        listed["inside/factor"] = [dents.inside.factor]
+    return {
+        name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
+        for name, (dtype, _) in layout.items()
+    }
+
+
+# reading
+
+
+def model_of(header: Header, file: SealedFile, prefix: str = "") -> ReducedModel:
+    """Return the model of a header and of the arrays of a file whose names begin with a prefix.
+
+    Raises
+    ------
+    InputError
+        What no reduced model can hold.
+    """
+    _check_header(header)
+    layout = _layout(header, f"{prefix}inside/nodes" in file.arrays)
+    own = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
+    if own != layout.keys():
+        odd = sorted(own ^ layout.keys())[0]
+        raise InputError(f"array {shortened(odd)} is {'missing' if odd in layout else 'not one of a model'}")
+    arrays = {name: file.read(prefix + name) for name in layout}
+    return ReducedModel(_parts(header, _fitting(header, arrays)), **_rule(header))
+
+
+def _layout(header: Header, inside: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
+    layout = LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED
+    return layout | WITHIN if inside else layout
+
+
+def _check_header(header: Header) -> None:
+    if header.keys() != ATTRIBUTES.keys():
+        odd = sorted(header.keys() ^ ATTRIBUTES.keys())[0]
+        raise InputError(f"header {shortened(odd)} is {'missing' if odd in ATTRIBUTES else 'not one of a model'}")
+    for name, kind in ATTRIBUTES.items():
+        given: Any = header[name]
+        if not (type(given) is kind or (kind is float and type(given) is int)):
+            raise InputError(f"header {name} must be of type {kind.__name__}, got {given!r:.60}")
+        if isinstance(given, list) and not (all(isinstance(n, str) for n in given) and len(set(given)) == len(given)):
+            raise InputError(f"header {name} must be a list of different names, got {given!r:.60}")
+
+
+def _fitting(header: Header, arrays: Arrays) -> Arrays:
+    """Return arrays of the types and shapes of the layout; refuse others."""
+    coordinates = integer_in_range("modes", header["modes"], 1) + integer_in_range("lifted", header["lifted"], 0)
+    sizes: dict[str | int, int] = {
+        "space": 2 if header["sheet"] else 3,
+        "groups": len(header["groups"]),
+        "coordinates": coordinates,
+        "columns": coordinates + 3 * len(header["fixed"]) + integer_in_range("witnesses", header["witnesses"], 0),
+    }
+    for name, (dtype, shape) in _layout(header, "inside/nodes" in arrays).items():
+        data = arrays[name]
+        expected = tuple(sizes.get(size, size) for size in shape)
+        fits = len(expected) == data.ndim and all(
+            found == size or isinstance(size, str) for found, size in zip(data.shape, expected, strict=True)
+        )
+        if not fits or data.dtype != dtype:
+            wanted = f"({', '.join(map(str, expected))}) of {dtype}"
+            raise InputError(f"array {name} has shape {data.shape} of {data.dtype.str}, expected {wanted}")
+        sizes.update(zip(shape, data.shape, strict=True))
+    return arrays
+
+
+def _parts(header: Header, arrays: Arrays) -> ReducedParts:
+    """Make the parts of a model, refusing values that no model has."""
+    _check_values(arrays)
+    own: dict[str, Any] = {n: a.astype(int if a.dtype.kind == "i" else float) for n, a in arrays.items()}
+    ends = np.cumsum(own["cloud/group_sizes"])
+    groups = np.split(own["cloud/group_nodes"], ends[:-1]) if len(ends) else []
+    cloud = Cloud(
+        own["cloud/points"], own["cloud/volumes"], own["cloud/face_nodes"], own["cloud/face_normals"],
+        own["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), own["cloud/triangles"],
+        number_in_range("spacing", header["spacing"], 0.0, open_low=True, unit="m"),
+    )  # fmt: skip
+    for name in (*header["fixed"], *header["driven"]):
+        cloud.group(name)
+    residual = number_in_range("residual", header["residual"], 0.0)
+    material = material_of(
+        header["material"],
+        _mapping("parameters", header["parameters"]),
+        header["expression"],
+        _mapping("prony", header["prony"]),
+    )
+    regions = regions_of(_json("regions", header["regions"]), own.get("regions", np.zeros(0, dtype=int)), material)
+    return ReducedParts(
+        cloud=cloud,
+        material=material,
+        regions=regions,
+        fixed=tuple(header["fixed"]),
+        driven=tuple(header["driven"]),
+        volumes=own["volumes"],
+        stiffness=own["stiffness"],
+        viscosity=number_in_range("viscosity", header["viscosity"], 0.0, unit="s"),
+        fastest=number_in_range("fastest", header["fastest"], 0.0, unit="m/s"),
+        columns=own["columns"],
+        modes=header["modes"],
+        lifted=header["lifted"],
+        cubature=Cubature(own["cubature/nodes"], own["cubature/weights"], own["cubature/pressure"], residual),
+        gradients=own["gradients"],
+        constant=own["constant"],
+        trained=own["trained"],
+        reach=number_in_range("reach", header["reach"], 0.0, open_low=True, unit="m"),
+        witnesses=header["witnesses"],
+        leeway=number_in_range("leeway", header["leeway"], 0.0, open_low=True, unit="m"),
+        report=_report(_mapping("report", header["report"])),
+        kinematics=Kinematics(
+            header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
+        ),
+        slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
+        fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
+        dents=stored_dents(own, number_in_range("dents_grip", header["dents_grip"], 0.0, open_low=True)),
+    )
+
+
+def _report(report: dict[str, Any]) -> dict[str, Any]:
+    """Return a report, whose entries that palpate itself reads must be what `reduce` and `palpate train` write."""
+    held_out, scene = report.get("held_out", {"mean": {}}), report.get("scene")
+    mean = held_out.get("mean") if isinstance(held_out, dict) else None
+    if not isinstance(mean, dict) or not all(value is None or type(value) in (int, float) for value in mean.values()):
+        raise InputError("header report holds errors under held_out that are not numbers")
+    if scene is not None:
+        parameters = scene.get("parameters") if isinstance(scene, dict) else None
+        named = isinstance(scene, dict) and isinstance(scene.get("name"), str) and len(scene["name"]) <= LONGEST_NAME
+        if not named or not isinstance(parameters, dict):
+            raise InputError("header report holds a scene without name and parameters")
+        if not all(isinstance(value, str | int | float) for value in parameters.values()):
+            raise InputError("header report holds parameters of a scene that are neither numbers nor text")
+    return report
+
+
+def _rule(header: Header) -> Header:
+    """Return how the model is stepped, and whether in single precision."""
+    step = number_in_range("step", header["step"], 0.0, unit="s")
+    return {"step": step or None, "single": header["single"]}
+
+
+def _check_values(arrays: Arrays) -> None:
+    count = len(arrays["cloud/points"])
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise InputError(f"array {name} holds numbers that are not finite")
+        if array.dtype.kind == "f" and array.size and np.abs(array).max() > LARGEST:
+            raise InputError(f"array {name} holds numbers beyond {LARGEST:g}")
+        if name in NODES and not np.all((array >= 0) & (array < count)):
+            raise InputError(f"array {name} names nodes outside 0..{count - 1}")
+    if np.any(arrays["cubature/weights"] < 0):
+        raise InputError("array cubature/weights holds negative weights")
+    for name in ("volumes", "stiffness"):
+        if not np.all(arrays[name] > 0):
+            raise InputError(f"array {name} holds {name} that are not positive")
+    sizes, members = arrays["cloud/group_sizes"], len(arrays["cloud/group_nodes"])
+    if np.any(sizes < 1) or sizes.sum() != members:
+        raise InputError(f"array cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")
+
+
+def _json(name: str, text: str) -> Any:
+    try:
+        return json_of(text)
+    except InputError as error:
+        raise InputError(f"header {name}: {error}") from error
+
+
+def _mapping(name: str, text: str) -> dict[str, Any]:
+    values = _json(name, text)
+    if not isinstance(values, dict):
+        raise InputError(f"header {name} is not a mapping")
+    return values

@@ -1,0 +1,1 @@
+"""Training of hyper-reduced models, and their errors."""

@@ -1,0 +1,244 @@
+"""What the samples are chosen from, and how: derivatives at all points, forces at the training states, moments.
+
+The points of a solid are its nodes; those of a membrane six about every node, as its energy form has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from palpate.dynamics.membrane.model import Membrane
+from palpate.dynamics.membrane.passes import COSINE, SINE
+from palpate.dynamics.solid.model import FullModel
+from palpate.reduction.basis.snapshots import Snapshots
+from palpate.reduction.hyper.cubature import Cubature, non_negative, sketch, slopes_fit
+from palpate.reduction.hyper.material_point import measured
+from palpate.tissue.materials import Material
+
+__all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiated", "pressure_moments"]
+
+Floats = NDArray[np.float64]
+
+STATES = 240  # training states that pressures are taken from
+BALANCED = 1e-9  # forces that are less of what they are the sum of are none: those of a taut sheet at rest
+FELT = 0.1  # how much of their norm the forces on tools and supports have beside those on all coordinates
+ROWS, ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
+SLOPES = 60  # training states at which the moments' slopes are fitted
+BLOCK = 4096  # nodes at a time
+SMALLEST = 1e-3  # of the largest pressure: the size below which one counts less
+LIGHT = 1e-12  # of the highest squared frequency: what keeps a body without supports regular
+
+
+@dataclass(frozen=True)
+class Fields:
+    """The columns, and what they do at the points of the energy form.
+
+    Parameters
+    ----------
+    columns : (m, n, 3) array
+    gradients : (p, m, 9) array
+        Their derivatives, row by row of du/dX; of single precision where there are many.
+    constant : (m, m) array
+        Stiffness of what the stencils miss of them.
+    nodes : (p,) int array
+        Whose points they are.
+    volumes : (p,) array [m^3]
+        Times the nodes' own stiffness.
+    """
+
+    columns: Floats
+    gradients: Floats
+    constant: Floats
+    nodes: NDArray[np.int64]
+    volumes: Floats
+
+    def of(self, which: slice | NDArray[np.int64]) -> Fields:
+        """Return the fields of some columns."""
+        constant = self.constant[which][:, which]
+        return Fields(self.columns[which], self.gradients[:, which], constant, self.nodes, self.volumes)
+
+
+def differentiated(body: FullModel | Membrane, columns: Floats) -> Fields:
+    """Differentiate columns (m, n, 3) at all points."""
+    if isinstance(body, Membrane):
+        return _on_sheet(body, columns)
+    n, count = len(body.cloud), len(columns)
+    type_ = _precision(n, count)
+    gradients, misses = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
+    for m, by_node in enumerate(_by_node(body, columns, 12)):
+        gradients[:, m] = by_node[:, :9]
+        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.firm_volumes), 3)
+    constant = np.asarray(misses @ misses.T, dtype=float) * body.body.hourglass
+    return Fields(columns, gradients, constant, np.arange(n), body.elastic_volumes)
+
+
+def _on_sheet(body: Membrane, columns: Floats) -> Fields:
+    """Differentiate columns at six points about every node of a membrane; the third of every row is zero."""
+    n, count = len(body.cloud), len(columns)
+    points = len(COSINE)
+    gradients = np.zeros((points, n, count, 3, 3), dtype=_precision(points * n, count))
+    for m, by_node in enumerate(_by_node(body, columns, 15)):
+        first, second = by_node[:, :6].reshape(n, 3, 2), by_node[:, 6:].reshape(n, 3, 3)
+        for q in range(points):
+            x, y = (body.body.radius[:, None] * turn for turn in (COSINE[q], SINE[q]))
+            gradients[q, :, m, :, 0] = first[:, :, 0] + second[:, :, 0] * x + second[:, :, 2] * y
+            gradients[q, :, m, :, 1] = first[:, :, 1] + second[:, :, 2] * x + second[:, :, 1] * y
+    nodes = np.tile(np.arange(n), points)
+    flat = gradients.reshape(points * n, count, 9)
+    return Fields(columns, flat, np.zeros((count, count)), nodes, body.volumes[nodes] / points)
+
+
+def _precision(points: int, count: int) -> Any:
+    return np.float64 if points * count < 2_000_000 else np.float32
+
+
+def _by_node(body: FullModel | Membrane, columns: Floats, numbers: int) -> Iterator[Floats]:
+    """Yield what the formulation differentiates of every column, (n, numbers)."""
+    blocks, lanes = body.body.lanes.nodes.shape
+    table = np.zeros((blocks, 1, numbers, lanes))
+    for column in columns:
+        body.formulation.differentiate(np.ascontiguousarray(column[None]), body.body, body.work, table)
+        yield table[:, 0].transpose(0, 2, 1).reshape(-1, numbers)[body.slot]
+
+
+def choose_samples(
+    body: FullModel | Membrane, fields: Fields, modes: int, states: Floats, mass: Floats, share: float, moments: Floats,
+    seed: int,
+) -> tuple[NDArray[np.int64], Cubature]:  # fmt: skip
+    """Choose points, weights, and the coefficients of the moments; return the points' places in the fields, too.
+
+    Parameters
+    ----------
+    body : FullModel or Membrane
+    fields : Fields
+        Of modes, lifting columns and the supports' test fields.
+    modes : int
+        How many of them are modes.
+    states : (t, m) array
+        Training states: coordinates of modes and lifting columns.
+    mass : (m, m) array
+    share : float
+        Of the forces that the samples may miss; 0 takes every point.
+    moments : (k, n) array
+    seed : int
+    """
+    count = len(mass)
+    root = compliance_root(body, fields, count, moments, mass)
+    if share == 0.0:
+        whole = moments if len(moments) else np.zeros((0, len(fields.nodes)))  # a membrane has several points a node
+        return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, whole, 0.0)
+    rows = _rows(body, fields, modes, states, root, np.random.default_rng(seed))
+    multiples, residual = non_negative(rows, rows.sum(axis=1), share)
+    chosen = np.flatnonzero(multiples > 0)
+    own = fields.gradients[:, :count]
+    pressure = np.zeros((0, len(chosen)))
+    if len(moments):
+        pressure = _pressure(body.material, own, states, moments, chosen, root)
+    return chosen, Cubature(fields.nodes[chosen], multiples[chosen] * fields.volumes[chosen], pressure, residual)
+
+
+def _rows(
+    body: FullModel | Membrane, fields: Fields, modes: int, states: Floats, root: Floats, generator: np.random.Generator
+) -> Floats:
+    """Return what every point adds to the forces at all states, (r, p): in the compliance norm, and as tools feel them.
+
+    The compliance norm hardly sees the force on a stiff column; so forces on tools and supports have rows of their own.
+    """
+    count = len(root)
+    most = max(1, min(count, min(ROWS, ENTRIES // len(fields.nodes)) // len(states)))
+    moving: list[Floats] = []
+    felt: list[Floats] = []
+    for state in states:
+        work = _shear_work(body, fields, state)
+        weighted = sketch(most, count, generator) @ root @ work[:count]
+        for rows, into in ((weighted, moving), (work[modes:], felt)):
+            size = float(np.linalg.norm(rows.sum(axis=1)))
+            if size > BALANCED * float(np.linalg.norm(rows, axis=0).sum()):
+                into.append(rows / np.sqrt(size))
+    whole = [np.concatenate(rows) for rows in (moving, felt) if rows]
+    sizes = [float(np.linalg.norm(rows.sum(axis=1))) for rows in whole]
+    if len(whole) == 2:
+        whole[1] *= FELT * sizes[0] / sizes[1]
+    return np.concatenate(whole)
+
+
+def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
+    """F, cof(F) and J at points with the derivatives (p, m, 9) of the columns."""
+    F = np.eye(3) + np.einsum("nmk,m->nk", gradients, state.astype(gradients.dtype)).astype(float).reshape(-1, 3, 3)
+    cofactor = np.stack([np.cross(F[:, 1], F[:, 2]), np.cross(F[:, 2], F[:, 0]), np.cross(F[:, 0], F[:, 1])], axis=1)
+    return F, cofactor, np.sum(F[:, 0] * cofactor[:, 0], axis=1)
+
+
+def _shear_work(body: FullModel | Membrane, fields: Fields, state: Floats) -> Floats:
+    """Work of every point's shear stress, times its volume, on all columns, shape (columns, p)."""
+    gradients = fields.gradients
+    F, _, _ = deformation(gradients[:, : len(state)], state)
+    if isinstance(body, Membrane):
+        stress = np.zeros_like(F)
+        stress[:, :, :2] = body.stress_at(F[:, :, :2] + (body.prestretch - 1) * np.eye(3, 2))
+    else:
+        stress = body.shear_stress(F)
+    weighted = (stress * fields.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
+    return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
+
+
+def pressure_moments(body: FullModel | Membrane, snapshots: Snapshots, pressures: int) -> Floats:
+    """Coefficients (k, n) of all nodes' J - 1, or g(J), in the moments: those of the main shapes of the pressures."""
+    if isinstance(body, Membrane):  # its thickness follows: it has no pressure
+        return np.zeros((0, len(body.cloud)))
+    roots, chosen = np.sqrt(body.bulk_volumes), np.arange(0, len(snapshots), max(1, len(snapshots) // STATES))
+    smooth = np.empty((len(chosen), len(roots)))
+    for u, row in zip(snapshots.each(chosen), smooth, strict=True):
+        body.force(u)
+        row[:] = body.work.smooth * roots
+    sizes = np.linalg.norm(smooth, axis=1)
+    smooth /= np.sqrt(np.maximum(sizes, SMALLEST * sizes.max()))[:, None]
+    _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
+    kept = min(pressures, int(np.sum(values > 1e-10 * values[0])))
+    return np.asarray(np.sqrt(body.lame) * body.smoothed_back(shapes[:kept] * roots))
+
+
+def compliance_root(body: FullModel | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
+    """Return R with R^T R the compliance of the body at rest in the coordinates; of a membrane, when it is taut."""
+    stiffness, own = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
+    shear, second = np.full(len(body.cloud), body.material.shear_modulus), np.zeros(len(body.cloud))
+    if isinstance(body, FullModel):
+        shear = body.moduli("shear_modulus")
+        second = body.moduli("shear_share") - 2 / 3 * shear
+    for start in range(0, len(own), BLOCK):
+        block = own[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
+        roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK]), fields.nodes[start : start + BLOCK]
+        # tension holds a sheet against every slope, not only against strain
+        strain = 2 * block if isinstance(body, Membrane) else block + np.swapaxes(block, 2, 3)
+        rows = (strain.reshape(-1, count, 9) * roots[:, None, None]).transpose(0, 2, 1).reshape(-1, count)
+        slopes = np.trace(block, axis1=2, axis2=3) * roots[:, None]
+        stiffness += 0.5 * rows.T @ (np.repeat(shear[nodes], 9)[:, None] * rows)
+        stiffness += slopes.T @ (second[nodes, None] * slopes)
+    if len(moments):
+        slopes = moments @ (own[:, :, 0] + own[:, :, 4] + own[:, :, 8])
+        stiffness += slopes.T @ slopes
+    values, vectors = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), mass)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, LIGHT * np.abs(values).max()))).T)
+
+
+def _pressure(
+    material: Material, gradients: Floats, states: Floats, moments: Floats, nodes: NDArray[np.int64], root: Floats
+) -> Floats:
+    """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
+    sampled, whole, stiff = [], [], np.linalg.inv(root).T
+    for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPES)]):
+        _, cofactor, J = deformation(gradients, state)
+        volume, rise = measured(material, J - 1)
+        cofactor *= rise[:, None, None]
+        slope = np.matmul(gradients, cofactor.reshape(-1, 9, 1).astype(gradients.dtype))[:, :, 0] @ root.T
+        value = volume[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)
+        both = np.hstack([slope, value if state.any() else 0 * value])
+        sampled.append(both[nodes])
+        whole.append(moments @ both)
+    return slopes_fit(np.hstack(sampled), np.hstack(whole))

@@ -1,0 +1,136 @@
+"""How far a reduced run is from the full one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.run.trajectory import Trajectory
+from palpate.faults import InputError
+
+__all__ = ["Errors", "TouchErrors", "errors", "touch_errors"]
+
+Floats = NDArray[np.float64]
+
+PRESSED = 0.1  # of a tool's largest force: frames that count
+
+
+@dataclass(frozen=True)
+class _Named:
+    """Figures with names."""
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the errors by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Errors(_Named):
+    """Relative errors of a run against a reference.
+
+    Parameters
+    ----------
+    displacement, velocity : float
+        As (34), read as: mean over the snapshots of sum_I |u_full - u| / sum_I |u_full|; snapshots where the
+        reference does not move are left out.
+    energy : float
+        Mean of |E - E_full| over the peak of E_full, E the kinetic and strain energy.
+    reaction : float
+        Mean of |R - R_full| over the peak of |R_full|, for the worst support or tool.
+    """
+
+    displacement: float
+    velocity: float
+    energy: float
+    reaction: float
+
+
+def errors(full: Trajectory, other: Trajectory) -> Errors:
+    """Compare a run with a reference at the same times.
+
+    Raises
+    ------
+    InputError
+        The runs have different times or bodies.
+    """
+    if full.displacements.shape != other.displacements.shape or not np.allclose(full.times, other.times):
+        raise InputError("the two runs have different times or numbers of nodes: run both with the same `every`")
+    energy, reference = (t.kinetic + t.strain for t in (other, full))
+    force = 0.0
+    for name, expected in full.reactions.items():
+        peak = np.linalg.norm(expected, axis=1).max()
+        if peak > 0:
+            force = max(force, float(np.mean(np.linalg.norm(other.reactions[name] - expected, axis=1)) / peak))
+    return Errors(
+        displacement=_relative(full.displacements, other.displacements),
+        velocity=_relative(full.velocities, other.velocities),
+        energy=float(np.mean(np.abs(energy - reference)) / reference.max()) if reference.max() > 0 else 0.0,
+        reaction=force,
+    )
+
+
+@dataclass(frozen=True)
+class TouchErrors(_Named):
+    """What tools and the surface they touch miss of a reference, in frames with at least a tenth of the largest force.
+
+    Parameters
+    ----------
+    force, force_95 : float
+        Difference of the two forces on a tool over the reference's of the moment: median and 95th percentile.
+    surface_95, farthest_95 : float
+        Distance of the two places of a surface node over the largest displacement of the surface: 95th percentile over
+        nodes and frames, and over frames of the farthest node.
+    """
+
+    force: float
+    force_95: float
+    surface_95: float
+    farthest_95: float
+
+
+def touch_errors(
+    full: Trajectory, other: Trajectory, tools: Sequence[str], nodes: NDArray[np.int64]
+) -> TouchErrors | None:
+    """Compare what tools do in a run with a reference at the same times.
+
+    Parameters
+    ----------
+    full, other : Trajectory
+    tools : sequence of str
+        Names of their reactions.
+    nodes : (k,) int array
+        Of the surface that tools may touch.
+
+    Returns
+    -------
+    TouchErrors, or None where no tool touches the body in the reference.
+    """
+    missed, pressed = [np.zeros(0)], np.zeros(len(full.times), dtype=np.bool_)
+    for name in tools:
+        size = np.linalg.norm(full.reactions[name], axis=1)
+        counted = size > PRESSED * size.max()
+        missed.append(np.linalg.norm(other.reactions[name] - full.reactions[name], axis=1)[counted] / size[counted])
+        pressed |= counted
+    if not pressed.any():
+        return None
+    force, surface = np.concatenate(missed), full.displacements[:, nodes]
+    reach = np.linalg.norm(surface, axis=2).max()
+    apart = np.linalg.norm(other.displacements[:, nodes] - surface, axis=2)[pressed] / reach
+    return TouchErrors(
+        force=float(np.median(force)),
+        force_95=float(np.quantile(force, 0.95)),
+        surface_95=float(np.quantile(apart, 0.95)),
+        farthest_95=float(np.quantile(apart.max(axis=1), 0.95)),
+    )
+
+
+def _relative(expected: Floats, found: Floats) -> float:
+    size = np.linalg.norm(expected, axis=2).sum(axis=1)
+    moving = size > 1e-12 * size.max()
+    if not moving.any():
+        return 0.0
+    difference = np.linalg.norm(found - expected, axis=2).sum(axis=1)
+    return float(np.mean(difference[moving] / size[moving]))

@@ -1,0 +1,107 @@
+"""The forces of forceps on the nodes that they hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.dynamics.run.trajectory import StoredTrajectory
+
+SIDE, EVERY = 0.015, 1e-3
+TOP = np.array([SIDE / 2, SIDE / 2, SIDE])
+
+
+def lift(time):
+    """Up by 1 mm and about z by 0.2 within 10 ms, then at rest."""
+    share = np.sin(np.pi / 2 * min(time / 0.01, 1.0)) ** 2
+    return TOP + np.array([0.0, 0.0, 1e-3 * share]), (0.0, 0.0, 0.2 * share)
+
+
+def run(model, *loads, duration=0.03, **more):
+    return pt.rollout(model, loads, duration=duration, every=EVERY, progress=False, **more)
+
+
+def on_nodes(trajectory):
+    """Sum (f, 3) of the forces that nodes got in every frame."""
+    total = np.zeros((len(trajectory.times), 3))
+    np.add.at(total, trajectory.touches[:, 0].astype(int), trajectory.touches[:, 2:])
+    return total
+
+
+@pytest.fixture
+def beside():
+    """A ball that rubs the edge of what is held, so that its patches share nodes with the forceps."""
+    way = lambda time: (0.0, 0.0, SIDE + 0.0075 - 0.1 * min(time, 0.02))  # noqa: E731
+    return pt.Contact(pt.Sphere(0.006), way, friction=0.3)
+
+
+@pytest.fixture
+def forceps():
+    return pt.Grasp(TOP, 0.0085, lift, name="forceps")
+
+
+def test_forces_on_nodes_are_the_tools_forces_and_what_a_free_body_gains(small_cloud, tissue, forceps, beside):
+    model = pt.FullModel(small_cloud, tissue, form="energy")
+    trajectory = run(model, forceps, beside)
+    of_tools = sum(trajectory.reactions[name] for name in ("forceps", "tool"))
+    size = np.abs(of_tools).max()
+    held = forceps.marked(small_cloud).group("forceps")
+    pushed = np.unique(trajectory.touches[:, 1])
+    assert set(held) < set(pushed)
+    assert trajectory.reactions["tool"][:, 2].min() < -0.01 * size
+    np.testing.assert_allclose(on_nodes(trajectory), of_tools, atol=1e-9 * size)
+    momentum = np.einsum("n,fnc->fc", model.masses, trajectory.velocities)
+    np.testing.assert_allclose(np.cumsum(of_tools, axis=0) * EVERY, momentum, atol=1e-9 * size * EVERY)
+
+
+def test_a_body_at_rest_pulls_at_every_held_node_by_its_own_force(small_cloud, tissue, forceps):
+    model = pt.FullModel(small_cloud, tissue, "z-", form="energy", viscosity=1e-4)
+    trajectory = run(model, forceps, duration=0.1)
+    held = forceps.marked(small_cloud).group("forceps")
+    last = trajectory.touches[trajectory.touches[:, 0] == len(trajectory.times) - 1]
+    np.testing.assert_array_equal(last[:, 1], held)
+    own = -(model.volumes[:, None] * model.force(trajectory.displacements[-1]))[held]
+    np.testing.assert_allclose(last[:, 2:], own, atol=1e-4 * np.abs(own).max())
+
+
+def test_forceps_that_let_go_within_a_frame_give_the_momentum_until_then(small_cloud, tissue, forceps):
+    model = pt.FullModel(small_cloud, tissue, form="energy")
+    until = 0.0074
+    trajectory = run(model, pt.Grasp(TOP, 0.0085, lift, until=until), duration=0.012)
+    force = trajectory.reactions["grasp"]
+    assert np.linalg.norm(force[8]) > 0
+    assert not force[9:].any()
+    np.testing.assert_allclose(on_nodes(trajectory), force, atol=1e-9 * np.abs(force).max())
+    momentum = np.einsum("n,fnc->fc", model.masses, trajectory.velocities)
+    np.testing.assert_allclose(np.cumsum(force, axis=0) * EVERY, momentum, atol=1e-9 * np.abs(momentum).max())
+
+
+def test_forces_on_nodes_are_those_of_a_grasp_in_the_energy_form_alone(small_cloud, tissue, forceps):
+    """A strong form's residuals are not the forces of what holds it; and other motions train lifting columns."""
+    cloud = forceps.marked(small_cloud)
+    strong = pt.FullModel(cloud, tissue, "z-", viscosity=6e-5)
+    body = pt.FullModel(cloud, tissue, "z-", form="energy")
+    motion = pt.PrescribedMotion("forceps", forceps.displacement)
+    for model, load in ((strong, forceps), (body, motion)):
+        trajectory = run(model, load, duration=0.005)
+        assert not len(trajectory.touches)
+        assert trajectory.reactions["forceps"][-1].any()
+
+
+def test_runs_tell_touched_nodes_from_held_ones_in_memory_and_in_files(small_cloud, tissue, forceps, beside, tmp_path):
+    model = pt.FullModel(small_cloud, tissue, "z-", form="energy")
+    first = run(model, forceps, beside, duration=0.02, file=tmp_path / "first.h5")
+    held = forceps.marked(small_cloud).group("forceps")
+    np.testing.assert_array_equal(first.held, np.isin(first.touches[:, 1], held))
+    assert not first.held.all()
+    kept = first.displacements[-1], first.velocities[-1]
+    second = run(model, forceps, beside, duration=0.01, start=0.02, displacement=kept[0], velocity=kept[1])
+    both = first.then(second)
+    both.save(tmp_path / "both.h5")
+    np.testing.assert_array_equal(both.held, np.isin(both.touches[:, 1], held))
+    assert both.touches[:, 0].max() == 30
+    for name, expected in (("first", first), ("both", both)):
+        for read in (pt.Trajectory.load(tmp_path / f"{name}.h5"), StoredTrajectory(tmp_path / f"{name}.h5")):
+            np.testing.assert_array_equal(read.held, expected.held)
+            np.testing.assert_array_equal(read.touches, expected.touches)

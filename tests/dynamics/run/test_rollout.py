@@ -1,0 +1,184 @@
+"""What a run refuses, how it stops, and what it leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.dynamics.run.model import Model
+
+PULL = pt.Traction("x+", force=(1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"duration": 0.0}, "duration = 0.0 is out of range"),
+        ({"duration": np.inf}, "duration = inf is out of range"),
+        ({"every": 0.0}, "every = 0.0 is out of range"),
+        ({"every": 2e-3}, r"every = 0.002 is out of range: allowed is \(0, 0.001\] s"),
+        ({"every": np.nan}, "every = nan is out of range"),
+        ({"step": 0.0}, "step = 0.0 is out of range"),
+        ({"step": 1e-3}, "step = 0.001 is out of range"),
+        ({"step": -1e-5}, "step = -1e-05 is out of range"),
+        ({"displacement": np.zeros((5, 3))}, r"initial displacement must be finite, of shape \(112, 3\), not \(5, 3\)"),
+        ({"velocity": np.full((112, 3), np.nan)}, "initial velocity must be finite"),
+    ],
+)
+def test_arguments_out_of_range_are_refused_by_name(held, arguments, message):
+    with pytest.raises(pt.InputError, match=message):
+        pt.rollout(held, [PULL], **({"duration": 1e-3, "every": 5e-4} | arguments))
+
+
+def test_a_refused_run_leaves_no_file(held, tmp_path):
+    for arguments in ({"every": 2.0}, {"displacement": np.zeros(3)}):
+        with pytest.raises(pt.InputError):
+            pt.rollout(held, [PULL], **({"duration": 1e-3, "every": 5e-4} | arguments), file=tmp_path / "run.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_snapshots_stand_at_the_times_asked_for(run):
+    np.testing.assert_allclose(run.times, np.arange(61) * 0.0005, rtol=1e-12, atol=1e-15)
+    assert run.displacements.shape == run.velocities.shape == (61, 112, 3)
+    assert run.reactions["x-"].shape == (61, 3)
+    assert np.all(np.diff(run.steps) > 0)
+    assert run.complete
+    assert run.model == "full"
+    assert run.wall_seconds > 0
+
+
+def test_a_fixed_step_is_used(held):
+    run = pt.rollout(held, [PULL], duration=1e-3, every=5e-4, step=1e-5)
+    np.testing.assert_array_equal(run.steps, [0, 50, 100])
+
+
+def test_halving_the_step_changes_little(held, pull):
+    ends = [pt.rollout(held, [pull], duration=0.005, every=0.005, step=h).displacements[-1] for h in (4e-5, 2e-5, 1e-5)]
+    assert np.abs(ends[1] - ends[2]).max() < 0.6 * np.abs(ends[0] - ends[1]).max()
+    np.testing.assert_allclose(ends[1], ends[2], atol=5e-3 * np.abs(ends[2]).max())
+
+
+def test_divergence_says_when_where_and_with_what_and_keeps_the_frames(held, tmp_path):
+    path = tmp_path / "run.h5"
+    strong = pt.Traction("x+", force=lambda t: (1.0, 0, 0) if t < 2e-3 else (5e4, 0, 0))
+    with pytest.raises(pt.DivergenceError) as caught, np.errstate(all="ignore"):
+        pt.rollout(held, [strong], duration=0.05, every=1e-3, step=5e-5, file=path)
+    for word in ("t = ", "node ", "step 5e-05 s", f"viscosity {held.viscosity:.3g} s", "more viscosity"):
+        assert word in str(caught.value)
+    kept = caught.value.trajectory
+    assert 2 < len(kept.times) < 50
+    assert not kept.complete
+    assert np.isfinite(kept.displacements).all()
+    saved = pt.Trajectory.load(path)
+    np.testing.assert_array_equal(saved.displacements, kept.displacements)
+    assert not saved.complete
+
+
+def test_a_step_far_too_long_diverges(held):
+    with pytest.raises(pt.DivergenceError, match=r"step 0\.0005 s"), np.errstate(all="ignore"):
+        pt.rollout(held, [PULL], duration=0.1, every=5e-4, step=5e-4)
+
+
+def test_a_body_that_runs_away_is_stopped(free):
+    with pytest.raises(pt.DivergenceError, match="more than 100 times its size"):
+        pt.rollout(free, velocity=np.full((64, 3), 1e3), duration=0.01, every=0.005)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_body_turned_inside_out_is_stopped(held):
+    u = np.zeros((112, 3))
+    u[:, 0] = -1.5 * held.cloud.points[:, 0]
+    with pytest.raises(pt.DivergenceError, match="inside out"):
+        pt.rollout(held, displacement=u, duration=1e-6, every=1e-6)
+
+
+@pytest.fixture(scope="module")
+def crushed():
+    """A block pushed in by three quarters of its height and let go: J falls below 0.1, and snaps back."""
+    cloud = pt.box((0.02,) * 3, 0.02 / 6, jitter=0.2, seed=0).within("tool", (0.01, 0.01, 0.02), 0.0053)
+    model = pt.FullModel(cloud, pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), "z-", form="energy")
+    poke = pt.PrescribedMotion("tool", lambda points, t: (0.0, 0.0, -0.015 * min(1.0, t / 0.05)), until=0.1)
+    return model, [poke]
+
+
+def test_crushed_tissue_is_let_go_with_as_short_steps_as_it_needs(crushed, monkeypatch):
+    model, poke = crushed
+    run = pt.rollout(model, poke, duration=0.2, every=0.01, progress=False)
+    assert run.complete
+    energy = run.kinetic + run.strain
+    assert np.all(np.diff(energy[run.times > 0.105]) < 0)
+    assert np.abs(run.balance).max() < 0.02 * np.abs(run.external).max()
+    again = pt.rollout(model, poke, duration=0.2, every=0.01, progress=False)
+    np.testing.assert_array_equal(again.steps, run.steps)  # whatever ran before
+    # steps that are believed whatever comes of them end it
+    monkeypatch.setattr(pt.FullModel, "sound", Model.sound)
+    with pytest.raises(pt.DivergenceError):
+        pt.rollout(model, poke, duration=0.2, every=0.01, progress=False)
+
+
+def test_steps_of_a_given_length_are_not_shortened(crushed):
+    model, poke = crushed
+    with pytest.raises(pt.DivergenceError):
+        pt.rollout(model, poke, duration=0.2, every=0.01, step=model.stability.step, progress=False)
+
+
+def test_divergence_comes_without_a_warning(held):
+    u = np.zeros((112, 3))
+    u[:, 0] = -1.5 * held.cloud.points[:, 0]
+    with pytest.raises(pt.DivergenceError):
+        pt.rollout(held, displacement=u, duration=1e-6, every=1e-6)
+
+
+def test_an_interrupted_run_keeps_its_frames(held, tmp_path):
+    path = tmp_path / "run.h5"
+
+    def force(t):
+        if t > 3e-3:
+            raise KeyboardInterrupt
+        return (1.0, 0.0, 0.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        pt.rollout(held, [pt.Traction("x+", force=force)], duration=0.01, every=5e-4, file=path)
+    kept = pt.Trajectory.load(path)
+    assert not kept.complete
+    assert 5 <= len(kept.times) <= 7
+    whole = pt.rollout(held, [PULL], duration=kept.times[-1], every=5e-4)
+    np.testing.assert_allclose(kept.displacements[-1], whole.displacements[-1], atol=1e-12)
+
+
+def test_a_streamed_run_is_what_was_returned(held, tmp_path):
+    path = tmp_path / "run.h5"
+    returned = pt.rollout(held, [PULL], duration=2e-3, every=5e-4, file=path)
+    read = pt.Trajectory.load(path)
+    assert read.complete
+    for name in (
+        "times",
+        "displacements",
+        "velocities",
+        "kinetic",
+        "strain",
+        "external",
+        "dissipated",
+        "steps",
+        "points",
+    ):
+        np.testing.assert_array_equal(getattr(read, name), getattr(returned, name))
+    np.testing.assert_array_equal(read.reactions["x-"], returned.reactions["x-"])
+
+
+def test_no_bar_is_shown_where_nobody_watches(held, capfd):
+    pt.rollout(held, [PULL], duration=1e-3, every=5e-4)
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err.strip() == ""
+
+
+def test_progress_is_told_at_every_snapshot(held):
+    told = []
+    run = pt.rollout(
+        held, [PULL], duration=1e-3, every=2.5e-4, start=0.1, progress=lambda *reached: told.append(reached)
+    )
+    times, walls = zip(*told, strict=True)
+    np.testing.assert_allclose(times, run.times[1:] - 0.1, atol=1e-12)
+    assert 0 < walls[0] < walls[-1] <= run.wall_seconds

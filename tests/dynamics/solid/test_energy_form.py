@@ -1,0 +1,373 @@
+"""The solid's forces as the slope of an energy: derivatives, balances, closed forms and finite elements."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+from scipy.linalg import eigvalsh
+from scipy.optimize import brentq
+
+import palpate as pt
+from palpate.dynamics.nodal.stability import stiffness
+from palpate.dynamics.run.reactions import reactions
+
+SIDE = 0.02
+STRETCHED = np.eye(3) + np.array([[0.3, 0.2, -0.1], [0.0, -0.2, 0.1], [0.1, 0.0, 0.1]])
+LAWS = {
+    "neo-hookean": pt.NeoHookean(C1=20e3, density=1000, poisson=0.4),
+    "mooney-rivlin": pt.MooneyRivlin(C1=20e3, C2=15e3, density=1000, poisson=0.49),
+    "ogden": pt.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4),
+}
+CLOUDS = {
+    "lattice": pt.box((3 * SIDE, 0.75 * SIDE, 0.75 * SIDE), spacing=SIDE / 4),
+    "small lattice": pt.box((SIDE,) * 3, spacing=SIDE / 3),  # its nodes share no stencils
+    "jitter": pt.box((SIDE,) * 3, spacing=SIDE / 4, jitter=0.2),
+    "more jitter": pt.box((SIDE,) * 3, spacing=SIDE / 4, jitter=0.3, seed=1),
+}
+# by validation/finite_elements.py, circular frequencies [rad/s] of a clamped block, 60 x 20 x 20 mm: first and second
+# bending, first and second torsion, first axial and third bending
+FINITE_ELEMENTS = {
+    0.3: (62.91, 286.7, 178.69, 535.8, 314.59, 628.5),
+    0.49: (68.52, 301.8, 178.87, 536.3, 342.51, 652.7),
+    0.499: (68.82, 302.5, 178.88, 536.4, 343.95, 653.8),
+}
+
+
+def silicone(poisson):
+    return pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
+
+
+def energy_form(cloud, material, fixed=(), **options):
+    return pt.FullModel(cloud, material, fixed, form="energy", **options)
+
+
+@pytest.fixture(params=CLOUDS)
+def cloud(request):
+    return CLOUDS[request.param]
+
+
+@pytest.fixture(params=LAWS)
+def model(request, cloud):
+    return energy_form(cloud, LAWS[request.param])
+
+
+def some_state(cloud, seed=0):
+    """A large smooth deformation with noise on it."""
+    random = np.random.default_rng(seed)
+    X = cloud.points
+    smooth = 0.1 * SIDE * np.sin(X / SIDE @ random.uniform(-3, 3, (3, 3)))
+    return X @ (STRETCHED - np.eye(3)).T + smooth + 0.05 * cloud.spacing * random.normal(size=X.shape)
+
+
+def symmetric_stiffness(model, displacements=None):
+    """Tangent [1/s^2] of the free nodes in coordinates times the root of their volume."""
+    root = np.sqrt(np.repeat(model.volumes[~model.held], 3))
+    return stiffness(model, displacements) * root[:, None] / root
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_forces_are_minus_the_slope_of_the_energy(model, seed):
+    u = some_state(model.cloud, seed)
+    direction, step = np.random.default_rng(seed + 10).normal(size=u.shape), 1e-6 * model.cloud.spacing
+    ahead, behind = (model.strain_energy(u + s * step * direction) for s in (1, -1))
+    work = -np.sum(model.volumes[:, None] * model.force(u) * direction)
+    assert work == pytest.approx((ahead - behind) / (2 * step), rel=1e-6)
+
+
+def test_every_force_is_the_slope_of_the_energy_by_its_node(cloud):
+    model = energy_form(cloud, LAWS["mooney-rivlin"])
+    u = some_state(cloud)
+    force, step = model.force(u) * model.volumes[:, None], 1e-6 * cloud.spacing
+    for i in range(0, len(cloud), 5):
+        for c in range(3):
+            change = np.zeros_like(u)
+            change[i, c] = step
+            slope = (model.strain_energy(u + change) - model.strain_energy(u - change)) / (2 * step)
+            assert -force[i, c] == pytest.approx(slope, abs=1e-6 * np.abs(force).max())
+
+
+def test_the_tangent_is_symmetric_in_the_volumes(model):
+    K = symmetric_stiffness(model, some_state(model.cloud))
+    np.testing.assert_allclose(K, K.T, atol=1e-8 * np.abs(K).max())
+
+
+def test_a_rigid_motion_gives_no_energy_stress_or_force(model, rotation):
+    u = model.cloud.points @ (rotation - np.eye(3)).T + (0.1, 0.2, 0.3)
+    bulk = model.material.bulk_modulus
+    assert abs(model.strain_energy(u)) < 1e-12 * bulk * model.cloud.volumes.sum()
+    np.testing.assert_allclose(model.stress(u), 0, atol=1e-10 * bulk)
+    np.testing.assert_allclose(model.force(u), 0, atol=1e-9 * bulk / model.cloud.spacing)
+
+
+def test_energy_and_forces_turn_with_the_frame(model, rotation):
+    u = some_state(model.cloud)
+    force = model.force(u)
+    turned = (model.cloud.points + u) @ rotation.T - model.cloud.points
+    assert model.strain_energy(turned) == pytest.approx(model.strain_energy(u), rel=1e-10)
+    np.testing.assert_allclose(model.force(turned), force @ rotation.T, atol=1e-9 * np.abs(force).max())
+
+
+def test_forces_of_a_free_body_keep_momentum_and_angular_momentum(model):
+    u = some_state(model.cloud)
+    force = model.volumes[:, None] * model.force(u)
+    np.testing.assert_allclose(force.sum(axis=0), 0, atol=1e-12 * np.abs(force).sum())
+    moment = np.cross(model.cloud.points + u, force)
+    np.testing.assert_allclose(moment.sum(axis=0), 0, atol=1e-11 * np.abs(moment).sum())
+
+
+def test_a_uniform_deformation_has_the_materials_energy_and_stress(model):
+    u = model.cloud.points @ (STRETCHED - np.eye(3)).T
+    energy, P = model.material.strain_energy(STRETCHED), model.material.stress(STRETCHED)
+    volume = np.ptp(model.cloud.points, axis=0).prod()
+    assert model.strain_energy(u) == pytest.approx(energy * volume, rel=1e-10)
+    np.testing.assert_allclose(model.stress(u), np.broadcast_to(P, (len(u), 3, 3)), atol=1e-8 * np.abs(P).max())
+    virial = (model.volumes[:, None] * model.force(u)).T @ model.cloud.points
+    np.testing.assert_allclose(virial, -P * volume, atol=1e-8 * np.abs(P).max() * volume)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("name", ["small lattice", "jitter", "more jitter"])
+def test_uniform_stress_moves_no_inner_node_where_stencils_are_not_shared(name, law):
+    cloud = CLOUDS[name]
+    model = energy_form(cloud, LAWS[law])
+    P = model.material.stress(STRETCHED)
+    force = model.force(cloud.points @ (STRETCHED - np.eye(3)).T) * cloud.spacing / np.abs(P).max()
+    inside = np.setdiff1d(np.arange(len(cloud)), cloud.face_nodes)
+    np.testing.assert_allclose(force[inside], 0, atol=1e-8)
+    # at the faces it is the traction, which the gradients change by a few per cent at most
+    expected = -(cloud.boundary_vectors() * cloud.volumes[:, None]) @ P.T * cloud.spacing / np.abs(P).max()
+    np.testing.assert_allclose(force * model.volumes[:, None], expected, atol=0.1 * np.abs(expected).max())
+
+
+def test_nodes_of_a_lattice_share_the_gradients_of_the_fit():
+    model = energy_form(CLOUDS["lattice"], LAWS["neo-hookean"])
+    assert len(model.stencils.first) < len(model.cloud) / 2
+    field = np.sin(model.cloud.points / SIDE)
+    fit = pt.moving_least_squares(model.cloud.points, order=2, neighbours=42)
+    np.testing.assert_allclose(model.stencils.gradient(field), fit.gradient(field), rtol=1e-12, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def deep():
+    """A lattice whose middle is out of reach of the faces."""
+    return pt.box((0.06,) * 3, spacing=0.005)
+
+
+def wave_frequency(model, number, polarised):
+    """Circular frequency [rad/s] that the force on the middle node gives a plane wave, 0 where nothing resists."""
+    X = model.cloud.points - model.cloud.points.mean(axis=0)
+    middle = int(np.argmin(np.linalg.norm(X, axis=1)))
+    u = 1e-9 * np.cos(X @ number)[:, None] * polarised
+    square = -model.force(u)[middle] @ polarised / (model.material.density * 1e-9)
+    return np.sqrt(square) if square > 0 else 0.0
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49])
+@pytest.mark.parametrize("wave", ["P", "S"])
+def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(deep, poisson, wave):
+    material = pt.NeoHookean(C1=20e3, density=1000, poisson=poisson)
+    model = energy_form(deep, material)
+    mu, bulk = material.shear_modulus, material.bulk_modulus
+    speed = np.sqrt(((bulk + 4 / 3 * mu) if wave == "P" else mu) / 1000)
+    along = np.array([2.0, 1.0, 2.0]) / 3
+    polarised = along if wave == "P" else np.array([1.0, -2.0, 0.0]) / np.sqrt(5)
+    errors = []
+    for wavelength in (0.08, 0.16):  # 16 and 32 nodes
+        number = 2 * np.pi / wavelength
+        errors.append(abs(wave_frequency(model, number * along, polarised) / number / speed - 1))
+    assert errors[0] < 0.06
+    assert errors[1] < errors[0] / 3.5  # second order
+
+
+@pytest.mark.parametrize("number", [(1, 0, 0), (1, 1, 0), (1, 1, 1)])
+@pytest.mark.parametrize("polarised", [(1, 0, 0), (0, 1, 0)])
+def test_the_shortest_waves_are_not_free(deep, number, polarised):
+    """No gradient at the nodes sees a wave of two spacings: what the fit misses must."""
+    model = energy_form(deep, pt.NeoHookean(C1=20e3, density=1000, poisson=0.3))
+    short = wave_frequency(model, np.pi / deep.spacing * np.array(number), np.array(polarised, dtype=float))
+    assert short > np.sqrt(model.material.shear_modulus / 1000) / deep.spacing
+
+
+@pytest.mark.parametrize(("poisson", "jitter"), [(0.3, 0.0), (0.49, 0.0), (0.49, 0.2), (0.499, 0.0)])
+def test_the_lowest_vibrations_are_those_of_finite_elements(poisson, jitter):
+    model = energy_form(pt.box((0.06, 0.02, 0.02), 0.005, jitter), silicone(poisson), "x-")
+    K = symmetric_stiffness(model)
+    found = np.sqrt(eigvalsh((K + K.T) / 2, subset_by_index=(0, 7)))
+    first, second, torsion, torsion2, axial, third = FINITE_ELEMENTS[poisson]
+    np.testing.assert_allclose(found[:6], (first, first, torsion, second, second, axial), rtol=0.04)
+    np.testing.assert_allclose(found[6:], (torsion2, third), rtol=0.08)
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.49])
+def test_a_beam_four_nodes_across_bends_as_far_as_in_closed_form(poisson):
+    length, side = 0.2, 0.02
+    material, force = silicone(poisson), 1e-6
+    cloud = pt.box((length, side, side), side / 3)
+    model = energy_form(cloud, material, "x-")
+    drive = model.drive([pt.Traction("x+", force=(0, 0, force))])
+    u = np.zeros_like(cloud.points)
+    push = model.acceleration(model.state(drive), drive)[~model.held]
+    u[~model.held] = np.linalg.solve(stiffness(model), push.ravel()).reshape(-1, 3)
+    shares = np.linalg.norm(cloud.area_vectors("x+"), axis=1)
+    tip = shares / shares.sum() @ u[cloud.group("x+"), 2]
+    young, shear = 2 * material.shear_modulus * (1 + poisson), 5 / 6 * material.shear_modulus
+    timoshenko = force * length**3 / (young * side**4 / 4) + force * length / (shear * side**2)
+    assert tip == pytest.approx(timoshenko, rel=0.04)
+    assert 2 * model.strain_energy(u) == pytest.approx(force * tip, rel=2e-3)  # Clapeyron's theorem
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.49, 0.499])
+@pytest.mark.parametrize(
+    ("cloud", "stretch"),
+    [(name, stretch) for name in ("small lattice", "jitter", "more jitter") for stretch in (0.6, 4.0)]
+    + [("lattice", 0.9), ("lattice", 4.0)],  # it buckles sooner
+    indirect=["cloud"],
+)
+def test_a_pulled_or_pressed_body_is_stable(cloud, poisson, stretch):
+    """With a smoothing that does not keep integrals, none was at 0.49 and four-fold stretch."""
+    material = silicone(poisson)
+
+    def sides(lateral):
+        return material.stress(np.diag([stretch, lateral, lateral]))[1, 1]
+
+    lateral = brentq(sides, 0.4, 1.4)
+    model = energy_form(cloud, material, ("x-", "x+"))
+    K = symmetric_stiffness(model, cloud.points * (np.array([stretch, lateral, lateral]) - 1))
+    wave = material.shear_modulus / material.density * (np.pi / np.ptp(cloud.points[:, 0])) ** 2  # of shear, squared
+    assert eigvalsh((K + K.T) / 2, subset_by_index=(0, 0))[0] > 0.1 * wave
+
+
+def test_the_step_is_the_limit_of_the_highest_frequency_and_no_viscosity_is_needed(bar, tissue):
+    model = energy_form(bar, tissue, "x-")
+    K = symmetric_stiffness(model)
+    highest = np.sqrt(eigvalsh((K + K.T) / 2)[-1])
+    report = model.stability
+    assert report.highest_frequency == pytest.approx(highest, rel=0.02)
+    assert report.needed == 0
+    assert model.viscosity == report.used == pytest.approx(0.1 / report.highest_frequency)
+    assert energy_form(bar, tissue, "x-", viscosity=0.0).stability.step == pytest.approx(1.7 / highest, rel=0.02)
+
+
+def test_the_centre_of_mass_follows_the_forces_exactly(cloud, tissue):
+    model = energy_form(cloud, tissue)
+    loads = [pt.Traction("x+", force=(0.0, 0.1, -0.2)), pt.Gravity((1.0, 0.0, 0.0))]
+    drive, u = model.drive(loads), some_state(cloud)
+    rate = model.masses @ model.acceleration(model.state(drive, u), drive)
+    size = model.volumes @ np.abs(model.force(u)).sum(axis=1)
+    np.testing.assert_allclose(rate, (1000 * cloud.volumes.sum(), 0.1, -0.2), atol=1e-12 * size)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.2], ids=["lattice", "jitter"])
+def test_energy_balances_up_to_the_square_of_the_step(tissue, pull, jitter):
+    model = energy_form(pt.box((0.03, 0.015, 0.015), 0.005, jitter), tissue, "x-", viscosity=0.0)
+    missed = []
+    for part in (8, 32):
+        run = pt.rollout(model, [pull], duration=0.005, every=0.0005, step=model.stability.step / part)
+        missed.append(np.abs(run.balance).max() / run.external.max())
+        assert not run.dissipated.any()
+    assert run.kinetic.max() > 0.1 * run.external.max()
+    assert missed[1] < 1e-6
+    assert missed[1] < missed[0] / 12
+
+
+def test_a_free_vibration_keeps_its_energy_without_viscosity_and_loses_it_with(bar, tissue):
+    u = np.zeros_like(bar.points)
+    u[:, 2] = 5 * bar.points[:, 0] ** 2
+    for viscosity in (0.0, None):
+        run = pt.rollout(energy_form(bar, tissue, "x-", viscosity=viscosity), displacement=u, duration=0.03, every=5e-4)
+        total = run.kinetic + run.strain
+        assert run.kinetic.max() > 0.3 * total[0]
+        early, late = total[1:11].mean(), total[-10:].mean()
+        if viscosity is None:
+            assert np.diff(total).max() < 1e-3 * total[0]
+            assert late < 0.98 * early
+        else:
+            np.testing.assert_allclose(total, total[0], rtol=0.01)
+            assert late == pytest.approx(early, rel=1e-3)
+
+
+def test_the_reaction_of_a_tool_is_the_slope_of_the_energy_by_its_motion(bar, tissue):
+    model = energy_form(bar, tissue, "x-")
+    motion = pt.PrescribedMotion("x+", (1e-3, 2e-4, -3e-4))
+    drive = model.drive([motion])
+    u = 1e-4 * np.random.default_rng(0).normal(size=bar.points.shape)
+    state = model.state(drive, u)
+    forces, step = reactions(model, state, drive), 1e-8
+    for group in ("x+", "x-"):
+        for c in range(3):
+            change = np.zeros_like(u)
+            change[bar.group(group), c] = step
+            ahead, behind = (model.strain_energy(state.coordinates + s * change) for s in (1, -1))
+            assert forces[group][c] == pytest.approx(
+                (ahead - behind) / (2 * step), abs=1e-6 * np.abs(forces["x+"]).max()
+            )
+
+
+@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="this machine has one core")
+@pytest.mark.parametrize("jitter", [0.0, 0.2], ids=["lattice", "jitter"])
+def test_any_number_of_threads_gives_the_same_bits(tissue, pull, jitter):
+    cloud = pt.box((0.03, 0.015, 0.015), 0.003, jitter)
+    runs = []
+    try:
+        for threads in (1, 2):
+            numba.set_num_threads(threads)
+            runs.append(pt.rollout(energy_form(cloud, tissue, "x-"), [pull], duration=0.01, every=0.005))
+    finally:
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    for name in ("steps", "displacements", "velocities", "kinetic", "strain", "external", "dissipated"):
+        np.testing.assert_array_equal(getattr(runs[0], name), getattr(runs[1], name))
+    np.testing.assert_array_equal(runs[0].reactions["x-"], runs[1].reactions["x-"])
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_body_turned_inside_out_has_no_energy(model):
+    assert np.isnan(model.strain_energy(-1.5 * model.cloud.points * (1, 0, 0)))
+
+
+@pytest.mark.parametrize("form", ["weak", "Energy", "", None])
+def test_an_unknown_form_is_refused(small_cloud, tissue, form):
+    with pytest.raises(pt.InputError, match=rf"form = {form!r}: allowed are 'strong' and 'energy'"):
+        pt.FullModel(small_cloud, tissue, form=form)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"viscosity": -1e-5}, "viscosity = -1e-05 is out of range"),
+        ({"neighbours": 9}, "neighbours = 9 is out of range"),
+        ({"smoothing": 4}, "smoothing = 4 is out of range"),
+        ({"fixed": "left"}, "unknown group 'left'"),
+    ],
+)
+def test_arguments_out_of_range_are_refused_by_name(small_cloud, tissue, arguments, message):
+    with pytest.raises(pt.InputError, match=message):
+        energy_form(small_cloud, tissue, **arguments)
+
+
+@pytest.mark.parametrize("options", [{"form": "energy"}, {"form": "strong"}, {"pressure": "direct"}])
+def test_a_uniform_pressure_is_recovered_as_it_is(options):
+    cloud = CLOUDS["jitter"]
+    body = pt.FullModel(cloud, silicone(0.3), "x-", **options)
+    grown = 1e-3 * cloud.points
+    expected = body.material.lame * (1.001**3 - 1)
+    np.testing.assert_allclose(body.recovered_pressure(grown), expected, rtol=1e-6)
+
+
+def test_a_recovered_pressure_hardly_alternates():
+    cloud = CLOUDS["lattice"]
+    body = pt.FullModel(cloud, silicone(0.499), form="energy")
+    board = 1.0 - 2.0 * (np.rint(cloud.points / cloud.spacing).sum(axis=1) % 2)
+    slope = cloud.points @ np.array([2.0, -1.0, 3.0])
+    fitted = body._recovery.fit(np.column_stack([board, slope]))
+    assert np.abs(fitted[:, 0]).max() < 0.25
+    np.testing.assert_allclose(fitted[:, 1], slope, atol=1e-9)
+
+
+def test_the_pressure_of_a_region_is_recovered_with_its_own_modulus():
+    cloud, soft, firm = CLOUDS["lattice"], silicone(0.3), silicone(0.45)
+    body = pt.FullModel(cloud, {"": soft, "x+": firm}, form="energy")
+    found = body.recovered_pressure(1e-3 * cloud.points)
+    away = cloud.points[:, 0] < SIDE
+    np.testing.assert_allclose(found[away], soft.lame * (1.001**3 - 1), rtol=1e-6)
+    assert found[cloud.group("x+")].min() > 1.5 * found[away].max()

@@ -1,0 +1,149 @@
+"""Snapshots that are decomposed block by block: as those in memory, within the bound that is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.reduction.basis import incremental_pod as incremental
+from palpate.reduction.basis.incremental_pod import decomposed
+from palpate.reduction.basis.snapshots import Snapshots
+from palpate.reduction.basis.strain_pod import main_modes
+
+BLOCK = 8
+
+
+@pytest.fixture(scope="module")
+def weights():
+    return np.random.default_rng(1).uniform(0.5, 2.0, 60)
+
+
+@pytest.fixture(scope="module")
+def snapshots():
+    """Seventy snapshots whose singular values fall from 1 to 1e-9."""
+    random = np.random.default_rng(0)
+    left, _ = np.linalg.qr(random.normal(size=(70, 70)))
+    right, _ = np.linalg.qr(random.normal(size=(180, 70)))
+    return ((left * np.geomspace(1, 1e-9, 70)) @ right.T).reshape(70, 60, 3)
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(incremental, "MOST", BLOCK)
+
+
+@pytest.fixture(scope="module")
+def files(run, tmp_path_factory):
+    """A run in two files, of 20 and 41 frames."""
+    folder, paths = tmp_path_factory.mktemp("runs"), []
+    for part in (slice(0, 20), slice(20, None)):
+        own = {name: getattr(run, name)[part] for name in (
+            "times", "displacements", "velocities", "kinetic", "strain", "external", "dissipated", "steps"
+        )}  # fmt: skip
+        reactions = {name: force[part] for name, force in run.reactions.items()}
+        paths.append(folder / f"{len(paths)}.h5")
+        replace(run, **own, reactions=reactions).save(paths[-1])
+    return paths
+
+
+def blocks(snapshots, size=BLOCK):
+    return (snapshots[k : k + size].copy() for k in range(0, len(snapshots), size))
+
+
+@pytest.mark.parametrize("allowed", [0.0, 1e-8, 1e-4])
+def test_singular_values_keep_to_the_bound_and_never_exceed(snapshots, weights, allowed):
+    roots = np.repeat(np.sqrt(weights), 3)
+    rows = snapshots.reshape(70, -1) * roots
+    exact = np.linalg.svd(rows, compute_uv=False)
+    found = decomposed(blocks(snapshots), lambda u: u * weights[:, None], allowed)
+    assert (found.dropped > 0) == (allowed > 0)
+    assert found.dropped <= 9 * allowed
+    values = np.zeros(70)
+    values[: len(found.values)] = found.values[:70]
+    rounding = 1e-14 * exact[0] ** 2
+    assert np.all(values**2 <= exact**2 + rounding)
+    assert np.all(exact**2 - values**2 <= found.dropped + rounding)
+
+
+@pytest.mark.parametrize("count", [3, 10, 20])
+@pytest.mark.parametrize("allowed", [0.0, 1e-8])
+def test_what_modes_miss_is_what_is_told(snapshots, weights, allowed, count):
+    roots = np.repeat(np.sqrt(weights), 3)
+    rows = snapshots.reshape(70, -1) * roots
+    found = decomposed(blocks(snapshots), lambda u: u * weights[:, None], allowed, least=count)
+    q, _ = np.linalg.qr((found.shapes(count).reshape(count, -1) * roots).T)
+    missed = np.sum((rows - (rows @ q) @ q.T) ** 2)
+    best = np.sum(np.linalg.svd(rows, compute_uv=False)[count:] ** 2)
+    assert best * (1 - 1e-9) <= missed <= np.sum(found.values[count:] ** 2) + found.dropped + 1e-14
+    assert missed <= best + found.dropped + 1e-14
+
+
+def test_a_pod_by_blocks_is_that_of_all(snapshots, weights, small_blocks, monkeypatch):
+    found = pt.pod(snapshots, weights, modes=12)
+    monkeypatch.setattr(incremental, "MOST", 800)
+    exact = pt.pod(snapshots, weights, modes=12)
+    np.testing.assert_allclose(found.singular_values[:12], exact.singular_values[:12], rtol=1e-6)
+    flat = [(basis.modes * np.sqrt(weights)[:, None]).reshape(12, -1) for basis in (found, exact)]
+    np.testing.assert_allclose(flat[0] @ flat[0].T, np.eye(12), atol=1e-12)
+    cosines = np.linalg.svd(flat[0] @ flat[1].T, compute_uv=False)
+    assert cosines.min() > 1 - 1e-6
+    assert found.lost_energy == pytest.approx(exact.lost_energy, rel=0.05)
+    assert found.dropped > 0
+
+
+def test_snapshots_read_from_files_are_those_in_memory(run, files):
+    stored = Snapshots(files)
+    assert (len(stored), stored.lengths, stored.nodes) == (61, [20, 41], len(run.points))
+    np.testing.assert_array_equal(np.concatenate(list(stored.blocks(9))), run.displacements)
+    which = np.array([0, 19, 20, 60])
+    np.testing.assert_array_equal(np.array(list(stored.each(which))), run.displacements[which])
+
+
+def test_modes_from_files_are_those_from_memory_bit_by_bit(files, held):
+    together = [pt.Trajectory.load(path) for path in files]
+    stored, loaded = pt.pod(files, held.weights, modes=4), pt.pod(together, held.weights, modes=4)
+    np.testing.assert_array_equal(stored.modes, loaded.modes)
+
+
+def test_the_products_of_strain_are_those_of_the_gradients(held):
+    u, v = np.random.default_rng(0).normal(size=(2, len(held.cloud), 3))
+    expected = np.einsum("n,ncd,ncd->", held.volumes, held.stencils.gradient(u), held.stencils.gradient(v))
+    found = np.sum(u * (held.stencils.products(held.volumes) @ v))
+    size = np.sqrt(np.prod([np.sum(w * (held.stencils.products(held.volumes) @ w)) for w in (u, v)]))
+    assert abs(found - expected) < 1e-12 * size
+
+
+def test_modes_of_strain_by_blocks_span_those_of_all(run, held, monkeypatch):
+    whole, _ = main_modes(held, run.displacements, 6)
+    monkeypatch.setattr(incremental, "MOST", BLOCK)
+    found, lost = main_modes(held, Snapshots(run), 6)
+    assert 0.0 < lost <= incremental.DROPPED
+    cosines = np.linalg.svd(np.einsum("mnc,n,knc->mk", found, held.volumes, whole), compute_uv=False)
+    assert cosines.min() > 1 - 1e-6
+
+
+def test_a_model_trained_on_files_is_that_trained_in_memory(bar, tissue, files, calm):
+    body = pt.FullModel(bar, tissue, fixed="x-", form="energy", viscosity=calm)
+    stored = pt.reduce(body, files, modes=4)
+    loaded = pt.reduce(body, [pt.Trajectory.load(path) for path in files], modes=4)
+    np.testing.assert_array_equal(stored.parts.columns, loaded.parts.columns)
+    np.testing.assert_array_equal(stored.parts.cubature.weights, loaded.parts.cubature.weights)
+
+
+@pytest.mark.parametrize("change", ["missing", "truncated", "text"])
+def test_files_that_hold_no_run_are_refused(files, tmp_path, held, change):
+    path = tmp_path / "run.h5"
+    content = files[0].read_bytes()
+    if change != "missing":
+        path.write_bytes(content[: len(content) // 2] if change == "truncated" else b"text")
+    with pytest.raises(FileNotFoundError if change == "missing" else pt.FileFormatError, match="run"):
+        pt.pod([files[0], path], held.weights, modes=2)
+
+
+def test_runs_of_different_bodies_are_refused(files, free, held, tmp_path):
+    other = pt.rollout(free, [pt.Gravity()], duration=1e-3, every=1e-3)
+    with pytest.raises(pt.InputError, match="do not go together"):
+        pt.pod([files[0], other], held.weights, modes=2)

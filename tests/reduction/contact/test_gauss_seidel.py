@@ -1,0 +1,354 @@
+"""Tools on reduced models: the forces that keep a compliant surface out of them, and runs beside the full model's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+import palpate as pt
+from palpate.dynamics.contact.geometry import gap
+from palpate.reduction.contact.compliance import NO_DENTS, dents_of
+from palpate.reduction.contact.gauss_seidel import settle
+from palpate.reduction.contact.surface import Tools, skin, touched
+
+SPACING, RADIUS = 0.002, 0.008
+SIZE, BALL = (0.06, 0.06, 0.03), 0.015
+
+
+def flat_skin():
+    x, y = np.meshgrid(SPACING * np.arange(-6, 7), SPACING * np.arange(-6, 7), indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    columns = np.random.default_rng(0).standard_normal((3, len(points), 3))
+    return skin(falling(points, np.arange(len(points)), [0.004], [0.01], 0.005), points, columns)
+
+
+def falling(points, nodes, lengths, compliances, own):
+    """A compliance that falls off exponentially between places, the same along all directions."""
+    apart = cdist(points[nodes], points[nodes])
+    between = own * np.eye(len(nodes)) + np.exp(-apart[:, :, None] / lengths) @ np.array(compliances)
+    return NO_DENTS._replace(
+        nodes=nodes, carriers=np.arange(len(nodes))[:, None], weights=np.ones((len(nodes), 1)),
+        flexibility=np.kron(between, np.eye(3)).astype(np.float32),
+        patches=np.arange(len(nodes))[:, None], shares=np.ones((len(nodes), 1)),
+    )  # fmt: skip
+
+
+def ball(of, friction=0.0, tools=1):
+    frames = np.zeros((tools, 2, 3, 4))
+    frames[:, :, :, :3] = np.eye(3)
+    return Tools(
+        np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction),
+        np.zeros((tools, 3)), frames, np.zeros(3), np.zeros((tools, 6)),
+        np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
+    )  # fmt: skip
+
+
+def moved(tools, before, after):
+    tools.frames[0, 0, :, 3], tools.frames[0, 1, :, 3] = before, after
+
+
+def gaps(touch, tools):
+    count = touch.numbers[0]
+    return np.array(
+        [gap(0, tools.sizes[t], tools.frames[t, 1], *touch.now[e]) for e, t in enumerate(touch.tool[:count])]
+    )
+
+
+def test_no_node_stays_inside_and_no_force_pulls():
+    of = flat_skin()
+    touch, tools = touched(of, 1), ball(of)
+    moved(tools, (0, 0, RADIUS), (0.0005, 0, RADIUS - 0.002))
+    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+    found, forces = gaps(touch, tools), touch.push[: touch.numbers[0]]
+    assert touch.numbers[0] > 20
+    assert found[:, 0].min() > -2e-3 * 0.002
+    along = np.sum(forces * found[:, 1:], axis=1)
+    assert along.min() >= 0
+    assert along.max() > 0
+    np.testing.assert_allclose(forces, along[:, None] * found[:, 1:], atol=2e-3 * along.max())  # no friction
+    on = along > 1e-3 * along.max()
+    np.testing.assert_allclose(found[on, 0], 0.0, atol=2e-3 * 0.002)  # where it is pushed it touches
+
+
+def test_what_the_tool_gets_is_what_the_nodes_and_coordinates_get():
+    of = flat_skin()
+    touch, tools = touched(of, 1), ball(of, friction=0.4)
+    moved(tools, (0, 0, RADIUS), (0.001, 0.0004, RADIUS - 0.002))
+    step = 1e-3
+    work, lost = settle(of, touch, tools, np.zeros(3), np.zeros(3), step)
+    forces, places = touch.force[0], touch.place[0]
+    np.testing.assert_allclose(tools.impulses[0, :3], step * forces.sum(axis=0), rtol=1e-12)
+    on = forces.any(axis=1)
+    arms = places[on] - tools.frames[0, 1, :, 3]
+    np.testing.assert_allclose(
+        tools.impulses[0, 3:], step * np.cross(arms, forces[on]).sum(axis=0), rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_allclose(tools.load, np.einsum("kcm,kc->m", of.columns, forces), rtol=1e-6)
+    np.testing.assert_allclose(tools.given, step * forces)
+    assert 0 <= lost < work
+
+
+def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
+    of = flat_skin()
+    touch, tools = touched(of, 1), ball(of, friction=0.3)
+    place = np.array([0.0, 0.0, RADIUS])
+    for way in [np.array([0, 0, -0.00025])] * 8 + [np.array([0.0002, 0, 0])] * 30:
+        moved(tools, place, place + way)
+        settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+        place = place + way
+        found, forces = gaps(touch, tools), touch.push[: touch.numbers[0]]
+        along = np.sum(forces * found[:, 1:], axis=1)
+        across = np.linalg.norm(forces - along[:, None] * found[:, 1:], axis=1)
+        assert np.all(across <= 0.3 * along + 2e-3 * along.max())
+    np.testing.assert_allclose(across.sum(), 0.3 * along.sum(), rtol=0.05)
+
+
+def test_two_tools_and_none():
+    of = flat_skin()
+    touch, tools = touched(of, 2), ball(of, tools=2)
+    for t, x in enumerate((-0.006, 0.006)):
+        tools.frames[t, :, :, 3] = (x, 0, RADIUS - 0.001)
+    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+    np.testing.assert_allclose(tools.impulses[0, 2], tools.impulses[1, 2], rtol=2e-3)  # alike
+    tools.frames[:, :, 2, 3] += 1.0
+    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+    assert not touch.force.any()
+    assert not tools.load.any()
+
+
+def test_dents_are_the_compliance_times_the_forces():
+    points = np.random.default_rng(1).random((30, 3))
+    dents = falling(points, np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
+    forces = np.zeros((30, 3))
+    forces[[7, 20]] = [[1.0, 0.0, 2.0], [0.0, -1.0, 0.5]]
+    found, energy = dents_of(dents, points, forces[None, 5:], [False])
+    far = np.linalg.norm(points[7] - points[20])
+    g = 2 * np.exp(-far / 0.1) + 3 * np.exp(-far / 0.4)
+    np.testing.assert_allclose(found[7], 6.0 * forces[7] + g * forces[20], rtol=1e-6)
+    assert not found[:5].any()
+    assert energy == pytest.approx(0.5 * np.sum(found * forces))
+
+
+# runs
+
+
+def press(x, y, depth=0.004):
+    def motion(time):
+        share = np.sin(np.pi * min(time / 0.16, 1.0)) ** 2
+        return x, y, SIZE[2] + BALL + 0.001 - share * (depth + 0.001)
+
+    return [pt.Contact(pt.Sphere(BALL), motion)]
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """A block, runs of presses, and a model trained on all but the last."""
+    cloud = pt.box(SIZE, spacing=0.006)
+    body = pt.FullModel(cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", viscosity=1e-4)
+    places = [(0.021, 0.027), (0.039, 0.033), (0.030, 0.040), (0.024, 0.038)]
+    runs = [pt.rollout(body, press(*place), duration=0.2, every=0.005) for place in places]
+    model = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0])
+    return body, runs, model
+
+
+def test_runs_tell_which_nodes_tools_touched(pressed, tmp_path):
+    _, (run, *_), _ = pressed
+    pushes = np.zeros((len(run.times), 3))
+    np.add.at(pushes, run.touches[:, 0].astype(int), run.touches[:, 2:])
+    np.testing.assert_allclose(pushes, run.reactions["tool"], atol=1e-9)
+    run.save(tmp_path / "run.h5")
+    np.testing.assert_array_equal(pt.Trajectory.load(tmp_path / "run.h5").touches, run.touches)
+
+
+def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
+    body, runs, model = pressed
+    own = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
+    mine, full = own.reactions["tool"][:, 2], runs[-1].reactions["tool"][:, 2]
+    peak = np.abs(full).max()
+    assert np.abs(mine - full).max() < 0.15 * peak
+    on = np.abs(full) > 0.1 * peak
+    assert np.median(np.abs(mine[on] / full[on] - 1)) < 0.1
+    top = body.cloud.group("z+")
+    missed = np.linalg.norm(own.displacements[:, top] - runs[-1].displacements[:, top], axis=2)
+    assert np.quantile(missed, 0.95) < 0.07 * 0.004
+    assert not own.reactions["tool"][-1].any()  # it has left
+    assert np.abs(own.balance).max() < 0.05 * own.external.max()
+
+
+def test_the_inside_moves_with_its_dents(pressed):
+    """Where the modes alone are half the press away, and the surface, forces and energy are what they were."""
+    body, runs, model = pressed
+    alone = pt.ReducedModel(replace(model.parts, dents=model.parts.dents._replace(inside=None)))
+    own, bare = (pt.rollout(m, press(0.024, 0.038), duration=0.2, every=0.005) for m in (model, alone))
+    within, nodes = model.parts.dents.inside.nodes, np.setdiff1d(np.arange(len(body.cloud)), body.cloud.group("z-"))
+    surface = np.setdiff1d(nodes, within)
+    np.testing.assert_array_equal(own.displacements[:, surface], bare.displacements[:, surface])
+    np.testing.assert_array_equal(own.reactions["tool"], bare.reactions["tool"])
+    np.testing.assert_array_equal(own.strain, bare.strain)
+    on = np.abs(runs[-1].reactions["tool"][:, 2]) > 0.1 * np.abs(runs[-1].reactions["tool"]).max()
+    mine, without = (
+        np.linalg.norm(run.displacements[on][:, within] - runs[-1].displacements[on][:, within], axis=2)
+        for run in (own, bare)
+    )
+    reach = np.linalg.norm(runs[-1].displacements, axis=2).max()
+    print(mine.max() / reach, without.max() / reach, mine.sum() / without.sum(), np.quantile(mine, 0.95) / reach)
+    assert pt.errors(runs[-1], own).displacement < pt.errors(runs[-1], bare).displacement
+
+
+def test_forces_are_made_those_of_runs(pressed):
+    body, runs, model = pressed
+    trials = [(press(0.021, 0.027), runs[0])]
+    measured = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0], repeated=trials)
+    before, *_, after = measured.report["force_ratios"]
+    assert abs(np.log(after)) <= min(0.02, abs(np.log(before)))
+    factor = measured.report["force_factor"]
+    np.testing.assert_allclose(measured.parts.dents.flexibility, factor * model.parts.dents.flexibility, rtol=1e-5)
+    with pytest.raises(pt.InputError, match="no tool touches"):
+        pt.reduce(body, runs[:1], modes=4, repeated=[([], run_without(runs[0]))])
+
+
+@pytest.mark.parametrize("longer", [0.0, 1e9, -1.0])
+def test_runs_that_no_model_can_follow_are_refused(pressed, longer):
+    body, runs, _ = pressed
+    with pytest.raises(pt.InputError, match="cannot follow a training run"):
+        pt.reduce(
+            body, [replace(runs[0], times=longer * runs[0].times)], modes=0, enrichment=pt.vibration_modes(body, 24)[0]
+        )
+
+
+def test_the_surface_of_its_own_is_needed(pressed):
+    """What the modes alone, without the surface's compliance, make of it: a far too large force."""
+    _body, runs, model = pressed
+    stiff = pt.ReducedModel(replace(model.parts, dents=model.parts.dents.scaled(1e-3)))
+    own = pt.rollout(stiff, press(0.024, 0.038), duration=0.2, every=0.005)
+    assert np.abs(own.reactions["tool"]).max() > 1.3 * np.abs(runs[-1].reactions["tool"]).max()
+
+
+def test_saved_and_loaded_it_runs_the_same(pressed, tmp_path):
+    _, _, model = pressed
+    model.save(tmp_path / "block.rom")
+    first, second = (
+        pt.rollout(m, press(0.024, 0.038), duration=0.08, every=0.01) for m in (model, pt.load(tmp_path / "block.rom"))
+    )
+    np.testing.assert_array_equal(first.displacements, second.displacements)
+    np.testing.assert_array_equal(first.reactions["tool"], second.reactions["tool"])
+
+
+def test_what_cannot_be_touched_is_refused(pressed):
+    body, runs, model = pressed
+    with pytest.raises(pt.InputError, match="inside the body"):
+        pt.rollout(model, [pt.Contact(pt.Sphere(BALL), (0.03, 0.03, SIZE[2]))], duration=0.01, every=0.01)
+    with pytest.raises(pt.InputError, match="stepped explicitly"):
+        pt.rollout(model.with_step(1e-3), press(0.03, 0.03), duration=0.01, every=0.01)
+    bare = pt.reduce(body, [run_without(runs[0])], modes=4)
+    with pytest.raises(pt.InputError, match="train it with a Contact"):
+        pt.rollout(bare, press(0.03, 0.03), duration=0.01, every=0.01)
+    shapes, other = pt.vibration_modes(body, 4)[0], pt.box((0.03, 0.06, 0.03), spacing=0.006)
+    elsewhere = pt.FullModel(other, body.material, "z-", form="energy")
+    with pytest.raises(pt.InputError, match="coarse: its points lie elsewhere"):
+        pt.reduce(body, runs[:1], modes=0, enrichment=shapes, coarse=elsewhere)
+    held = pt.ReducedModel(replace(model.parts, driven=("z+",)))
+    with pytest.raises(pt.InputError, match="nor reduced models that tools hold"):
+        pt.rollout(held, press(0.03, 0.03), duration=0.01, every=0.01)
+
+
+def run_without(run):
+    return replace(run, touches=np.zeros((0, 5)))
+
+
+def test_the_engine_feels_what_a_run_feels(pressed):
+    """Periods of the engine's compiled step beside `rollout`: the same ball, the same way, the same force."""
+    _, _, model = pressed
+    depth, rate, home = 0.004, 1000, (0.024, 0.038, SIZE[2] + BALL + 0.001)
+    slow = pt.Contact(pt.Sphere(BALL), lambda time: (*home[:2], home[2] - (depth + 0.001) * min(time / 0.1, 1.0)))
+    run = pt.rollout(model, [slow], duration=0.2, every=0.01)
+    ready = model.realtime(contact=pt.Contact(pt.Sphere(BALL), home))
+    q, v, report = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(20)
+    felt, moments = [], []
+    for k in range(200):
+        target = np.zeros(12)
+        target[2] = -(depth + 0.001) * min((k + 1) / rate / 0.1, 1.0)
+        ready.advance(ready.data, q, v, ready.tool @ target, 1.0 / rate, report)
+        assert report[0] == 0.0
+        felt.append(report[8:11].copy())
+        moments.append(report[11:20].reshape(3, 3).copy())
+    means = np.array(felt).reshape(20, 10, 3).mean(axis=1)
+    peak = np.abs(run.reactions["tool"]).max()
+    np.testing.assert_allclose(means, run.reactions["tool"][1:], atol=0.03 * peak)
+    # of G on R = 1 the moment is the sum over j of R_j x G_j
+    last = np.mean([np.cross(np.eye(3), g.T).sum(axis=0) for g in moments[-10:]], axis=0)
+    np.testing.assert_allclose(last, run.moments["tool"][-1], atol=0.03 * peak * BALL)
+
+
+def grasped(lift=0.003, until=np.inf):
+    """Forceps that lift and turn a place of the top."""
+
+    def motion(time):
+        share = np.sin(np.pi / 2 * min(time / 0.08, 1.0)) ** 2
+        return (0.024, 0.038, SIZE[2] + share * lift), (0.0, 0.0, 0.3 * share)
+
+    return [pt.Grasp((0.024, 0.038, SIZE[2]), 0.010, motion, until=until)]
+
+
+def test_a_grasp_anywhere_pulls_as_the_full_models(pressed):
+    body, _, model = pressed
+    full, own = (pt.rollout(m, grasped(), duration=0.2, every=0.01) for m in (body, model))
+    late = full.times > 0.05
+    theirs, mine = full.reactions["grasp"][late, 2], own.reactions["grasp"][late, 2]
+    assert theirs.min() > 0
+    np.testing.assert_allclose(mine, theirs, rtol=0.15)
+    held = grasped()[0].marked(body.cloud).group("grasp")
+    wanted = grasped()[0].displacement(body.cloud.points[held], 0.2)
+    np.testing.assert_allclose(own.displacements[-1, held], wanted, atol=1e-2 * 0.003)
+    top = body.cloud.group("z+")
+    missed = np.linalg.norm(own.displacements - full.displacements, axis=2)[late][:, top]
+    assert np.quantile(missed, 0.95) < 0.07 * 0.003
+
+
+def test_a_grasp_lets_go_and_stands_beside_a_ball(pressed):
+    _, _, model = pressed
+    loads = [*grasped(until=0.1), replace(press(0.042, 0.02)[0], name="ball")]
+    run = pt.rollout(model, loads, duration=0.2, every=0.01)
+    after = run.times > 0.115
+    assert not run.reactions["grasp"][after].any()
+    assert run.reactions["grasp"][run.times < 0.095][-1, 2] > 0
+    assert run.reactions["ball"][:, 2].min() < 0
+    pushes = np.zeros((len(run.times), 3))
+    np.add.at(pushes, run.touches[:, 0].astype(int), run.touches[:, 2:5])
+    np.testing.assert_allclose(pushes, run.reactions["grasp"] + run.reactions["ball"], atol=1e-9)
+
+
+def test_a_grasp_of_what_is_fixed_or_of_nothing_is_refused(pressed):
+    _, _, model = pressed
+    with pytest.raises(pt.InputError, match="are fixed"):
+        pt.rollout(model, [pt.Grasp((0.0, 0.0, 0.0), 0.01, (0.0, 0.0, 0.0))], duration=0.01, every=0.01)
+    with pytest.raises(pt.InputError, match="'z\\+' is a group of the body"):
+        pt.rollout(model, [replace(grasped()[0], name="z+")], duration=0.01, every=0.01)
+    with pytest.raises(pt.InputError, match="holds no node"):
+        pt.rollout(model, [pt.Grasp((0.03, 0.03, 0.05), 0.001, (0.03, 0.03, 0.05))], duration=0.01, every=0.01)
+
+
+def test_an_engine_presses_and_lets_go(pressed):
+    _, _, model = pressed
+    home = (0.03, 0.03, SIZE[2] + BALL + 0.001)
+    with pt.Engine(model.realtime(contact=pt.Contact(pt.Sphere(BALL), home)), on_distrust="warn") as engine:
+        engine.set_pose((0.0, 0.0, -0.004))
+        import time
+        import warnings
+
+        def waited(what):
+            for _ in range(300):
+                time.sleep(0.02)
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    force = engine.read().force
+                if what(force):
+                    return force
+            return force
+
+        assert waited(lambda force: force[2] > 0.01)[2] > 0.01  # the body pushes the tool up
+        engine.set_pose((0.0, 0.0, 0.001))
+        assert np.abs(waited(lambda force: not np.abs(force).any())).max() == 0.0

@@ -1,0 +1,520 @@
+"""A reduced model comes back from its file as it went in, or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import fields, replace
+
+import h5py
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.reduction.contact.compliance import Dents
+from palpate.reduction.contact.interior import Inside
+from palpate.reduction.hyper.cubature import Cubature
+from palpate.reduction.hyper.model import ReducedModel, ReducedParts
+from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.storage import model_file as storage
+from palpate.sealed import open_sealed
+
+
+def flat(parts):
+    """The fields of parts and of what they are made of, by name."""
+    result = {}
+    for owner in (parts, parts.cloud, parts.cubature):
+        result |= {f"{type(owner).__name__}.{f.name}": getattr(owner, f.name) for f in fields(owner)}
+    if parts.fibres is not None:  # compared by what they are made of
+        result |= {"law": type(parts.fibres), "directions": parts.fibres.directions, "c": parts.fibres.coefficients}
+    inner = (parts.cloud, parts.cubature, parts.fibres)
+    return {name: value for name, value in result.items() if value is None or all(value is not each for each in inner)}
+
+
+def assert_equal(found, expected):
+    for name, value in flat(expected).items():
+        np.testing.assert_equal(flat(found)[name], value, err_msg=name)
+
+
+def rounded(parts):
+    """The parts with the columns that their file holds."""
+    return replace(parts, columns=parts.columns.astype(np.float32).astype(float))
+
+
+def made_up(cloud, material, *, modes, samples=5, fixed=(), driven=(), lifted=0):
+    """Parts with random numbers in them: none of a body, but of the right shapes."""
+    draw = np.random.default_rng(7).normal
+    count = modes + lifted + 3 * len(fixed)
+    columns = draw(size=(count, len(cloud), 3))
+    for k in range(modes, count):  # of lifting columns and test fields only one component is not zero
+        columns[k, :, np.arange(3) != k % 3] = 0.0
+    nodes = np.sort(np.random.default_rng(8).choice(len(cloud), samples, replace=False))
+    rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
+    return ReducedParts(
+        cloud, material, fixed, driven, cloud.volumes, np.ones(len(cloud)), 1e-4, 20.0, columns, modes, lifted, rule,
+        draw(size=(samples, count, 9)), np.eye(count), draw(size=(240, modes + lifted)), 1e-3,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def push():
+    """A motion of the bar's tip, and gravity."""
+    way = np.array([1e-3, 5e-4, 2e-4])
+    motion = pt.PrescribedMotion("tip", displacement=lambda points, t: np.sin(300 * t) ** 2 * way)
+    return [motion, pt.Gravity((0.0, 2.0, -9.81))]
+
+
+@pytest.fixture(scope="module")
+def trained(bar, tissue, push):
+    """A bar that a tool moves, trained and tried on one run."""
+    slanted = pt.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(0.6, 0.8, 0.0))
+    full = pt.FullModel(bar, tissue, fixed="x-", form="energy", fibres=slanted)
+    run = pt.rollout(full, push, duration=0.01, every=0.0005)
+    model = pt.reduce(full, run, modes=4, driven="tip", held_out=[(push, run)])
+    touched, made_up = np.unique(bar.face_nodes), np.random.default_rng(0)
+    dents = Dents(
+        touched, made_up.integers(0, 4, (len(touched), 2)),
+        np.full((len(touched), 2), 0.5), np.eye(12, dtype=np.float32),
+        made_up.integers(0, len(touched), (len(touched), 4)), np.full((len(touched), 4, 3, 3), 1e-3, dtype=np.float32),
+        made_up.integers(0, len(touched), (len(touched), 3)), np.full((len(touched), 3), 1 / 3), np.array([0.2, 1.5]),
+        1.2,
+        Inside(
+            np.setdiff1d(np.arange(len(bar)), touched), made_up.standard_normal((12, 15)).astype(np.float32),
+            made_up.integers(0, 5, (len(bar) - len(touched), 2)), np.full((len(bar) - len(touched), 2), 0.5),
+            0.7,
+        ),
+    )  # fmt: skip
+    return pt.ReducedModel(replace(model.parts, dents=dents))
+
+
+@pytest.fixture(scope="module")
+def saved(trained, tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "bar.rom"
+    trained.save(path)
+    return path
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "some.rom"
+
+
+@pytest.fixture
+def altered(saved, path, forge):
+    """Change a copy of the file and renew its checksums, so that the change itself has to be noticed."""
+
+    def alter(change):
+        return forge(saved, change, storage.FORMAT, storage.VERSION, path)
+
+    return alter
+
+
+# there and back
+
+
+def test_what_is_saved_is_loaded(trained, saved):
+    assert trained.parts.lifted > 0
+    assert trained.report["held_out"]["mean"]["displacement"] > 0
+    assert_equal(pt.load(saved).parts, rounded(trained.parts))
+    assert os.listdir(saved.parent) == ["bar.rom"]
+
+
+@pytest.mark.parametrize("step", [None, 2.5e-4])
+@pytest.mark.parametrize("single", [True, False])
+def test_a_model_is_loaded_with_its_step_rule_and_precision(trained, path, push, step, single):
+    model = ReducedModel(rounded(trained.parts), step=step, single=single)
+    model.save(path)
+    loaded = pt.load(path)
+    assert (loaded.step, loaded.single) == (step, single)
+    expected, found = (pt.rollout(m, push, duration=0.003, every=0.001, progress=False) for m in (model, loaded))
+    np.testing.assert_array_equal(found.displacements, expected.displacements)
+    assert found.steps[-1] == expected.steps[-1]
+
+
+@pytest.mark.parametrize("step", [-1e-3, np.nan, np.inf])
+def test_a_step_that_no_model_has_is_not_saved(trained, path, step):
+    with pytest.raises(pt.InputError, match=r"step = .* is out of range"):
+        storage.save(trained.parts, path, step=step)
+    assert not path.exists()
+
+
+def test_the_trust_of_a_loaded_model_is_that_of_the_saved_one(trained, saved, push):
+    assert trained.parts.witnesses > 0
+    loaded, drive = pt.load(saved), trained.drive(push)
+    state = replace(trained.state(drive, time=0.004), coordinates=trained.parts.trained[15])
+    assert loaded.trust(state, drive) == pytest.approx(trained.trust(state, drive), rel=1e-6)
+    assert loaded.expected_error(0.5) == trained.expected_error(0.5)
+
+
+def test_a_file_without_what_follows_inside_is_of_a_model_that_dents_at_its_surface(trained, altered):
+
+    def drop(header, arrays):
+        for name in [name for name in arrays if name.startswith("inside/")]:
+            arrays.pop(name)
+
+    found = pt.load(altered(drop)).parts
+    assert found.dents.inside is None
+    np.testing.assert_equal(found.dents, trained.parts.dents._replace(inside=None))
+
+
+def test_a_file_of_a_loaded_model_is_the_same_file(saved, path):
+    pt.load(saved).save(path)
+    assert path.read_bytes() == saved.read_bytes()
+
+
+def test_a_loaded_model_runs_as_the_saved_one_to_the_last_bit(trained, saved, push):
+    models = ReducedModel(rounded(trained.parts)), pt.load(saved)
+    for step in (None, 2e-4):
+        expected, found = (pt.rollout(m.with_step(step), push, duration=0.005, every=0.001) for m in models)
+        assert np.abs(expected.displacements).max() > 1e-4
+        for name in ("displacements", "velocities", "kinetic", "strain", "external", "dissipated"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        for name, force in expected.reactions.items():
+            np.testing.assert_array_equal(found.reactions[name], force)
+
+
+def test_single_precision_of_the_columns_changes_no_force_and_no_displacement_one_could_see(trained, saved, push):
+    loaded = pt.load(saved)
+    state, drive = trained.state(trained.drive(push), time=0.004), trained.drive(push)
+    for coordinates in trained.parts.trained[::7]:
+        np.testing.assert_array_equal(loaded.force(coordinates), trained.force(coordinates))
+        assert loaded.energy(coordinates) == trained.energy(coordinates)
+        there = replace(state, coordinates=coordinates)
+        expected = trained.displacement(there, drive)
+        np.testing.assert_allclose(loaded.displacement(there, drive), expected, atol=1e-6 * np.abs(expected).max())
+    expected, found = (pt.rollout(m, push, duration=0.005, every=0.001) for m in (trained, loaded))
+    for name in ("displacements", "velocities"):
+        size = np.abs(getattr(expected, name)).max()
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-5 * size)
+
+
+def test_a_free_body_without_tools_and_groups_is_loaded(small_cloud, tissue, path):
+    parts = made_up(replace(small_cloud, groups={}), tissue, modes=3)
+    ReducedModel(parts).save(path)
+    assert_equal(pt.load(path).parts, rounded(parts))
+
+
+@pytest.mark.parametrize("name", ["a/b", "..", "größe µ", "with space"])
+def test_groups_may_have_any_name(small_cloud, tissue, path, name):
+    cloud = replace(small_cloud, groups={name: np.array([3, 5]), "z": np.array([7])})
+    parts = made_up(cloud, tissue, modes=2, fixed=(name,))
+    ReducedModel(parts).save(path)
+    assert_equal(pt.load(path).parts, rounded(parts))
+
+
+@pytest.mark.parametrize("given", ["poisson", "bulk"])
+def test_a_material_keeps_every_bit_whichever_modulus_it_was_made_from(small_cloud, path, given):
+    values = np.linspace(0, 0.499, 20) if given == "poisson" else np.linspace(1e3, 2e5, 20)
+    for law in [pt.MooneyRivlin(C1=7e2 / 3, C2=0.3e3, density=1000.1, **{given: value}) for value in values]:
+        ReducedModel(made_up(small_cloud, law, modes=2)).save(path)
+        assert pt.load(path).material == law
+
+
+def test_the_law_of_a_material_is_kept(small_cloud, path):
+    for law in (pt.NeoHookean(C1=123.4, density=999, bulk=12345.7), pt.MooneyRivlin(C1=1, C2=0, density=1, poisson=0)):
+        ReducedModel(made_up(small_cloud, law, modes=2)).save(path)
+        assert pt.load(path).material == law
+
+
+def test_a_report_keeps_numbers_of_numpy_and_any_length_but_nothing_infinite(small_cloud, tissue, path):
+    report = {"whole": np.int64(3), "number": np.float32(0.5), "array": np.arange(3), "lost": float("inf")}
+    parts = replace(made_up(small_cloud, tissue, modes=2), report=report | {"runs": [{"x": 1 / 3}] * 20_000})
+    ReducedModel(parts).save(path)
+    found = pt.load(path).report
+    assert found.pop("runs") == [{"x": 1 / 3}] * 20_000
+    assert found == {"whole": 3, "number": 0.5, "array": [0, 1, 2], "lost": None}
+
+
+def test_twenty_thousand_nodes_with_64_modes_take_less_than_23_megabytes(tissue, path):
+    cloud = pt.box((0.039, 0.024, 0.019), spacing=0.001)
+    assert len(cloud) == 20_000
+    parts = made_up(cloud, tissue, modes=64, samples=400, fixed=("x-",), driven=("x+",), lifted=9)
+    storage.save(parts, path)
+    assert path.stat().st_size < 23e6
+    assert_equal(pt.load(path).parts, rounded(parts))
+
+
+def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
+    with h5py.File(saved) as file:
+        assert file.attrs["format"] == "palpate reduced model"
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (8, "SI", "MooneyRivlin")
+        assert '"C1": 20000.0' in file.attrs["parameters"]
+        assert file["columns"].dtype == np.float32
+        np.testing.assert_array_equal(file["cubature/weights"], trained.parts.cubature.weights)
+
+
+# what is refused
+
+
+def test_a_missing_file_is_named(path):
+    with pytest.raises(FileNotFoundError, match=r"some\.rom"):
+        pt.load(path)
+
+
+@pytest.mark.parametrize("share", [0.03, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused(saved, path, share):
+    data = saved.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(
+        pt.FileFormatError,
+        match=r"some\.rom: the f(ile is truncated|irst bytes are).*train the model",
+    ):
+        pt.load(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"palpate", b"\x80\x04]q\x00." * 200, b"\x89HDF\r\n\x1a\n"])
+def test_a_file_of_another_format_is_refused(path, content):
+    path.write_bytes(content)
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is not a palpate reduced model"):
+        pt.load(path)
+
+
+def test_a_trajectory_is_refused(path):
+    none, vectors = np.zeros(0), np.zeros((0, 4, 3))
+    pt.Trajectory("full", none, vectors, vectors, {}, none, none, none, none, none, np.zeros((4, 3))).save(path)
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is not a palpate reduced model"):
+        pt.load(path)
+
+
+def test_another_version_is_refused_whatever_follows(saved, path):
+    path.write_bytes(saved.read_bytes().replace(b"version 8", b"version 7", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 7, and version 8 is the one that is"):
+        pt.load(path)
+
+
+def test_a_flipped_bit_is_refused_wherever_it_is(saved, path):
+    data, generator = saved.read_bytes(), np.random.default_rng(5)
+    for place in [0, 30, 50, 511, 512, *generator.integers(len(data), size=60)]:
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(generator.integers(8))
+        path.write_bytes(changed)
+        with pytest.raises(pt.FileFormatError, match=r"some\.rom"):
+            pt.load(path)
+
+
+def put(name, values):
+    """Replace an array by others' values, given the old ones."""
+
+    def change(header, arrays):
+        new = values(arrays[name])
+        arrays[name] = np.array(new, arrays[name].dtype) if isinstance(new, list) else new
+
+    return change
+
+
+def entry(name, where, value):
+    def change(header, arrays):
+        arrays[name][where] = value
+
+    return change
+
+
+def attribute(name, value):
+    def change(header, arrays):
+        header[name] = value
+
+    return change
+
+
+def parameters(old, new):
+    def change(header, arrays):
+        header["parameters"] = header["parameters"].replace(old, new)
+
+    return change
+
+
+CASES = {
+    "an attribute missing": (lambda header, arrays: header.pop("reach"), "header reach is missing"),
+    "an attribute of another type": (attribute("modes", "four"), "header modes must be of type int, got 'four'"),
+    "a precision that is no yes or no": (attribute("single", 2), "header single must be of type bool, got 2"),
+    "a witness too many": (attribute("witnesses", 9), "array columns has shape"),
+    "no modes": (attribute("modes", 0), "modes = 0 is out of range"),
+    "a column too few": (put("columns", lambda a: a[1:]), r"columns has shape \(23, 112, 3\) .* \(24, 112, 3\) of <f4"),
+    "columns of fewer nodes": (put("columns", lambda a: a[:, 1:]), r"shape \(24, 111, 3\) .* expected \(24, 112, 3\)"),
+    "columns in double precision": (put("columns", lambda a: a.astype(float)), "of <f8, expected .* of <f4"),
+    "points in the plane": (put("cloud/points", lambda a: a[:, :2]), r"points has .*\(112, 2\).*expected \(nodes, 3\)"),
+    "a number for an array": (put("cubature/weights", lambda a: 1.0), r"weights has shape \(\).*expected \(\d+\)"),
+    "gradients of fewer samples": (put("gradients", lambda a: a[1:]), "array gradients has shape"),
+    "a text for names": (attribute("driven", "tip"), "header driven must be of type list"),
+    "numbers for names": (attribute("driven", [1]), "header driven must be a list of different names"),
+    "a name twice": (attribute("fixed", ["x-", "x-"]), "header fixed must be a list of different names"),
+    "an attribute too many": (attribute("colour", "red"), "header colour is not one of a model"),
+    "an array too many": (lambda header, arrays: arrays.update(colour=np.zeros(3)), "array colour is not one of"),
+    "numbers beyond all sizes": (entry("columns", (0, 0, 0), 3e38), "columns holds numbers beyond"),
+    "errors that are text": (attribute("report", '{"held_out": {"mean": {"force": "5"}}}'), "errors under held_out"),
+    "errors that are nothing": (attribute("report", '{"held_out": 5}'), "errors under held_out"),
+    "a scene that is a number": (attribute("report", '{"scene": 5}'), "a scene without name and parameters"),
+    "a scene with a list": (attribute("report", '{"scene": {"name": "a", "parameters": {"b": []}}}'), "parameters of"),
+    "a report nested deeply": (attribute("report", "[" * 100_000), "nested levels"),
+    "a report without end": (attribute("report", '{"a": 1e999}'), "not valid JSON"),
+    "fewer groups": (attribute("groups", ["x-", "tip"]), r"group_sizes has shape \(7,\) .* expected \(2\)"),
+    "an unknown material": (attribute("material", "Jelly"), "unknown material 'Jelly': the laws are ArrudaBoyce, Exp"),
+    "no material": (attribute("material", "Material"), "unknown material 'Material'"),
+    "a module's name": (attribute("material", "np"), "unknown material 'np'"),
+    "another law": (attribute("material", "NeoHookean"), "NeoHookean has the parameters"),
+    "a parameter out of range": (
+        parameters("20000.0", "-1.0"),
+        "C1 = -1.0 is out of range",
+    ),
+    "a bulk modulus of another Poisson's ratio": (
+        parameters("0.45", "0.44"),
+        "poisson = 0.44 makes bulk = 200000 Pa, not 241667",
+    ),
+    "a parameter that is no number": (
+        parameters("20000.0", '"a"'),
+        "C1 must be a number",
+    ),
+    "parameters that are code": (attribute("parameters", "__import__('os')"), "parameters: this is not valid JSON"),
+    "a report that is a list": (attribute("report", "[]"), "report is not a mapping"),
+    "weights that are negative": (entry("cubature/weights", 0, -1e-9), "weights holds negative weights"),
+    "samples out of range": (entry("cubature/nodes", -1, 112), r"cubature/nodes names nodes outside 0\.\.111"),
+    "faces out of range": (entry("cloud/face_nodes", 0, -1), "face_nodes names nodes outside"),
+    "group nodes out of range": (entry("cloud/group_nodes", 0, 112), "group_nodes names nodes outside"),
+    "triangles out of range": (entry("cloud/triangles", (0, 1), 10**9), "triangles names nodes outside"),
+    "groups that overlap": (entry("cloud/group_sizes", 0, 1), "group_sizes does not share out"),
+    "an empty group": (put("cloud/group_sizes", lambda a: [0, a[0] + a[1], *a[2:]]), "group_sizes does not share out"),
+    "a support that is no group": (attribute("fixed", ["w-"]), "unknown group 'w-'"),
+    "fibres of an unknown law": (attribute("fibres", '{"law": "Hair"}'), "unknown law of fibres 'Hair'"),
+    "fibres that are code": (attribute("fibres", "exit()"), "header fibres: this is not valid JSON"),
+    "fibres without a parameter": (attribute("fibres", '{"law": "Fibres", "k1": 1.0}'), "fibres of Fibres have"),
+    "fibres without a law": (attribute("fibres", "{}"), "directions of fibres, but no law"),
+    "directions of no length": (entry("fibres/directions", (0, 3), 0.0), "unit vectors; one at nodes 3 has length 0"),
+    "directions for fewer nodes": (put("fibres/directions", lambda a: a[:, 1:]), r"shape \(1, 111, 3\) .* expected"),
+    "no directions": (put("fibres/directions", lambda a: a[:0]), r"have shape \(0, 112, 3\)"),
+    "a touched node twice": (put("dents/nodes", lambda a: [a[0], *a[:-1]]), "dents/nodes names a node twice"),
+    "inner nodes out of range": (entry("inside/nodes", -1, 112), r"inside/nodes names nodes outside 0\.\.111"),
+    "what follows nothing": (entry("inside/sources", (0, 0), 5000), "inside/sources names more than 5 nodes inside"),
+    "half a node": (put("inside/flexibility", lambda a: a[:, 1:]), "holds 14 columns, not 3 a node"),
+    "forces of other carriers": (put("inside/flexibility", lambda a: a[1:]), r"\(11, 15\) .* expected \(12, moved"),
+    "a surface that tells nothing": (entry("inside/factor", 0, 0.0), "inside/factor = 0.* is out of range"),
+    "inner nodes alone": (lambda header, arrays: arrays.pop("inside/shares"), "array inside/shares is missing"),
+    "a tool that is no group": (attribute("driven", ["w+"]), "unknown group 'w\\+'"),
+    "volumes that are not positive": (entry("volumes", 3, 0.0), "volumes holds volumes that are not positive"),
+    "a node without volume": (entry("cloud/volumes", 3, 0.0), "volumes must be positive"),
+    "columns that are all zero": (entry("columns", slice(None), 0.0), "Singular matrix"),
+    **{
+        f"{name} out of range": (attribute(name, value), f"{name} = .* is out of range")
+        for name, value in {"reach": 0.0, "spacing": 0.0, "viscosity": -1.0, "fastest": -0.1, "residual": -1.0,
+                            "leeway": 0.0, "step": -1e-3, "witnesses": -1}.items()
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_no_model_has_is_refused_even_with_a_right_checksum(altered, case):
+    change, message = CASES[case]
+    with pytest.raises(pt.FileFormatError, match=rf"some\.rom: .*{message}"):
+        pt.load(altered(change))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", [name for name, (dtype, _) in storage.LAYOUT.items() if "f" in dtype])
+def test_numbers_that_are_not_finite_are_refused(altered, name, value):
+    with pytest.raises(pt.FileFormatError, match=rf"some\.rom: array {name} holds numbers that are not finite"):
+        pt.load(altered(entry(name, 0, value)))
+
+
+@pytest.mark.parametrize("name", storage.LAYOUT)
+def test_a_missing_dataset_is_named(altered, name):
+    with pytest.raises(pt.FileFormatError, match=rf"some\.rom: array {name} is missing"):
+        pt.load(altered(lambda header, arrays: arrays.pop(name)))
+
+
+@pytest.mark.parametrize("name", storage.LAYOUT)
+def test_a_changed_entry_of_any_array_does_not_match_its_checksum(saved, path, name):
+    array = open_sealed(saved, storage.FORMAT, storage.VERSION).arrays[name]
+    content = bytearray(saved.read_bytes())
+    content[array.offset] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(pt.FileFormatError, match=rf"some\.rom: array {name} does not match its checksum"):
+        pt.load(path)
+
+
+@pytest.mark.parametrize("other", ["viscosity", "driven", "report", "rest", "sha256"])
+def test_a_changed_header_does_not_match_the_checksum(saved, path, other):
+    content = saved.read_bytes()
+    place = content.rindex(f'"{other}"'.encode()) + 1
+    path.write_bytes(content[:place] + b"X" + content[place + 1 :])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: the table does not match its checksum"):
+        pt.load(path)
+
+
+def test_a_file_sealed_again_is_read(altered, trained):
+    assert_equal(pt.load(altered(attribute("reach", 0.5))).parts, replace(rounded(trained.parts), reach=0.5))
+
+
+# whole or not at all
+
+
+@pytest.mark.parametrize("name", ["columns", "gradients", "trained"])
+def test_what_could_not_be_loaded_is_not_saved(trained, saved, path, name):
+    values = getattr(trained.parts, name).copy()
+    values.flat[0] = np.nan
+    path.write_bytes(saved.read_bytes())
+    with pytest.raises(pt.InputError, match=f"{name} holds numbers that are not finite"):
+        storage.save(replace(trained.parts, **{name: values}), path)
+    assert path.read_bytes() == saved.read_bytes()
+    assert os.listdir(path.parent) == ["some.rom"]
+
+
+def test_a_material_of_ones_own_is_not_saved(small_cloud, path):
+    class Jelly(pt.NeoHookean):
+        pass
+
+    class Impostor(pt.NeoHookean):
+        pass
+
+    Impostor.__name__ = "NeoHookean"
+    for law, message in ((Jelly, "is not one of palpate's"), (Impostor, "is not one of palpate's")):
+        with pytest.raises(pt.InputError, match=message):
+            storage.save(made_up(small_cloud, law(C1=1e3, density=1000, poisson=0.4), modes=2), path)
+    assert os.listdir(path.parent) == []
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), r"cannot write .*some\.rom.*No space left"),
+        (KeyboardInterrupt("stopped"), "stopped"),
+    ],
+)
+@pytest.mark.parametrize("old", [True, False])
+@pytest.mark.parametrize("stage", ["fsync", "replace"])
+def test_a_save_that_fails_leaves_the_old_file_and_nothing_else(
+    trained, saved, path, monkeypatch, stage, old, error, message
+):
+    if old:
+        path.write_bytes(saved.read_bytes())
+
+    def fail(*_):
+        assert [*path.parent.glob(".some.*.partial.rom")]  # it fails half way, not at once
+        raise error
+
+    monkeypatch.setattr(os, stage, fail)
+    with pytest.raises(type(error), match=message):
+        storage.save(replace(trained.parts, reach=1.0), path)
+    monkeypatch.undo()
+    assert os.listdir(path.parent) == (["some.rom"] if old else [])
+    if old:
+        assert pt.load(path).parts.reach == trained.parts.reach
+
+
+def test_saving_again_replaces_the_file(trained, path):
+    storage.save(replace(trained.parts, reach=1.0), path)
+    trained.save(path)
+    assert pt.load(path).parts.reach == trained.parts.reach
+
+
+def test_an_unwritable_place_is_named(trained, tmp_path):
+    with pytest.raises(OSError, match=r"cannot write .*bar\.rom.*choose another folder"):
+        trained.save(tmp_path / "missing" / "bar.rom")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match=r"cannot write .*folder"):
+        trained.save(tmp_path / "folder")
+    assert os.listdir(tmp_path) == ["folder"]
+
+
+def test_a_surface_whose_patches_are_all_of_one_node_is_drawn(altered):
+    model = pt.load(altered(put("dents/patches", np.zeros_like)))
+    surface = Surface(model)
+    assert np.isfinite(surface.displacements(np.ones(model.count), np.array([0]), np.ones((1, 3)))).all()
