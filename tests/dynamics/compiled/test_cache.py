@@ -1,15 +1,22 @@
-"""What was compiled once is found again, and is compiled anew when it must be."""
+"""Compiled functions are read from the cache, and compiled again when a source they use has changed."""
 
 from __future__ import annotations
 
+import importlib
+import json
 import os
+import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+import palpate
 import palpate as pt
-from palpate.dynamics.compiled.cache import KeyedFile, law_digest
+from palpate.dynamics.compiled.cache import KeyedFile, kernel_sources, law_digest
+from palpate.dynamics.loads.loads import FIXED
 
 SECOND_PROCESS = """
 import sys
@@ -40,9 +47,9 @@ def test_a_second_process_compiles_nothing(law):
 
 def test_another_law_has_another_digest():
     laws = [(law.first, law.second) for law in (pt.NeoHookean, pt.MooneyRivlin)]
-    digests = {law_digest(*law, direct) for law in laws for direct in (False, True)}
+    digests = {law_digest(__name__, *law, direct) for law in laws for direct in (False, True)}
     assert len(digests) == 4
-    assert law_digest(*laws[0], False) == law_digest(*laws[0], False)
+    assert law_digest(__name__, *laws[0], False) == law_digest(__name__, *laws[0], False)
 
 
 def test_models_of_one_law_share_their_compiled_functions(bar, small_cloud):
@@ -88,3 +95,87 @@ def test_two_processes_that_save_at_once_do_not_exchange_their_code(tmp_path, mo
     found = {key: reader.load((key, "digest")) for key in ("one signature", "another signature")}
     assert found["one signature"] in (None, "code of one")
     assert found["another signature"] == "code of another"
+
+
+SOURCES = sorted(Path(palpate.__file__).parent.rglob("*.py"))
+KERNELS = [path for path in SOURCES if re.search(r"^ *@(kernel_njit|law_njit)", path.read_text(), re.MULTILINE)]
+
+
+def module_of(path):
+    return ".".join(path.relative_to(SOURCES[0].parent.parent).with_suffix("").parts)
+
+
+DIGESTS = """
+import importlib, json, sys
+from palpate.dynamics.compiled.cache import law_digest
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+print(json.dumps({name: law_digest(name) for name in sys.argv[1:]}))
+"""
+
+
+def digests_of(folder, names):
+    command = [sys.executable, "-c", DIGESTS, *names]
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment, cwd=folder)
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sources")
+    root = SOURCES[0].parent
+    shutil.copytree(root, folder / "palpate", ignore=shutil.ignore_patterns("__pycache__", "page"))
+    names = [module_of(path) for path in KERNELS]
+    return folder, names, digests_of(folder, names)
+
+
+@pytest.mark.parametrize("path", KERNELS, ids=module_of)
+def test_editing_a_kernel_source_recompiles_what_uses_it_and_nothing_else(copied, path):
+    folder, names, before = copied
+    file = folder / path.relative_to(SOURCES[0].parent.parent)
+    text = file.read_text()
+    try:
+        file.write_text(text + "\nEDITED = True\n")
+        after = digests_of(folder, names)
+    finally:
+        file.write_text(text)
+    changed = {name for name in names if after[name] != before[name]}
+    for name in names:
+        importlib.import_module(name)
+    assert changed == {name for name in names if module_of(path) in kernel_sources(name)}
+    assert module_of(path) in changed
+
+
+def test_a_change_of_one_form_leaves_the_other_forms_compiled_code():
+    """An edit of the strong form must not recompile membranes, or the energy form."""
+    for other in ("palpate.dynamics.membrane.passes", "palpate.dynamics.solid.energy_form"):
+        importlib.import_module(other)
+        assert "palpate.dynamics.solid.strong_form" not in kernel_sources(other)
+
+
+def test_a_constant_of_a_module_without_kernels_counts_by_its_value():
+    importlib.import_module("palpate.dynamics.nodal.central_difference")
+    sources = kernel_sources("palpate.dynamics.nodal.central_difference")
+    assert sources["palpate.dynamics.loads.loads:FIXED"] == repr(FIXED)
+    assert "palpate.dynamics.loads.loads" not in sources
+
+
+def test_functions_that_only_numba_caches_call_compiled_functions_of_their_own_file_alone():
+    """Numba's own cache notices a change of the function's own file only."""
+    checked = 0
+    for path in SOURCES:
+        if not re.search(r"@njit\(.*cache=True", path.read_text()):
+            continue
+        module = importlib.import_module(module_of(path))
+        for function in filter(is_compiled, vars(module).values()):
+            if function.py_func.__module__ == module.__name__:
+                used = [vars(module).get(name) for name in function.py_func.__code__.co_names]
+                others = {other.py_func.__module__ for other in used if is_compiled(other)}
+                assert others <= {module.__name__}, function
+                checked += 1
+    assert checked > 20
+
+
+def is_compiled(value):
+    return hasattr(value, "py_func")

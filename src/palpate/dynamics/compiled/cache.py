@@ -1,14 +1,16 @@
-"""Compiled functions that are made for one material law and still found in the cache of the next process.
+"""The cache of compiled functions, which the next process reads again.
 
 Numba looks a cached function up by its closure, and a closure over other compiled functions never compares equal
-in a new process; nor does it notice when a function it has inlined changes. Here the key is a digest of the sources
-of this package's kernels and of the law.
+in a new process. Nor does it notice a change of a function that it has inlined. Here the key is a digest of the law
+and of the sources that a kernel uses: its own module, and the modules of compiled functions that this imports.
 """
 
 from __future__ import annotations
 
 import hashlib
 import inspect
+import re
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -19,7 +21,7 @@ from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import register_jitable
 
-__all__ = ["inlined", "kernel_njit", "law_digest", "law_njit", "named_for"]
+__all__ = ["inlined", "kernel_njit", "kernel_sources", "law_digest", "law_njit", "named_for"]
 
 
 class KeyedFile(IndexDataCacheFile):  # type: ignore[misc]
@@ -50,54 +52,96 @@ class _DigestCache(FunctionCache):  # type: ignore[misc]
         return (sig, codegen.magic_tuple(), self._digest)
 
 
-KERNELS = (
-    "dynamics/contact/geometry.py",
-    "dynamics/contact/impulses.py",
-    "dynamics/material/fibres.py",
-    "dynamics/compiled/passes.py",
-    "dynamics/compiled/lanes.py",
-    "dynamics/material/material_fields.py",
-    "dynamics/material/principal_stretches.py",
-    "dynamics/material/principal_point.py",
-    "dynamics/solid/strong_form.py",
-    "dynamics/solid/energy_form.py",
-    "dynamics/material/relaxation.py",
-    "dynamics/membrane/passes.py",
-    "dynamics/membrane/additional_stress.py",
-    "dynamics/membrane/principal_moduli.py",
-    "dynamics/material/small_strain.py",
-    "dynamics/nodal/central_difference.py",
-    "reduction/contact/compliance.py",
-    "reduction/contact/tangent.py",
-    "reduction/hyper/foundation.py",
-    "reduction/hyper/implicit.py",
-    "reduction/galerkin/step.py",
-    "reduction/hyper/material_point.py",
-    "reduction/hyper/sampled_energy.py",
-    "reduction/hyper/explicit.py",
-    "reduction/contact/gauss_seidel.py",
-    "reduction/realtime/period.py",
-)
+IMPORT = re.compile(r"^from (palpate\.[\w.]+) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)
+PLAIN = (bool, int, float, str, tuple)  # types of constants that compiled code holds
 
 
 @cache
-def _kernel_sources() -> bytes:
-    return b"".join((Path(__file__).parents[1] / name).read_bytes() for name in KERNELS)
+def _source(module: str) -> str:
+    """Return the text of a loaded module; empty for one without a file, such as a notebook."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return Path(file).read_text(encoding="utf-8") if file and file.endswith(".py") else ""
 
 
-def law_digest(*what: object) -> str:
-    """Digest of functions (by their source), other values (by their repr), and the sources of the kernels."""
-    digest = hashlib.sha256(_kernel_sources())
+@cache
+def kernel_sources(module: str) -> dict[str, str]:
+    """Return the sources on which the compiled functions of a module depend.
+
+    Modules of compiled functions are followed through their imports. Of any other module of palpate the constants
+    that are imported count, by their values.
+
+    Parameters
+    ----------
+    module : str
+        Name of a loaded module.
+
+    Returns
+    -------
+    dict of str to str
+        Text by the name of a module, or value by ``module:constant``.
+    """
+    found: dict[str, str] = {}
+    remaining = [module]
+    while remaining:
+        name = remaining.pop()
+        if name in found:
+            continue
+        found[name] = _source(name)
+        for imported, names in IMPORT.findall(found[name]):
+            if _compiles(imported):
+                remaining.append(imported)
+                continue
+            for word in re.findall(r"\w+", re.sub(r" as \w+|#.*", "", names)):
+                value = getattr(sys.modules.get(imported), word, None)
+                if isinstance(value, PLAIN):
+                    found[f"{imported}:{word}"] = repr(value)
+    return found
+
+
+def _compiles(module: str) -> bool:
+    """Return True for a module with compiled functions."""
+    text = _source(module)
+    return "from numba" in text or "palpate.dynamics.compiled" in text
+
+
+@cache
+def _sources_digest(module: str) -> bytes:
+    return repr(sorted(kernel_sources(module).items())).encode()
+
+
+def law_digest(module: str, *what: object) -> str:
+    """Return the digest of a module's kernels, of functions (by their sources) and of other values (by their repr).
+
+    Parameters
+    ----------
+    module : str
+        ``__name__`` of the caller. Its source counts, and those of the compiled functions that it imports.
+    *what : object
+        Functions of a law, flags and further digests.
+    """
+    digest = hashlib.sha256(_sources_digest(module))
     for item in what:
-        digest.update(_said(item).encode())
+        digest.update(_text(item).encode())
     return digest.hexdigest()
 
 
-def _said(item: object) -> str:
-    """Source of a function and of the functions that it closes over, or the repr of another value."""
+def _text(item: object) -> str:
+    """Return the sources of a function and of the functions and constants that it uses, or the repr of another value."""
     if not inspect.isfunction(item):
         return repr(item)
-    return inspect.getsource(item) + "".join(_said(cell.cell_contents) for cell in item.__closure__ or ())
+    found: dict[object, str] = {}
+    remaining: list[object] = [item]
+    while remaining:
+        value = remaining.pop()
+        if not inspect.isfunction(value):
+            found[repr(value)] = ""
+        elif value not in found:
+            found[value] = inspect.getsource(value)
+            remaining += [cell.cell_contents for cell in value.__closure__ or ()]
+            used = [value.__globals__.get(name) for name in value.__code__.co_names]
+            used = [getattr(other, "py_func", other) for other in used]
+            remaining += [other for other in used if isinstance(other, PLAIN) or inspect.isfunction(other)]
+    return "".join(text or str(value) for value, text in found.items())
 
 
 def named_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -126,27 +170,45 @@ def inlined(digest: str, function: Callable[..., Any]) -> Any:
 
 
 def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile and cache a function that calls compiled ones of other files, under a digest of all of them.
+    """Compile and cache a function under a digest of its module and of the compiled functions that this imports.
 
     Numba's own cache notices a change of the function's own file only.
+
+    Parameters
+    ----------
+    **options : Any
+        As of `law_njit`.
     """
-    return law_njit(law_digest("kernels"), **options)
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        return law_njit(law_digest(function.__module__), **options)(function)
+
+    return decorate
 
 
 def law_njit(
     digest: str, *, cached: bool = True, inner: bool = False, **options: Any
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Compile as `numba.njit` does, under a name of its own and, unless told otherwise, cached under `digest`.
+    """Compile as `numba.njit` does, under a name of its own and, by default, cached under a digest.
 
-    An `inner` function is called by compiled code alone, and never from Python: what would take Python's arguments
-    apart is not compiled, which for bodies of many arrays is a quarter of all that there is to compile.
+    Parameters
+    ----------
+    digest : str
+        Of all that the function is compiled from except its own module, see `law_digest`.
+    cached : bool
+        Keep the compiled code on the disk.
+    inner : bool
+        The function is called by compiled code alone, and never from Python: the code that unpacks Python's arguments
+        is not compiled. For bodies of many arrays that is a quarter of all that there is to compile.
+    **options : Any
+        Of `numba.njit`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
         own = named_for(digest, function)
         compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **options)(own)
         if cached:
-            compiled._cache = _DigestCache(own, digest)
+            compiled._cache = _DigestCache(own, law_digest(function.__module__, digest))
         return compiled
 
     return decorate

@@ -10,9 +10,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-from numba import get_thread_id, njit, prange
+from numba import get_thread_id, prange
 
-from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, lane_sums_1x1, lane_sums_3x1
 
 __all__ = [
@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 
-@njit(cache=True)
+@kernel_njit()
 def forgetful(work, interval):  # type: ignore[no-untyped-def]
     """`Formulation.after` of a body that remembers nothing."""
 
@@ -70,7 +70,7 @@ class Formulation(NamedTuple):
     after: Any = forgetful
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
     """Where the weights of block b begin in memory."""
     if lanes.shared[b]:
@@ -78,7 +78,7 @@ def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
     return weights.lanes[lanes.weight_start[b] :].ctypes.data
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
     """Gather u_J - u_I of the neighbours J of the nodes I of one block; return how many neighbours they have."""
     begin, end = lanes.start[b], lanes.start[b + 1]
@@ -90,7 +90,7 @@ def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
     return end - begin
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
     """Derivatives of one block from the coordinates of columns."""
     for q in range(table.shape[2]):
@@ -102,7 +102,7 @@ def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
                 out[q, lane] += table[b, m, q, lane] * columns[m]
 
 
-@njit(cache=True, parallel=True, fastmath={"contract"})
+@kernel_njit(parallel=True, fastmath={"contract"})
 def smooth_field(lanes, value, own, fields, derivatives, values, smooth):  # type: ignore[no-untyped-def]
     """Fitted value of a nodal field (n,) at every node."""
     for b in prange(lanes.nodes.shape[0]):
@@ -120,7 +120,7 @@ def smooth_field(lanes, value, own, fields, derivatives, values, smooth):  # typ
             smooth[i] = total[0, lane] + own[i] * values[i]
 
 
-@njit(cache=True, parallel=True, fastmath={"contract"})
+@kernel_njit(parallel=True, fastmath={"contract"})
 def gather_fluxes(lanes, back, own, fields, sums, flux, force):  # type: ignore[no-untyped-def]
     """Force [N/m^3] that is the slope of an energy: minus the transposed derivatives of the fluxes (n, 3 w)."""
     for b in prange(lanes.nodes.shape[0]):
@@ -143,7 +143,7 @@ def gather_fluxes(lanes, back, own, fields, sums, flux, force):  # type: ignore[
                 force[i, c] = -value
 
 
-@njit(cache=True)
+@kernel_njit()
 def add_blocks(partial, result):  # type: ignore[no-untyped-def]
     """Sum parts (b, m) over the blocks, in one order whatever the number of threads."""
     result[:] = 0.0
@@ -161,7 +161,7 @@ def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int
         ``lift(b, u, lanes, first, second, fields, out)`` writes the derivatives at the nodes of one block into out
         (numbers, LANES), the first `first_numbers` being first derivatives; for `differentiate` see `Formulation`.
     """
-    digest = law_digest("lift", name, first_numbers)
+    digest = law_digest(__name__, "lift", name, first_numbers)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"})
     def lift(b, u, lanes, first, second, fields, out):  # type: ignore[no-untyped-def]

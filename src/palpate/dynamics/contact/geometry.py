@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import njit
 from numpy.typing import NDArray
 
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.tools import CAPSULE, HELD, PLANE, Contact
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
@@ -66,7 +66,7 @@ class Contacts(NamedTuple):
     total: Floats  # (t, 6) impulse [N s] and its moment about the tool's origin [N m s] on the body, since a call began
 
 
-@njit(cache=True)
+@kernel_njit()
 def signed_distance(kind, sizes, x, y, z):  # type: ignore[no-untyped-def]
     """Return the distance [m] of a point in the tool's frame to its surface, negative inside, and the outward normal.
 
@@ -95,7 +95,7 @@ def signed_distance(kind, sizes, x, y, z):  # type: ignore[no-untyped-def]
     return b - sizes[2], 0.0, 0.0, -1.0
 
 
-@njit(cache=True)
+@kernel_njit()
 def rotation(pose, frame):  # type: ignore[no-untyped-def]
     """Write the rotation matrix and the place of a pose (7,) into a frame (3, 4)."""
     w, x, y, z = pose[3], pose[4], pose[5], pose[6]
@@ -105,7 +105,7 @@ def rotation(pose, frame):  # type: ignore[no-untyped-def]
     frame[0, 3], frame[1, 3], frame[2, 3] = pose[0], pose[1], pose[2]
 
 
-@njit(cache=True)
+@kernel_njit()
 def gap(kind, sizes, frame, x, y, z):  # type: ignore[no-untyped-def]
     """Return signed distance [m] and outward normal, as `signed_distance`, of a point in space to a tool in a frame."""
     x, y, z = x - frame[0, 3], y - frame[1, 3], z - frame[2, 3]
@@ -124,7 +124,7 @@ def gap(kind, sizes, frame, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@kernel_njit()
 def material_velocity(before, after, step, x, y, z):  # type: ignore[no-untyped-def]
     """Return the mean velocity [m/s] over a step of the tool's matter that ends the step at a point in space."""
     p = x - after[0, 3], y - after[1, 3], z - after[2, 3]
@@ -138,7 +138,7 @@ def material_velocity(before, after, step, x, y, z):  # type: ignore[no-untyped-
     )
 
 
-@njit(cache=True)
+@kernel_njit()
 def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):  # type: ignore[no-untyped-def]
     """Return the tangential part (3) that goes with a normal impulse, by Coulomb's law.
 
@@ -161,7 +161,7 @@ def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):  # type: ignore[no-untype
     return -share * wx, -share * wy, -share * wz
 
 
-@njit(cache=True)
+@kernel_njit()
 def patch(points, first, near, weights, i, ahead, u, velocity):  # type: ignore[no-untyped-def]
     """Return the place (3) [m] of a patch some time ahead [s], and its velocity (3) [m/s]."""
     x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -173,7 +173,7 @@ def patch(points, first, near, weights, i, ahead, u, velocity):  # type: ignore[
     return x + ahead * vx, y + ahead * vy, z + ahead * vz, vx, vy, vz
 
 
-@njit(cache=True)
+@kernel_njit()
 def patch_places(contacts, u, places):  # type: ignore[no-untyped-def]
     """Write the places (n, 3) [m] of all patches for displacements u (n, 3) [m]."""
     for i in range(u.shape[0]):
@@ -181,7 +181,7 @@ def patch_places(contacts, u, places):  # type: ignore[no-untyped-def]
         places[i, 0], places[i, 1], places[i, 2] = x, y, z
 
 
-@njit(cache=True)
+@kernel_njit()
 def gaps(kind, sizes, pose, places, result):  # type: ignore[no-untyped-def]
     """Write the signed distances [m] of places (k, 3) to a tool in a pose (7,)."""
     frame = np.zeros((3, 4))

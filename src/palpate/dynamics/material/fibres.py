@@ -115,7 +115,7 @@ def fibre_points(fibres: FibreLaw | None) -> FibrePoints:
 @cache
 def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
     """Compile the points of a law with some number of families."""
-    digest = law_digest("fibres", law.respond, count, LEAST)
+    digest = law_digest(__name__, "fibres", law.respond, count, LEAST)
     respond = register_jitable(named_for(digest, law.respond))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)

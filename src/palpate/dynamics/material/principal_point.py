@@ -17,9 +17,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from palpate.dynamics.compiled.cache import inlined, law_njit
+from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_njit
 from palpate.dynamics.material.principal_stretches import make_principal_stress, principal
 
 __all__ = ["make_principal_point"]
@@ -107,7 +106,7 @@ def make_principal_point(
     return stress, density
 
 
-@njit(cache=True, fastmath={"contract"}, forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _cofactor(F):  # type: ignore[no-untyped-def]
     """Return cof(F), row by row."""
     return (
@@ -117,7 +116,7 @@ def _cofactor(F):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath={"contract"}, forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _two_largest(F):  # type: ignore[no-untyped-def]
     """Return the two largest stretches, and their directions; none is less than a thousandth."""
     x, n = principal(

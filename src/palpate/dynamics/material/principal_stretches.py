@@ -12,9 +12,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from palpate.dynamics.compiled.cache import inlined, law_njit
+from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 
 __all__ = ["make_principal_response", "make_principal_stress", "principal"]
@@ -24,7 +23,7 @@ NEAR = 1e-5  # of squared stretches: closer ones count as equal in quotients of 
 NEVER = 1e-300  # added to squares that are divided by where they vanish
 
 
-@njit(cache=True, fastmath={"contract"}, forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
     """Return the eigenvalues of a symmetric matrix, in no order, and the matrix of its eigenvectors, row by row."""
     mean = (C00 + C11 + C22) / 3.0
@@ -81,7 +80,7 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath={"contract"}, forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _quotient(x, y, s, t, slope):  # type: ignore[no-untyped-def]
     """(s - t) / (x - y), or `slope`, its limit, where x and y meet."""
     near = abs(x - y) <= NEAR * (x + y)
@@ -153,7 +152,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
     return respond
 
 
-@njit(cache=True, fastmath={"contract"}, forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
     """Write the principal axes (9) and squared stretches (3) of a lane."""
     F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
@@ -202,7 +201,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any, volume: Any, dire
     return slopes
 
 
-@njit(cache=True, fastmath={"contract"}, forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
     """Div P - P b of a lane, from what `_axes` and the slopes have left."""
     n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
@@ -234,7 +233,7 @@ def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
     force[2, v] += d[6, v] * y0 + d[7, v] * y1 + (1.0 + d[8, v]) * y2
 
 
-@njit(cache=True, fastmath={"contract"}, forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _turned(c, v, d, axes):  # type: ignore[no-untyped-def]
     """Second derivatives of component c of a lane, in the principal axes: 00 11 22 01 02 12, as they stand in d."""
     n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
@@ -251,7 +250,7 @@ def _turned(c, v, d, axes):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath={"contract"}, forceinline=True)
+@kernel_njit(fastmath={"contract"}, forceinline=True)
 def _cofactor(v, d, cofactor):  # type: ignore[no-untyped-def]
     """Write cof(F) of a lane, and return its J - 1."""
     F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]

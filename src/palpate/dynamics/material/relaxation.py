@@ -18,9 +18,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.tissue.materials import Material
 
@@ -176,7 +177,7 @@ def remembered(of: Memory) -> tuple[Floats, ...]:
     return tuple(array.copy() for array in _kept(of)) if of.branches.size else ()
 
 
-@njit(cache=True)
+@kernel_njit()
 def prepare(relaxation, memory):  # type: ignore[no-untyped-def]
     """Write for every branch what is left of it after the interval, what of an even change is, and what both lose."""
     interval = memory.interval[0]
@@ -190,7 +191,7 @@ def prepare(relaxation, memory):  # type: ignore[no-untyped-def]
         factors[2], factors[3], factors[4] = -np.expm1(-ratio), -np.expm1(-2.0 * ratio), ratio
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def _lost(a, added, factors):  # type: ignore[no-untyped-def]
     """Integral of A^2 / tau over an interval in which A begins at a and the strain changes evenly by `added`."""
     rate = added / factors[4]
@@ -198,7 +199,7 @@ def _lost(a, added, factors):  # type: ignore[no-untyped-def]
     return 0.5 * b * b * factors[3] + 2.0 * b * rate * factors[2] + rate * rate * factors[4]
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def _isochoric(c):  # type: ignore[no-untyped-def]
     """Return F, J, J^(-2/3) and C̄ from cof F (nine numbers, row by row)."""
     det = c[0] * (c[4] * c[8] - c[5] * c[7]) - c[1] * (c[3] * c[8] - c[5] * c[6]) + c[2] * (c[3] * c[7] - c[4] * c[6])
@@ -218,7 +219,7 @@ def _isochoric(c):  # type: ignore[no-untyped-def]
     return F, J, scale, C
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def remember(relaxation, memory, b, v, C):  # type: ignore[no-untyped-def]
     """Bring the branches and the strain of one point up to date."""
     for k in range(relaxation.times.shape[0]):
@@ -232,19 +233,19 @@ def remember(relaxation, memory, b, v, C):  # type: ignore[no-untyped-def]
         memory.strain[b, q, v] = C[q]
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def even_change(memory, b, k, q, v, now):  # type: ignore[no-untyped-def]
     """Return component q of a point's branch k when its strain there has changed evenly over the interval."""
     return memory.factors[k, 0] * memory.branches[b, k, q, v] + memory.factors[k, 1] * (now - memory.strain[b, q, v])
 
 
-@njit(cache=True)
+@kernel_njit()
 def after(work, interval):  # type: ignore[no-untyped-def]
     """Let the next evaluation be remembered as that of an interval [s] later; with 0 none is."""
     work.memory.interval[0] = interval
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyped-def]
     """Write the overstress of the points of one block."""
     old, kept, stress = memory.branches[b], memory.strain[b], memory.stress[b]
@@ -273,7 +274,7 @@ def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyp
             stress[3 * i + 2, v] = x * Q4 + y * Q5 + z * Q2 - trace * c[3 * i + 2]
 
 
-@njit(cache=True)
+@kernel_njit()
 def overstress_alone(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
     """Do as `overstress` on one thread."""
     prepare(relaxation, memory)
@@ -281,7 +282,7 @@ def overstress_alone(relaxation, memory, cofactor):  # type: ignore[no-untyped-d
         _answer(relaxation, memory, cofactor, b, memory.interval[0])
 
 
-@njit(cache=True)
+@kernel_njit()
 def forget(memory):  # type: ignore[no-untyped-def]
     """Let a memory be that of a body that has always been at rest."""
     for b in range(memory.strain.shape[0]):
@@ -294,7 +295,7 @@ def forget(memory):  # type: ignore[no-untyped-def]
     memory.interval[:] = 0.0
 
 
-@njit(cache=True, parallel=True)
+@kernel_njit(parallel=True)
 def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
     """Write the overstress of all points into `memory.stress`; remember their strain if the interval is not 0.
 
@@ -305,7 +306,7 @@ def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
         _answer(relaxation, memory, cofactor, b, memory.interval[0])
 
 
-@njit(cache=True)
+@kernel_njit()
 def relax_volume(relaxation, memory, values):  # type: ignore[no-untyped-def]
     """Write values (v,) that the volumetric coefficient multiplies, and what branches add, to `memory.effective`."""
     interval = memory.interval[0]

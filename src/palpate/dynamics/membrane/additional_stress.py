@@ -19,10 +19,9 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inlined, law_digest, law_njit
+from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
 from palpate.dynamics.material.relaxation import even_change, remember
 from palpate.dynamics.membrane.principal_moduli import axes
 from palpate.tissue.fibres import FibreLaw
@@ -48,7 +47,7 @@ class SheetExtras(NamedTuple):
     lost: Floats
 
 
-@njit(cache=True)
+@kernel_njit()
 def gathered(families, relaxation, memory):  # type: ignore[no-untyped-def]
     """Gather them in one flat tuple, as threads take it."""
     return SheetExtras(
@@ -87,7 +86,7 @@ def beside(fibres: FibreLaw | None, relaxing: bool, relaxed: bool) -> Beside:
 @cache
 def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: bool) -> Beside:
     respond_of = _nothing if law is None else law.respond
-    digest = law_digest("beside a sheet", respond_of, count, relaxing, relaxed)
+    digest = law_digest(__name__, "beside a sheet", respond_of, count, relaxing, relaxed)
     respond = inlined(digest, respond_of)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -128,7 +127,7 @@ def _nothing(C, a, c):  # type: ignore[no-untyped-def]
     return 0.0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def _overstress(E, point, v, extras):  # type: ignore[no-untyped-def]
     """Energy of a point's branches and Q (00 11 33 01); their strain is remembered if the interval is not 0."""
     stored, Q0, Q1, Q2, Q3 = 0.0, 0.0, 0.0, 0.0, 0.0

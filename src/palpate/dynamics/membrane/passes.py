@@ -21,7 +21,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import get_thread_id, njit, prange
+from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
@@ -87,7 +87,7 @@ def sheet_work(nodes: int, blocks: int, longest: int, threads: int, branches: in
 _lift, _differentiate = lift_passes("sheet", lane_sums_3x2, lane_sums_3x3, 6)
 
 
-@njit(cache=True, parallel=True, fastmath={"contract"})
+@kernel_njit(parallel=True, fastmath={"contract"})
 def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
     """Minus the work [J] of the fluxes of every block on the derivatives of every column, (b, m)."""
     for b in prange(table.shape[0]):
@@ -112,14 +112,14 @@ def _project(table, body, work, volumes, partial, result):  # type: ignore[no-un
     add_blocks(partial, result)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _copy_force(flux, force):  # type: ignore[no-untyped-def]
     for i in range(force.shape[0]):
         for c in range(3):
             force[i, c] = flux[i, c]
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
     """Eigenvalues of C, and the squared stretch to which a sheet in simple tension narrows."""
     mean, reach = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
@@ -279,7 +279,7 @@ def _make_strong_answer(digest: str, moduli: Any, slopes: Any) -> Any:
     return answer
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
     """Deformed normal times the ratio of areas, where `surface_force` looks for it."""
     F00, F01, F10 = prestretch + d[0, v], d[1, v], d[2, v]
@@ -313,7 +313,9 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
     added : Beside
         Fibres and branches of tissue that relaxes, of the energy form.
     """
-    digest = law_digest("sheet", law.variables, law.energy, law.first, law.second, relaxed, strong, added.digest)
+    digest = law_digest(
+        __name__, "sheet", law.variables, law.energy, law.first, law.second, relaxed, strong, added.digest
+    )
     answer, more = _make_answer(digest, law, relaxed, strong, added.answer), added.answer is not None
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})

@@ -13,9 +13,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from palpate.dynamics.compiled.cache import inlined, law_njit
+from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.material.principal_stretches import NEAR
 
@@ -132,7 +131,7 @@ def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: 
     return answer
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def axes(C00, C11, C01):  # type: ignore[no-untyped-def]
     """Eigenvalues of C, the larger first, and the direction (p, q) of the larger; the other's is (-q, p)."""
     mean, gap = 0.5 * (C00 + C11), 0.5 * (C00 - C11)
@@ -144,7 +143,7 @@ def axes(C00, C11, C01):  # type: ignore[no-untyped-def]
     return mean + reach, mean - reach, p / size, q / size
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def _turned(c, v, d, prestretch, p, q):  # type: ignore[no-untyped-def]
     """Component c of F and of the second derivatives 11, 22 and 12 of a lane, in the principal axes."""
     F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)

@@ -15,9 +15,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from palpate.dynamics.compiled.cache import law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.impulses import push
@@ -26,7 +25,7 @@ from palpate.dynamics.loads.loads import FIXED, FREE
 __all__ = ["foundation_force", "full_step", "surface_force"]
 
 
-@njit(cache=True)
+@kernel_njit()
 def surface_force(places, schedule, s, volumes, slot, cofactor, surface):  # type: ignore[no-untyped-def]
     """Write the tractions of step s, as force per nodal volume [N/m^3], at the loaded nodes of `surface`."""
     for k in range(places.force_node.shape[0]):
@@ -54,7 +53,7 @@ def surface_force(places, schedule, s, volumes, slot, cofactor, surface):  # typ
                 surface[i, c] -= schedule.pressure[s, g] * area / volumes[i]
 
 
-@njit(cache=True)
+@kernel_njit()
 def foundation_force(places, u, velocity, volumes, surface):  # type: ignore[no-untyped-def]
     """Add the forces of elastic foundations, as force per nodal volume [N/m^3], to `surface`."""
     for k in range(places.foundation_node.shape[0]):
@@ -64,7 +63,7 @@ def foundation_force(places, u, velocity, volumes, surface):  # type: ignore[no-
             surface[i, c] -= pull / volumes[i]
 
 
-@njit(cache=True, forceinline=True)
+@kernel_njit(forceinline=True)
 def _kick_node(i, force, surface, gravity, half_cell, volumes, density, kick, velocity):  # type: ignore[no-untyped-def]
     work = 0.0
     for c in range(3):
@@ -75,7 +74,7 @@ def _kick_node(i, force, surface, gravity, half_cell, volumes, density, kick, ve
     return work
 
 
-@njit(cache=True)
+@kernel_njit()
 def _kick(places, holds, force, surface, gravity, half_cell, volumes, density, kick, velocity):  # type: ignore[no-untyped-def]
     """Accelerate the free nodes over the time `kick`; return the work [J] of tractions and gravity on them."""
     work = 0.0
@@ -89,7 +88,7 @@ def _kick(places, holds, force, surface, gravity, half_cell, volumes, density, k
     return work * kick
 
 
-@njit(cache=True)
+@kernel_njit()
 def _viscous_work(force, previous, volumes, u, at):  # type: ignore[no-untyped-def]
     """Return sum of V (beta v) . (previous - force) [J], and keep the force as the next previous one.
 
@@ -104,7 +103,7 @@ def _viscous_work(force, previous, volumes, u, at):  # type: ignore[no-untyped-d
     return work
 
 
-@njit(cache=True)
+@kernel_njit()
 def _slow_jumps(driven, holds, u, velocity, beta, fastest, at):  # type: ignore[no-untyped-def]
     """Let no driven node be faster than `fastest` in the viscous forces: those of a jump would grow as 1 / step."""
     for k in range(driven.shape[0]):
@@ -117,7 +116,7 @@ def _slow_jumps(driven, holds, u, velocity, beta, fastest, at):  # type: ignore[
                 at[i, c] = u[i, c] + beta * velocity[i, c] * fastest / speed
 
 
-@njit(cache=True)
+@kernel_njit()
 def _drive(places, holds, target, step, kick, u, force, surface, gravity, half_cell, volumes, density, velocity):  # type: ignore[no-untyped-def]
     """Give the driven nodes the velocity that brings them to their target after `step`; return the tools' work [J].
 
@@ -138,7 +137,7 @@ def _drive(places, holds, target, step, kick, u, force, surface, gravity, half_c
     return work * step
 
 
-@njit(cache=True)
+@kernel_njit()
 def _bear(places, holds, kick, force, surface, gravity, half_cell, volumes, density):  # type: ignore[no-untyped-def]
     """Let what drives nodes bear the other forces on them over the time `kick`."""
     for k in range(places.driven.shape[0]):

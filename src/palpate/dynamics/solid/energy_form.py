@@ -23,7 +23,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import get_thread_id, njit, prange
+from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
@@ -102,7 +102,7 @@ def energy_work(
 _lift, _differentiate = lift_passes("solid energy", lane_sums_3x3, lane_sums_3x1, 9)
 
 
-@njit(cache=True, parallel=True, fastmath={"contract"})
+@kernel_njit(parallel=True, fastmath={"contract"})
 def _add_pressure(lanes, cofactor, pressure, lame, flux):  # type: ignore[no-untyped-def]
     """Add p cof(F) to the stresses; p comes as what the transposed smoothing leaves, without the modulus."""
     for b in prange(lanes.nodes.shape[0]):
@@ -115,7 +115,7 @@ def _add_pressure(lanes, cofactor, pressure, lame, flux):  # type: ignore[no-unt
                     flux[i, 3 * d + c] += lame * pressure[i] * cofactor[b, 3 * c + d, lane]
 
 
-@njit(cache=True, parallel=True)
+@kernel_njit(parallel=True)
 def _add_overstress(lanes, stress, stiffness, flux):  # type: ignore[no-untyped-def]
     """Add the overstresses (b, 9, LANES), which are as stiff as the law at rest, to the stresses."""
     for b in prange(lanes.nodes.shape[0]):
@@ -129,7 +129,7 @@ def _add_overstress(lanes, stress, stiffness, flux):  # type: ignore[no-untyped-
                     flux[i, 3 * d + c] += firm * stress[b, 3 * c + d, lane]
 
 
-@njit(cache=True)
+@kernel_njit()
 def _stiffen(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
     """Multiply what every node answers by its stiffness."""
     for i in range(stiffness.shape[0]):
@@ -138,7 +138,7 @@ def _stiffen(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
         scaled[i] = stiffness[i, 2] * theta[i]
 
 
-@njit(cache=True)
+@kernel_njit()
 def _keep_least(values, least):  # type: ignore[no-untyped-def]
     for value in values:
         if not value >= least[0]:
@@ -169,7 +169,7 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
     _add_pressure(body.lanes, work.cofactor, work.pressure, body.lame, work.flux)
 
 
-@njit(cache=True, parallel=True, fastmath={"contract"})
+@kernel_njit(parallel=True, fastmath={"contract"})
 def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
     """Minus the work [J] of the fluxes of every block on the derivatives of every column, (b, m)."""
     for b in prange(table.shape[0]):
@@ -268,7 +268,7 @@ def solid_energy(
         Number of the law's parameters if they differ from node to node.
     """
     measure_of, curved = volumetric_form(volumetric).measure, volumetric != QUADRATIC
-    digest = law_digest("solid energy", law.variables, law.first, measure_of, fibres.digest, varied)
+    digest = law_digest(__name__, "solid energy", law.variables, law.first, measure_of, fibres.digest, varied)
     stress, stressed, at = make_stress(digest, law.first, law.variables), fibres.stressed, parameters_at(varied)
     measure = inlined(digest, measure_of)
 

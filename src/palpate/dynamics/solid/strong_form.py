@@ -19,10 +19,10 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import get_thread_id, njit, prange
+from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inlined, law_digest, law_njit
+from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 from palpate.dynamics.compiled.passes import Formulation, combine, lift_passes, smooth_field, weights_address
 from palpate.dynamics.material.principal_stretches import make_principal_response
@@ -73,7 +73,7 @@ def workspace(nodes: int, blocks: int, longest: int, threads: int) -> Workspace:
 _lift, _differentiate = lift_passes("solid", lane_sums_3x3, lane_sums_3x6, 9)
 
 
-@njit(cache=True, parallel=True, fastmath={"contract"})
+@kernel_njit(parallel=True, fastmath={"contract"})
 def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, smooth, force):  # type: ignore[no-untyped-def]
     """Force = shear + cof(F) (grad p - p b) with the smoothed pressure."""
     for b in prange(lanes.nodes.shape[0]):
@@ -95,7 +95,7 @@ def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, 
                 force[i, c] = value
 
 
-@njit(cache=True)
+@kernel_njit()
 def _write_direct(lanes, shear, force):  # type: ignore[no-untyped-def]
     for b in range(lanes.nodes.shape[0]):
         for lane in range(LANES):
@@ -103,7 +103,7 @@ def _write_direct(lanes, shear, force):  # type: ignore[no-untyped-def]
                 force[lanes.nodes[b, lane], c] = shear[b, c, lane]
 
 
-@njit(cache=True)
+@kernel_njit()
 def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
     """From what the deformation pass left: smooth the pressure, add its gradient, write the force by node."""
     if direct:
@@ -233,7 +233,7 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
         Form of U(J).
     """
     pressure_of = volumetric_form(volumetric).pressure
-    digest = law_digest("solid", law.variables, law.first, law.second, pressure_of, direct)
+    digest = law_digest(__name__, "solid", law.variables, law.first, law.second, pressure_of, direct)
     make = {
         "invariants": _make_response, "stretches": make_principal_response, "small strain": make_linear_response,
     }[law.variables]  # fmt: skip

@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.reduction.contact.interior import Inside, moved_inside, spread
 
 __all__ = [
@@ -163,7 +163,7 @@ def near(of: Compliance, tools: int) -> Near:
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
     """Write how a force on j moves i (3, 3) [m/N]."""
     block[:] = 0.0
@@ -184,7 +184,7 @@ def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
                             block[c, d] += w * compliance.between[n, k, c, d]
 
 
-@njit(cache=True)
+@kernel_njit()
 def refresh(compliance, near, points, count):  # type: ignore[no-untyped-def]
     """Keep what is between the patches or nodes touched now, points[:count]; keep nothing and return False if too many.
 
@@ -214,14 +214,14 @@ def refresh(compliance, near, points, count):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True)
+@kernel_njit()
 def _forget(near):  # type: ignore[no-untyped-def]
     for s in range(near.used[0]):
         near.slot[near.node[s]] = -1
     near.used[0] = 0
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def _row(compliance, i, row, around):  # type: ignore[no-untyped-def]
     """Write how forces on all carriers move those of i together (3, 3 c), and on close nodes its own (3, 3 k) [m/N]."""
     row[:] = 0.0
@@ -241,7 +241,7 @@ def _row(compliance, i, row, around):  # type: ignore[no-untyped-def]
                     around[c, q + d] += w * compliance.between[n, k, c, d]
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def _between(compliance, i, j, near, block):  # type: ignore[no-untyped-def]
     """Write how a force on j moves i (3, 3) [m/N], the rows of i known."""
     row, around = near.row, near.around
@@ -255,13 +255,13 @@ def _between(compliance, i, j, near, block):  # type: ignore[no-untyped-def]
             block[c, d] = value
 
 
-@njit(cache=True)
+@kernel_njit()
 def softness(hardening, force):  # type: ignore[no-untyped-def]
     """Return h under a tool's force [N]."""
     return (1.0 + force / hardening[1]) ** -hardening[0]
 
 
-@njit(cache=True)
+@kernel_njit()
 def stored(hardening, force):  # type: ignore[no-untyped-def]
     """Return the energy of dents over half the product of their forces and depths: 1 where nothing hardens."""
     gamma, s = hardening[0], 1.0 + force / hardening[1]

@@ -16,7 +16,6 @@ A step asks one node of every cluster of surface nodes how far it is, and visits
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap, material_velocity
@@ -29,7 +28,7 @@ STRETCH = 1.5  # by which a cluster may grow
 SWEEPS, ENOUGH = 60, 1e-3  # most sweeps; of the deepest dent: change of a place in a sweep that ends them
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def _modal(skin, i, coordinates, out):  # type: ignore[no-untyped-def]
     """Write the displacement that the coordinates make at a node."""
     x, y, z = 0.0, 0.0, 0.0
@@ -40,7 +39,7 @@ def _modal(skin, i, coordinates, out):  # type: ignore[no-untyped-def]
     out[0], out[1], out[2] = x, y, z
 
 
-@njit(cache=True)
+@kernel_njit()
 def _list(skin, touch, tools, t, i, x, y, z, v, step, count):  # type: ignore[no-untyped-def]
     """List a node that the coordinates put at a place; return how many are listed."""
     new, out = True, touch.wide
@@ -57,7 +56,7 @@ def _list(skin, touch, tools, t, i, x, y, z, v, step, count):  # type: ignore[no
     return count + 1
 
 
-@njit(cache=True, inline="always")
+@kernel_njit(inline="always")
 def _held_at(skin, tools, t, i):  # type: ignore[no-untyped-def]
     """Return where forceps hold a node."""
     frame, origin = tools.frames[t, 1], tools.origins[t]
@@ -69,7 +68,7 @@ def _held_at(skin, tools, t, i):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@kernel_njit()
 def _hold(skin, touch, tools, t, a, v, step, count):  # type: ignore[no-untyped-def]
     """List the nodes that forceps hold; return how many are listed, and how far the farthest must be moved [m]."""
     origin, reach, farthest, out = tools.origins[t], tools.sizes[t, 0] * (1.0 + 1e-9), 0.0, touch.wide
@@ -97,7 +96,7 @@ def _hold(skin, touch, tools, t, a, v, step, count):  # type: ignore[no-untyped-
     return count, farthest
 
 
-@njit(cache=True)
+@kernel_njit()
 def _find(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
     """List the nodes that the coordinates alone would put inside a tool; return how deep the deepest is [m]."""
     count, deepest, depth, out = 0, 0.0, 0.0, touch.wide
@@ -131,7 +130,7 @@ def _find(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
     return deepest
 
 
-@njit(cache=True, inline="always")
+@kernel_njit(inline="always")
 def _spread(skin, touch, kept, e, x, y, z):  # type: ignore[no-untyped-def]
     """Move all touched nodes by what a change of one force does."""
     i, h, now, node = touch.point[e], touch.soft[touch.tool[e]], touch.now, touch.point
@@ -151,7 +150,7 @@ def _spread(skin, touch, kept, e, x, y, z):  # type: ignore[no-untyped-def]
             now[f, d] += matrix[s, r, 0, d] * x + matrix[s, r, 1, d] * y + matrix[s, r, 2, d] * z
 
 
-@njit(cache=True, inline="always")
+@kernel_njit(inline="always")
 def _own(skin, touch, kept, e, nx, ny, nz):  # type: ignore[no-untyped-def]
     """Return a touched node's own compliance along a normal, and at least its largest across it [m/N]."""
     own, matrix, i, h = touch.near.block, touch.near.matrix, touch.point[e], touch.soft[touch.tool[e]]
@@ -167,7 +166,7 @@ def _own(skin, touch, kept, e, nx, ny, nz):  # type: ignore[no-untyped-def]
     return along, h * (own[0, 0] + own[1, 1] + own[2, 2]) - along
 
 
-@njit(cache=True, inline="always")
+@kernel_njit(inline="always")
 def _give(skin, touch, kept, e, fx, fy, fz):  # type: ignore[no-untyped-def]
     """Give a node a force, and move all; return the largest change of a component [N]."""
     push = touch.push
@@ -178,7 +177,7 @@ def _give(skin, touch, kept, e, fx, fy, fz):  # type: ignore[no-untyped-def]
     return max(abs(x), abs(y), abs(z))
 
 
-@njit(cache=True, inline="always")
+@kernel_njit(inline="always")
 def relax(skin, touch, tools, kept, step, e):  # type: ignore[no-untyped-def]
     """Give one node the force that its tool asks for; return how far that moves it [m]."""
     t = touch.tool[e]
@@ -210,7 +209,7 @@ def relax(skin, touch, tools, kept, step, e):  # type: ignore[no-untyped-def]
     return _give(skin, touch, kept, e, fx, fy, fz) * max(along, across)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _harden(skin, touch, tools):  # type: ignore[no-untyped-def]
     """Tell how soft the surface is under each tool, by the forces of the step before; forceps do not harden it."""
     for t in range(touch.soft.shape[0]):
@@ -268,7 +267,7 @@ def settle(skin, touch, tools, a, v, step):  # type: ignore[no-untyped-def]
     return _keep(skin, touch, tools, step)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _keep(skin, touch, tools, step):  # type: ignore[no-untyped-def]
     """Keep what was found for the next step, and add up what the tools do; return works as `settle`."""
     work, lost = 0.0, 0.0
@@ -291,7 +290,7 @@ def _keep(skin, touch, tools, step):  # type: ignore[no-untyped-def]
     return work, lost
 
 
-@njit(cache=True)
+@kernel_njit()
 def aim(tools, home, target, still):  # type: ignore[no-untyped-def]
     """Let a tool go, in a period, to a pose as `palpate.realtime` has it: displacement and R - I, (12,)."""
     if tools.kind.shape[0] == 0:
@@ -336,7 +335,7 @@ def press(skin, touch, tools, q, v, response, at, step, period, share, report): 
             report[11 + 3 * k + j] -= half * tools.frames[0, 1, m, j]
 
 
-@njit(cache=True)
+@kernel_njit()
 def dent_energy(skin, touch):  # type: ignore[no-untyped-def]
     """Return the energy [J] of the surface's own compliance."""
     total, hardening = 0.0, skin.compliance.hardening

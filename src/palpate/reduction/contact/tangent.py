@@ -21,7 +21,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
@@ -101,7 +100,7 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
         _tell(system.gram, system.pull, out)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _tell(gram, pull, out):  # type: ignore[no-untyped-def]
     """Write the derivatives, with softening: its right-hand side times the change of the whole force is one more."""
     softened = 1.0
@@ -115,7 +114,7 @@ def _tell(gram, pull, out):  # type: ignore[no-untyped-def]
             out[i, j] = gram[i, j] - gram[i, 3] * grown / softened
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def _eliminate(system, near, table, first, rows):  # type: ignore[no-untyped-def]
     """Eliminate a few unknowns; return False where that cannot be."""
     size, forces, gram = table.shape[0], system.numbers[0], system.gram
@@ -145,7 +144,7 @@ def _eliminate(system, near, table, first, rows):  # type: ignore[no-untyped-def
     return True
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def _between(system, near, table, k):  # type: ignore[no-untyped-def]
     """Add to a row what forces move its patch by beside the modes; return False where that is not known any more."""
     s, h, direction = near.slot[system.point[k]], system.pull[3], system.direction
@@ -164,7 +163,7 @@ def _between(system, near, table, k):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True)
+@kernel_njit()
 def _begin(data):  # type: ignore[no-untyped-def]
     """Set the equations up, but for what stands between patches; return False where there is no room for them."""
     touch, system, modes, compliance = data.touch, data.system, data.modes, data.skin.compliance
@@ -206,7 +205,7 @@ def _begin(data):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True)
+@kernel_njit()
 def _directions(data, e, rows):  # type: ignore[no-untyped-def]
     """List the directions along which the force on a touched patch can change; return how many rows there are now."""
     touch, tools, system = data.touch, data.tools, data.system
@@ -231,21 +230,21 @@ def _directions(data, e, rows):  # type: ignore[no-untyped-def]
     return rows
 
 
-@njit(cache=True)
+@kernel_njit()
 def _all_three(touch, system, e, rows):  # type: ignore[no-untyped-def]
     rows = _row(touch, system, e, rows, 1.0, 0.0, 0.0, 0.0)
     rows = _row(touch, system, e, rows, 0.0, 1.0, 0.0, 0.0)
     return _row(touch, system, e, rows, 0.0, 0.0, 1.0, 0.0)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _row(touch, system, e, rows, x, y, z, spring):  # type: ignore[no-untyped-def]
     system.direction[rows, 0], system.direction[rows, 1], system.direction[rows, 2] = x, y, z
     system.entry[rows], system.point[rows], system.spring[rows] = e, touch.point[e], spring
     return rows + 1
 
 
-@njit(cache=True)
+@kernel_njit()
 def _curved(kind, sizes, frame, place, nx, ny, nz):  # type: ignore[no-untyped-def]
     """Return a tool's two principal curvatures [1/m] at a place, each with its direction."""
     ax, ay, az = (0.0, -nz, ny) if abs(nx) < 0.6 else (nz, 0.0, -nx)  # across the normal and an axis
@@ -266,7 +265,7 @@ def _curved(kind, sizes, frame, place, nx, ny, nz):  # type: ignore[no-untyped-d
     )
 
 
-@njit(cache=True)
+@kernel_njit()
 def _turned(kind, sizes, frame, place, x, y, z, apart):  # type: ignore[no-untyped-def]
     """Return how a tool's normal changes along a direction (3) [1/m]."""
     x, y, z = apart * x, apart * y, apart * z

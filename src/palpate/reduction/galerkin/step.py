@@ -6,16 +6,16 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from palpate.dynamics.compiled.cache import law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.nodal.central_difference import surface_force
 
 __all__ = ["reduced_step"]
 
 
-@njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+@kernel_njit(parallel=True, fastmath={"contract", "reassoc"})
 def _project(test, force, result):  # type: ignore[no-untyped-def]
     """result[m] = sum over the nodes of test[m] . force; every mode by one thread, in one order."""
     flat = force.reshape(-1)
@@ -27,7 +27,7 @@ def _project(test, force, result):  # type: ignore[no-untyped-def]
         result[m] = total
 
 
-@njit(cache=True)
+@kernel_njit()
 def _tractions(places, surface, modes, test, volumes, half_cell, result, power):  # type: ignore[no-untyped-def]
     """Add the tractions to the projected force, and the power of their parts on each coordinate to `power`."""
     for nodes in (places.force_node, places.pressure_node):

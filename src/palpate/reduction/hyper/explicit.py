@@ -34,7 +34,7 @@ def explicit_step(law: PointLaw, single: bool) -> Any:
     law, single
         As for `palpate.reduction.hyper.sampled_energy.sampled_energy`.
     """
-    digest = law_digest("explicit step", law.digest, single)
+    digest = law_digest(__name__, "explicit step", law.digest, single)
     force, _ = sampled_energy(law, single)
 
     @law_njit(digest, fastmath={"contract"})

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.loads import Places
 
 __all__ = ["Springs", "draw_back", "springs_of"]
@@ -58,7 +58,7 @@ def springs_of(places: Places, columns: Floats, mass: Floats) -> Springs:
     return Springs(found[0], found[1], *largest)
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def draw_back(springs, a, v, forces):  # type: ignore[no-untyped-def]
     """Add the forces of the springs on the first columns to `forces`, those of coordinates a and velocities v."""
     if springs.stiffness.shape[0] == 0:

@@ -18,10 +18,9 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.reduction.hyper.foundation import draw_back
 from palpate.reduction.hyper.material_point import PointLaw
 from palpate.reduction.hyper.sampled_energy import sampled_energy
@@ -50,7 +49,7 @@ def newton(coordinates: int) -> Newton:
     )
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def cholesky_factor(matrix, count):  # type: ignore[no-untyped-def]
     """Factorise in place the symmetric part of the first rows and columns; return whether it is positive definite."""
     for j in range(count):
@@ -72,7 +71,7 @@ def cholesky_factor(matrix, count):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def cholesky_solve(factor, count, vector):  # type: ignore[no-untyped-def]
     """Solve in place with a Cholesky factor."""
     for i in range(count):
@@ -100,7 +99,7 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
     -------
     implicit, tangent : functions
     """
-    digest = law_digest("implicit step", law.digest, single)
+    digest = law_digest(__name__, "implicit step", law.digest, single)
     force, _ = sampled_energy(law, single)
 
     @law_njit(digest, fastmath={"contract"})

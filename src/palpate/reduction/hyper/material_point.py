@@ -92,11 +92,11 @@ def point_law(
     compiled, coefficients = _bare_law(material, kinematics)
     if varied:
         count = len(coefficients)
-        compiled = replace(compiled, digest=law_digest(compiled.digest, "varied", count), varied=count)
+        compiled = replace(compiled, digest=law_digest(__name__, compiled.digest, "varied", count), varied=count)
     if fibres is None:
         return compiled, coefficients
     added = fibre_points(fibres)
-    return replace(compiled, digest=law_digest(compiled.digest, added.digest), fibres=added), coefficients
+    return replace(compiled, digest=law_digest(__name__, compiled.digest, added.digest), fibres=added), coefficients
 
 
 def _bare_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
@@ -124,7 +124,7 @@ def _held(law: PointLaw, volumetric: str) -> PointLaw:
     if volumetric == QUADRATIC:
         return law
     measure_of = volumetric_form(volumetric).measure
-    digest = law_digest(law.digest, measure_of)
+    digest = law_digest(__name__, law.digest, measure_of)
     whole = inlined(digest, measure_of)
 
     @law_njit(digest, cached=False)
@@ -138,7 +138,7 @@ def _held(law: PointLaw, volumetric: str) -> PointLaw:
 @cache
 def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
     """Compile the points of a solid; where one is crushed or inside out, W_s goes on as a parabola in J."""
-    digest = law_digest("solid point", energy_of, first_of, second_of)
+    digest = law_digest(__name__, "solid point", energy_of, first_of, second_of)
     energy_density, slopes, bends = (inlined(digest, f) for f in (energy_of, first_of, second_of))
 
     @register_jitable
@@ -174,14 +174,14 @@ def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
 @cache
 def _stretched_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
     """Compile the points of a solid whose law is one of the principal stretches."""
-    digest = law_digest("stretched point", energy_of, first_of, second_of)
+    digest = law_digest(__name__, "stretched point", energy_of, first_of, second_of)
     return PointLaw(digest, *make_principal_point(digest, energy_of, first_of, second_of, CRUSHED))
 
 
 @cache
 def _sheet_point(law: type[Material], relaxed: bool) -> PointLaw:
     """Compile the points of a membrane; the first coefficient is the prestretch."""
-    digest = law_digest("sheet point", law.variables, law.energy, law.first, law.second, relaxed)
+    digest = law_digest(__name__, "sheet point", law.variables, law.energy, law.first, law.second, relaxed)
     moduli, _ = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)

@@ -21,10 +21,9 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, column_sums, column_work
 from palpate.dynamics.material.fibres import Families, laid_out
 from palpate.dynamics.material.material_fields import spread
@@ -138,7 +137,7 @@ def scratch(of: Samples, remembered: Memory | None = None) -> Scratch:
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@kernel_njit(fastmath={"contract", "reassoc"})
 def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
     for k in range(pressure.shape[1]):
         total = 0.0
@@ -148,7 +147,7 @@ def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
         moments[k] = total
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@kernel_njit(fastmath={"contract", "reassoc"})
 def _add_pressure(weights, pressure, moments, stress, cofactor, dilatation, slope, curved):  # type: ignore[no-untyped-def]
     """Multiply the stresses by their weights and add the pressure times its volume."""
     dilatation[:] = 0.0
@@ -164,7 +163,7 @@ def _add_pressure(weights, pressure, moments, stress, cofactor, dilatation, slop
                 stress[b, q, lane] = weights[b, lane] * stress[b, q, lane] + dilatation[b, lane] * cofactor[b, q, lane]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@kernel_njit(fastmath={"contract", "reassoc"})
 def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
     for m in range(partial.shape[0]):
         total = 0.0
@@ -180,7 +179,7 @@ def firm_weights(of: Samples) -> Floats:
     return of.weights if isinstance(of.coefficients, tuple) else of.weights * of.coefficients[:, -1]
 
 
-@njit(cache=True)
+@kernel_njit()
 def _in_branches(weights, memory):  # type: ignore[no-untyped-def]
     """Energy [J] stored in the branches of relaxing tissue, as last evaluated."""
     total = 0.0
@@ -208,7 +207,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
         ``force(columns, samples, scratch, result)`` writes -dE/da (m,); ``energy(columns, samples, scratch)`` returns
         E [J].
     """
-    digest = law_digest("sampled energy", law.digest, single)
+    digest = law_digest(__name__, "sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
     measure_of, curved = law.measure, law.measure is not None
     stressed, charged, at, varied = law.fibres.stressed, law.fibres.charged, law.at, law.varied

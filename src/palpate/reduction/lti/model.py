@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.loads import FREE, Drive, Gravity, Load, Traction
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State
 from palpate.dynamics.run.reactions import evaluate
@@ -348,7 +348,7 @@ class LinearModel(Model):
         return realtime_model(self, period)
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@kernel_njit(fastmath={"contract", "reassoc"})
 def propagate(x, E, G0, G1, impulse, f, kicks, history):  # type: ignore[no-untyped-def]
     """Advance x (N,) in place by one step less than there are inputs f (t, p); write the states (t, N).
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.loads import DRIVEN
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.state_space import SecondOrder, held_over
@@ -151,7 +151,7 @@ def reach(model: LinearModel) -> Floats:
     return np.array(found, dtype=float)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _exponential(data, period):  # type: ignore[no-untyped-def]
     """Write exp(A T) by scaling and squaring of its series."""
     n, scaled = data.matrix.shape[0], data.scratch[0]
@@ -185,7 +185,7 @@ def _exponential(data, period):  # type: ignore[no-untyped-def]
     data.asked[0] = period
 
 
-@njit(cache=True, fastmath={"contract"})
+@kernel_njit(fastmath={"contract"})
 def _multiply(a, b, result):  # type: ignore[no-untyped-def]
     n = a.shape[0]
     for i in range(n):
@@ -197,7 +197,7 @@ def _multiply(a, b, result):  # type: ignore[no-untyped-def]
                 result[i, j] += value * b[k, j]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@kernel_njit(fastmath={"contract", "reassoc"})
 def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
     """Advance coordinates and velocities (m,) by a period [s] while the tool goes evenly to `target` (l,)."""
     count, m, n = data.modes, q.shape[0], data.matrix.shape[0]
@@ -254,7 +254,7 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
             report[4] += 0.5 * q[i] * data.elastic[i, j] * q[j]
 
 
-@njit(cache=True)
+@kernel_njit()
 def stiffness(data, q, out):  # type: ignore[no-untyped-def]
     """Write how the tool's forces change with its coordinates when the body has come to rest, (l, l)."""
     for i in range(out.shape[0]):

@@ -119,7 +119,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         change with the tool's coordinates (l, l) when the body has come to rest, from the tangents of the last m
         periods.
     """
-    digest = law_digest("period", law.digest, single)
+    digest = law_digest(__name__, "period", law.digest, single)
     force, energy = sampled_energy(law, single)
     average, _ = implicit_step(law, single)
 
