@@ -68,7 +68,7 @@ def main() -> None:
     args = parser.parse_args()
     body = pt.load(args.model)
     hand, contact = _pressing(body, args.model)
-    ready = body.realtime(contact=contact)
+    ready = pt.realtime_model(body, contact=contact)
     period = timed(ready.advance, ready.stiffness)
     press(ready, period, hand, 2 * args.every, 1)
     found: dict[int, list[np.ndarray]] = {args.every: [], 0: []}

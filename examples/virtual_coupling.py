@@ -29,7 +29,7 @@ def balance(model: pt.ReducedModel, stiffness: float, radius: float = RADIUS, de
     normal = cloud.face_normals[cloud.face_nodes == first].sum(axis=0)
     normal /= np.linalg.norm(normal)
     home = cloud.points[first] + (radius + GAP) * normal
-    body = watched(model.realtime(contact=pt.Contact(pt.Sphere(radius), home, friction=0.2)))
+    body = watched(pt.realtime_model(model, contact=pt.Contact(pt.Sphere(radius), home, friction=0.2)))
     body.couple(stiffness)
     data, q, v, report, hand = body.data, body.rest.copy(), np.zeros_like(body.rest), np.zeros(20), np.zeros(3)
     work, books = 0.0, {"work": [], "body": [], "coupling": []}

@@ -234,7 +234,7 @@ def _add(digest: Any, value: Any) -> None:
             digest.update(str(name).encode("utf-8", "replace"))
             _add(digest, value[name])
     elif isinstance(value, pt.ReducedModel):
-        _add(digest, list(storage.contents(value.parts, step=value.step, single=value.single)))
+        _add(digest, list(storage.contents(value)))
     elif isinstance(value, pt.LinearModel):
         _add(digest, value.reduced)
         _add(digest, value.report)
@@ -289,7 +289,7 @@ def use_model(found: pt.ReducedModel) -> None:
 
 def reduced_kind(folder: Path) -> Trial:
     """Return trials of the file of a reduced model."""
-    model().save(folder / "sound.rom")
+    pt.save(model(), folder / "sound.rom")
     return sealed_kind(folder / "sound.rom", storage.FORMAT, storage.VERSION, pt.load, use_model)
 
 
@@ -297,12 +297,12 @@ def linear_kind(folder: Path) -> Trial:
     """Return trials of the file of a linear model."""
     pull = pt.Traction("x+", force=lambda t: (1e-3 * t, 0.0, 0.0))
     system = pt.linearise(bar(), [pull], ["x+"])
-    pt.reduce_linear(system, "modal", 4).save(folder / "sound.lti")
+    pt.save(pt.reduce_linear(system, "modal", 4), folder / "sound.lti")
 
     def use(found: Any) -> None:
         assert np.isfinite(found.poles).all()
 
-    load = lambda path: pt.load_linear(path, system)  # noqa: E731
+    load = lambda path: pt.load(path, system)  # noqa: E731
     return sealed_kind(folder / "sound.lti", linear_storage.FORMAT, linear_storage.VERSION, load, use)
 
 

@@ -30,7 +30,7 @@ from scipy.stats import spearmanr
 
 import palpate as pt
 from palpate.reduction.hyper.cubature import non_negative
-from palpate.reduction.hyper.error_indicator import Frames, tried_frames
+from palpate.reduction.training.calibrate_indicator import Frames, tried_frames
 from palpate.reduction.training.reduce import reduce
 from palpate.scenes.motions import random_motion, training_motions
 

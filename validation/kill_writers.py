@@ -74,8 +74,8 @@ def writers() -> dict[str, Writer]:
     return {
         "trajectory": ("run.h5", lambda path, k: runs[k].save(path), pt.Trajectory.load),
         "run": ("run.h5", streamed, lambda path: len(pt.Trajectory.load(path).times) > 0),
-        "model": ("body.rom", lambda path, k: bodies[k].save(path), pt.load),
-        "linear model": ("bar.lti", lambda path, k: linear[k].save(path), lambda path: pt.load_linear(path, system)),
+        "model": ("body.rom", lambda path, k: pt.save(bodies[k], path), pt.load),
+        "linear model": ("bar.lti", lambda path, k: pt.save(linear[k], path), lambda path: pt.load(path, system)),
         "recording": ("seen.h5", lambda path, k: save_recording(path, records[k]), load_recording),
         "manifest": (
             "campaign.json", lambda path, k: write_sealed_json(path, {"k": [k] * 999}),
@@ -83,7 +83,7 @@ def writers() -> dict[str, Writer]:
         ),
         "black box": ("box.h5", black_box, some_hdf5),
         "ParaView": ("body.vtkhdf", paraview, some_hdf5),
-        "MATLAB": ("system.mat", lambda path, k: system.save_matlab(path), matlab),
+        "MATLAB": ("system.mat", lambda path, k: pt.save_matlab(system, path), matlab),
     }  # fmt: skip
 
 

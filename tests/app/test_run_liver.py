@@ -150,7 +150,7 @@ def test_a_cache_that_cannot_be_written_is_told(cache, tmp_path, assert_refused)
 
 def test_a_model_that_knows_no_contact_is_refused(run, held, tmp_path, assert_refused):
     file, out = tmp_path / "bar.rom", tmp_path / "out"
-    pt.reduce(held, run, modes=2).save(file)
+    pt.save(pt.reduce(held, run, modes=2), file)
     assert_refused([*REALTIME, "--model", str(file), "--out", str(out)], str(file), "palpate train liver")
     assert not out.exists()
 

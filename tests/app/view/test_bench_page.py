@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+import palpate as pt
 from palpate.app.bench.chromium import find_chromium
 from palpate.app.bench.drawn import FinelyDrawn, centred, divided
 from palpate.app.cli import main
@@ -54,7 +55,7 @@ def test_a_finer_surface_moves_linearly_between_the_vertices_of_the_coarse_one(s
 
 @pytest.mark.skipif(find_chromium() is None, reason="no Chromium on this machine; on Debian: apt-get install chromium")
 def test_the_command_measures_a_press(model, tmp_path, capsys):
-    model.save(tmp_path / "block.rom")
+    pt.save(model, tmp_path / "block.rom")
     given = [
         "--model",
         str(tmp_path / "block.rom"),

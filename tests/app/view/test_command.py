@@ -10,6 +10,7 @@ import time
 import h5py
 import pytest
 
+import palpate as pt
 from palpate.app.cli import main
 from palpate.app.view.recording import load_recording, save_recording
 from palpate.app.view.session import Session
@@ -18,7 +19,7 @@ from palpate.app.view.session import Session
 @pytest.fixture(scope="module")
 def file(model, tmp_path_factory):
     path = tmp_path_factory.mktemp("models") / "block.rom"
-    model.save(path)
+    pt.save(model, path)
     return path
 
 

@@ -374,7 +374,7 @@ def test_several_tools_are_not_run_on_the_full_model(recorded):
 
 
 def test_a_script_drives_a_session(model, tmp_path, capsys, assert_refused):
-    model.save(tmp_path / "block.rom")
+    pt.save(model, tmp_path / "block.rom")
     ball = {"type": "tool", "kind": "sphere", "radius": BALL, "position": ABOVE.tolist()}
     lines = [
         {"time": 0.0, **ball},

@@ -102,7 +102,7 @@ def test_a_reduced_model_knows_the_parts(tmp_path):
     again = pt.rollout(few, loads, duration=0.03, every=0.001, progress=False)
     assert pt.errors(run, again).displacement < 0.08
     assert again.dissipated[-1] == pytest.approx(run.dissipated[-1], rel=0.05)
-    few.save(tmp_path / "bar.rom")
+    pt.save(few, tmp_path / "bar.rom")
     loaded, a = pt.load(tmp_path / "bar.rom"), 1e-4 * np.ones(6) / few.sizes
     assert loaded.parts.regions.materials == few.parts.regions.materials
     np.testing.assert_array_equal(loaded.parts.regions.which, few.parts.regions.which)

@@ -229,7 +229,7 @@ def test_the_surface_of_its_own_is_needed(pressed):
 
 def test_saved_and_loaded_it_runs_the_same(pressed, tmp_path):
     _, _, model = pressed
-    model.save(tmp_path / "block.rom")
+    pt.save(model, tmp_path / "block.rom")
     first, second = (
         pt.rollout(m, press(0.024, 0.038), duration=0.08, every=0.01) for m in (model, pt.load(tmp_path / "block.rom"))
     )
@@ -265,7 +265,7 @@ def test_the_engine_feels_what_a_run_feels(pressed):
     depth, rate, home = 0.004, 1000, (0.024, 0.038, SIZE[2] + BALL + 0.001)
     slow = pt.Contact(pt.Sphere(BALL), lambda time: (*home[:2], home[2] - (depth + 0.001) * min(time / 0.1, 1.0)))
     run = pt.rollout(model, [slow], duration=0.2, every=0.01)
-    ready = model.realtime(contact=pt.Contact(pt.Sphere(BALL), home))
+    ready = pt.realtime_model(model, contact=pt.Contact(pt.Sphere(BALL), home))
     q, v, report = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(20)
     felt, moments = [], []
     for k in range(200):
@@ -334,7 +334,7 @@ def test_a_grasp_of_what_is_fixed_or_of_nothing_is_refused(pressed):
 def test_an_engine_presses_and_lets_go(pressed):
     _, _, model = pressed
     home = (0.03, 0.03, SIZE[2] + BALL + 0.001)
-    with pt.Engine(model.realtime(contact=pt.Contact(pt.Sphere(BALL), home)), on_distrust="warn") as engine:
+    with pt.Engine(pt.realtime_model(model, contact=pt.Contact(pt.Sphere(BALL), home)), on_distrust="warn") as engine:
         engine.set_pose((0.0, 0.0, -0.004))
         import time
         import warnings

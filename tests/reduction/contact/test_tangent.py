@@ -47,7 +47,7 @@ class Hand:
     """A slow hand with a tool on a body in real time."""
 
     def __init__(self, model, contact, **options):
-        self.ready = model.realtime(contact=contact, **options)
+        self.ready = pt.realtime_model(model, contact=contact, **options)
         self.q, self.v, self.report = self.ready.rest.copy(), np.zeros_like(self.ready.rest), np.zeros(20)
 
     def goes(self, place, periods=400):

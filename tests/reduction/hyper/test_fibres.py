@@ -80,7 +80,7 @@ def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
     assert np.isfinite(model.energy(wild))
     assert np.isfinite(model.force(wild)).all()
     # the file
-    model.save(tmp_path / "fibres.rom")
+    pt.save(model, tmp_path / "fibres.rom")
     loaded = pt.load(tmp_path / "fibres.rom")
     assert type(loaded.parts.fibres) is type(body.fibres)
     np.testing.assert_array_equal(loaded.parts.fibres.directions, body.fibres.directions)
@@ -107,4 +107,4 @@ def test_fibres_of_ones_own_are_not_saved(tmp_path):
     states = pt.Trajectory("s", np.arange(8.0), fields, 0 * fields, {}, *zeros, np.arange(8), cloud.points)
     model = pt.reduce(body, states, modes=2)
     with pytest.raises(pt.InputError, match="is not one of palpate's"):
-        model.save(tmp_path / "hair.rom")
+        pt.save(model, tmp_path / "hair.rom")

@@ -127,7 +127,7 @@ def test_a_tool_feels_the_springs(grasped, step):
 @pytest.mark.parametrize("step", [None, 2e-4])
 def test_so_does_a_hand_in_real_time(grasped, step):
     rom = grasped[2].with_step(step)
-    ready = rom.realtime(foundations=[SPRINGS])
+    ready = pt.realtime_model(rom, foundations=[SPRINGS])
     q, v, report = np.zeros(len(ready.rest)), np.zeros(len(ready.rest)), np.zeros(8 + len(ready.tool))
     target = ready.tool[:, :3] @ [1e-3, 5e-4, 0.0]
     for k in range(300):

@@ -128,7 +128,7 @@ def test_a_run_that_errs_far_more_than_the_others_moves_the_correction_little(mo
 
 
 def test_grip_and_held_nodes_are_kept(model, tmp_path):
-    model.save(tmp_path / "block.rom")
+    pt.save(model, tmp_path / "block.rom")
     loaded = pt.load(tmp_path / "block.rom")
     assert loaded.parts.dents.grip == model.parts.dents.grip
     loads = [*OTHERS["grasp"], replace(press(0.015, 0.03)[0], name="ball")]

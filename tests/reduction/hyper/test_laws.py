@@ -121,7 +121,7 @@ def test_a_reduced_model_in_another_form_repeats_the_full_one_and_is_kept(tmp_pa
     run = rollout(body)
     model = pt.reduce(body, run, modes=12)
     assert pt.errors(run, rollout(model)).displacement < 0.03
-    model.save(tmp_path / "mixed.rom")
+    pt.save(model, tmp_path / "mixed.rom")
     loaded = pt.load(tmp_path / "mixed.rom")
     assert loaded.material == body.material
     a = 1e-4 * np.ones(12)
@@ -144,7 +144,7 @@ def test_an_energy_of_ones_own_is_kept_as_text(tmp_path):
     law = pt.Hyperelastic("C1*(I1bar - 3) + C2*(exp(I1bar - 3) - 1)", C1=4e3, C2=1e3, prony=SERIES, **REST)
     body = block(law)
     model = pt.reduce(body, shaped(body), modes=4)
-    model.save(tmp_path / "own.rom")
+    pt.save(model, tmp_path / "own.rom")
     loaded = pt.load(tmp_path / "own.rom")
     assert type(loaded.material) is type(law)
     assert loaded.material == body.material
@@ -219,7 +219,7 @@ def test_the_engine_remembers_and_forgets():
     body = block(pt.NeoHookean(C1=5e3, prony=pt.Prony(shares=0.5, times=0.1), **REST))
     grasp = [pt.PrescribedMotion("x+", lambda points, t: (2e-3 * course(t), 0.0, 0.0))]
     model = pt.reduce(body, rollout(body, grasp), modes=10, driven="x+")
-    live = model.realtime()
+    live = pt.realtime_model(model)
     q, v, report = live.rest.copy(), np.zeros(len(live.rest)), np.zeros(8 + len(live.tool))
 
     def held(periods):

@@ -234,7 +234,7 @@ def test_few_points_of_a_taut_sheet_feel_what_all_points_feel(sheet, push, tmp_p
     assert found.reaction < 0.05
     assert found.displacement < 0.05
     for model in models:
-        model.save(tmp_path / "taut.rom")
+        pt.save(model, tmp_path / "taut.rom")
         assert len(pt.load(tmp_path / "taut.rom").parts.cubature.nodes) == len(model.parts.cubature.nodes)
 
 
@@ -268,7 +268,7 @@ def test_a_strong_form_sheet_is_reduced_by_its_energy_form(sheet, push):
 
 
 def test_a_sampled_sheet_is_saved_and_loaded(sampled, tmp_path):
-    sampled.save(tmp_path / "sheet.rom")
+    pt.save(sampled, tmp_path / "sheet.rom")
     loaded = pt.load(tmp_path / "sheet.rom")
     assert loaded.parts.kinematics == sampled.parts.kinematics
     assert loaded.material == sampled.material

@@ -113,7 +113,7 @@ def test_pymor_interpolates_the_handed_over_body_tangentially(system):
     pytest.importorskip("pymor", reason=WHY)
     from pymor.reductors.interpolation import SOBHIReductor
 
-    fom = system.to_pymor()
+    fom = pt.to_pymor(system)
     sigma, rng = np.array([150.0, 800.0]), np.random.default_rng(0)
     b, c = rng.standard_normal((2, 3)), rng.standard_normal((2, 6))
     rom = SOBHIReductor(fom).reduce(sigma, b, c)
@@ -128,7 +128,7 @@ def test_pymor_interpolates_the_handed_over_body_tangentially(system):
 def test_pymor_has_the_same_transfer_function(form, request):
     pytest.importorskip("pymor", reason=WHY)
     system = request.getfixturevalue(form)
-    fom = system.to_pymor()
+    fom = pt.to_pymor(system)
     for s in (0.0, 300.0j, 50.0 + 900.0j):
         expected = system.transfer(s)[0]
         np.testing.assert_allclose(fom.transfer_function.eval_tf(s), expected, atol=1e-9 * np.abs(expected).max())
@@ -321,7 +321,7 @@ def test_without_pymor_the_message_says_how_to_install_it(system, monkeypatch):
         with pytest.raises(pt.InputError, match=r"pip install 'palpate\[linear\]'"):
             pt.reduce_linear(system, method, 4)
     with pytest.raises(pt.InputError, match=r"pip install 'palpate\[linear\]'"):
-        system.to_pymor()
+        pt.to_pymor(system)
     assert pt.reduce_linear(system, "modal", 4).stable  # needs none
 
 

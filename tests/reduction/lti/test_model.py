@@ -133,7 +133,7 @@ def test_a_tool_that_turns_far_is_refused(tool_system):
 
 def test_the_engine_s_period_is_the_run(tool_system):
     model = pt.reduce_linear(tool_system, "modal", 8)
-    ready, period = model.realtime(1e-3), 1e-3
+    ready, period = pt.realtime_model(model, period=1e-3), 1e-3
     q, v, report = ready.rest.copy(), ready.rest.copy(), np.zeros(8 + model.lifted)
 
     def ramped(points, time):  # evenly within every period
@@ -170,7 +170,7 @@ def test_the_engine_s_period_is_the_run(tool_system):
 
 def test_the_engine_runs_it(tool_system):
     model = pt.reduce_linear(tool_system, "modal", 8)
-    with pt.Engine(model.realtime(), 500.0) as engine:
+    with pt.Engine(pt.realtime_model(model), 500.0) as engine:
         engine.set_pose((1e-6, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
         until = perf_counter() + 20.0
         while engine.read().steps < 400 and perf_counter() < until:
@@ -183,7 +183,7 @@ def test_the_engine_runs_it(tool_system):
 
 def test_the_engine_takes_one_tool_and_no_load(system):
     with pytest.raises(pt.InputError, match="one tool"):
-        pt.reduce_linear(system, "modal", 4).realtime()
+        pt.realtime_model(pt.reduce_linear(system, "modal", 4))
 
 
 def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
@@ -208,28 +208,28 @@ def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
 @pytest.mark.parametrize("method", ["modal", "hankel"])
 def test_a_saved_model_is_the_model(method, system, tool_system, soft_pull, tmp_path):
     model = pt.reduce_linear(system, method, 5, condense=40)
-    model.save(tmp_path / "bar.lti")
-    loaded = pt.load_linear(tmp_path / "bar.lti", system)
+    pt.save(model, tmp_path / "bar.lti")
+    loaded = pt.load(tmp_path / "bar.lti", system)
     first, second = (pt.rollout(each, [soft_pull], duration=0.005, every=0.0005) for each in (model, loaded))
     np.testing.assert_array_equal(first.displacements, second.displacements)
     assert loaded.report["method"] == method
     assert [path.name for path in tmp_path.iterdir()] == ["bar.lti"]
     with pytest.raises(pt.InputError, match="another linear system"):
-        pt.load_linear(tmp_path / "bar.lti", tool_system)
+        pt.load(tmp_path / "bar.lti", tool_system)
 
 
 def test_files_that_hold_no_linear_model_are_refused(system, tmp_path):
     with pytest.raises(FileNotFoundError):
-        pt.load_linear(tmp_path / "none.lti", system)
+        pt.load(tmp_path / "none.lti", system)
     (tmp_path / "text.lti").write_text("no model", encoding="utf-8")
     with pytest.raises(pt.FileFormatError):
-        pt.load_linear(tmp_path / "text.lti", system)
+        pt.load(tmp_path / "text.lti", system)
     model = pt.reduce_linear(system, "modal", 3)
-    model.save(tmp_path / "cut.lti")
+    pt.save(model, tmp_path / "cut.lti")
     content = (tmp_path / "cut.lti").read_bytes()
     (tmp_path / "cut.lti").write_bytes(content[: len(content) // 2])
     with pytest.raises(pt.FileFormatError):
-        pt.load_linear(tmp_path / "cut.lti", system)
+        pt.load(tmp_path / "cut.lti", system)
 
 
 @pytest.mark.parametrize(
@@ -246,19 +246,19 @@ def test_files_that_hold_no_linear_model_are_refused(system, tmp_path):
     ],
 )
 def test_what_no_linear_model_has_is_refused_even_with_right_checksums(system, tmp_path, forge, change, message):
-    pt.reduce_linear(system, "modal", 3).save(tmp_path / "lie.lti")
+    pt.save(pt.reduce_linear(system, "modal", 3), tmp_path / "lie.lti")
     forge(tmp_path / "lie.lti", change, FORMAT, VERSION)
     with pytest.raises(pt.FileFormatError, match=rf"lie\.lti: .*{message}"):
-        pt.load_linear(tmp_path / "lie.lti", system)
+        pt.load(tmp_path / "lie.lti", system)
 
 
 def test_a_flipped_bit_of_a_linear_model_is_refused_wherever_it_is(system, tmp_path):
     path = tmp_path / "bar.lti"
-    pt.reduce_linear(system, "modal", 3).save(path)
+    pt.save(pt.reduce_linear(system, "modal", 3), path)
     data, generator = path.read_bytes(), np.random.default_rng(4)
     for place in [0, 30, 511, *generator.integers(len(data), size=60)]:
         changed = bytearray(data)
         changed[place] ^= 1 << int(generator.integers(8))
         path.write_bytes(changed)
         with pytest.raises(pt.FileFormatError, match=r"bar\.lti"):
-            pt.load_linear(path, system)
+            pt.load(path, system)

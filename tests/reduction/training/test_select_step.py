@@ -70,7 +70,7 @@ def test_the_model_is_otherwise_the_same_and_the_given_one_is_left_alone(rom, tm
     assert (found.step, found.single) == (1e-3, False)
     assert "stepping" not in rom.report
     assert found.report["nodes"] == rom.report["nodes"]
-    found.save(tmp_path / "body.rom")
+    pt.save(found, tmp_path / "body.rom")
     loaded = pt.load(tmp_path / "body.rom")
     assert (loaded.step, loaded.single) == (1e-3, False)
     assert loaded.report["stepping"] == found.report["stepping"]

@@ -10,7 +10,7 @@ from palpate.app.run.quick import trained
 from palpate.app.run.realtime import Poses, run_realtime
 from palpate.faults import integer_in_range
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.storage.model_file import load
+from palpate.reduction.storage.models import load
 from palpate.scenes.beam import COARSEST
 from palpate.scenes.grasp import Hand, grasped_beam
 from palpate.scenes.scene import TrainingScene

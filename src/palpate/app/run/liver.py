@@ -23,7 +23,8 @@ from palpate.dynamics.contact.tools import Contact
 from palpate.faults import FileFormatError, InputError
 from palpate.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.storage import model_file as storage
+from palpate.reduction.storage import model_file
+from palpate.reduction.storage.models import load
 from palpate.scenes.liver import ToolPaths
 from palpate.scenes.training import training_scene, typed
 
@@ -65,7 +66,7 @@ def run_liver(*, model: Path | None = None, **options: Any) -> int:
     options = {name: value for name, value in options.items() if value is not None}
 
     def made(console: Console) -> tuple[ReducedModel, Poses, Contact]:
-        body = cached(console) if model is None else storage.load(model)
+        body = cached(console) if model is None else load(model)
         return body, *_pressing(body, cache() / MODEL if model is None else model)
 
     about = {"file": str(model or cache() / MODEL)}
@@ -76,7 +77,7 @@ def cache() -> Path:
     """Return the folder of the user's cache that holds the small model of this version with these parameters."""
     import pooch
 
-    about = {"scene": typed(SCENE, SMALL), "training": [PATHS, HELD_OUT, MODES], "file": storage.VERSION}
+    about = {"scene": typed(SCENE, SMALL), "training": [PATHS, HELD_OUT, MODES], "file": model_file.VERSION}
     digest = hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:8]
     return Path(pooch.os_cache("palpate")) / f"{SCENE}-{__version__}-{digest}"
 
@@ -89,7 +90,7 @@ def cached(console: Console) -> ReducedModel:
     folder = cache()
     if (folder / MODEL).is_file():
         try:
-            return storage.load(folder / MODEL)
+            return load(folder / MODEL)
         except FileFormatError as error:
             console.say(f"{error}; training another")
     try:

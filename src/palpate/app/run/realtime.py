@@ -21,6 +21,7 @@ from palpate.realtime.device import DummyDevice
 from palpate.realtime.engine import Engine
 from palpate.realtime.statistics import Distribution, Statistics
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.model import realtime_model
 
 __all__ = ["FILES", "Poses", "run_realtime"]
 
@@ -84,7 +85,7 @@ def run_realtime(
     console = Console()
     body, hand, contact = made(console)
     with console.status("making the engine ready (the first run on a machine compiles it: about a minute)"):
-        ready = body.realtime(contact=contact)
+        ready = realtime_model(body, contact=contact)
         out.mkdir(parents=True, exist_ok=True)
         engine = Engine(ready, rate, history=seconds, black_box=out / BLACK_BOX)
     statistics = _stepped(engine, hand, seconds, out / BLACK_BOX, console)

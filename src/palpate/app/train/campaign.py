@@ -17,6 +17,7 @@ from palpate.dynamics.solid.model import FullModel
 from palpate.files import check_space
 from palpate.reduction.basis.linear_modes import carried_modes
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import reduce
 from palpate.scenes.scene import TrainingScene
 
@@ -124,5 +125,5 @@ def make_model(
             held_out=tried, cubature=share, coarse=coarse, repeated=touched[:REPEATED],
         )  # fmt: skip
     model.report["scene"] = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
-    model.save(folder.path / MODEL)
+    save(model, folder.path / MODEL)
     return model

@@ -8,7 +8,7 @@ from pathlib import Path
 from palpate.app.console import Console
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.storage.model_file import load
+from palpate.reduction.storage.models import load
 from palpate.scenes.grasp import grasped_beam
 from palpate.scenes.push import pushed_membrane
 from palpate.scenes.scene import TrainingScene

@@ -123,7 +123,7 @@ def save_recording(path: Path, recording: Recording) -> None:
         raise InputError(f"a recording's name must not end in .vtkhdf, got {str(path)!r}: the file for ParaView has it")
     path.parent.mkdir(parents=True, exist_ok=True)
     moments, model = recording.moments, recording.model
-    header, arrays = contents(model.parts, step=model.step, single=model.single)
+    header, arrays = contents(model)
     arrays = {f"model/{name}": values for name, values in arrays.items()}
     arrays |= {name: np.array([getattr(moment, name) for moment in moments], dtype=float) for name in NUMBERS}
     arrays["trust"] = np.minimum(arrays["trust"], LARGEST)  # a body trained at rest has almost no reach

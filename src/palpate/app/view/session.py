@@ -25,6 +25,7 @@ from palpate.realtime.watched import Seen, watched
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.change_tool import retool
 from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.model import realtime_model
 
 __all__ = ["Session"]
 
@@ -65,7 +66,7 @@ class Session:
         self._outside = Outside(self.surface)
         self.touched = not model.parts.driven and model.parts.dents is not None
         far = Contact(Sphere(model.cloud.spacing), model.cloud.points.max(axis=0) + 10.0) if self.touched else None
-        self._ready = model.realtime(contact=far)
+        self._ready = realtime_model(model, contact=far)
         self._home, self._turn = np.zeros(3), UNTURNED  # of the tool when it was put down
         self.held, self.chosen = NOTHING, NOTHING
         if self.touched:

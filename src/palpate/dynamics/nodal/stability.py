@@ -12,18 +12,19 @@ follows the deforming body by a few power iterations on its present tangent.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.loads.loads import Drive, Load
 from palpate.dynamics.run.model import State
 from palpate.faults import CloudError, InputError, number_in_range
-
-if TYPE_CHECKING:
-    from palpate.dynamics.nodal.model import NodalModel
-    from palpate.dynamics.solid.model import FullModel
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.stencils import Stencils
+from palpate.tissue.materials import Material
 
 __all__ = [
     "FrequencyTracker",
@@ -42,6 +43,33 @@ DENSE_NODES = 400
 WINDOW, WINDOWS, ROUNDS = 100, 12, 8  # steps a window, windows a round, rounds of raising the viscosity
 GROWTH = 0.03  # logarithmic growth a window that counts as growth
 LOWEST, HIGHEST = 1e-6, 1e15  # [rad/s] of a body's highest frequency: beyond, its squares leave double precision
+
+
+class ElasticBody(Protocol):
+    """The parts of a nodal model on which its stability depends.
+
+    Parameters
+    ----------
+    viscosity : float [s]
+    highest_frequency : function
+        Of displacements (n, 3) [m] and fixed nodes (n,): the highest frequency [rad/s].
+    """
+
+    viscosity: float
+    highest_frequency: Any
+
+    @property
+    def cloud(self) -> Cloud: ...
+    @property
+    def material(self) -> Material: ...
+    @property
+    def held(self) -> NDArray[np.bool_]: ...
+    @property
+    def stencils(self) -> Stencils: ...
+    def force(self, displacements: Floats) -> Floats: ...
+    def firm_force(self, displacements: Floats) -> Floats: ...
+    def drive(self, loads: Sequence[Load]) -> Drive: ...
+    def advance(self, state: State, drive: Drive, dt: float, steps: int) -> State: ...
 
 
 @dataclass(frozen=True)
@@ -102,12 +130,12 @@ def stable_step(frequency: float, viscosity: float) -> float:
     return float(SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency)
 
 
-def resting_frequency(model: NodalModel, displacements: Floats | None = None) -> float:
+def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -> float:
     """Return the highest frequency [rad/s] of a body at rest.
 
     Parameters
     ----------
-    model : NodalModel
+    model : ElasticBody
     displacements : (n, 3) array, optional [m]
         Of a sheet, which resists when it is taut.
 
@@ -128,7 +156,7 @@ def resting_frequency(model: NodalModel, displacements: Floats | None = None) ->
     return frequency
 
 
-def stiffness(model: NodalModel, displacements: Floats | None = None) -> Floats:
+def stiffness(model: ElasticBody, displacements: Floats | None = None) -> Floats:
     """Return the dense tangent -d(acceleration)/du of the free nodes [1/s^2], by central differences."""
     u = np.zeros((len(model.cloud), 3)) if displacements is None else displacements.copy()
     free = np.flatnonzero(np.repeat(~model.held, 3))
@@ -144,7 +172,7 @@ def stiffness(model: NodalModel, displacements: Floats | None = None) -> Floats:
     return columns
 
 
-def spectrum(model: NodalModel, displacements: Floats | None = None) -> NDArray[np.complex128]:
+def spectrum(model: ElasticBody, displacements: Floats | None = None) -> NDArray[np.complex128]:
     """Return all eigenvalues w^2 [1/s^2] of the linearised body at a state: the oracle for small clouds."""
     return np.linalg.eigvals(stiffness(model, displacements)).astype(complex)
 
@@ -159,7 +187,7 @@ def needed_viscosity(eigenvalues: NDArray[np.complex128]) -> float:
 class FrequencyTracker:
     """Highest frequency of a deforming body, by power iterations that go on from call to call."""
 
-    def __init__(self, model: NodalModel) -> None:
+    def __init__(self, model: ElasticBody) -> None:
         self._model = model
         self._noise = np.random.default_rng(0).standard_normal((len(model.cloud), 3))
         self.restart()
@@ -189,7 +217,7 @@ class FrequencyTracker:
         return float(np.sqrt(ratio))
 
 
-def choose_viscosity(model: FullModel, viscosity: float | None) -> StabilityReport:
+def choose_viscosity(model: ElasticBody, viscosity: float | None) -> StabilityReport:
     """Examine a model at rest and choose its viscosity unless it is given.
 
     Raises
@@ -216,20 +244,20 @@ def choose_viscosity(model: FullModel, viscosity: float | None) -> StabilityRepo
     return StabilityReport("step map", None, needed, used, frequency, stable_step(frequency, used), growth)
 
 
-def _undampable(model: FullModel, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]) -> CloudError:
+def _undampable(model: ElasticBody, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]) -> CloudError:
     values, vectors = eigen
     shape = np.abs(vectors[:, np.argmin(values.real)]).reshape(-1, 3)
     return _cloud_fault(model, int(np.flatnonzero(~model.held)[np.argmax(np.linalg.norm(shape, axis=1))]))
 
 
-def _cloud_fault(model: FullModel, node: int) -> CloudError:
+def _cloud_fault(model: ElasticBody, node: int) -> CloudError:
     return CloudError(
         f"the body is unstable at rest: a mode that viscosity cannot damp lives at node {node}, "
-        f"{model.cloud.points[node]} m. Use more neighbours (now {model.neighbours}), less jitter, or move that node"
+        f"{model.cloud.points[node]} m. Use more neighbours (now {model.stencils.neighbours.shape[1]}), less jitter, or move that node"
     )
 
 
-def _viscosity_by_steps(model: FullModel, frequency: float) -> tuple[float, float]:
+def _viscosity_by_steps(model: ElasticBody, frequency: float) -> tuple[float, float]:
     """Raise beta until a tiny random motion no longer grows; return it and the growth rate left."""
     drive, needed, rate = model.drive(()), 0.0, 0.0
     for _ in range(ROUNDS):

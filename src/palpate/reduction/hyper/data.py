@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.meshfree.cloud import Cloud
-from palpate.reduction.contact.compliance import Dents
+from palpate.reduction.contact.compliance import NO_DENTS, Dents
+from palpate.reduction.contact.surface import Skin, skin
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.sampled_energy import Samples, samples
@@ -100,6 +101,11 @@ class ReducedParts:
     fibres: FibreLaw | None = None
     dents: Dents | None = None
     regions: Regions | None = None
+
+    @property
+    def surface(self) -> Skin:
+        """The surface that tools touch; empty for a model without contact."""
+        return skin(self.dents or NO_DENTS, self.cloud.points, self.columns[: self.modes + self.lifted])
 
     def samples(self, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool) -> Samples:
         """Lay the samples of some columns out."""

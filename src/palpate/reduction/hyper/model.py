@@ -9,14 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.contact.tools import Contact, Grasp
-from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.loads import Drive, Load
 from palpate.dynamics.material.fibres import firm
 from palpate.dynamics.material.relaxation import at_ease, recall, remembered
@@ -25,8 +22,9 @@ from palpate.dynamics.run.model import Model, Nodes, Outputs, State, initial_fie
 from palpate.dynamics.run.reactions import touching
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
+from palpate.reduction.contact.tools import Handling, dented, held_nodes
 from palpate.reduction.hyper.data import ReducedParts
-from palpate.reduction.hyper.error_indicator import distance, expected_error, imbalance
+from palpate.reduction.hyper.error_indicator import expected_error, nearest
 from palpate.reduction.hyper.explicit import explicit_step
 from palpate.reduction.hyper.foundation import draw_back
 from palpate.reduction.hyper.generalised_forces import ColumnLoads, column_loads, load_forces, pose_map
@@ -34,8 +32,6 @@ from palpate.reduction.hyper.implicit import implicit_step, newton
 from palpate.reduction.hyper.loads import lifted, ready_drive
 from palpate.reduction.hyper.material_point import point_law
 from palpate.reduction.hyper.sampled_energy import Samples, firm_weights, sampled_energy, scratch
-from palpate.reduction.realtime.model import RealtimeModel, realtime_model
-from palpate.reduction.training.fit_compliance import Handling, dented, held_nodes, skin_of
 
 __all__ = ["ReducedModel", "ReducedParts"]
 
@@ -96,7 +92,7 @@ class ReducedModel(Model):
         self.sizes = np.linalg.norm(parts.columns[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
         self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
         self._loaded: ColumnLoads | None = None
-        self._skin = skin_of(parts)
+        self._skin = parts.surface
         self._handled: Handling | None = None
         self._result, self._everything, self._frequency, self._reach = np.zeros(count), np.zeros(len(flat)), 0.0, 0.0
         self._frequency_at: Floats | None = None
@@ -248,7 +244,11 @@ class ReducedModel(Model):
     def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes, rebuilt only there."""
         moved = np.tensordot(state.coordinates, self.parts.columns[: self.count, nodes], 1)
-        return moved if state.touch is None else moved + dented(self.parts, self._skin, state.touch, drive)[0][nodes]
+        return (
+            moved
+            if state.touch is None
+            else moved + dented(self.parts.dents, self.cloud.points, self._skin, state.touch, drive)[0][nodes]
+        )
 
     def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
@@ -294,7 +294,7 @@ class ReducedModel(Model):
 
     def outputs(self, state: State, drive: Drive) -> Outputs:
         forces, moments, touches, _ = touching(state, drive)
-        dents, stored = dented(self.parts, self._skin, state.touch, drive)
+        dents, stored = dented(self.parts.dents, self.cloud.points, self._skin, state.touch, drive)
         return Outputs(
             np.tensordot(state.coordinates, self.parts.columns[: self.count], 1) + dents,
             self.velocity(state, drive),
@@ -316,7 +316,19 @@ class ReducedModel(Model):
         trust number at most 1 on 95 % of the frames of the held-out runs. Without those they are the distance that 95 %
         of the training states keep to other training runs, and the imbalance that projecting them makes.
         """
-        return max(distance(self, state) / self.parts.reach, imbalance(self, state, drive) / self.parts.leeway)
+        return max(self.distance(state) / self.parts.reach, self.imbalance(state, drive) / self.parts.leeway)
+
+    def distance(self, state: State) -> float:
+        """Return the root mean square displacement [m] over the body from a state to the nearest training state."""
+        return float(nearest(state.coordinates[None], self.parts.trained, self.mass / self.masses.sum())[0])
+
+    def imbalance(self, state: State, drive: Drive) -> float:
+        """Return the root mean square displacement [m] that forces which the coordinates cannot balance would make.
+
+        The forces are those on the witnesses (`palpate.reduction.training.residual_fields`), the displacement that at
+        rest in their shapes; 0 without witnesses.
+        """
+        return float(np.linalg.norm(self.needed(state, drive)[len(self.parts.columns) - self.parts.witnesses :]))
 
     def expected_error(self, trust: float) -> tuple[float, float]:
         """Return what displacement error came with a trust number in the held-out runs: median and 95th percentile.
@@ -371,30 +383,3 @@ class ReducedModel(Model):
     def with_step(self, step: float | None) -> ReducedModel:
         """Return this model stepped by the energy-conserving implicit rule of a step [s], or explicitly (None)."""
         return ReducedModel(self.parts, step=step, single=self.single)
-
-    def realtime(
-        self, longest: float = 0.02, contact: Contact | Grasp | None = None, foundations: Sequence[Foundation] = ()
-    ) -> RealtimeModel:
-        """Return this model as `palpate.Engine` takes it, with one tool that holds the driven group, or touches it.
-
-        Parameters
-        ----------
-        longest : float [s]
-            Longest period that will be asked for.
-        contact : Contact or Grasp, optional
-            The tool that touches the body, from its place at time 0. Trust then is the distance from training alone.
-        foundations : sequence of Foundation
-            Springs that tie the body. There are no other loads in real time.
-
-        Raises
-        ------
-        InputError
-            The model was not trained with exactly one driven group, or with tools that touch it; another load.
-        """
-        return realtime_model(self, longest, contact, foundations)
-
-    def save(self, path: str | Path) -> None:
-        """Write everything to one file, whole or not at all (`palpate.load` reads it)."""
-        from palpate.reduction.storage.model_file import save
-
-        save(self.parts, Path(path), step=self.step, single=self.single)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg
@@ -13,9 +12,7 @@ import scipy.linalg
 from palpate.dynamics.run.rollout import machine_memory
 from palpate.faults import InputError
 from palpate.reduction.lti.projection_methods import factorised
-
-if TYPE_CHECKING:
-    from palpate.reduction.lti.system import LinearSystem
+from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["Budget", "Estimate", "dense_lyapunov", "sparse_lyapunov"]
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 
 from palpate.files import whole_file
-
-if TYPE_CHECKING:
-    from palpate.reduction.lti.system import LinearSystem
+from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["matrices", "save_matlab", "save_matrix_market"]
 

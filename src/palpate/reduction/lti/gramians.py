@@ -7,7 +7,7 @@ slowly, for every resonance wants a shift of its own; so its result is held agai
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from palpate.faults import InputError
 from palpate.reduction.lti.budget import Budget, sparse_lyapunov
 from palpate.reduction.lti.state_space import FirstOrder
-
-if TYPE_CHECKING:
-    from palpate.reduction.lti.system import LinearSystem
+from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["balanced_in_low_rank", "dense_solver", "residual"]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -323,29 +322,6 @@ class LinearModel(Model):
     @property
     def volumes(self) -> Floats:
         return self.full.volumes
-
-    def save(self, path: str | Path) -> None:
-        """Write the reduced equations to an HDF5 file; `palpate.load_linear` reads it with the same system."""
-        from palpate.reduction.lti.storage import save
-
-        save(self, Path(path))
-
-    def realtime(self, period: float = 1e-3) -> Any:
-        """Return this model as `palpate.Engine` takes it, with the one tool that its system was made with.
-
-        Parameters
-        ----------
-        period : float [s]
-            That the engine will mostly ask for; another one costs a matrix exponential when it is first met.
-
-        Raises
-        ------
-        InputError
-            The system was not made with exactly one tool, or has other loads.
-        """
-        from palpate.reduction.lti.realtime import realtime_model
-
-        return realtime_model(self, period)
 
 
 @kernel_njit(fastmath={"contract", "reassoc"})

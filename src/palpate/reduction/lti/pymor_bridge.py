@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from palpate.faults import InputError
+from palpate.reduction.lti.system import LinearSystem
 
-if TYPE_CHECKING:
-    from palpate.reduction.lti.system import LinearSystem
-
-__all__ = ["need_pymor", "second_order_model"]
+__all__ = ["need_pymor", "to_pymor"]
 
 HOW = "it needs pyMOR, which is not installed: pip install 'palpate[linear]' (or pip install pymor)"
 
@@ -29,8 +27,10 @@ def need_pymor(what: str) -> None:
     set_log_levels({"pymor": "ERROR"})
 
 
-def second_order_model(system: LinearSystem, solver: Any = None) -> Any:
-    """Return a linearised body as a `SecondOrderModel`.
+def to_pymor(system: LinearSystem, solver: Any = None) -> Any:
+    """Return a linearised body as pyMOR's `pymor.models.iosys.SecondOrderModel`.
+
+    Its E is the damping, its D the feedthrough.
 
     Parameters
     ----------

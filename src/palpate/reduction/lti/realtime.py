@@ -6,7 +6,7 @@ that of the state.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.loads import DRIVEN
 from palpate.faults import InputError, number_in_range
+from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.state_space import SecondOrder, held_over
 
-if TYPE_CHECKING:
-    from palpate.reduction.lti.model import LinearModel
-
-__all__ = ["LinearData", "LinearRealtime", "reach", "realtime_model"]
+__all__ = ["LinearData", "LinearRealtime", "linear_realtime", "reach"]
 
 Floats = NDArray[np.float64]
 
@@ -83,8 +81,20 @@ class LinearRealtime(NamedTuple):
     tool: Floats
 
 
-def realtime_model(model: LinearModel, period: float) -> LinearRealtime:
-    """Make what `LinearModel.realtime` returns."""
+def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
+    """Return a linear model as `palpate.Engine` takes it, with the one tool that its system was made with.
+
+    Parameters
+    ----------
+    model : LinearModel
+    period : float [s]
+        Of the engine; another one costs a matrix exponential when it is first met.
+
+    Raises
+    ------
+    InputError
+        The system was not made with exactly one tool, or has other loads.
+    """
     number_in_range("period", period, 0.0, open_low=True, unit="s")
     system, count, lifted = model.system, model.count, model.lifted
     tools = {name.split(", ")[0] for name in system.inputs[system.forces :]}

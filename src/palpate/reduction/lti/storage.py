@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +12,10 @@ from palpate.faults import InputError
 from palpate.files import plain
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.state_space import FirstOrder, SecondOrder
+from palpate.reduction.lti.system import LinearSystem
 from palpate.sealed import loading, open_sealed, write_sealed
 
-if TYPE_CHECKING:
-    from palpate.reduction.lti.system import LinearSystem
-
-__all__ = ["load_linear", "save"]
+__all__ = ["load_linear", "save_linear"]
 
 FORMAT, VERSION = "palpate linear model", 2
 REMEDY = "make the linear model again"
@@ -28,7 +26,7 @@ SHAPES: dict[str, tuple[str | int, ...]] = {
 KINDS: dict[str, type[SecondOrder] | type[FirstOrder]] = {"second": SecondOrder, "first": FirstOrder}
 
 
-def save(model: LinearModel, path: Path) -> None:
+def save_linear(model: LinearModel, path: str | Path) -> None:
     """Write a model, whole or not at all.
 
     Raises
@@ -44,7 +42,7 @@ def save(model: LinearModel, path: Path) -> None:
             raise InputError(f"{name} of the linear model is not finite: {path} was not written")
     kind = next(name for name, form in KINDS.items() if isinstance(model.reduced, form))
     header = _header(model.system) | {"kind": kind, "report": plain(model.report)}
-    write_sealed(path, FORMAT, VERSION, header, arrays | {"points": model.cloud.points})
+    write_sealed(Path(path), FORMAT, VERSION, header, arrays | {"points": model.cloud.points})
 
 
 def _header(system: LinearSystem) -> dict[str, Any]:
@@ -52,7 +50,7 @@ def _header(system: LinearSystem) -> dict[str, Any]:
 
 
 def load_linear(path: str | Path, system: LinearSystem) -> LinearModel:
-    """Read a linear model that `LinearModel.save` wrote.
+    """Read a linear model that `save_linear` wrote.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ from palpate.faults import InputError
 from palpate.reduction.lti.stiffness import nodal_stiffness
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    pass
 
 __all__ = ["LinearSystem", "force_inputs", "linearise"]
 
@@ -144,24 +144,6 @@ class LinearSystem:
     def frequency_response(self, frequencies: Any) -> Complex:
         """Return the transfer function at circular frequencies (k,) [rad/s], shape (k, q, p)."""
         return self.transfer(1j * np.atleast_1d(np.asarray(frequencies, dtype=float)))
-
-    def to_pymor(self) -> Any:
-        """Return a `pymor.models.iosys.SecondOrderModel`: its E is the damping, its D the feedthrough."""
-        from palpate.reduction.lti.pymor_bridge import second_order_model
-
-        return second_order_model(self)
-
-    def save_matlab(self, path: str | Path) -> None:
-        """Write all matrices to a MATLAB file, ``load`` reads it; see `palpate.reduction.lti.export`."""
-        from palpate.reduction.lti.export import save_matlab
-
-        save_matlab(self, path)
-
-    def save_matrix_market(self, folder: str | Path) -> None:
-        """Write every matrix to a Matrix Market file of a folder; see `palpate.reduction.lti.export`."""
-        from palpate.reduction.lti.export import save_matrix_market
-
-        save_matrix_market(self, folder)
 
 
 def linearise(

@@ -8,17 +8,13 @@ beside the modes, adds nothing to them, and tissue that relaxes is taken at its 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.faults import InputError
 from palpate.reduction.contact.compliance import carried, softness
-
-if TYPE_CHECKING:
-    from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["SCALARS", "Surface"]
 

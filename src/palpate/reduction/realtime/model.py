@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,14 @@ from palpate.dynamics.loads.loads import drive
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import tools_of, touched
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
+from palpate.reduction.contact.tools import Handling
 from palpate.reduction.hyper.foundation import Springs, springs_of
 from palpate.reduction.hyper.implicit import newton
+from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.hyper.sampled_energy import scratch
+from palpate.reduction.lti.model import LinearModel
+from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
 from palpate.reduction.realtime.period import MOST_SUBSTEPS, PeriodData, period_functions
-from palpate.reduction.training.fit_compliance import Handling
-
-if TYPE_CHECKING:
-    from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["RealtimeModel", "realtime_model"]
 
@@ -49,10 +49,55 @@ class RealtimeModel(NamedTuple):
     tool: Floats
 
 
+@overload
 def realtime_model(
-    model: ReducedModel, longest: float, contact: Contact | Grasp | None, foundations: Sequence[Foundation]
-) -> RealtimeModel:
-    """Make what `ReducedModel.realtime` returns."""
+    model: ReducedModel,
+    *,
+    longest: float = ...,
+    contact: Contact | Grasp | None = ...,
+    foundations: Sequence[Foundation] = ...,
+) -> RealtimeModel: ...
+
+
+@overload
+def realtime_model(model: LinearModel, *, period: float = ...) -> LinearRealtime: ...
+
+
+def realtime_model(
+    model: ReducedModel | LinearModel,
+    *,
+    longest: float = 0.02,
+    contact: Contact | Grasp | None = None,
+    foundations: Sequence[Foundation] = (),
+    period: float = 1e-3,
+) -> RealtimeModel | LinearRealtime:
+    """Return a model as `palpate.Engine` takes it, with one tool that holds the driven group, or touches the body.
+
+    Parameters
+    ----------
+    model : ReducedModel or LinearModel
+    longest : float [s]
+        Longest period that will be asked for.
+    contact : Contact or Grasp, optional
+        The tool that touches the body, from its place at time 0. Trust then is the distance from training alone.
+    foundations : sequence of Foundation
+        Springs that tie the body. There are no other loads in real time.
+    period : float [s]
+        Of a linear model: another period costs a matrix exponential when it is first met.
+
+    Raises
+    ------
+    InputError
+        The model was not trained with exactly one driven group, or with tools that touch it; another load. A linear
+        system was not made with exactly one tool, or has other loads.
+    """
+    if isinstance(model, LinearModel):
+        if contact is not None or foundations:
+            raise InputError(
+                "contact and foundations must be left out for a linear model; "
+                "linearise the body with one PrescribedMotion or Grasp"
+            )
+        return linear_realtime(model, period)
     parts, count = model.parts, model.count
     handling = None if contact is None else Handling(model._skin, model.drive([contact]))
     if contact is None and len(parts.driven) != 1:

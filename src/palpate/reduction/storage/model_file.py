@@ -32,7 +32,7 @@ from palpate.reduction.storage.material import (
 )
 from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
 
-__all__ = ["REMEDY", "contents", "load", "model_of", "save"]
+__all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
 
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
@@ -92,29 +92,26 @@ ATTRIBUTES = {
 }  # fmt: skip
 
 
-def save(parts: ReducedParts, path: str | Path, *, step: float | None = None, single: bool = True) -> None:
+def save_hyper_reduced(model: ReducedModel, path: str | Path) -> None:
     """Write a model to a sealed HDF5 file, whole or not at all.
 
     Parameters
     ----------
-    parts : ReducedParts
+    model : ReducedModel
+        Derivatives at its samples are written in double precision.
     path : path
-    step : float, optional [s]
-        Of the implicit rule; by default the steps are explicit.
-    single : bool
-        Whether the model keeps the derivatives at its samples in single precision; the file has them in double.
 
     Raises
     ------
     InputError
-        Parts that `load` would refuse, such as a material of one's own or numbers that are not finite.
+        The file could not be read again: a material of one's own, or numbers that are not finite.
     OSError
         The place cannot be written or the disk is full; a file that was there is unchanged.
     """
-    write_sealed(Path(path), FORMAT, VERSION, *contents(parts, step=step, single=single))
+    write_sealed(Path(path), FORMAT, VERSION, *contents(model))
 
 
-def load(path: str | Path) -> ReducedModel:
+def load_hyper_reduced(path: str | Path) -> ReducedModel:
     """Read a reduced model as it was saved: with its step rule, explicit or implicit, and its precision.
 
     Raises
@@ -134,15 +131,16 @@ def load(path: str | Path) -> ReducedModel:
 # writing
 
 
-def contents(parts: ReducedParts, *, step: float | None = None, single: bool = True) -> tuple[Header, Arrays]:
+def contents(model: ReducedModel) -> tuple[Header, Arrays]:
     """Return the header and the arrays of a model's file.
 
     Raises
     ------
     InputError
-        Parts that `model_of` would refuse.
+        A model that `model_of` would refuse.
     """
-    header, arrays = _header(parts) | {"step": float(step or 0.0), "single": bool(single)}, _arrays(parts)
+    parts, rule = model.parts, {"step": float(model.step or 0.0), "single": bool(model.single)}
+    header, arrays = _header(parts) | rule, _arrays(parts)
     _check_header(header)
     _rule(header)
     if _parts(header, _fitting(header, arrays)).material != parts.material:

@@ -21,10 +21,11 @@ from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.lifting import WithoutTools, lifting_columns, support_fields
 from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import joined, main_modes
-from palpate.reduction.hyper.error_indicator import calibrated, nearest, tried_frames
+from palpate.reduction.hyper.error_indicator import nearest
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedModel, ReducedParts
 from palpate.reduction.training.calibrate_contact import Trial, measured
+from palpate.reduction.training.calibrate_indicator import calibrated, tried_frames
 from palpate.reduction.training.ecsw import Fields, choose_samples, differentiated, pressure_moments
 from palpate.reduction.training.errors import Errors, TouchErrors, errors, touch_errors
 from palpate.reduction.training.fit_compliance import fitted_dents

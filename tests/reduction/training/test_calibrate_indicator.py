@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.hyper.error_indicator import distance, error_table, imbalance
 from palpate.reduction.hyper.sampled_energy import scratch
+from palpate.reduction.training.calibrate_indicator import error_table
 
 EVERY, DURATION = 0.0005, 0.02
 
@@ -68,14 +68,14 @@ def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, run
     both = np.linalg.solve(stiffness, load)
     added = np.tensordot(both - np.r_[kept, np.zeros(len(which) - modes)], columns[which], 1)
     expected = np.sqrt((added**2).sum(axis=1) @ body.volumes / body.volumes.sum())
-    assert imbalance(model, pt.State(kept, np.zeros(modes)), drive) == pytest.approx(expected, rel=0.02)
+    assert model.imbalance(pt.State(kept, np.zeros(modes)), drive) == pytest.approx(expected, rel=0.02)
 
 
 def test_the_samples_measure_the_imbalance_that_all_nodes_measure(body, runs, rom, held):
     every = pt.reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]
     drive = rom.drive(loads)
-    found, expected = (np.array([imbalance(m, s, drive) for s in states(rom, full)]) for m in (rom, every))
+    found, expected = (np.array([m.imbalance(s, drive) for s in states(rom, full)]) for m in (rom, every))
     assert len(rom.parts.cubature.nodes) < 0.7 * len(body.cloud)
     assert np.linalg.norm(found - expected) < 0.25 * np.linalg.norm(expected)
 
@@ -91,15 +91,15 @@ def test_witnesses_add_no_nodes_and_change_no_motion(body, rom):
     one, two = rollout(rom, loads), rollout(other, loads)
     np.testing.assert_allclose(one.displacements, two.displacements, atol=1e-12)
     drive, state = rom.drive(loads), pt.State(rom.parts.trained[30] * 1.1, np.zeros(count), 0.005)
-    assert imbalance(other, state, drive) == 0.0
-    assert other.trust(state, drive) == distance(rom, state) / rom.parts.reach
+    assert other.imbalance(state, drive) == 0.0
+    assert other.trust(state, drive) == rom.distance(state) / rom.parts.reach
 
 
 def test_a_load_that_the_modes_cannot_follow_is_not_trusted_however_little_the_body_moves(rom, body):
     """The sides of the beam are pressed together: no training run did that."""
     pinch = [pt.Traction("z+", force=(0, 0, -30.0)), pt.Traction("z-", force=(0, 0, 30.0))]
     drive, state = rom.drive(pinch), pt.State(np.zeros(rom.count), np.zeros(rom.count))
-    assert distance(rom, state) / rom.parts.reach < 0.01
+    assert rom.distance(state) / rom.parts.reach < 0.01
     assert rom.trust(state, drive) > 1
 
 
@@ -107,7 +107,7 @@ def test_the_engines_report_tells_the_same_number(body):
     turn = [pt.PrescribedMotion("x+", lambda _, t: 1e-3 * np.sin(200 * t) ** 2 * np.array([1.0, 1.0, 0.0]))]
     rom = pt.reduce(body, rollout(body, turn), modes=6, driven="x+")
     for model in (rom, rom.with_step(2.5e-4)):
-        speed, ready, report = np.array([0.5, 0.2, 0.0]), model.realtime(), np.zeros(8 + model.parts.lifted)
+        speed, ready, report = np.array([0.5, 0.2, 0.0]), pt.realtime_model(model), np.zeros(8 + model.parts.lifted)
         drive = model.drive([pt.PrescribedMotion("x+", lambda _, t: speed * t)])  # noqa: B023
         q, v = np.zeros(model.count), np.zeros(model.count)
         for period in range(1, 6):
@@ -116,7 +116,7 @@ def test_the_engines_report_tells_the_same_number(body):
             state = pt.State(q, v, period * 1e-3)
             assert report[1] == pytest.approx(model.trust(state, drive), rel=1e-3)
             alone = pt.ReducedModel(replace(model.parts, reach=1e9), step=model.step)
-            assert alone.trust(state, drive) == pytest.approx(imbalance(model, state, drive) / model.parts.leeway)
+            assert alone.trust(state, drive) == pytest.approx(model.imbalance(state, drive) / model.parts.leeway)
 
 
 def test_errors_are_told_by_the_largest_trust_number_so_far():
@@ -165,4 +165,4 @@ def test_a_basis_that_holds_all_snapshots_leaves_no_witness(body, runs):
     assert model.parts.witnesses == 0
     drive = model.drive(pull(1.0, 0.0, 0.0))
     state = pt.State(2 * model.parts.trained[-1], np.zeros(2), 0.001)
-    assert model.trust(state, drive) == pytest.approx(distance(model, state) / model.parts.reach)
+    assert model.trust(state, drive) == pytest.approx(model.distance(state) / model.parts.reach)
