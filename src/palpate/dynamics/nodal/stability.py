@@ -23,7 +23,6 @@ from palpate.dynamics.loads.loads import Drive, Load
 from palpate.dynamics.run.model import State
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
 __all__ = [
@@ -64,8 +63,6 @@ class ElasticBody(Protocol):
     def material(self) -> Material: ...
     @property
     def held(self) -> NDArray[np.bool_]: ...
-    @property
-    def stencils(self) -> Stencils: ...
     def force(self, displacements: Floats) -> Floats: ...
     def firm_force(self, displacements: Floats) -> Floats: ...
     def drive(self, loads: Sequence[Load]) -> Drive: ...
@@ -217,7 +214,7 @@ class FrequencyTracker:
         return float(np.sqrt(ratio))
 
 
-def choose_viscosity(model: ElasticBody, viscosity: float | None) -> StabilityReport:
+def choose_viscosity(model: ElasticBody, viscosity: float | None, neighbours: int) -> StabilityReport:
     """Examine a model at rest and choose its viscosity unless it is given.
 
     Raises
@@ -235,29 +232,29 @@ def choose_viscosity(model: ElasticBody, viscosity: float | None) -> StabilityRe
         eigenvalues = spectrum(model)
         worst = float(eigenvalues.real.min())
         if worst < -1e-6 * np.abs(eigenvalues).max():
-            raise _undampable(model, np.linalg.eig(stiffness(model)))
+            raise _undampable(model, neighbours, np.linalg.eig(stiffness(model)))
         needed = needed_viscosity(eigenvalues)
         used = MARGIN * needed
         return StabilityReport("dense spectrum", worst, needed, used, frequency, stable_step(frequency, used))
-    needed, growth = _viscosity_by_steps(model, frequency)
+    needed, growth = _viscosity_by_steps(model, neighbours, frequency)
     used = MARGIN * needed
     return StabilityReport("step map", None, needed, used, frequency, stable_step(frequency, used), growth)
 
 
-def _undampable(model: ElasticBody, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]) -> CloudError:
+def _undampable(model: ElasticBody, neighbours: int, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]) -> CloudError:
     values, vectors = eigen
     shape = np.abs(vectors[:, np.argmin(values.real)]).reshape(-1, 3)
-    return _cloud_fault(model, int(np.flatnonzero(~model.held)[np.argmax(np.linalg.norm(shape, axis=1))]))
+    return _cloud_fault(model, neighbours, int(np.flatnonzero(~model.held)[np.argmax(np.linalg.norm(shape, axis=1))]))
 
 
-def _cloud_fault(model: ElasticBody, node: int) -> CloudError:
+def _cloud_fault(model: ElasticBody, neighbours: int, node: int) -> CloudError:
     return CloudError(
         f"the body is unstable at rest: a mode that viscosity cannot damp lives at node {node}, "
-        f"{model.cloud.points[node]} m. Use more neighbours (now {model.stencils.neighbours.shape[1]}), less jitter, or move that node"
+        f"{model.cloud.points[node]} m. Use more neighbours (now {neighbours}), less jitter, or move that node"
     )
 
 
-def _viscosity_by_steps(model: ElasticBody, frequency: float) -> tuple[float, float]:
+def _viscosity_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> tuple[float, float]:
     """Raise beta until a tiny random motion no longer grows; return it and the growth rate left."""
     drive, needed, rate = model.drive(()), 0.0, 0.0
     for _ in range(ROUNDS):
@@ -282,6 +279,6 @@ def _viscosity_by_steps(model: ElasticBody, frequency: float) -> tuple[float, fl
         stiff = power / np.sum(state.coordinates**2)
         node = int(np.argmax(np.linalg.norm(state.coordinates, axis=1)))
         if stiff <= 0 or needed * frequency > 10:
-            raise _cloud_fault(model, node)
+            raise _cloud_fault(model, neighbours, node)
         needed = max(1.25 * needed, needed + 2 * rate / stiff)
-    raise _cloud_fault(model, node)
+    raise _cloud_fault(model, neighbours, node)

@@ -147,7 +147,7 @@ class FullModel(NodalModel):
             self.neighbours = NEIGHBOURS[0] if neighbours is None else neighbours
             self.stencils = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours)
             self._prepare_strong(smoother)
-            self._examined(choose_viscosity(self, viscosity))
+            self._examined(choose_viscosity(self, viscosity, self.neighbours))
 
     def _prepare_strong(self, smoother: Stencils) -> None:
         """Lay out the passes of the strong form."""
