@@ -71,12 +71,12 @@ def model(form: str, material: Any, nodes: int, jitter: float, within: Any = Non
 
     if form == "membrane":
         cloud = pt.disc(0.005 * (nodes / 3.14) ** 0.5, 0.005)
-        return pt.Membrane(cloud, material, 1e-3, prestretch=1.1, viscosity=1e-5)
+        return pt.Membrane(cloud, material, 1e-3, prestretch=1.1, stiffness_damping=1e-5)
     cloud = pt.box(((round(nodes ** (1 / 3)) - 1) * 0.005,) * 3, 0.005, jitter)
     if isinstance(material, tuple):
         near = cloud.points[:, 0] < cloud.points[:, 0].mean()
         material = [material[0] if here else material[1] for here in near]
-    return pt.FullModel(cloud, material, "x-", form=form, viscosity=5e-5, fibres=within)
+    return pt.Solid(cloud, material, "x-", form=form, stiffness_damping=5e-5, fibres=within)
 
 
 def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeats: int) -> dict[str, float]:
@@ -91,7 +91,7 @@ def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeat
     models = {name: model(form, law, nodes, jitter) for name, law in chosen.items()}
     for each in models.values():
         if each.material.prony is not None:
-            each.work.memory.interval[0] = 1e-5  # remembers every evaluation, as in a run
+            each.work.history.interval[0] = 1e-5  # remembers every evaluation, as in a run
     if form == "energy":
         asked = {name: pair for name, pair in regions().items() if not laws or name.split(",")[0] in laws}
         models |= {name: model(form, pair, nodes, jitter) for name, pair in asked.items()}

@@ -33,13 +33,13 @@ def bar():
 @pytest.fixture(scope="session")
 def calm(bar, tissue):
     """The viscosity that the held bar needs, from its spectrum."""
-    return pt.FullModel(bar, tissue, fixed="x-").viscosity
+    return pt.Solid(bar, tissue, fixed="x-").stiffness_damping
 
 
 @pytest.fixture
 def held(bar, tissue, calm):
     """The bar, held at one end; new for every test."""
-    return pt.FullModel(bar, tissue, fixed="x-", viscosity=calm)
+    return pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm)
 
 
 @pytest.fixture(scope="session")
@@ -51,7 +51,7 @@ def small_cloud():
 @pytest.fixture
 def free(small_cloud, tissue):
     """The smallest box, held nowhere; new for every test."""
-    return pt.FullModel(small_cloud, tissue, viscosity=6e-5)
+    return pt.Solid(small_cloud, tissue, stiffness_damping=6e-5)
 
 
 @pytest.fixture(scope="session")
@@ -65,13 +65,13 @@ def rotation():
 @pytest.fixture(scope="session")
 def pull():
     """A smooth pull at the end of the bar, sideways too."""
-    return pt.Traction("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.6, 0.15, 0.05]))
+    return pt.SurfaceForce("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.6, 0.15, 0.05]))
 
 
 @pytest.fixture(scope="session")
 def run(bar, tissue, calm, pull):
     """A short run of the bar under that pull."""
-    return pt.rollout(pt.FullModel(bar, tissue, fixed="x-", viscosity=calm), [pull], duration=0.03, every=0.0005)
+    return pt.rollout(pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm), [pull], duration=0.03, every=0.0005)
 
 
 @pytest.fixture

@@ -156,14 +156,14 @@ def cylinder(rings: int) -> pt.Cloud:
     shares = np.full(count, step)
     shares[[0, -1]] /= 2
     places = np.repeat(np.arange(count) * step, n)
-    everyone, skin = np.arange(n), (n * np.arange(count)[:, None] + rim).ravel()
+    everyone, contact_surface = np.arange(n), (n * np.arange(count)[:, None] + rim).ravel()
     outward = np.tile(np.insert(disc.face_normals, 0, 0.0, axis=1), (count, 1))
     ends = [np.tile([sign, 0.0, 0.0], (n, 1)) for sign in (-1, 1)]
     last = n * (count - 1)
     return pt.Cloud(
         points=np.column_stack([places, np.tile(disc.points, (count, 1))]),
         volumes=np.outer(shares, disc.volumes).ravel(),
-        face_nodes=np.concatenate([skin, everyone, last + everyone]),
+        face_nodes=np.concatenate([contact_surface, everyone, last + everyone]),
         face_normals=np.concatenate([outward, *ends]),
         face_areas=np.concatenate([np.outer(shares, disc.face_areas).ravel(), disc.volumes, disc.volumes]),
         groups={"x-": everyone, "x+": last + everyone},
@@ -237,8 +237,8 @@ def torsion(law: pt.Material, rings: int, radius: Any) -> dict[str, float]:
         [X[:, 0], grown * (np.cos(turn) * X[:, 1] - np.sin(turn) * X[:, 2]),
          grown * (np.sin(turn) * X[:, 1] + np.cos(turn) * X[:, 2])]
     )  # fmt: skip
-    model = pt.FullModel(cloud, law, ("x-", "x+"), form="energy", viscosity=0.0)
-    u = newton(model, exact - X, np.repeat(~model.held[:, None], 3, axis=1))
+    model = pt.Solid(cloud, law, ("x-", "x+"), form="energy", stiffness_damping=0.0)
+    u = newton(model, exact - X, np.repeat(~model.fixed_mask[:, None], 3, axis=1))
     force, end = -model.volumes[:, None] * model.force(u), cloud.group("x+")
     return {
         "nodes": len(cloud),
@@ -258,7 +258,7 @@ def sphere(law: pt.Material, layers: int, radius: Any) -> dict[str, float]:
     free[inner] = False
     for k, name in enumerate("xyz"):
         free[cloud.group(name), k] = False
-    model = pt.FullModel(cloud, law, "inner", form="energy", viscosity=0.0)
+    model = pt.Solid(cloud, law, "inner", form="energy", stiffness_damping=0.0)
     u = newton(model, X * (r / R - 1)[:, None], free)
     outward = X[inner] / INNER
     push = np.sum(-model.volumes[inner, None] * model.force(u)[inner] * outward)

@@ -74,8 +74,8 @@ def block(spacing: float, filled: bool) -> pt.Cloud:
 
 def pressed(tool: str, spacing: float, form: str, shift: float = 0.0, filled: bool = False) -> list[dict]:
     """Forces on a block of nodes, and their noise; `shift` is the tool's place across the lattice, in spacings."""
-    viscosity = None if form == "energy" else 0.018 * spacing
-    model = pt.FullModel(block(spacing, filled), LAW, "z-", form=form, viscosity=viscosity)
+    stiffness_damping = None if form == "energy" else 0.018 * spacing
+    model = pt.Solid(block(spacing, filled), LAW, "z-", form=form, stiffness_damping=stiffness_damping)
     shape, start = (pt.Sphere(RADIUS), RADIUS) if tool == "ball" else (pt.Punch(PUNCH, ROUNDING), 0.0)
     deepest = max(DEPTHS[tool])
     middle = WIDTH / 2 + shift * spacing
@@ -103,9 +103,12 @@ def pressed(tool: str, spacing: float, form: str, shift: float = 0.0, filled: bo
 
 def overhead(spacing: float = 0.0018, rounds: int = 12) -> list[dict]:
     """Time that a ball pressed into the top adds to a step, and that of the step without it, both as medians."""
-    model = pt.FullModel(pt.box((WIDTH, WIDTH, DEPTH), spacing), LAW, "z-", form="energy")
-    drive, free = model.drive([pt.Contact(pt.Sphere(RADIUS), (WIDTH / 2, WIDTH / 2, DEPTH + RADIUS))]), model.drive(())
-    schedule, zero, state = drive.schedule(np.array([0.0, 1e-4])), np.zeros((len(model.cloud), 3)), model.state(free)
+    model = pt.Solid(pt.box((WIDTH, WIDTH, DEPTH), spacing), LAW, "z-", form="energy")
+    prepared, free = (
+        model.prepare([pt.Contact(pt.Sphere(RADIUS), (WIDTH / 2, WIDTH / 2, DEPTH + RADIUS))]),
+        model.prepare(()),
+    )
+    schedule, zero, state = prepared.schedule(np.array([0.0, 1e-4])), np.zeros((len(model.cloud), 3)), model.state(free)
     u, top = zero.copy(), model.cloud.group("z+")
     u[top, 2] = 5e-4 * np.exp(-np.sum((model.cloud.points[top, :2] - WIDTH / 2) ** 2, axis=1) / 0.006**2)
     seconds, contact = [], []
@@ -116,13 +119,13 @@ def overhead(spacing: float = 0.0018, rounds: int = 12) -> list[dict]:
         for _ in range(20):
             velocity = zero.copy()
             began = perf_counter()
-            push(drive.contacts, schedule.poses, 0, 1e-4, 1e-4, 1e-4, u, velocity, model.masses, zero, zero,
+            push(prepared.contacts, schedule.poses, 0, 1e-4, 1e-4, 1e-4, u, velocity, model.masses, zero, zero,
                  np.zeros(3), 1.0, model.volumes, LAW.density)  # fmt: skip
             contact.append(perf_counter() - began)
     step, own = np.median(seconds[1:]), np.median(contact[20:])
     row = {
         "tool": "overhead", "form": "energy", "spacing": spacing, "nodes": len(model.cloud),
-        "surface": len(drive.contacts.nodes), "touching": int(np.count_nonzero(velocity.any(axis=1))),
+        "surface": len(prepared.contacts.nodes), "touching": int(np.count_nonzero(velocity.any(axis=1))),
         "step_ms": round(float(1e3 * step), 3), "contact_ms": round(float(1e3 * own), 4), "share": float(own / step),
     }  # fmt: skip
     print(row)

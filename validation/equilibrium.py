@@ -8,18 +8,18 @@ from scipy.linalg import lu_factor, lu_solve
 import palpate as pt
 
 
-def relax(model: pt.FullModel, loads: list, u: np.ndarray, settle: float, damping: float) -> np.ndarray:
+def relax(model: pt.Solid, loads: list, u: np.ndarray, settle: float, damping: float) -> np.ndarray:
     """Return the state reached after `settle` seconds with velocities damped at the rate `damping` [1/s]."""
-    drive = model.drive(loads)
+    prepared = model.prepare(loads)
     state = pt.State(u.copy(), np.zeros_like(u))
     while state.time < settle:
-        step = model.stable_step(state, drive)
-        state = model.advance(state, drive, step, 50)
+        step = model.stable_step(state, prepared)
+        state = model.advance(state, prepared, step, 50)
         state = pt.State(state.coordinates, state.velocities * np.exp(-50 * step * damping), state.time)
     return state.coordinates
 
 
-def newton(model: pt.FullModel, u: np.ndarray, free: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
+def newton(model: pt.Solid, u: np.ndarray, free: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     """Return displacements (n, 3) [m] near `u` at which no force is left at the `free` components, (n, 3) bool.
 
     Newton's method with the dense tangent, which is kept as long as every step leaves half of the force or less.
@@ -60,7 +60,7 @@ def newton(model: pt.FullModel, u: np.ndarray, free: np.ndarray, tolerance: floa
     raise RuntimeError(f"Newton's method found no rest; {np.abs(left).max() / scale:.1e} of the force is left")
 
 
-def _tangent(model: pt.FullModel, u: np.ndarray, where: np.ndarray) -> np.ndarray:
+def _tangent(model: pt.Solid, u: np.ndarray, where: np.ndarray) -> np.ndarray:
     """Minus the derivative of nodal forces by displacements [N/m], at some components."""
     u, step, matrix = u.copy(), 1e-6 * model.cloud.spacing, np.empty((len(where), len(where)), order="F")
     flat, weights = u.ravel(), np.repeat(model.volumes, 3)[where]

@@ -23,17 +23,17 @@ OUTPUT = HERE.parent / "docs" / "validation" / "frequencies.json"
 SIZE = (0.1, 0.02, 0.02)
 
 
-def body(spacing: float, poisson: float, form: str, pressure: str) -> pt.FullModel:
+def body(spacing: float, poisson: float, form: str, pressure: str) -> pt.Solid:
     law = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
     options = {"pressure": pressure} if form == "strong" else {}
-    return pt.FullModel(pt.box(SIZE, spacing), law, "x-", form=form, viscosity=0.0, **options)
+    return pt.Solid(pt.box(SIZE, spacing), law, "x-", form=form, stiffness_damping=0.0, **options)
 
 
-def vibrations(model: pt.FullModel) -> tuple[np.ndarray, np.ndarray]:
+def vibrations(model: pt.Solid) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues w^2 [1/s^2], and the shapes of the free nodes (nodes, 3, modes)."""
     tangent = stiffness(model)
     if model.form == "energy":  # symmetric in the nodal volumes
-        root = np.sqrt(np.repeat(model.volumes[~model.held], 3))
+        root = np.sqrt(np.repeat(model.volumes[~model.fixed_mask], 3))
         symmetric = tangent * root[:, None] / root
         values, vectors = np.linalg.eigh((symmetric + symmetric.T) / 2)
         vectors /= root[:, None]
@@ -42,12 +42,12 @@ def vibrations(model: pt.FullModel) -> tuple[np.ndarray, np.ndarray]:
     return values, vectors.real.reshape(-1, 3, len(values))
 
 
-def first_modes(model: pt.FullModel) -> tuple[dict[str, float], int]:
+def first_modes(model: pt.Solid) -> tuple[dict[str, float], int]:
     """First bending, torsion and axial circular frequency [rad/s], and the number of negative real parts."""
     values, shapes = vibrations(model)
     mean = np.abs(shapes.mean(axis=0))  # (3, modes): an axial mode moves all nodes along x
     axial = (mean[0] > 3 * mean[1:].max(axis=0)) & (np.abs(shapes).mean(axis=(0, 1)) < 2 * mean[0])
-    y, z = (model.cloud.points[~model.held, 1:] - 0.5 * SIZE[1]).T
+    y, z = (model.cloud.points[~model.fixed_mask, 1:] - 0.5 * SIZE[1]).T
     turn = y @ shapes[:, 2] - z @ shapes[:, 1]  # a torsion turns all sections alike
     torsion = turn**2 > 0.5 * np.sum(y**2 + z**2) * np.sum(shapes**2, axis=(0, 1))
     oscillating = (values.real > 0) & (np.abs(values.imag) < 1e-3 * np.abs(values))

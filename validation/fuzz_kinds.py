@@ -253,7 +253,7 @@ def bar() -> Any:
     """Return a small body in the energy form."""
     tissue = pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45)
     cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    return pt.FullModel(cloud, tissue, fixed="x-", form="energy", viscosity=1e-4)
+    return pt.Solid(cloud, tissue, fixed="x-", form="energy", stiffness_damping=1e-4)
 
 
 def push(time: float) -> Any:
@@ -270,9 +270,9 @@ def pressed() -> Any:
 @cache
 def model() -> pt.ReducedModel:
     """Return a reduced model that tools touch."""
-    made = pt.reduce(bar(), [pressed()], modes=4)
+    made = pt.hyper_reduce(bar(), [pressed()], modes=4)
     about = {"scene": {"name": "beam", "parameters": {"spacing": 0.005}}}
-    return pt.ReducedModel(replace(made.parts, report={**made.report, **about}))
+    return pt.ReducedModel(replace(made.data, report={**made.report, **about}))
 
 
 def use_model(found: pt.ReducedModel) -> None:
@@ -295,7 +295,7 @@ def reduced_kind(folder: Path) -> Trial:
 
 def linear_kind(folder: Path) -> Trial:
     """Return trials of the file of a linear model."""
-    pull = pt.Traction("x+", force=lambda t: (1e-3 * t, 0.0, 0.0))
+    pull = pt.SurfaceForce("x+", force=lambda t: (1e-3 * t, 0.0, 0.0))
     system = pt.linearise(bar(), [pull], ["x+"])
     pt.save(pt.reduce_linear(system, "modal", 4), folder / "sound.lti")
 
@@ -324,7 +324,7 @@ def stored_kind(folder: Path) -> Trial:
 
     def load(path: Path) -> Any:
         found = trajectories.StoredTrajectory(path)
-        return [found.points, found.times, found.displacements[:], found.touches, found.held]
+        return [found.points, found.times, found.displacements[:], found.contact_forces, found.bonded]
 
     return sealed_kind(folder / "sound.h5", trajectories.FORMAT, trajectories.VERSION, load, lambda found: None)
 
@@ -335,11 +335,11 @@ def journal_kind(folder: Path) -> Trial:
     A journal that ends before its last record does is a journal that was cut off, with one frame fewer.
     """
     path, run = folder / "sound.h5", pressed()
-    recorder = Recorder(path, run.model, run.points, run.viscosity, "journal")
-    model, drive = bar(), bar().drive([pt.Gravity()])
-    state = model.state(drive)
+    recorder = Recorder(path, run.model, run.points, run.stiffness_damping, "journal")
+    model, prepared = bar(), bar().prepare([pt.Gravity()])
+    state = model.state(prepared)
     for k in range(6):
-        recorder.add(1e-3 * k, k, model.outputs(state, drive))
+        recorder.add(1e-3 * k, k, model.outputs(state, prepared))
     recorder._journal.close()
     data, sound = path.read_bytes(), pt.Trajectory.load(path)
 
@@ -370,7 +370,7 @@ def recording() -> recordings.Recording:
                 time=0.01 * k, steps=10 * k, force=zero + k, moment=zero, stiffness=np.eye(3), trust=0.1, position=zero,
                 quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=1e-6, computing=1e-4, lateness=0.0,
                 coordinates=1e-4 * k * np.ones(body.count), state="running", hand=zero, nodes=touched,
-                forces=np.ones((len(touched), 3)) * 1e-3, firmness=1.0, tool="sphere",
+                forces=np.ones((len(touched), 3)) * 1e-3, modulus_ratio=1.0, tool="sphere",
             )
         )  # fmt: skip
     tool = {"kind": "sphere", "radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None, "frame": 0}

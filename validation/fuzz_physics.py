@@ -109,7 +109,7 @@ def _run(draw: _Draw) -> pt.Trajectory:
             times[name] = field
     loads = _loads(draw, plane)
     with np.errstate(all="ignore"):
-        ready = model.drive(loads)
+        ready = model.prepare(loads)
         stable = model.stable_step(model.state(ready), ready)
     long = times["duration"] > ASKED * min(stable, times.get("step", np.inf))
     watched = _watched(draw.vector(0.0, 0.0, -9.81), _Enough if long else TooLong)
@@ -128,7 +128,7 @@ def _watched(acceleration: tuple[float, ...], late: type[Exception]) -> pt.Gravi
     return pt.Gravity(at)
 
 
-def _solid(draw: _Draw) -> pt.FullModel:
+def _solid(draw: _Draw) -> pt.Solid:
     cloud = pt.box((draw(SIZE), SIZE, SIZE), draw(SPACING))
     if len(cloud) > 1000:
         raise pt.InputError("too many nodes for a trial")
@@ -142,10 +142,10 @@ def _solid(draw: _Draw) -> pt.FullModel:
     else:
         material = pt.MooneyRivlin(C1=draw(8e3), C2=draw(2e3), density=density, **compressible)
     form = draw.one_of("strong", "energy")
-    given: dict[str, Any] = {"viscosity": draw(6e-5)} if draw.rng.random() < 0.7 else {}
+    given: dict[str, Any] = {"stiffness_damping": draw(6e-5)} if draw.rng.random() < 0.7 else {}
     if form == "energy" and draw.rng.random() < 0.1:
         given["stiffness"] = {"x+": draw(2.0)}
-    return pt.FullModel(cloud, material, draw.one_of("x-", "x-", ()), form=form, **given)
+    return pt.Solid(cloud, material, draw.one_of("x-", "x-", ()), form=form, **given)
 
 
 def _sheet(draw: _Draw) -> pt.Membrane:
@@ -153,7 +153,7 @@ def _sheet(draw: _Draw) -> pt.Membrane:
     if len(cloud) > 1000:
         raise pt.InputError("too many nodes for a trial")
     material = pt.NeoHookean(C1=draw(1e5), density=draw(1000.0), poisson=0.5)
-    given = {"viscosity": draw(1e-5)} if draw.rng.random() < 0.3 else {}
+    given = {"stiffness_damping": draw(1e-5)} if draw.rng.random() < 0.3 else {}
     return pt.Membrane(cloud, material, draw(1e-4), "rim", prestretch=draw(1.1), **given)
 
 
@@ -163,9 +163,9 @@ def _loads(draw: _Draw, plane: bool) -> list[Any]:
     kind = draw.one_of("force", "moment", "pressure", "motion", "foundation", "contact", "grasp", "none")
     centre = (0.0, 0.0) if plane else (SIZE, SIZE / 2, SIZE / 2)
     if kind in ("force", "moment") and not plane:
-        loads.append(pt.Traction(group, **{kind: draw.vector(0.1, 0.0, 0.01)}))
+        loads.append(pt.SurfaceForce(group, **{kind: draw.vector(0.1, 0.0, 0.01)}))
     elif kind == "pressure" and not plane:
-        loads.append(pt.Traction(group, pressure=draw(100.0)))
+        loads.append(pt.SurfaceForce(group, pressure=draw(100.0)))
     elif kind == "motion" and not plane:
         loads.append(pt.PrescribedMotion(group, draw.vector(1e-4, 0.0, 0.0), until=draw(1e-3)))
     elif kind == "foundation" and not plane:
@@ -183,7 +183,12 @@ def _loads(draw: _Draw, plane: bool) -> list[Any]:
 
 def _check(run: Any) -> None:
     assert isinstance(run, pt.Trajectory)
-    values = {name: getattr(run, name) for name in SERIES} | run.reactions | run.moments | {"touches": run.touches}
+    values = (
+        {name: getattr(run, name) for name in SERIES}
+        | run.reactions
+        | run.moments
+        | {"contact_forces": run.contact_forces}
+    )
     for name, value in values.items():
         assert np.isfinite(value).all(), f"{name} is not finite"
 

@@ -30,8 +30,8 @@ from scipy.stats import spearmanr
 
 import palpate as pt
 from palpate.reduction.hyper.cubature import non_negative
-from palpate.reduction.training.calibrate_indicator import Frames, tried_frames
-from palpate.reduction.training.reduce import reduce
+from palpate.reduction.training.calibrate_indicator import Frames, indicator_frames
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.motions import random_motion, training_motions
 
 Floats = NDArray[np.float64]
@@ -43,10 +43,10 @@ TRAINED, CALIBRATED = 14, 10
 NAMES = ("displacement", "velocity", "energy", "reaction")
 
 
-def body() -> pt.FullModel:
+def body() -> pt.Solid:
     """Return the paper's beam in its energy form."""
     tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
-    return pt.FullModel(pt.box((0.2, 0.02, 0.02), 0.005), tissue, "x-", form="energy")
+    return pt.Solid(pt.box((0.2, 0.02, 0.02), 0.005), tissue, "x-", form="energy")
 
 
 def motions(kind: str) -> list[Any]:
@@ -56,7 +56,7 @@ def motions(kind: str) -> list[Any]:
     return [random_motion(seed, kind) for seed in range(SETS[kind])]
 
 
-def full_runs(model: pt.FullModel, kind: str, folder: Path) -> list[pt.Trajectory]:
+def full_runs(model: pt.Solid, kind: str, folder: Path) -> list[pt.Trajectory]:
     """Return the full model's runs of a set, from their files where there are any."""
     folder.mkdir(parents=True, exist_ok=True)
     runs = []
@@ -82,7 +82,7 @@ def tried(model: Any, loads: Any, full: pt.Trajectory) -> dict[str, float]:
     except pt.DivergenceError as error:
         print(f"    failed: {str(error)[:100]}", flush=True)
         return {"failed": True}
-    found = dict(pt.errors(full, run).as_dict())
+    found = dict(pt.relative_errors(full, run).as_dict())
     found |= {"displacement_rms": whole(full.displacements, run.displacements)}
     found |= {"velocity_rms": whole(full.velocities, run.velocities)}
     largest = np.abs(run.external).max()
@@ -110,11 +110,11 @@ def shown(summaries: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def study_accuracy(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
+def study_accuracy(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
     """Errors over the number of modes."""
     table = []
     for modes in (8, 16, 24, 32, 48, 64, 96):
-        rom = reduce(model, runs["train"], modes=modes)
+        rom = hyper_reduce(model, runs["train"], modes=modes)
         sets = {}
         for kind in SETS:
             found = [tried(rom, loads, full) for loads, full in zip(motions(kind), runs[kind], strict=True)]
@@ -124,13 +124,17 @@ def study_accuracy(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) ->
     return table
 
 
-def study_trust(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
+def study_trust(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
     """The trust number and its table, calibrated on half the runs inside, judged on all others."""
     pairs = {kind: list(zip(motions(kind), runs[kind], strict=True)) for kind in SETS}
     table = []
     for modes in (16, 32, 64):
-        rom = reduce(model, runs["train"], modes=modes, held_out=pairs["inside"][:CALIBRATED])
-        entry: dict[str, Any] = {"modes": modes, "reach": rom.parts.reach, "leeway": rom.parts.leeway}
+        rom = hyper_reduce(model, runs["train"], modes=modes, held_out=pairs["inside"][:CALIBRATED])
+        entry: dict[str, Any] = {
+            "modes": modes,
+            "distance_scale": rom.data.distance_scale,
+            "residual_scale": rom.data.residual_scale,
+        }
         entry["table"], others = rom.report["held_out"]["trust"], pairs | {"inside": pairs["inside"][CALIBRATED:]}
         frames = {kind: [_repeated(rom, *pair) for pair in some] for kind, some in others.items()}
         frames["all"] = [f for some in frames.values() for f in some]
@@ -143,20 +147,20 @@ def study_trust(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> li
 
 def _repeated(rom: pt.ReducedModel, loads: Any, full: pt.Trajectory) -> Frames:
     own = pt.rollout(rom, loads, duration=DURATION, every=EVERY, progress=False)
-    return tried_frames(rom, loads, own, full)
+    return indicator_frames(rom, loads, own, full)
 
 
 def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     """How distance alone, imbalance alone and trust rank errors (Spearman), and how well the table foretells them."""
     errors = np.concatenate([f.missed for f in some])
-    distances, imbalances = (
-        [f.distances / rom.parts.reach for f in some],
-        [f.imbalances / rom.parts.leeway for f in some],
+    distances, residual_norms = (
+        [f.distances / rom.data.distance_scale for f in some],
+        [f.residual_norms / rom.data.residual_scale for f in some],
     )
     numbers = {
         "distance": distances,
-        "imbalance": imbalances,
-        "trust": [np.maximum(*both) for both in zip(distances, imbalances, strict=True)],
+        "imbalance": residual_norms,
+        "trust": [np.maximum(*both) for both in zip(distances, residual_norms, strict=True)],
     }
     found: dict[str, float] = {"frames": len(errors)}
     for name, own in numbers.items():
@@ -175,11 +179,11 @@ def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     return found
 
 
-def study_stability(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
+def study_stability(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
     """Runs at every size: the wildest motions, explicit and implicit."""
     table = []
     for modes in (2, 4, 6, 8, 12, 20, 32, 50, 75, 100):
-        rom = reduce(model, runs["train"], modes=modes)
+        rom = hyper_reduce(model, runs["train"], modes=modes)
         entry: dict[str, Any] = {"modes": modes, "nodes": rom.report["nodes"]}
         for name, stepped in (("explicit", rom), ("implicit", rom.with_step(1e-3))):
             found = []
@@ -197,11 +201,11 @@ def study_stability(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -
     return table
 
 
-def study_stepping(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> dict[str, Any]:
+def study_stepping(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> dict[str, Any]:
     """Cost and error of steps, against tiny explicit ones; energy of a free body over a long time."""
     table = []
     for modes in (8, 32, 64):
-        rom = reduce(model, runs["train"], modes=modes)
+        rom = hyper_reduce(model, runs["train"], modes=modes)
         loads = motions("inside")[5]
         fine = pt.rollout(rom, loads, duration=DURATION, every=EVERY, step=1e-5, progress=False)
         for name, stepped, step in (
@@ -217,12 +221,12 @@ def study_stepping(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) ->
     return {"cost": table, "free": _free_energy(model, runs)}
 
 
-def _free_energy(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
+def _free_energy(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
     """Let the bent body go without viscosity for 20 s; say how far its energy strays."""
     from dataclasses import replace
 
-    rom = reduce(model, runs["train"], modes=16)
-    calm = pt.ReducedModel(replace(rom.parts, viscosity=0.0))
+    rom = hyper_reduce(model, runs["train"], modes=16)
+    calm = pt.ReducedModel(replace(rom.data, stiffness_damping=0.0))
     bent = runs["inside"][5]
     start = bent.displacements[np.argmax(np.abs(bent.displacements).max(axis=(1, 2)))]
     result = []
@@ -238,14 +242,14 @@ def _free_energy(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> l
     return result
 
 
-def study_sampling(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
+def study_sampling(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
     """The sampled energy beside two samplings of nodal forces, with as many nodes."""
     table = []
     cases = [("train", 0), ("inside", 0)]
     for modes in (8, 24):
-        rom = reduce(model, runs["train"], modes=modes)
+        rom = hyper_reduce(model, runs["train"], modes=modes)
         some = np.concatenate([run.displacements[2::20] for run in runs["train"]])
-        shapes = rom.parts.columns[:modes]
+        shapes = rom.data.basis_vectors[:modes]
         project = (shapes * model.volumes[:, None]).reshape(modes, -1)
         states = (project @ some.reshape(len(some), -1).T).T
         nodal = np.array([model.force(np.tensordot(a, shapes, 1)) for a in states])
@@ -288,15 +292,15 @@ def _deim(project: Floats, nodal: Floats, nodes: int) -> Callable[[Floats], Floa
 
 
 def _leapfrog(
-    model: pt.FullModel, shapes: Floats, sampled: Any, loads: Any, full: pt.Trajectory, rom: pt.ReducedModel
+    model: pt.Solid, shapes: Floats, sampled: Any, loads: Any, full: pt.Trajectory, rom: pt.ReducedModel
 ) -> float:
     """Displacement error of explicit steps with a sampled force; infinite if it blows up."""
-    drive, density = model.drive(loads), model.material.density
-    forces = rom._loads(rom.drive(loads)).at(np.arange(0.0, DURATION + 1e-9, 1e-4))[:, : len(shapes)] / density
+    prepared, density = model.prepare(loads), model.material.density
+    forces = rom._loads(rom.prepare(loads)).at(np.arange(0.0, DURATION + 1e-9, 1e-4))[:, : len(shapes)] / density
     a, v, frames = np.zeros(len(shapes)), np.zeros(len(shapes)), [np.zeros(len(shapes))]
-    del drive
+    del prepared
     for s in range(round(DURATION / 1e-4)):
-        nodal = model.force(np.tensordot(a + model.viscosity * v, shapes, 1))
+        nodal = model.force(np.tensordot(a + model.stiffness_damping * v, shapes, 1))
         v = v + 1e-4 * (sampled(nodal) / density + forces[s])
         a = a + 1e-4 * v
         if not np.isfinite(a).all() or np.abs(a).max() > 1e3:
@@ -306,7 +310,7 @@ def _leapfrog(
     return whole(full.displacements, np.tensordot(np.array(frames), shapes, 1))
 
 
-def study_enrichment(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
+def study_enrichment(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
     """Bases of 32 fields from vibration modes, their derivatives, and training."""
     table = []
     slow, _ = pt.vibration_modes(model, 32)
@@ -319,7 +323,7 @@ def study_enrichment(model: pt.FullModel, runs: dict[str, list[pt.Trajectory]]) 
         ("20 trained modes and 12 vibration modes", 20, slow[:12]),
         ("20 trained modes and 12 derivatives", 20, derived[:12]),
     ):
-        rom = reduce(model, runs["train"], modes=modes, enrichment=fields)
+        rom = hyper_reduce(model, runs["train"], modes=modes, enrichment=fields)
         found = summary([tried(rom, loads, full) for loads, full in some])
         table.append({"basis": name, "nodes": rom.report["nodes"], "inside": found})
         print(f"{name}\n{shown({'inside': found})}", flush=True)

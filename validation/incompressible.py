@@ -102,7 +102,7 @@ def cook_cloud(spacing: float, jitter: float) -> pt.Cloud:
 # measures
 
 
-def moment_and_force(model: pt.FullModel, u: np.ndarray) -> np.ndarray:
+def moment_and_force(model: pt.Solid, u: np.ndarray) -> np.ndarray:
     """Force [N] and moment [N m] on the moved end, (6,)."""
     x, end = model.cloud.points + u, model.cloud.group("x+")
     centre = x[end].mean(axis=0)
@@ -119,11 +119,11 @@ def moment_and_force(model: pt.FullModel, u: np.ndarray) -> np.ndarray:
     return np.array(result)
 
 
-def full_stencils(model: pt.FullModel):
+def full_stencils(model: pt.Solid):
     return moving_least_squares(model.cloud.points, order=2, neighbours=model.neighbours)
 
 
-def pressures(model: pt.FullModel, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def pressures(model: pt.Solid, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pressures [Pa] at the nodes: smoothed; as the nodal stress has it; and of each node's own J, not smoothed.
 
     The energy form smooths twice: its stress has what the transposed smoothing makes of the first.
@@ -136,7 +136,7 @@ def pressures(model: pt.FullModel, u: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return work.smooth.copy(), work.smooth.copy(), own
 
 
-def roughness(model: pt.FullModel, values: np.ndarray, lattice: np.ndarray) -> float:
+def roughness(model: pt.Solid, values: np.ndarray, lattice: np.ndarray) -> float:
     """Root mean square [Pa] of the checkerboard in a nodal field, off the ends: its height from black to white.
 
     `lattice` are the nodes of the box before they were jittered and tapered.
@@ -166,21 +166,23 @@ def pressure_errors(cloud: pt.Cloud, fields: list[np.ndarray], target: dict) -> 
 # runs
 
 
-def settled(model: pt.FullModel, motion) -> np.ndarray:
+def settled(model: pt.Solid, motion) -> np.ndarray:
     """Displacements with the end moved within 0.1 s, after 0.35 s more."""
     follow = pt.PrescribedMotion("x+", lambda X, t: motion(X, np.sin(np.pi / 2 * min(max(t / 0.1, 0), 1)) ** 2))
     return relax(model, [follow], np.zeros_like(model.cloud.points), 0.45, 150.0)
 
 
-def settled_panel(model: pt.FullModel, seconds: float = 0.6, damping: float = 60.0) -> tuple[np.ndarray, int]:
+def settled_panel(model: pt.Solid, seconds: float = 0.6, damping: float = 60.0) -> tuple[np.ndarray, int]:
     """Displacements of Cook's slab, its faces held in their planes; the number of steps."""
-    drive = model.drive([pt.Traction("x+", force=lambda t: (0.0, SHEAR * 0.016 * PANEL[2] * min(t / 0.1, 1.0), 0.0))])
+    prepared = model.prepare(
+        [pt.SurfaceForce("x+", force=lambda t: (0.0, SHEAR * 0.016 * PANEL[2] * min(t / 0.1, 1.0), 0.0))]
+    )
     faces = np.union1d(model.cloud.group("z-"), model.cloud.group("z+"))
     u, v, now, steps = np.zeros_like(model.cloud.points), np.zeros_like(model.cloud.points), 0.0, 0
     while now < seconds:
-        step = 0.8 * model.stable_step(pt.State(u, v, now), drive)
+        step = 0.8 * model.stable_step(pt.State(u, v, now), prepared)
         for _ in range(200):
-            a = model.acceleration(pt.State(u, v, now), drive)
+            a = model.acceleration(pt.State(u, v, now), prepared)
             a[faces, 2] = 0.0
             v = (v + step * a) * np.exp(-step * damping)
             u, now, steps = u + step * v, now + step, steps + 1
@@ -234,16 +236,18 @@ def reference(cases: list[str]) -> None:
 
 def model_of(
     cloud: pt.Cloud, poisson: float, form: str, volumetric: str = "quadratic", neighbours: int = 42
-) -> pt.FullModel:
+) -> pt.Solid:
     """A model that comes to rest: the energy form has more than its default viscosity; static states do not change."""
-    model = pt.FullModel(cloud, tissue(poisson, volumetric), "x-", form=form, neighbours=neighbours)
+    model = pt.Solid(cloud, tissue(poisson, volumetric), "x-", form=form, neighbours=neighbours)
     if form == "strong":
         return model
-    viscosity = 0.4 / model.stability.highest_frequency
-    return pt.FullModel(cloud, tissue(poisson, volumetric), "x-", form=form, neighbours=neighbours, viscosity=viscosity)
+    stiffness_damping = 0.4 / model.stability.highest_frequency
+    return pt.Solid(
+        cloud, tissue(poisson, volumetric), "x-", form=form, neighbours=neighbours, stiffness_damping=stiffness_damping
+    )
 
 
-def default_step(model: pt.FullModel) -> float:
+def default_step(model: pt.Solid) -> float:
     """Stable step [s] at rest with the default viscosity."""
     highest = model.stability.highest_frequency
     return stable_step(highest, DAMPING / highest) if model.conservative else model.stability.step
@@ -270,7 +274,7 @@ def run(case: str, poisson: float, form: str, spacing: float, jitter: float) -> 
     lattice = pt.box(PANEL if case == "cook" else SIZE, spacing).points
     found = {
         "answer": answer, "error": answer / target["answer"] - 1, "nodes": len(cloud),
-        "step": default_step(model), "viscosity": model.viscosity, "steps": steps,
+        "step": default_step(model), "stiffness_damping": model.stiffness_damping, "steps": steps,
         "seconds": time.perf_counter() - begin,
         "rough": [roughness(model, f, lattice) for f in (smooth, acting, own)],
         **pressure_errors(cloud, [smooth, acting, own], target),
@@ -297,7 +301,7 @@ def readouts() -> None:
         if case == "cook" or not file.exists():
             continue
         target = find(read()["reference"], case=case, poisson=poisson)
-        model = pt.FullModel(pt.box(SIZE, 0.0025, jitter), tissue(poisson), "x-", form="energy")
+        model = pt.Solid(pt.box(SIZE, 0.0025, jitter), tissue(poisson), "x-", form="energy")
         fields = dict(np.load(file))
         fields["shown"] = model.recovered_pressure(fields["u"])
         np.savez_compressed(file, **fields)

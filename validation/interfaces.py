@@ -41,13 +41,13 @@ def bar(cells: int) -> pt.Cloud:
     return replace(cloud, groups=cloud.groups | {name: nodes for name, nodes in groups.items() if len(nodes)})
 
 
-def loads(model: pt.FullModel, force: float) -> np.ndarray:
+def loads(model: pt.Solid, force: float) -> np.ndarray:
     """Nodal forces [N] of a pull, (3 n,)."""
-    drive = model.drive([pt.Traction("x+", force=lambda t: (force, 0.0, 0.0))])
-    return model.external_force(model.state(drive), drive).ravel()
+    prepared = model.prepare([pt.SurfaceForce("x+", force=lambda t: (force, 0.0, 0.0))])
+    return model.external_force(model.state(prepared), prepared).ravel()
 
 
-def tip(model: pt.FullModel, u: np.ndarray) -> float:
+def tip(model: pt.Solid, u: np.ndarray) -> float:
     return float(u.reshape(-1, 3)[model.cloud.group("x+"), 0].mean())
 
 
@@ -66,11 +66,11 @@ def small(cells: int, ratio: float, kind: str) -> float:
     cloud, law, stress = bar(cells), pt.NeoHookean(C1=5e3, **TISSUE), 1.0
     stiff = pt.NeoHookean(C1=5e3 * ratio, **TISSUE)
     if kind == "materials":
-        model = pt.FullModel(cloud, {"": law, "far": stiff}, "x-", form="energy")
+        model = pt.Solid(cloud, {"": law, "far": stiff}, "x-", form="energy")
     else:
         between = {"middle": 2 / (1 + 1 / ratio)} if kind == "mean compliance" else {}
-        model = pt.FullModel(cloud, law, "x-", form="energy", stiffness={"far": ratio} | between)
-    free = np.flatnonzero(np.repeat(~model.held, 3))
+        model = pt.Solid(cloud, law, "x-", form="energy", stiffness={"far": ratio} | between)
+    free = np.flatnonzero(np.repeat(~model.fixed_mask, 3))
     u = np.zeros(3 * len(cloud))
     u[free] = splu(rest_stiffness(model)[free][:, free].tocsc()).solve(loads(model, stress * area(cells))[free])
     place = LENGTH / 2 if kind == "mean compliance" else middle(cells)
@@ -85,9 +85,9 @@ def pull(material: pt.Material, stretch: float) -> float:
 def large(cells: int, first: pt.Material, second: pt.Material) -> float:
     """Error of the stretch of a bar of two materials, its sides held."""
     cloud, stress = bar(cells), pull(SOFT, STRETCH)
-    model = pt.FullModel(cloud, {"": first, "far": second}, "x-", form="energy")
+    model = pt.Solid(cloud, {"": first, "far": second}, "x-", form="energy")
     outside = loads(model, stress * area(cells))
-    free = 3 * np.flatnonzero(~model.held)
+    free = 3 * np.flatnonzero(~model.fixed_mask)
     inverse = splu(rest_stiffness(model)[free][:, free].tocsc())
     u = np.zeros(3 * len(cloud))
     start = np.zeros(len(free))

@@ -39,7 +39,7 @@ Writer = tuple[str, Callable[[Path, int], None], Callable[[Path], Any]]
 def writers() -> dict[str, Writer]:
     """Return, by name, the file's name, a function that writes one of two contents, and one that loads it."""
     run, body, seen = pressed(), model(), recording()
-    system = pt.linearise(bar(), [pt.Traction("x+", force=lambda t: (t, 0.0, 0.0))], ["x+"])
+    system = pt.linearise(bar(), [pt.SurfaceForce("x+", force=lambda t: (t, 0.0, 0.0))], ["x+"])
     linear = [pt.reduce_linear(system, "modal", k) for k in (3, 4)]
     runs = [run, replace(run, model="other")]
     bodies = [body, body.with_step(1e-4)]

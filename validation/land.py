@@ -37,30 +37,30 @@ def beam(cells: int, bulk: float) -> Any:
     heart = pt.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=(1.0, 0.0, 0.0))
     rest = pt.VolumeOnly(mu=2e3, density=1000.0, bulk=bulk)
     cloud = pt.box((10 * MM, MM, MM), MM / cells)
-    return pt.FullModel(cloud, rest, "x-", form="energy", viscosity=0.0, fibres=heart)
+    return pt.Solid(cloud, rest, "x-", form="energy", stiffness_damping=0.0, fibres=heart)
 
 
 def settle(model: Any, u: Any, tip: int) -> tuple[Any, int, float]:
     """Return displacements at rest, the steps taken, and the norm of the forces left over that of the pressure's."""
-    drive, rest = model.drive([pt.Traction("z-", pressure=PRESSURE)]), np.zeros_like(u)
+    prepared, rest = model.prepare([pt.SurfaceForce("z-", pressure=PRESSURE)]), np.zeros_like(u)
     v, step, before = np.zeros_like(u), 0.0, np.inf
     model.highest_frequency.restart()
     for steps in range(MOST):
         if steps % EVERY == 0:
-            step = SHARE * model.stable_step(pt.State(u, rest, 0.0), drive)
-            if steps > FEWEST and abs(u[tip, 2] - before) < SETTLED * MM and unbalanced(model, u, drive) < BALANCED:
+            step = SHARE * model.stable_step(pt.State(u, rest, 0.0), prepared)
+            if steps > FEWEST and abs(u[tip, 2] - before) < SETTLED * MM and unbalanced(model, u, prepared) < BALANCED:
                 break
             before = u[tip, 2]
-        v = (1 - 2 * SLOWEST * step) * v + step * model.acceleration(pt.State(u, rest, 0.0), drive)
+        v = (1 - 2 * SLOWEST * step) * v + step * model.acceleration(pt.State(u, rest, 0.0), prepared)
         u = u + step * v
-    return u, steps, unbalanced(model, u, drive)
+    return u, steps, unbalanced(model, u, prepared)
 
 
-def unbalanced(model: Any, u: Any, drive: Any) -> float:
+def unbalanced(model: Any, u: Any, prepared: Any) -> float:
     """Return the norm of the forces left at the nodes over that of the pressure's."""
     state = pt.State(u, np.zeros_like(u), 0.0)
-    left = model.acceleration(state, drive) * model.masses[:, None]
-    return float(np.linalg.norm(left) / np.linalg.norm(model.external_force(state, drive)))
+    left = model.acceleration(state, prepared) * model.masses[:, None]
+    return float(np.linalg.norm(left) / np.linalg.norm(model.external_force(state, prepared)))
 
 
 def refined(points: Any, coarse: Any, u: Any) -> Any:

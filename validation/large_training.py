@@ -38,7 +38,7 @@ def states(cloud: pt.Cloud, seed: int = 0) -> pt.Trajectory:
     return pt.Trajectory(
         points=cloud.points, times=times, displacements=fields, velocities=np.zeros_like(fields), reactions={},
         kinetic=zeros, strain=zeros, external=zeros, dissipated=zeros, steps=np.arange(STATES), wall_seconds=1.0,
-        model="random states", viscosity=0.0,
+        model="random states", stiffness_damping=0.0,
     )  # fmt: skip
 
 
@@ -50,16 +50,16 @@ def main() -> None:
     chosen = parser.parse_args()
     cloud = pt.box((0.1, 0.1, 0.1), 0.1 / (chosen.side - 1))
     tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
-    body = pt.FullModel(cloud, tissue, "x-", form="energy", viscosity=1e-6)
+    body = pt.Solid(cloud, tissue, "x-", form="energy", stiffness_damping=1e-6)
     run = states(cloud)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     start = perf_counter()
-    model = pt.reduce(body, run, modes=chosen.modes)
+    model = pt.hyper_reduce(body, run, modes=chosen.modes)
     entry = {
         "nodes": len(cloud),
         "modes": chosen.modes,
         "seconds": perf_counter() - start,
-        "sampled": len(model.parts.cubature.nodes),
+        "sampled": len(model.data.cubature.nodes),
         "cubature_residual": model.report["cubature_residual"],
         "gigabytes_before": before,
         "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,

@@ -96,7 +96,7 @@ def element_force(law: Any, case: str, cells: tuple[int, int, int]) -> float:
     return float(forces[end, axis].sum())
 
 
-def model_force(model: pt.FullModel, case: str, before: Any) -> tuple[float, Any]:
+def model_force(model: pt.Solid, case: str, before: Any) -> tuple[float, Any]:
     """Force [N] on the moved end by the model, and its points and displacements, from which a finer one starts."""
     cloud, (axis, share) = model.cloud, CASES[case]
     free = np.ones(cloud.points.shape, dtype=bool)
@@ -148,10 +148,10 @@ def solve(task: tuple[str, tuple[str, ...], tuple[float, ...]]) -> list[dict[str
 
 
 @cache
-def body(name: str, form: str, spacing: float) -> pt.FullModel:
+def body(name: str, form: str, spacing: float) -> pt.Solid:
     """A model of a law."""
     law, fibres = (each and each() for each in bodies()[name])
-    return pt.FullModel(pt.box(SIZE, spacing), law, ("x-", "x+"), form=form, viscosity=0.0, fibres=fibres)
+    return pt.Solid(pt.box(SIZE, spacing), law, ("x-", "x+"), form=form, stiffness_damping=0.0, fibres=fibres)
 
 
 def keep(found: list[dict[str, Any]]) -> None:

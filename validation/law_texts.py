@@ -87,9 +87,9 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     parser.add_argument("--split", default="coupled", choices=("coupled", "isochoric"))
     options = parser.parse_args()
-    body = pt.FullModel(pt.box((0.03, 0.01, 0.01), 0.0025), pt.NeoHookean(C1=5e3, **REST), "x-", form="energy")
-    run = pt.rollout(body, [pt.Traction("x+", force=(0.3, 0.05, -0.02))], duration=0.01, every=1e-3, progress=False)
-    parts = pt.reduce(body, run, modes=4).parts
+    body = pt.Solid(pt.box((0.03, 0.01, 0.01), 0.0025), pt.NeoHookean(C1=5e3, **REST), "x-", form="energy")
+    run = pt.rollout(body, [pt.SurfaceForce("x+", force=(0.3, 0.05, -0.02))], duration=0.01, every=1e-3, progress=False)
+    parts = pt.hyper_reduce(body, run, modes=4).parts
     with tempfile.TemporaryDirectory() as folder:
         numba.config.CACHE_DIR = folder  # nothing is found that another run has compiled
         compiling(parts, "C1*(I1 - 3) - 2.5*C1*log(J)", options.split)  # with all that every law needs

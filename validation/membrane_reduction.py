@@ -64,7 +64,7 @@ def main() -> None:
             if apart and name != "local lifting, relative snapshots":
                 continue
             data = full if apart else [full[0].then(full[1])] * 2
-            models = [pt.project(scene.model, run, modes=modes, driven=["tool"], **training) for run in data]
+            models = [pt.galerkin(scene.model, run, modes=modes, prescribed=["tool"], **training) for run in data]
             row = {"then": after, "training": name, "basis": "a phase" if apart else "one", "modes": modes}
             try:
                 found = both(scene, models)
@@ -72,7 +72,7 @@ def main() -> None:
                 row["failed"] = str(error).split(";")[0]
                 found = ()
             for label, model, expected, run in zip(("push", "after"), models, full, found, strict=False):
-                row[label] = asdict(pt.errors(expected, run)) | {"projection": projection(model, expected)}
+                row[label] = asdict(pt.relative_errors(expected, run)) | {"projection": projection(model, expected)}
                 row[label]["time_ratio"] = run.wall_seconds / expected.wall_seconds
             rows.append(row)
             show(row)

@@ -47,9 +47,9 @@ def poked(spacing, layout, jitter, tool_radius, prestretch=1.0, form="energy"):
     start = np.zeros((len(cloud), 3))
     start[:, 2] = 0.01 * np.clip((RADIUS - distance) / (RADIUS - tool_radius), 0.0, 1.0)
     u, change = settled(model, [tool], start)
-    drive = model.drive([tool])
+    prepared = model.prepare([tool])
     still = pt.State(u, np.zeros_like(u))
-    force = pt.dynamics.reactions.reactions(model, still, drive)["tool"][2]
+    force = pt.dynamics.reactions.reactions(model, still, prepared)["tool"][2]
     mean = np.sum(cloud.volumes * u[:, 2]) / cloud.volumes.sum()
     return force, float(mean), model.strain_energy(u), change
 
@@ -75,7 +75,7 @@ def statics():
         model = pt.Membrane(cloud, LAW, THICKNESS, "rim")
         start = np.zeros((len(cloud), 3))
         start[:, 2] = exact.height * (1 - np.sum(cloud.points**2, axis=1) / RADIUS**2)
-        u, change = settled(model, [pt.Traction("face", pressure=-pressure)], start)
+        u, change = settled(model, [pt.SurfaceForce("face", pressure=-pressure)], start)
         height = float(u[cloud.group("centre")[0], 2])
         rows.append({
             "case": "inflation", "pressure": pressure, "spacing": spacing, "layout": layout, "jitter": jitter,
@@ -111,7 +111,7 @@ def frequencies():
         (1.01, 1.1), ("energy", "strong"), SPACINGS[:2], LAYOUTS
     ):
         cloud = pt.disc(RADIUS, spacing, layout, jitter, 1)
-        model = pt.Membrane(cloud, LAW, THICKNESS, "rim", prestretch=prestretch, form=form, viscosity=0.0)
+        model = pt.Membrane(cloud, LAW, THICKNESS, "rim", prestretch=prestretch, form=form, stiffness_damping=0.0)
         found = np.sort(np.sqrt(transverse(model).real))[:4]
         speed = prestretch * np.sqrt(2 * C1 * (1 - prestretch**-6) / LAW.density)
         exact = speed / RADIUS * np.array([jn_zeros(m, 1)[0] for m in (0, 1, 1, 2)])
@@ -125,7 +125,7 @@ def frequencies():
 
 def transverse(model):
     """Eigenvalues w^2 [1/s^2] of the transverse motions, which are not coupled to those in the plane at rest."""
-    free = np.flatnonzero(~model.held)
+    free = np.flatnonzero(~model.fixed_mask)
     matrix = np.empty((len(free), len(free)))
     u, step = np.zeros((len(model.cloud), 3)), 1e-6 * model.cloud.spacing
     for column, node in enumerate(free):

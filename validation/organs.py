@@ -89,7 +89,7 @@ def run(
     )
     try:
         material = pt.NeoHookean(C1=1000.0, density=1060.0, poisson=poisson)
-        model = pt.FullModel(cloud, material, "back", form=form)
+        model = pt.Solid(cloud, material, "back", form=form)
         every = duration / 50
         trajectory = pt.rollout(model, [poke], duration=duration, every=every, progress=False)
     except (pt.CloudError, pt.DivergenceError) as error:
@@ -104,7 +104,7 @@ def run(
         "energy_at_end": float(energy[-1]),
         "balance": float(np.abs(trajectory.balance).max() / np.abs(trajectory.external).max()),
         "largest_displacement": float(np.linalg.norm(trajectory.displacements, axis=2).max()),
-        "viscosity": trajectory.viscosity,
+        "stiffness_damping": trajectory.stiffness_damping,
         "steps": int(trajectory.steps[-1]),
         "seconds": trajectory.wall_seconds,
     }

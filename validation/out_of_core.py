@@ -6,7 +6,7 @@ A held block of side^3 nodes (46: 97,336). The snapshots are smooth random motio
 (12 GB for 10,000; --folder says where). They are made of a few hundred known shapes, so that the exact singular values
 follow from small matrices. The modes are found in a process of its own, whose peak memory is measured.
 
-strain        modes of du/dX, as `palpate.reduce` takes them (`main_modes`)
+strain        modes of du/dX, as `palpate.hyper_reduce` takes them (`main_modes`)
 displacement  `palpate.pod`
 
 Prints what was found, and appends it to docs/validation/out_of_core.json.
@@ -41,10 +41,10 @@ SHAPES, FRAMES, LARGEST = 150, 100, 0.1  # frames in a file; the largest displac
 SPARE = 8
 
 
-def body(side: int) -> pt.FullModel:
+def body(side: int) -> pt.Solid:
     """Return the held block."""
     tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
-    return pt.FullModel(pt.box((0.1, 0.1, 0.1), 0.1 / (side - 1)), tissue, "x-", form="energy", viscosity=1e-6)
+    return pt.Solid(pt.box((0.1, 0.1, 0.1), 0.1 / (side - 1)), tissue, "x-", form="energy", stiffness_damping=1e-6)
 
 
 def shapes(points: Floats) -> Floats:
@@ -77,9 +77,9 @@ def write(points: Floats, snapshots: int, folder: Path) -> list[Path]:
         if paths[-1].exists():
             continue
         frames, count = [(share @ fields).T for share in own], np.zeros(len(own))
-        header = {"model": "shapes", "label": "", "wall_seconds": 0.0, "viscosity": 0.0, "complete": True}
-        arrays = {"points": points, "times": np.linspace(0, 1, len(own)), "steps": count, "touches": np.zeros((0, 5)),
-                  "held": np.zeros(0, dtype=bool)}  # fmt: skip
+        header = {"model": "shapes", "label": "", "wall_seconds": 0.0, "stiffness_damping": 0.0, "complete": True}
+        arrays = {"points": points, "times": np.linspace(0, 1, len(own)), "steps": count, "contact_forces": np.zeros((0, 5)),
+                  "bonded": np.zeros(0, dtype=bool)}  # fmt: skip
         write_sealed(paths[-1], FORMAT, VERSION, header, arrays, {"displacements": frames})
     return paths
 
@@ -110,7 +110,7 @@ def measured(side: int, modes: int, method: str, files: list[Path]) -> dict[str,
 
 
 def compared(
-    model: pt.FullModel, count: int, modes: Floats, values: Floats | None, method: str
+    model: pt.Solid, count: int, modes: Floats, values: Floats | None, method: str
 ) -> dict[str, float | list[float]]:
     """Say what the modes miss of the snapshots beside what the best ones miss, from small matrices alone."""
     fields, parts = shapes(model.cloud.points), shares(count)

@@ -25,7 +25,7 @@ import palpate as pt
 from palpate.app.train.campaign import REPEATED
 from palpate.app.train.folder import HELD_OUT, jobs
 from palpate.dynamics.contact.tools import surface_nodes
-from palpate.reduction.basis.linear_modes import carried_modes
+from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.scenes.training import training_scene
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "presses.json"
@@ -74,15 +74,15 @@ def main() -> None:
     found = [(job, path) for job, path in found if path.exists()]
     model = pt.load(args.folder / "model.rom")
     if args.shapes is not None or args.modes or args.cubature is not None:
-        shapes = model.parts.modes if args.shapes is None else args.shapes
+        shapes = model.data.modes if args.shapes is None else args.shapes
         coarse = scene.coarse()
         trained = [(scene.path(job.seed)[0], path) for job, path in found if job.kind != HELD_OUT]
-        model = pt.reduce(
+        model = pt.hyper_reduce(
             scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, repeated=trained[:REPEATED],
-            enrichment=carried_modes(coarse, scene.model, shapes) if shapes else None, cubature=args.cubature or 1e-3,
+            enrichment=interpolated_modes(coarse, scene.model, shapes) if shapes else None, cubature=args.cubature or 1e-3,
         )  # fmt: skip
     about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}
-    known = ("modes", "nodes", "nodes_full", "training_runs", "dents_explained")
+    known = ("modes", "nodes", "nodes_full", "training_runs", "compliance_explained")
     about |= {f"model_{name}": model.report[name] for name in known}
     rows = [compared(scene, model, job.seed, pt.Trajectory.load(path)) for job, path in found if job.kind == HELD_OUT]
     print(about)

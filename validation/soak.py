@@ -34,8 +34,12 @@ BALL, DEPTH = 0.015, 0.004  # [m]
 
 def block() -> ReducedModel:
     """Return a small block that a ball presses from above."""
-    body = pt.FullModel(
-        pt.box(SIZE, SPACING), pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", viscosity=1e-4
+    body = pt.Solid(
+        pt.box(SIZE, SPACING),
+        pt.NeoHookean(C1=2e3, density=1000, poisson=0.4),
+        "z-",
+        form="energy",
+        stiffness_damping=1e-4,
     )
 
     def press(x: float) -> tuple[pt.Contact]:
@@ -46,7 +50,7 @@ def block() -> ReducedModel:
         return (pt.Contact(pt.Sphere(BALL), motion),)
 
     runs = [pt.rollout(body, press(x), duration=LASTING, every=EVERY) for x in (0.022, 0.027)]
-    return pt.reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
+    return pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
 
 
 class Served:

@@ -23,16 +23,16 @@ HERE = Path(__file__).parent
 OUTPUT = HERE.parent / "docs" / "validation" / "tips.json"
 
 
-def body(spacing: float, poisson: float, form: str, pressure: str, half_cell: float) -> pt.FullModel:
+def body(spacing: float, poisson: float, form: str, pressure: str, half_cell: float) -> pt.Solid:
     cloud = pt.box((0.2, 0.02, 0.02), spacing)
     law = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
     if form == "energy":
-        return pt.FullModel(cloud, law, "x-", form="energy")
+        return pt.Solid(cloud, law, "x-", form="energy")
     # more than the default viscosity: it changes no static state
-    return pt.FullModel(cloud, law, "x-", viscosity=1.8e-2 * spacing, pressure=pressure, half_cell=half_cell)
+    return pt.Solid(cloud, law, "x-", stiffness_damping=1.8e-2 * spacing, pressure=pressure, half_cell=half_cell)
 
 
-def tips(model: pt.FullModel, kind: str, forces: list[float], starts: list[np.ndarray] | None) -> list[np.ndarray]:
+def tips(model: pt.Solid, kind: str, forces: list[float], starts: list[np.ndarray] | None) -> list[np.ndarray]:
     """Displacements (n, 3) [m] under load after load; from given states, the coarser body's, if there are any."""
     direction = np.array([0.0, 0.0, 1.0] if kind == "sideways" else [1.0, 0.0, 0.0])
     settle, damping = (1.2, 13.0) if kind == "sideways" else (0.3, 60.0)  # about critical for the first mode
@@ -40,7 +40,7 @@ def tips(model: pt.FullModel, kind: str, forces: list[float], starts: list[np.nd
     for k, force in enumerate(forces):
         if starts:
             u, last, settle = starts[k], force, 0.6 if kind == "sideways" else 0.15
-        load = pt.Traction("x+", force=lambda t, a=last, b=force: (a + (b - a) * min(t / 0.1, 1.0)) * direction)
+        load = pt.SurfaceForce("x+", force=lambda t, a=last, b=force: (a + (b - a) * min(t / 0.1, 1.0)) * direction)
         u = relax(model, [load], u, settle, damping)
         found.append(u)
         last = force

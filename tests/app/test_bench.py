@@ -20,8 +20,8 @@ from palpate.scenes.beam import beam
 @pytest.fixture(scope="module")
 def sampled(bar, tissue, pull):
     """A hyper-reduced model of the bar."""
-    full = pt.FullModel(bar, tissue, fixed="x-", form="energy")
-    return pt.reduce(full, pt.rollout(full, [pull], duration=0.01, every=0.0005), modes=5)
+    full = pt.Solid(bar, tissue, fixed="x-", form="energy")
+    return pt.hyper_reduce(full, pt.rollout(full, [pull], duration=0.01, every=0.0005), modes=5)
 
 
 def test_calls_take_turns_and_the_median_forgets_a_slow_round():
@@ -38,27 +38,27 @@ def test_calls_take_turns_and_the_median_forgets_a_slow_round():
 
 @pytest.mark.parametrize("count", [4, 37, 400])
 def test_nodes_in_several_parts_leave_force_and_energy_as_they_are(sampled, count):
-    own = len(sampled.parts.cubature.nodes)
+    own = len(sampled.data.cubature.nodes)
     model = _with_samples(sampled, count)
-    assert len(model.parts.cubature.nodes) == count
-    coordinates = 0.1 * sampled.parts.trained[-1]
+    assert len(model.data.cubature.nodes) == count
+    coordinates = 0.1 * sampled.data.trained[-1]
     if count >= own:
         np.testing.assert_allclose(model.force(coordinates), sampled.force(coordinates), rtol=1e-6)
         assert model.energy(coordinates) == pytest.approx(sampled.energy(coordinates), rel=1e-6)
     else:
-        kept = model.parts.cubature.weights.sum() / sampled.parts.cubature.weights.sum()
+        kept = model.data.cubature.weights.sum() / sampled.data.cubature.weights.sum()
         assert count / own < kept < 1  # the heaviest ones
 
 
 def test_times_of_compiled_loops_are_positive_and_leave_the_model_as_it_was(sampled, pull):
-    drive = sampled.drive([pull])
-    state = sampled.state(drive)
-    before = sampled.advance(state, drive, 1e-5, 10)
+    prepared = sampled.prepare([pull])
+    state = sampled.state(prepared)
+    before = sampled.advance(state, prepared, 1e-5, 10)
     force, reading = force_seconds(sampled, repeats=2)
-    (step,) = step_seconds((sampled, drive, state), steps=50, repeats=2)
+    (step,) = step_seconds((sampled, prepared, state), steps=50, repeats=2)
     assert min(force, reading, step, read_seconds(np.ones(10**4), repeats=2)) > 0
     assert not state.coordinates.any()
-    np.testing.assert_array_equal(sampled.advance(state, drive, 1e-5, 10).coordinates, before.coordinates)
+    np.testing.assert_array_equal(sampled.advance(state, prepared, 1e-5, 10).coordinates, before.coordinates)
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ def idle(monkeypatch, tmp_path):
         raise Reached("nothing is computed here")
 
     for place in (
-        "palpate.scenes.beam.FullModel", "palpate.scenes.grasp.FullModel", "palpate.scenes.push.Membrane",
+        "palpate.scenes.beam.Solid", "palpate.scenes.grasp.Solid", "palpate.scenes.push.Membrane",
         "palpate.scenes.membrane.Membrane", "palpate.scenes.liver.fill", "palpate.app.run.quick.reduce",
         "palpate.app.bench.command.large_case", "palpate.app.bench.page.find_chromium", "palpate.app.fit.command.fit",
         "palpate.app.run.liver.cached", "palpate.app.train.command.opened", "palpate.app.compare.command.BODIES",

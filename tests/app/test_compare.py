@@ -20,15 +20,15 @@ LASTING = 0.02
 @pytest.fixture
 def small_bar(bar, tissue, monkeypatch):
     """Let the bar, pulled a little and by half its length, stand for the beam."""
-    model = pt.FullModel(bar, tissue, fixed="x-", form="energy", viscosity=2e-5)
+    model = pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=2e-5)
 
     def loads(size):
-        return (pt.Traction("x+", force=lambda t: (size * np.sin(np.pi * t / LASTING) ** 2, 0.0, 0.0)),)
+        return (pt.SurfaceForce("x+", force=lambda t: (size * np.sin(np.pi * t / LASTING) ** 2, 0.0, 0.0)),)
 
     def make(spacing=0.005, poisson=0.45):
         return Body(
             "A bar", model, loads, 1e-4, 3.0, "N", ("x+",), LASTING, 0.001,
-            lambda run, modes: pt.project(model, run, modes=modes), "POD of the nonlinear run",
+            lambda run, modes: pt.galerkin(model, run, modes=modes), "POD of the nonlinear run",
         )  # fmt: skip
 
     monkeypatch.setitem(bodies.BODIES, "beam", make)

@@ -11,7 +11,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.run import liver
-from palpate.reduction.training.errors import touch_errors
+from palpate.reduction.training.errors import contact_errors
 from palpate.scenes.liver import pressed_liver
 
 COARSE = {"spacing": 0.012, "radius": 0.03, "depth": 0.012}
@@ -52,9 +52,9 @@ def test_a_campaign_presses_the_liver_and_its_report_says_how_many_nodes_it_samp
     assert 0 < report["model"]["cubature_residual"] <= 0.05
     assert f"{report['model']['nodes']}; 0.05" in (trained / "report.md").read_text()
     assert report["model"]["scene"] == {"name": "liver", "parameters": report["campaign"]["parameters"]}
-    assert len(model.parts.cubature.nodes) == report["model"]["nodes"] < 0.1 * len(model.cloud)
-    assert model.parts.dents is not None
-    assert 0.5 < report["model"]["dents_explained"] <= 1
+    assert len(model.data.cubature.nodes) == report["model"]["nodes"] < 0.1 * len(model.cloud)
+    assert model.data.compliance is not None
+    assert 0.5 < report["model"]["compliance_explained"] <= 1
     assert report["model"]["held_out"]["mean"]["reaction"] < 0.5
     run = pt.Trajectory.load(trained / "runs" / "train_000000.h5")
     assert np.linalg.norm(run.reactions["tool"], axis=1).max() > 0.05
@@ -66,9 +66,9 @@ def test_the_report_says_what_the_ball_and_the_surface_under_it_miss(trained):
     loads, duration = scene.path(next(run["seed"] for run in report["runs"] if run["kind"] == "held_out"))
     full = pt.Trajectory.load(trained / "runs" / "held_out_000000.h5")
     own = pt.rollout(model, loads, duration=duration, every=scene.every)
-    expected = touch_errors(full, own, ["tool"], model.parts.dents.nodes).as_dict()
+    expected = contact_errors(full, own, ["tool"], model.data.compliance.nodes).as_dict()
     assert found["runs"][0] == found["runs"][0] | {n: pytest.approx(v, rel=1e-6) for n, v in expected.items()}
-    assert found["touch"]["mean"] == pytest.approx(expected, rel=1e-6)
+    assert found["contact"]["mean"] == pytest.approx(expected, rel=1e-6)
     assert f"{expected['force_95']:.2%}" in (trained / "report.md").read_text()
 
 
@@ -150,7 +150,7 @@ def test_a_cache_that_cannot_be_written_is_told(cache, tmp_path, assert_refused)
 
 def test_a_model_that_knows_no_contact_is_refused(run, held, tmp_path, assert_refused):
     file, out = tmp_path / "bar.rom", tmp_path / "out"
-    pt.save(pt.reduce(held, run, modes=2), file)
+    pt.save(pt.hyper_reduce(held, run, modes=2), file)
     assert_refused([*REALTIME, "--model", str(file), "--out", str(out)], str(file), "palpate train liver")
     assert not out.exists()
 

@@ -102,7 +102,7 @@ def test_a_campaign_leaves_its_runs_a_model_and_a_report(whole, assert_drawn):
     held, scene = report["model"]["held_out"]["runs"], training_scene(SCENE, {})
     loads, duration = scene.path(folders.MOST_PATHS)
     again = pt.rollout(model, loads, duration=duration, every=scene.every)
-    expected = pt.errors(pt.Trajectory.load(whole / "runs" / RUNS[-1]), again)
+    expected = pt.relative_errors(pt.Trajectory.load(whole / "runs" / RUNS[-1]), again)
     assert len(held) == 1
     assert held[0]["displacement"] == pytest.approx(expected.displacement, rel=1e-6)
     assert held[0]["displacement"] < 0.3
@@ -357,7 +357,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_runs(whole, tmp_path, clus
         killer.join()
     assert lost
     assert_same_runs(folder, whole)
-    both = [pt.load(path / "model.rom").parts.columns for path in (folder, whole)]
+    both = [pt.load(path / "model.rom").parts.basis_vectors for path in (folder, whole)]
     np.testing.assert_array_equal(*both)
 
 

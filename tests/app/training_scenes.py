@@ -7,7 +7,7 @@ import os
 import numpy as np
 
 from palpate.dynamics.loads.loads import PrescribedMotion
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.meshfree.cloud import box
 from palpate.scenes.scene import TrainingScene
 from palpate.tissue.materials import MooneyRivlin
@@ -18,7 +18,7 @@ EVERY = 0.001
 def bar(lasting: float = 0.01, diverging: str = "", deadly: str = "") -> TrainingScene:
     """Return a bar whose end is pulled about; at some seeds through the bar, at others the process ends."""
     tissue = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
-    model = FullModel(box((0.03, 0.015, 0.015), 0.005), tissue, "x-", form="energy")
+    model = Solid(box((0.03, 0.015, 0.015), 0.005), tissue, "x-", form="energy")
 
     def path(seed: int) -> tuple[tuple[PrescribedMotion], float]:
         aim = np.random.default_rng(seed).uniform(-0.003, 0.003, 3)

@@ -57,10 +57,10 @@ def test_a_large_cloud_takes_no_more_steps_than_a_small_one(monkeypatch):
     monkeypatch.setattr(consistent, "MOST_STEPS", 80)
     for spacing in (0.004, 0.0025):
         cloud = pt.box((0.05, 0.04, 0.04), spacing, jitter=0.25)
-        pt.FullModel(cloud, pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), "x-", form="energy")
+        pt.Solid(cloud, pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), "x-", form="energy")
     monkeypatch.setattr(consistent, "MOST_STEPS", 5)
     with pytest.raises(pt.CloudError, match="too irregular"):
-        pt.FullModel(cloud, pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), "x-", form="energy")
+        pt.Solid(cloud, pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), "x-", form="energy")
 
 
 def drop(height, seed):
@@ -76,8 +76,8 @@ def test_stencils_widen_where_a_tip_needs_it():
     for seed, neighbours in wide.items():
         cloud = drop((0.015, 0.008), seed)
         with pytest.raises(pt.CloudError, match="too irregular"):
-            pt.FullModel(cloud, tissue, form="energy", neighbours=42)
-        model = pt.FullModel(cloud, tissue, form="energy")
+            pt.Solid(cloud, tissue, form="energy", neighbours=42)
+        model = pt.Solid(cloud, tissue, form="energy")
         assert model.neighbours == neighbours
     # and the tip holds: stretched and let go, it makes no energy
     start = 0.2 * cloud.points * (1.0, -0.3, -0.3)
@@ -88,5 +88,5 @@ def test_stencils_widen_where_a_tip_needs_it():
 
 def test_a_tip_that_no_stencil_carries_is_refused_by_the_node():
     with pytest.raises(pt.CloudError, match=r"near node \d+ at .* spread the points there") as refused:
-        pt.FullModel(drop((0.02, 0.006), 1), pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), form="energy")
+        pt.Solid(drop((0.02, 0.006), 1), pt.NeoHookean(C1=1e3, density=1000.0, poisson=0.45), form="energy")
     assert len(refused.value.nodes) == 1

@@ -79,7 +79,7 @@ def test_functions_that_only_differ_in_what_they_close_over_are_not_mistaken_for
 REACH = 0.01  # [m]: where the tool stands when the mass, three quarters as far, reaches its limit
 
 
-def driven(poses, seconds, most_speed=2.0):
+def prescribed(poses, seconds, most_speed=2.0):
     """Drive a tool that is clamped through poses, each for some seconds; return trust, place and hold of every period.
 
     The loop's own functions without its clock, so that runs are equal on every machine.
@@ -121,14 +121,14 @@ WAYS = {
 @pytest.mark.parametrize("early", [0.004, 0.03, 1.0])
 def test_a_tool_that_is_clamped_stays_so_on_every_way(way, speed, early):
     """Whenever the hand turns aside, soon after trust is lost above all, while the body still swings."""
-    trust, _, held, _ = driven(way, [0.03 / speed + early] * (len(way) - 1) + [4.0], speed)
+    trust, _, held, _ = prescribed(way, [0.03 / speed + early] * (len(way) - 1) + [4.0], speed)
     assert trust.max() > 1.0
     assert held[-1]
     assert (trust[-1000:] <= 1.0).all()
 
 
 def test_a_tool_that_comes_back_is_free():
-    trust, place, held, _ = driven([DEEP, at(0.004, 0.002)], 1.0)
+    trust, place, held, _ = prescribed([DEEP, at(0.004, 0.002)], 1.0)
     assert held[999]
     assert not held[-1]
     np.testing.assert_array_equal(place[-1], at(0.004, 0.002))
@@ -138,7 +138,7 @@ def test_a_tool_that_comes_back_is_free():
 def test_trust_that_a_tool_loses_standing_still_draws_it_back_on_its_way():
     """The mass swings beyond its limit while the tool has stood within its own for long."""
     near = at(0.0, 0.96 * REACH)
-    trust, place, held, _ = driven([at(0.005, 0.0), near], [0.5, 3.0], 5.0)
+    trust, place, held, _ = prescribed([at(0.005, 0.0), near], [0.5, 3.0], 5.0)
     lost = int(np.argmax(held))
     assert trust[lost] > 1.0
     np.testing.assert_array_equal(place[lost], near)
@@ -148,7 +148,7 @@ def test_trust_that_a_tool_loses_standing_still_draws_it_back_on_its_way():
 
 def test_a_trail_keeps_its_first_pose_and_the_newest_ones():
     poses = [at(1e-3 * math.sin(0.01 * k), 1e-3 * math.cos(0.01 * k)) for k in range(5 * LONGEST_TRAIL)]
-    *_, work = driven(poses, 1e-3, 5.0)
+    *_, work = prescribed(poses, 1e-3, 5.0)
     length = int(work.length[0])
     assert LONGEST_TRAIL // 2 <= length <= LONGEST_TRAIL
     np.testing.assert_array_equal(work.trail[0], IDENTITY)

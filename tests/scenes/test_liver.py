@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.basis.linear_modes import carried_modes
+from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.scenes.liver import ToolPaths, pressed_liver
 from palpate.scenes.training import training_scene
 
@@ -107,7 +107,7 @@ def test_the_full_model_takes_a_press_and_a_grasp(scene):
 def test_shapes_are_held_at_the_back_and_orthogonal_enough(scene):
     assert scene.coarse() is scene.model  # coarse enough itself
     finer = pressed_liver(spacing=0.010, radius=0.03).model
-    shapes = carried_modes(scene.coarse(), finer, 6)
+    shapes = interpolated_modes(scene.coarse(), finer, 6)
     cloud = finer.cloud
     assert shapes.shape == (6, len(cloud), 3)
     assert not shapes[:, cloud.group("back")].any()

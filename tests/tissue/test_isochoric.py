@@ -9,7 +9,7 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.compiled.cache import law_digest
-from palpate.reduction.storage.material import described, material_of
+from palpate.reduction.storage.material import describe_material, material_of
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.volumetric import volumetric_form
 
@@ -100,7 +100,7 @@ def test_laws_are_told_apart_where_they_are_compiled():
 @pytest.mark.parametrize("split", ["coupled", "isochoric"])
 def test_a_file_keeps_the_split(split):
     material = made("Gent", split=split)
-    said = described(material)
+    said = describe_material(material)
     again = material_of(said["material"], json.loads(said["parameters"]), said["expression"], {})
     assert again == material
     assert ("split" in json.loads(said["parameters"])) == (split == "isochoric")

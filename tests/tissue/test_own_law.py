@@ -50,8 +50,8 @@ def test_it_is_the_built_in_law_of_the_same_energy(name, deformations):
 def test_a_body_of_it_has_the_forces_of_the_built_in_law(name, form):
     text, parameters, built_in = TWINS[name]
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
-    own = pt.FullModel(cloud, Hyperelastic(text, **parameters, **REST), "x-", form=form, viscosity=1e-5)
-    other = pt.FullModel(cloud, built_in(parameters), "x-", form=form, viscosity=1e-5)
+    own = pt.Solid(cloud, Hyperelastic(text, **parameters, **REST), "x-", form=form, stiffness_damping=1e-5)
+    other = pt.Solid(cloud, built_in(parameters), "x-", form=form, stiffness_damping=1e-5)
     u = 0.1 * np.sin(60 * cloud.points) * 0.01
     expected = other.force(u)
     np.testing.assert_allclose(own.force(u), expected, atol=1e-9 * np.abs(expected).max())
@@ -124,7 +124,7 @@ def test_another_process_finds_the_compiled_law_in_the_cache(tmp_path):
 import sys, palpate as pt
 from palpate import Hyperelastic
 law = Hyperelastic("C1*(I1bar - 3) + C2*(I1bar - 3)**2", C1=5e3, C2=1e3, density=1000, poisson=0.45)
-body = pt.FullModel(pt.box((0.03, 0.01, 0.01), 0.0025), law, "x-", form="energy", viscosity=1e-5)
+body = pt.Solid(pt.box((0.03, 0.01, 0.01), 0.0025), law, "x-", form="energy", stiffness_damping=1e-5)
 force = body._internal_force
 body.force(body.cloud.points * 0)
 print(sum(force.stats.cache_hits.values()), sum(force.stats.cache_misses.values()))

@@ -64,7 +64,9 @@ def test_the_full_model_twists_and_blows_up_as_the_law_says(tissue):
 
 def test_newton_says_when_it_finds_no_rest():
     cloud = closed_forms.cylinder(3)
-    model = pt.FullModel(cloud, closed_forms.law_of("MooneyRivlin", 0.49), ("x-", "x+"), form="energy", viscosity=0.0)
+    model = pt.Solid(
+        cloud, closed_forms.law_of("MooneyRivlin", 0.49), ("x-", "x+"), form="energy", stiffness_damping=0.0
+    )
     inside_out = -2 * cloud.points
     with pytest.raises(RuntimeError, match="no rest"):
-        closed_forms.newton(model, inside_out, np.repeat(~model.held[:, None], 3, axis=1))
+        closed_forms.newton(model, inside_out, np.repeat(~model.fixed_mask[:, None], 3, axis=1))

@@ -18,7 +18,7 @@ l1^a + l2^a + l3^a - 3 where the volume stays. All laws also take density [kg/m^
 [Pa]; for a membrane poisson=0.5. Formulas, sources and curves: docs/laws.md
 """
 FIBRES = """\
-Fibres, FullModel(form="energy", fibres=...): the energy of a family of unit vectors a, to be given as directions=...,
+Fibres, Solid(form="energy", fibres=...): the energy of a family of unit vectors a, to be given as directions=...,
 by Cbar = J^(-2/3) C, E = (Cbar - I) / 2, I1bar = tr Cbar, I4bar = a . Cbar a.
 """
 RELAXES = """\

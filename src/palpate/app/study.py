@@ -20,7 +20,7 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError
 from palpate.files import check_folder, check_space, settle
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.errors import errors
+from palpate.reduction.training.errors import relative_errors
 from palpate.scenes.scene import Scene
 
 __all__ = [
@@ -41,7 +41,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 Train = Callable[[NodalModel, Trajectory, int], Model]
 
-PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.project`, `palpate.reduce`
+PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.galerkin`, `palpate.hyper_reduce`
 
 FOR_FIGURES = 5_000_000  # bytes
 SHOWN_MODES = 8  # the reduced model that figures compare with the full one: the paper's choice
@@ -253,7 +253,9 @@ def _run_size(study: Study, name: str, size: int, console: Console) -> list[Traj
     if not entry["failed"]:
         whole = _joined(runs)
         entry["joined"] = compared(study.full, whole)
-        entry["joined"]["errors_against"] = {peer: errors(run, whole).as_dict() for peer, run in study.peers.items()}
+        entry["joined"]["errors_against"] = {
+            peer: relative_errors(run, whole).as_dict() for peer, run in study.peers.items()
+        }
     study.reduced.append(entry)
     return runs
 
@@ -276,8 +278,8 @@ def _run_phase(
         return {"failed": True, "reason": " ".join(str(error).split())}, None
     measured = {
         "failed": False,
-        "nodes": len(model.parts.cubature.nodes) if isinstance(model, ReducedModel) else len(model.cloud),
-        "projection_error": errors(full, _projected(model, scene, full)).displacement,
+        "nodes": len(model.data.cubature.nodes) if isinstance(model, ReducedModel) else len(model.cloud),
+        "projection_error": relative_errors(full, _projected(model, scene, full)).displacement,
         "training_seconds": training,
         "real_time_factor": phase.duration / run.wall_seconds,
     }
@@ -287,7 +289,7 @@ def _run_phase(
 def compared(full: Trajectory, run: Trajectory) -> dict[str, Any]:
     """Return what a run differs from a reference, and its cost."""
     return {
-        "errors": errors(full, run).as_dict(),
+        "errors": relative_errors(full, run).as_dict(),
         "error_at_end": _error_at_end(full, run),
         "wall_seconds": run.wall_seconds,
         "ratio": run.wall_seconds / full.wall_seconds,
@@ -304,7 +306,7 @@ def _error_at_end(full: Trajectory, run: Trajectory) -> float:
 
 def _projected(model: Model, scene: Scene, run: Trajectory) -> Trajectory:
     """Return a run with the displacements that a model's coordinates make of it at best."""
-    drive = model.drive(scene.loads)
+    prepared = model.prepare(scene.loads)
     frames = zip(run.times, run.displacements, strict=True)
-    states = (model.state(drive, displacement, time=float(time)) for time, displacement in frames)
-    return replace(run, displacements=np.stack([model.displacement(state, drive) for state in states]))
+    states = (model.state(prepared, displacement, time=float(time)) for time, displacement in frames)
+    return replace(run, displacements=np.stack([model.displacement(state, prepared) for state in states]))

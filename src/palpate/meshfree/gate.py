@@ -28,7 +28,7 @@ def faulty_nodes(cloud: Cloud, neighbours: int = 42) -> tuple[Ints, str]:
     ----------
     cloud : Cloud
     neighbours : int
-        As for `palpate.FullModel`.
+        As for `palpate.Solid`.
     """
     try:
         moving_least_squares(cloud.points, order=2, neighbours=neighbours)

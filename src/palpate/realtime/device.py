@@ -53,7 +53,7 @@ class DummyDevice:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def drive(self, engine: Engine, duration: float) -> Recording:
+    def prepare(self, engine: Engine, duration: float) -> Recording:
         """Send and read for `duration` [s], about once a period of the engine; as often as Python can, at most.
 
         Raises

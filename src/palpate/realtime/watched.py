@@ -77,7 +77,7 @@ class Hung(NamedTuple):
     push: Floats
     target: Floats
     tangent: Floats
-    firmness: Floats
+    modulus_ratio: Floats
 
 
 class Seen(NamedTuple):
@@ -100,7 +100,7 @@ class Seen(NamedTuple):
     forces: Floats
     place: Floats
     hand: Floats
-    firmness: float
+    modulus_ratio: float
 
 
 class WatchedModel(NamedTuple):
@@ -127,7 +127,7 @@ class WatchedModel(NamedTuple):
         for array in (data.speed, data.push, data.numbers):
             array[:] = 0.0
         data.place[:], data.hand[:] = place, place
-        data.numbers[FIRM] = data.firmness[0]
+        data.numbers[FIRM] = data.modulus_ratio[0]
         data.numbers[PLACE : PLACE + 3], data.numbers[HEAD : HEAD + len(self.rest)] = place, coordinates
         publish(data.slot, data.numbers)
 
@@ -141,7 +141,7 @@ class WatchedModel(NamedTuple):
         InputError
             The factor is out of range.
         """
-        self.data.firmness[1] = number_in_range("factor", factor, 0.1, 10.0)
+        self.data.modulus_ratio[1] = number_in_range("factor", factor, 0.1, 10.0)
 
     def couple(self, stiffness: float | None) -> None:
         """Hang the tool on a spring [N/m], critically damped; None holds it firmly. While the engine does not run.
@@ -161,7 +161,7 @@ class WatchedModel(NamedTuple):
 def watched(model: RealtimeModel) -> WatchedModel:
     """Return a model that tells what a period did to its surface; it shares the given one's data."""
     advance, stiffness = _functions(model.advance, model.stiffness)
-    numbers = np.zeros(HEAD + len(model.rest) + 4 * min(MOST, len(model.data.touch.node)))
+    numbers = np.zeros(HEAD + len(model.rest) + 4 * min(MOST, len(model.data.contact_state.node)))
     spring, place, speed, hand, push = np.zeros((5, 3))
     tools = len(model.tool)
     data = Hung(
@@ -201,12 +201,12 @@ def _functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         hung = data.spring[STIFFNESS] > 0.0
         if hung:
             hang(data, period)
-        before, most = data.firmness[0], np.exp(GLIDE * period)
-        firm = min(max(data.firmness[1], before / most), before * most)
+        before, most = data.modulus_ratio[0], np.exp(GLIDE * period)
+        firm = min(max(data.modulus_ratio[1], before / most), before * most)
         if firm != before:
             for m in range(v.shape[0]):
                 v[m] *= np.sqrt(before / firm)
-            data.firmness[0] = firm
+            data.modulus_ratio[0] = firm
         inner_advance(data.inner, q, v, data.target, period * np.sqrt(firm), report)
         if report[STATUS] != 0.0:
             return
@@ -214,7 +214,7 @@ def _functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         report[STRAIN] *= firm
         for k in range(FORCES, report.shape[0]):
             report[k] *= firm
-        numbers, touch = data.numbers, data.inner.touch
+        numbers, contact_state = data.numbers, data.inner.contact_state
         for i in range(3):
             data.push[i] = -report[FORCES + i]
             numbers[PLACE + i] = data.target[i]
@@ -223,12 +223,12 @@ def _functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         for m in range(q.shape[0]):
             numbers[HEAD + m] = q[m]
         at = HEAD + q.shape[0]
-        count = min(touch.numbers[0], (numbers.shape[0] - at) // 4)
+        count = min(contact_state.numbers[0], (numbers.shape[0] - at) // 4)
         numbers[COUNT], numbers[FIRM] = count, firm
         for e in range(count):
-            numbers[at] = touch.node[e]
+            numbers[at] = contact_state.node[e]
             for i in range(3):
-                numbers[at + 1 + i] = touch.push[e, i]  # as of the model's own moduli
+                numbers[at + 1 + i] = contact_state.push[e, i]  # as of the model's own moduli
             at += 4
         publish(data.slot, numbers[:at])
 
@@ -237,6 +237,6 @@ def _functions(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         inner_stiffness(data.inner, q, data.tangent)
         for i in range(out.shape[0]):
             for j in range(out.shape[1]):
-                out[i, j] = data.firmness[0] * data.tangent[i, j]
+                out[i, j] = data.modulus_ratio[0] * data.tangent[i, j]
 
     return advance, stiffness

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from palpate.dynamics.loads.loads import Traction
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.loads.loads import SurfaceForce
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import box
 from palpate.scenes.scene import Scene
@@ -46,7 +46,7 @@ def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> 
     spacing = number_in_range("spacing", spacing, FINEST, COARSEST, unit="m")
     load = number_in_range("load", load, 0.0, MOST_LOAD, open_low=True, unit="N")
     material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
-    model = FullModel(box(SIZE, spacing=spacing), material, fixed="x-")
-    traction = Traction("x+", force=lambda time: (pull(time, load), 0.0, 0.0))
+    model = Solid(box(SIZE, spacing=spacing), material, fixed="x-")
+    traction = SurfaceForce("x+", force=lambda time: (pull(time, load), 0.0, 0.0))
     parameters = {"spacing": spacing, "load": load, "poisson": float(poisson)}
     return Scene(model, (traction,), DURATION, EVERY, f"Beam under traction, {load:g} N", parameters)

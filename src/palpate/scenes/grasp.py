@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from palpate.dynamics.loads.loads import Load, PrescribedMotion
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import Cloud, box
 from palpate.scenes.beam import COARSEST, FINEST, SIZE
@@ -70,10 +70,10 @@ class Hand:
         return PrescribedMotion(GROUP, displacement)
 
 
-def grasp(spacing: float = COARSEST, poisson: float = 0.45) -> FullModel:
+def grasp(spacing: float = COARSEST, poisson: float = 0.45) -> Solid:
     """Return the beam of `palpate.scenes.beam.beam` in its energy form, whose free end a tool will hold."""
     material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
-    return FullModel(box(SIZE, spacing=spacing), material, fixed="x-", form="energy")
+    return Solid(box(SIZE, spacing=spacing), material, fixed="x-", form="energy")
 
 
 def grasped_beam(

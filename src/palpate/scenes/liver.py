@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from palpate.dynamics.contact.tools import Contact, Grasp, Sphere
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.attachment import near_plane
 from palpate.meshfree.cloud import Cloud
@@ -80,12 +80,12 @@ def pressed_liver(
     )  # fmt: skip
 
 
-def _model(spacing: float, poisson: float) -> FullModel:
+def _model(spacing: float, poisson: float) -> Solid:
     cloud = fill(liver_surface(), spacing)
     back = cloud.points[:, 1].max()
     cloud = cloud.with_group("back", near_plane(cloud, (0.0, back - BED, 0.0), (0.0, -1.0, 0.0)))
     material = NeoHookean(C1=SHEAR_MODULUS / 2, density=DENSITY, poisson=poisson)
-    return FullModel(cloud, material, "back", form="energy")
+    return Solid(cloud, material, "back", form="energy")
 
 
 class ToolPaths:

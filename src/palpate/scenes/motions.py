@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.dynamics.loads.loads import Load, Traction
+from palpate.dynamics.loads.loads import Load, SurfaceForce
 from palpate.faults import InputError, integer_in_range
 from palpate.scenes.beam import DURATION
 
@@ -120,4 +120,4 @@ def _motion(courses: Sequence[Course], axial: float, y: float, z: float, twist: 
     def moment(time: float) -> tuple[float, float, float]:
         return twist * turn(time), 0.0, 0.0
 
-    return (Traction("x+", force=force, moment=moment),)
+    return (SurfaceForce("x+", force=force, moment=moment),)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from palpate.dynamics.loads.loads import Load
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 
 __all__ = ["MOST_FRAMES", "Scene", "TrainingScene"]
 
@@ -46,7 +46,7 @@ class TrainingScene:
 
     Parameters
     ----------
-    model : FullModel or Membrane
+    model : Solid or Membrane
     path : function
         Of a seed, an integer from 0, returns the loads of a run and its duration [s].
     every : float [s]
@@ -55,20 +55,20 @@ class TrainingScene:
     parameters : mapping of str to number or text
         What the scene was made with, in SI units.
     tools : tuple of str
-        Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `driven` of `palpate.reduce`.
+        Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `driven` of `palpate.hyper_reduce`.
     coarse : function, optional
         Returns a model of the same body of at most 5,000 nodes, in its energy form. Where tools touch a body anywhere,
         modes of the runs are dents where those runs had them: the vibrations of this model stand for modes, and its
         statics tell what they leave of dents (`palpate.reduction.contact.residual_flexibility`).
     cubature : float
-        As of `palpate.reduce`: what the sampled forces may miss of the whole ones.
+        As of `palpate.hyper_reduce`: what the sampled forces may miss of the whole ones.
     """
 
-    model: FullModel | Membrane
+    model: Solid | Membrane
     path: Callable[[int], tuple[tuple[Load, ...], float]]
     every: float
     title: str
     parameters: Mapping[str, float | int | str]
     tools: tuple[str, ...] = ()
-    coarse: Callable[[], FullModel] | None = None
+    coarse: Callable[[], Solid] | None = None
     cubature: float = 1e-3

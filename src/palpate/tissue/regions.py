@@ -69,7 +69,7 @@ class Regions:
         return np.array([material.coefficients for material in self.materials], dtype=float)[self.which]
 
     @property
-    def firmness(self) -> Floats:
+    def modulus_ratio(self) -> Floats:
         """Shear modulus at rest over that of the first material, (n,): what branches of a Prony series count with."""
         return self.values("shear_modulus") / self.materials[0].shear_modulus
 

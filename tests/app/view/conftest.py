@@ -36,9 +36,9 @@ SECONDS = 20.0  # to wait for what takes a fraction of one on an idle machine
 def model():
     body = block().model
     runs = [pt.rollout(body, press(seed)[0], duration=LASTING, every=EVERY) for seed in range(2)]
-    made = pt.reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
+    made = pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
     report = {**made.report, "scene": {"name": "view_scenes:block", "parameters": {}}}
-    return pt.ReducedModel(replace(made.parts, report=report))
+    return pt.ReducedModel(replace(made.data, report=report))
 
 
 @pytest.fixture(scope="session")

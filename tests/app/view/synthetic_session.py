@@ -174,11 +174,11 @@ class SyntheticSession:
         elif kind == "latency":
             await viewer.send(json.dumps(message))
         elif viewer is self.driver:
-            await self._driven(viewer, kind, message)
+            await self._prescribed(viewer, kind, message)
         if kind not in ("pose", "show"):
             self._tell()
 
-    async def _driven(self, viewer, kind, message):
+    async def _prescribed(self, viewer, kind, message):
         if kind == "pose":
             self.pose, self.posed = message, message.get("sequence", 0)
         elif kind == "tool":
@@ -212,7 +212,7 @@ class SyntheticSession:
                 viewer.in_flight += 1
                 await self._send(viewer, self._state(viewer.scalar))
 
-    def _dent(self):
+    def _contact_displacement(self):
         """Positions, and the force on the tool: the surface goes where the tool is not."""
         if self.pose is None:
             return self.rest, np.zeros(3)
@@ -231,7 +231,7 @@ class SyntheticSession:
         return self.rest + (depth * share)[:, None] * direction, -STIFFNESS * depth * direction
 
     def _state(self, scalar):
-        positions, force = self._dent()
+        positions, force = self._contact_displacement()
         self.sequence += 1
         moved = np.linalg.norm(positions - self.rest, axis=1)
         pressure = 4e5 * (moved - 0.2 * moved.max())

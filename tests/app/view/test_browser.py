@@ -137,7 +137,7 @@ def test_keys_press_move_let_go_and_reset(opened, synthetic):
 
 
 def test_one_finger_presses_and_two_zoom(opened):
-    tab = opened(NARROW, touch=True)
+    tab = opened(NARROW, contact_state=True)
     x, y = middle(tab)
     tab.touch("Start", (x, y))
     tab.touch("Move", (x, y + 20))

@@ -62,7 +62,7 @@ def test_what_is_loaded_is_what_was_seen(recorded, model):
     last = recording.moments[-1]
     for name in ("time", "steps", "coordinates", "nodes", "forces", "position", "quaternion", "tool", "state"):
         np.testing.assert_array_equal(getattr(last, name), getattr(seen, name))
-    np.testing.assert_array_equal(recording.model.parts.cubature.weights, model.parts.cubature.weights)
+    np.testing.assert_array_equal(recording.model.data.cubature.weights, model.data.cubature.weights)
     assert {moment.tool for moment in recording.moments} == {"none", "sphere"}
     own = Replay(recording).surface
     strained = max(recording.moments, key=lambda moment: moment.force[2])

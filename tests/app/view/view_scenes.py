@@ -25,7 +25,11 @@ def press(seed: int):
 
 def block() -> TrainingScene:
     """Return the block with its presses."""
-    body = pt.FullModel(
-        pt.box(SIZE, SPACING), pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", viscosity=1e-4
+    body = pt.Solid(
+        pt.box(SIZE, SPACING),
+        pt.NeoHookean(C1=2e3, density=1000, poisson=0.4),
+        "z-",
+        form="energy",
+        stiffness_damping=1e-4,
     )
     return TrainingScene(body, press, EVERY, "Block", {})

@@ -22,10 +22,10 @@ SECOND_PROCESS = """
 import sys
 import palpate as pt
 tissue = eval(sys.argv[1])
-model = pt.FullModel(pt.box((0.03, 0.015, 0.015), spacing=0.005), tissue, fixed="x-", viscosity=6e-5)
-pull = pt.Traction("x+", force=(1.0, 0.0, 0.0))
+model = pt.Solid(pt.box((0.03, 0.015, 0.015), spacing=0.005), tissue, fixed="x-", stiffness_damping=6e-5)
+pull = pt.SurfaceForce("x+", force=(1.0, 0.0, 0.0))
 run = pt.rollout(model, [pull], duration=1e-3, every=2e-4, progress=False)
-rom = pt.project(model, run, modes=2)
+rom = pt.galerkin(model, run, modes=2)
 pt.rollout(rom, [pull], duration=1e-3, every=2e-4, progress=False)
 for f in (model._internal_force, model._advance, rom._projected_force, rom._advance):
     print(sum(f.stats.cache_hits.values()), sum(f.stats.cache_misses.values()))
@@ -54,7 +54,7 @@ def test_another_law_has_another_digest():
 
 def test_models_of_one_law_share_their_compiled_functions(bar, small_cloud):
     models = [
-        pt.FullModel(cloud, pt.NeoHookean(C1=c, density=1000, poisson=0.4), viscosity=0.0)
+        pt.Solid(cloud, pt.NeoHookean(C1=c, density=1000, poisson=0.4), stiffness_damping=0.0)
         for cloud, c in ((bar, 10e3), (small_cloud, 20e3))
     ]
     assert models[0]._advance is models[1]._advance
@@ -67,7 +67,7 @@ import palpate as pt
 law = pt.NeoHookean(C1=10e3, density=1000, poisson=0.4)
 cloud = pt.box((0.02, 0.02, 0.02), 0.005)
 for pressure in sys.argv[1:]:
-    model = pt.FullModel(cloud, law, viscosity=0.0, pressure=pressure)
+    model = pt.Solid(cloud, law, stiffness_damping=0.0, pressure=pressure)
     print(repr(float(np.abs(model.force(0.01 * np.sin(200 * cloud.points))).sum())))
 """
 

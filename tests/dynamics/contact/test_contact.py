@@ -17,13 +17,13 @@ SHAPES = [pt.Sphere(0.01), pt.Capsule(0.004, 0.02), pt.Plane(), pt.Punch(0.01), 
 @pytest.fixture
 def cube(small_cloud, tissue):
     """The smallest box, standing on its lower face; new for every test."""
-    return pt.FullModel(small_cloud, tissue, fixed="z-", form="energy")
+    return pt.Solid(small_cloud, tissue, fixed="z-", form="energy")
 
 
 @pytest.fixture
 def loose(small_cloud, tissue):
     """The smallest box, held nowhere; new for every test."""
-    return pt.FullModel(small_cloud, tissue, form="energy")
+    return pt.Solid(small_cloud, tissue, form="energy")
 
 
 def press(depth, time=0.02, radius=0.008):
@@ -90,8 +90,8 @@ def test_friction_sticks_inside_coulombs_cone_and_slides_on_it():
 
 @pytest.mark.parametrize("form", ["energy", "strong"])
 def test_the_tools_impulse_is_the_momentum_that_a_free_body_gains(small_cloud, tissue, form):
-    viscosity = {"energy": None, "strong": 6e-5}[form]
-    model = pt.FullModel(small_cloud, tissue, form=form, viscosity=viscosity)
+    stiffness_damping = {"energy": None, "strong": 6e-5}[form]
+    model = pt.Solid(small_cloud, tissue, form=form, stiffness_damping=stiffness_damping)
     trajectory = run(model, pt.Contact(BALL, press(0.003), friction=0.4))
     weights = model.weights * tissue.density
     given = np.cumsum(trajectory.reactions["tool"] * 1e-3, axis=0)
@@ -126,8 +126,8 @@ def test_the_energy_balance_closes_where_a_tool_presses_beside_forceps(cube, unt
     grasp = pt.Grasp((0.0, 0.0, SIDE), 0.006, lambda t: np.array([-0.05 * t, 0.0, SIDE + 0.05 * t]), until=until)
     trajectory = run(cube, pt.Contact(BALL, press(0.003), friction=0.3), grasp)
     held = cube.cloud.within("near", (0.0, 0.0, SIDE), 0.006).group("near")
-    touches, borne = trajectory.touches, -trajectory.reactions["grasp"]
-    on_held = touches[np.isin(touches[:, 1], held)]
+    contact_forces, borne = trajectory.contact_forces, -trajectory.reactions["grasp"]
+    on_held = contact_forces[np.isin(contact_forces[:, 1], held)]
     np.add.at(borne, on_held[:, 0].astype(int), on_held[:, 2:])
     assert np.abs(borne[1:15]).max() > 1e-3 * np.abs(trajectory.reactions["tool"]).max()  # a share of the ball's force
     assert np.abs(trajectory.balance).max() < 2e-3 * trajectory.external.max()
@@ -135,7 +135,7 @@ def test_the_energy_balance_closes_where_a_tool_presses_beside_forceps(cube, unt
 
 def test_a_balls_force_is_that_of_hertz(tissue):
     radius, depth, d, nu = 0.02, 0.03, 1.6e-3, 0.45
-    model = pt.FullModel(pt.box((0.06, 0.06, depth), 0.003), tissue, "z-", form="energy", viscosity=6e-5)
+    model = pt.Solid(pt.box((0.06, 0.06, depth), 0.003), tissue, "z-", form="energy", stiffness_damping=6e-5)
     way = lambda t: (0.03, 0.03, depth + radius - d * min(t / 0.02, 1.0))  # noqa: E731
     trajectory = pt.rollout(model, [pt.Contact(pt.Sphere(radius), way)], duration=0.03, every=2e-3, progress=False)
     a, b = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu), (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
@@ -177,7 +177,7 @@ def test_a_tool_never_pulls_and_lets_go_at_once(cube):
 
 def places_of_patches(model, displacements):
     """Places (f, n, 3) of the patches of a body that tools touch."""
-    places, contacts = np.zeros_like(displacements), model.drive([pt.Contact(BALL, (1.0, 1.0, 1.0))]).contacts
+    places, contacts = np.zeros_like(displacements), model.prepare([pt.Contact(BALL, (1.0, 1.0, 1.0))]).contacts
     for u, into in zip(displacements, places, strict=True):
         patch_places(contacts, u, into)
     return places
@@ -185,7 +185,7 @@ def places_of_patches(model, displacements):
 
 def test_no_patch_enters_a_small_fast_tool(tissue):
     thin = pt.box((0.03, 0.03, 0.006), spacing=0.002)
-    model = pt.FullModel(thin, tissue, fixed="x-", form="energy")
+    model = pt.Solid(thin, tissue, fixed="x-", form="energy")
     ball = pt.Sphere(0.004)
     drop = lambda t: np.array([0.02, 0.015, 0.006 + 0.0041 - 0.5 * t])  # noqa: E731
     trajectory = run(model, pt.Contact(ball, drop), duration=0.012)
@@ -200,7 +200,7 @@ def test_no_patch_enters_a_small_fast_tool(tissue):
 
 def test_a_tool_that_slips_between_the_nodes_is_noticed(tissue):
     block = pt.box((0.02, 0.02, 0.016), spacing=0.002)
-    model = pt.FullModel(block, tissue, fixed="z-", form="energy")
+    model = pt.Solid(block, tissue, fixed="z-", form="energy")
     drop = lambda t: np.array([0.011, 0.011, 0.016 + 0.0021 - 2.0 * t])  # noqa: E731
     with pytest.raises(pt.DivergenceError, match=r"'tool' slipped in between the nodes .* larger tool") as caught:
         run(model, pt.Contact(pt.Sphere(0.002001), drop), duration=0.003)
@@ -346,12 +346,12 @@ def test_forceps_hold_turn_and_let_go(cube):
 def test_a_tool_touches_what_forceps_have_let_go(cube):
     grasp = pt.Grasp(TOP, 0.004, lambda t: TOP + np.array([0, 0, -0.002 * min(t / 0.01, 1)]), until=0.012)
     roof = pt.Contact(pt.Plane(), ([0, 0, SIDE - 0.0005], [0.0, 1.0, 0, 0]), group="grasp")
-    marked = grasp.marked(cube.cloud)
-    model = pt.FullModel(marked, cube.material, fixed="z-", form="energy")
+    with_group = grasp.with_group(cube.cloud)
+    model = pt.Solid(with_group, cube.material, fixed="z-", form="energy")
     trajectory = run(model, grasp, roof, duration=0.04)
     assert np.all(trajectory.reactions["tool"][:12] == 0.0)
     assert trajectory.reactions["tool"][-15:, 2].max() < 0
-    assert trajectory.displacements[-1, marked.group("grasp"), 2].max() <= -0.0005 + 1e-9
+    assert trajectory.displacements[-1, with_group.group("grasp"), 2].max() <= -0.0005 + 1e-9
 
 
 def test_moments_are_kept_in_files_and_joined(cube, tmp_path):

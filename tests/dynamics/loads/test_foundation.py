@@ -15,7 +15,7 @@ SIDE = 0.015
 @pytest.fixture
 def loose(small_cloud, tissue):
     """The smallest box, held nowhere; new for every test."""
-    return pt.FullModel(small_cloud, tissue, form="energy")
+    return pt.Solid(small_cloud, tissue, form="energy")
 
 
 def mean_motion(model, trajectory):
@@ -48,10 +48,10 @@ def test_springs_give_back_what_they_store(loose):
 
 @pytest.mark.parametrize("load", [pt.Foundation("z-", 1e10), pt.Foundation("z-", 1e6, 1e6)])
 def test_the_step_is_short_enough_for_stiff_foundations(loose, load):
-    drive = loose.drive([load])
-    free = loose.stable_step(loose.state(loose.drive(())), loose.drive(()))
-    state = loose.state(drive)
-    assert loose.stable_step(state, drive) < 0.2 * free
+    prepared = loose.prepare([load])
+    free = loose.stable_step(loose.state(loose.prepare(())), loose.prepare(()))
+    state = loose.state(prepared)
+    assert loose.stable_step(state, prepared) < 0.2 * free
     speed = np.tile([0.0, 0.0, 0.05], (len(loose.cloud), 1))
     run = pt.rollout(loose, [load], duration=5e-3, every=1e-3, velocity=speed, progress=False)
     # the springs' own energy is minus the loads' work
@@ -62,8 +62,8 @@ def test_the_step_is_short_enough_for_stiff_foundations(loose, load):
 def test_a_patch_of_several_faces_has_all_their_areas(small_cloud, tissue):
     around = np.unique(small_cloud.face_nodes)
     cloud = replace(small_cloud, groups={**small_cloud.groups, "around": around})
-    drive = pt.FullModel(cloud, tissue, form="energy").drive([pt.Foundation("around", 1e5)])
-    assert drive.places.foundation_spring.sum() == pytest.approx(1e5 * 6 * SIDE**2)
+    prepared = pt.Solid(cloud, tissue, form="energy").prepare([pt.Foundation("around", 1e5)])
+    assert prepared.places.foundation_spring.sum() == pytest.approx(1e5 * 6 * SIDE**2)
 
 
 @pytest.mark.parametrize(
@@ -78,6 +78,6 @@ def test_a_patch_of_several_faces_has_all_their_areas(small_cloud, tissue):
 def test_foundations_that_cannot_be_are_refused_by_name(small_cloud, tissue, make, message):
     inside = np.setdiff1d(np.arange(len(small_cloud)), small_cloud.face_nodes)
     cloud = replace(small_cloud, groups={**small_cloud.groups, "inside": inside})
-    model = pt.FullModel(cloud, tissue, form="energy")
+    model = pt.Solid(cloud, tissue, form="energy")
     with pytest.raises(pt.InputError, match=message):
         pt.rollout(model, [make()], duration=1e-3, every=1e-3)

@@ -25,7 +25,7 @@ def run(model, *loads, duration=0.03, **more):
 def on_nodes(trajectory):
     """Sum (f, 3) of the forces that nodes got in every frame."""
     total = np.zeros((len(trajectory.times), 3))
-    np.add.at(total, trajectory.touches[:, 0].astype(int), trajectory.touches[:, 2:])
+    np.add.at(total, trajectory.contact_forces[:, 0].astype(int), trajectory.contact_forces[:, 2:])
     return total
 
 
@@ -42,12 +42,12 @@ def forceps():
 
 
 def test_forces_on_nodes_are_the_tools_forces_and_what_a_free_body_gains(small_cloud, tissue, forceps, beside):
-    model = pt.FullModel(small_cloud, tissue, form="energy")
+    model = pt.Solid(small_cloud, tissue, form="energy")
     trajectory = run(model, forceps, beside)
     of_tools = sum(trajectory.reactions[name] for name in ("forceps", "tool"))
     size = np.abs(of_tools).max()
-    held = forceps.marked(small_cloud).group("forceps")
-    pushed = np.unique(trajectory.touches[:, 1])
+    held = forceps.with_group(small_cloud).group("forceps")
+    pushed = np.unique(trajectory.contact_forces[:, 1])
     assert set(held) < set(pushed)
     assert trajectory.reactions["tool"][:, 2].min() < -0.01 * size
     np.testing.assert_allclose(on_nodes(trajectory), of_tools, atol=1e-9 * size)
@@ -56,17 +56,17 @@ def test_forces_on_nodes_are_the_tools_forces_and_what_a_free_body_gains(small_c
 
 
 def test_a_body_at_rest_pulls_at_every_held_node_by_its_own_force(small_cloud, tissue, forceps):
-    model = pt.FullModel(small_cloud, tissue, "z-", form="energy", viscosity=1e-4)
+    model = pt.Solid(small_cloud, tissue, "z-", form="energy", stiffness_damping=1e-4)
     trajectory = run(model, forceps, duration=0.1)
-    held = forceps.marked(small_cloud).group("forceps")
-    last = trajectory.touches[trajectory.touches[:, 0] == len(trajectory.times) - 1]
+    held = forceps.with_group(small_cloud).group("forceps")
+    last = trajectory.contact_forces[trajectory.contact_forces[:, 0] == len(trajectory.times) - 1]
     np.testing.assert_array_equal(last[:, 1], held)
     own = -(model.volumes[:, None] * model.force(trajectory.displacements[-1]))[held]
     np.testing.assert_allclose(last[:, 2:], own, atol=1e-4 * np.abs(own).max())
 
 
 def test_forceps_that_let_go_within_a_frame_give_the_momentum_until_then(small_cloud, tissue, forceps):
-    model = pt.FullModel(small_cloud, tissue, form="energy")
+    model = pt.Solid(small_cloud, tissue, form="energy")
     until = 0.0074
     trajectory = run(model, pt.Grasp(TOP, 0.0085, lift, until=until), duration=0.012)
     force = trajectory.reactions["grasp"]
@@ -79,29 +79,29 @@ def test_forceps_that_let_go_within_a_frame_give_the_momentum_until_then(small_c
 
 def test_forces_on_nodes_are_those_of_a_grasp_in_the_energy_form_alone(small_cloud, tissue, forceps):
     """A strong form's residuals are not the forces of what holds it; and other motions train lifting columns."""
-    cloud = forceps.marked(small_cloud)
-    strong = pt.FullModel(cloud, tissue, "z-", viscosity=6e-5)
-    body = pt.FullModel(cloud, tissue, "z-", form="energy")
+    cloud = forceps.with_group(small_cloud)
+    strong = pt.Solid(cloud, tissue, "z-", stiffness_damping=6e-5)
+    body = pt.Solid(cloud, tissue, "z-", form="energy")
     motion = pt.PrescribedMotion("forceps", forceps.displacement)
     for model, load in ((strong, forceps), (body, motion)):
         trajectory = run(model, load, duration=0.005)
-        assert not len(trajectory.touches)
+        assert not len(trajectory.contact_forces)
         assert trajectory.reactions["forceps"][-1].any()
 
 
 def test_runs_tell_touched_nodes_from_held_ones_in_memory_and_in_files(small_cloud, tissue, forceps, beside, tmp_path):
-    model = pt.FullModel(small_cloud, tissue, "z-", form="energy")
+    model = pt.Solid(small_cloud, tissue, "z-", form="energy")
     first = run(model, forceps, beside, duration=0.02, file=tmp_path / "first.h5")
-    held = forceps.marked(small_cloud).group("forceps")
-    np.testing.assert_array_equal(first.held, np.isin(first.touches[:, 1], held))
-    assert not first.held.all()
+    held = forceps.with_group(small_cloud).group("forceps")
+    np.testing.assert_array_equal(first.bonded, np.isin(first.contact_forces[:, 1], held))
+    assert not first.bonded.all()
     kept = first.displacements[-1], first.velocities[-1]
     second = run(model, forceps, beside, duration=0.01, start=0.02, displacement=kept[0], velocity=kept[1])
     both = first.then(second)
     both.save(tmp_path / "both.h5")
-    np.testing.assert_array_equal(both.held, np.isin(both.touches[:, 1], held))
-    assert both.touches[:, 0].max() == 30
+    np.testing.assert_array_equal(both.bonded, np.isin(both.contact_forces[:, 1], held))
+    assert both.contact_forces[:, 0].max() == 30
     for name, expected in (("first", first), ("both", both)):
         for read in (pt.Trajectory.load(tmp_path / f"{name}.h5"), StoredTrajectory(tmp_path / f"{name}.h5")):
-            np.testing.assert_array_equal(read.held, expected.held)
-            np.testing.assert_array_equal(read.touches, expected.touches)
+            np.testing.assert_array_equal(read.bonded, expected.bonded)
+            np.testing.assert_array_equal(read.contact_forces, expected.contact_forces)

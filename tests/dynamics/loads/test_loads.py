@@ -15,33 +15,33 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
 @pytest.mark.parametrize(
     ("load", "message"),
     [
-        (lambda: pt.Traction("top", force=(1, 0, 0)), "unknown group 'top'"),
+        (lambda: pt.SurfaceForce("top", force=(1, 0, 0)), "unknown group 'top'"),
         (lambda: pt.PrescribedMotion("top", (0, 0, 0)), "unknown group 'top'"),
-        (lambda: pt.Traction("x-", force=(1, 0, 0)), "'x-': .* fixed or driven"),
+        (lambda: pt.SurfaceForce("x-", force=(1, 0, 0)), "'x-': .* fixed or driven"),
         (lambda: pt.PrescribedMotion("x-", (0, 0, 0)), "group 'x-': its nodes 0, 1, .* already fixed or driven"),
         (lambda: pt.PrescribedMotion("y-", (0, 0, 0)), "group 'y-'.*already fixed or driven"),
-        (lambda: pt.Traction("x+"), "'x+'.*give either force .* or pressure"),
-        (lambda: pt.Traction("x+", force=(1, 0, 0), pressure=1.0), "'x+'.*give either force .* or pressure"),
-        (lambda: pt.Traction("x+", moment=(1, 0, 0), pressure=1.0), "'x+'.*moment .* or both, or pressure"),
-        (lambda: pt.Traction("x+", moment=(1, 0)), "moment of Traction on 'x+' must be "),
-        (lambda: pt.Traction("x+", moment=2.0), "moment of Traction on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+"), "'x+'.*give either force .* or pressure"),
+        (lambda: pt.SurfaceForce("x+", force=(1, 0, 0), pressure=1.0), "'x+'.*give either force .* or pressure"),
+        (lambda: pt.SurfaceForce("x+", moment=(1, 0, 0), pressure=1.0), "'x+'.*moment .* or both, or pressure"),
+        (lambda: pt.SurfaceForce("x+", moment=(1, 0)), "moment of Traction on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+", moment=2.0), "moment of Traction on 'x+' must be "),
         (
-            lambda: pt.Traction("x+", force=(1, 0, 0), moment=lambda t: (np.inf, 0, 0)),
+            lambda: pt.SurfaceForce("x+", force=(1, 0, 0), moment=lambda t: (np.inf, 0, 0)),
             r"moment of Traction on 'x\+' is not finite at t = 0",
         ),
-        (lambda: pt.Traction("x+", force=(1, 0)), "force of Traction on 'x+' must be "),
-        (lambda: pt.Traction("x+", force="strong"), "force of Traction on 'x+' must be "),
-        (lambda: pt.Traction("x+", force=lambda t: (1, 0)), "force of Traction on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+", force=(1, 0)), "force of Traction on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+", force="strong"), "force of Traction on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+", force=lambda t: (1, 0)), "force of Traction on 'x+' must be "),
         (
-            lambda: pt.Traction("x+", force=lambda t: (np.nan, 0, 0)),
+            lambda: pt.SurfaceForce("x+", force=lambda t: (np.nan, 0, 0)),
             r"force of Traction on 'x\+' is not finite at t = 0",
         ),
         (
-            lambda: pt.Traction("x+", force=lambda t: (1 / (t < 1e-4) if t < 1e-4 else np.inf, 0, 0)),
+            lambda: pt.SurfaceForce("x+", force=lambda t: (1 / (t < 1e-4) if t < 1e-4 else np.inf, 0, 0)),
             "not finite at t = ",
         ),
-        (lambda: pt.Traction("x+", pressure=lambda t: np.inf), r"pressure of Traction on 'x\+' is not finite"),
-        (lambda: pt.Traction("x+", pressure=np.nan), r"pressure of Traction on 'x\+' is not finite"),
+        (lambda: pt.SurfaceForce("x+", pressure=lambda t: np.inf), r"pressure of Traction on 'x\+' is not finite"),
+        (lambda: pt.SurfaceForce("x+", pressure=np.nan), r"pressure of Traction on 'x\+' is not finite"),
         (lambda: pt.Gravity((0, 0)), "acceleration of Gravity must be "),
         (lambda: pt.Gravity((0, 0, np.inf)), "acceleration of Gravity is not finite"),
         (lambda: pt.PrescribedMotion("tip", (np.nan, 0, 0)), "PrescribedMotion of 'tip' is not finite"),
@@ -60,8 +60,8 @@ def test_a_load_that_cannot_be_is_refused_by_name(held, load, message):
         pt.PrescribedMotion("tip", (0, 0)),
         pt.PrescribedMotion("tip", "down"),
         pt.PrescribedMotion("tip", lambda p, t: np.zeros((7, 3))),
-        pt.Traction("x+", pressure="high"),
-        pt.Traction("x+", pressure=lambda t: (1, 2, 3)),
+        pt.SurfaceForce("x+", pressure="high"),
+        pt.SurfaceForce("x+", pressure=lambda t: (1, 2, 3)),
     ],
 )
 def test_a_load_of_the_wrong_shape_is_refused_by_name(held, load):
@@ -75,23 +75,23 @@ def test_two_motions_of_one_node_are_refused(held):
 
 
 def test_a_traction_on_a_driven_group_is_refused(held):
-    loads = [pt.Traction("x+", force=(1, 0, 0)), pt.PrescribedMotion("x+", (0, 0, 0))]
+    loads = [pt.SurfaceForce("x+", force=(1, 0, 0)), pt.PrescribedMotion("x+", (0, 0, 0))]
     with pytest.raises(pt.InputError, match="fixed or driven; load another group"):
         pt.rollout(held, loads, duration=1e-3, every=5e-4)
 
 
 def test_a_traction_on_nodes_that_are_no_face_is_refused(bar, tissue):
     inside = replace(bar, groups={**bar.groups, "deep": np.array([21, 22])})
-    model = pt.FullModel(inside, tissue, viscosity=0.0)
+    model = pt.Solid(inside, tissue, stiffness_damping=0.0)
     with pytest.raises(pt.InputError, match="'deep' does not lie on one face"):
-        model.drive([pt.Traction("deep", force=(1, 0, 0))])
+        model.prepare([pt.SurfaceForce("deep", force=(1, 0, 0))])
 
 
 def test_tractions_on_one_group_add_up(held):
-    loads = [pt.Traction("x+", force=(1, 0, 0)), pt.Traction("x+", force=(0, 2, 0)), pt.Gravity((0, 0, 1))]
-    loads.append(pt.Traction("x+", pressure=1000.0))
-    drive = held.drive(loads)
-    total = held.external_force(held.state(drive), drive).sum(axis=0)
+    loads = [pt.SurfaceForce("x+", force=(1, 0, 0)), pt.SurfaceForce("x+", force=(0, 2, 0)), pt.Gravity((0, 0, 1))]
+    loads.append(pt.SurfaceForce("x+", pressure=1000.0))
+    prepared = held.prepare(loads)
+    total = held.external_force(held.state(prepared), prepared).sum(axis=0)
     np.testing.assert_allclose(total, (1 - 1000 * 0.015**2, 2, held.masses.sum()), rtol=1e-12)
 
 
@@ -99,10 +99,10 @@ def test_tractions_on_one_group_add_up(held):
 @pytest.mark.parametrize("group", ["x+", "y+", "z-", "patch"])
 def test_a_moment_sums_to_itself_and_to_no_force(bar, tissue, group, axis):
     patch = bar.group("x+")[[0, 1, 6, 11]]  # lies skew to the axes, its centroid at no node
-    model = pt.FullModel(replace(bar, groups={**bar.groups, "patch": patch}), tissue, viscosity=0.0)
+    model = pt.Solid(replace(bar, groups={**bar.groups, "patch": patch}), tissue, stiffness_damping=0.0)
     moment = 2.0 * np.eye(3)[axis]
-    drive = model.drive([pt.Traction(group, moment=moment)])
-    force = model.external_force(model.state(drive), drive)
+    prepared = model.prepare([pt.SurfaceForce(group, moment=moment)])
+    force = model.external_force(model.state(prepared), prepared)
     np.testing.assert_allclose(force.sum(axis=0), 0, atol=1e-12 * np.abs(force).sum())
     about = np.array([0.1, -0.2, 0.3])  # no force: the moment is the same about any point
     np.testing.assert_allclose(
@@ -113,49 +113,53 @@ def test_a_moment_sums_to_itself_and_to_no_force(bar, tissue, group, axis):
 
 def test_a_force_and_a_moment_of_one_traction_and_of_two_are_the_same(held):
     force, moment = (1.0, 2.0, 3.0), (0.1, -0.2, 0.3)
-    both = pt.Traction("x+", force=lambda t: force, moment=lambda t: moment)
-    apart = [pt.Traction("x+", force=force), pt.Traction("z+", pressure=10.0), pt.Traction("x+", moment=moment)]
+    both = pt.SurfaceForce("x+", force=lambda t: force, moment=lambda t: moment)
+    apart = [
+        pt.SurfaceForce("x+", force=force),
+        pt.SurfaceForce("z+", pressure=10.0),
+        pt.SurfaceForce("x+", moment=moment),
+    ]
     fields = []
-    for loads in ([pt.Traction("z+", pressure=10.0), both], apart):
-        drive = held.drive(loads)
-        fields.append(held.external_force(held.state(drive), drive))
+    for loads in ([pt.SurfaceForce("z+", pressure=10.0), both], apart):
+        prepared = held.prepare(loads)
+        fields.append(held.external_force(held.state(prepared), prepared))
     np.testing.assert_allclose(fields[0], fields[1], rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("group", [[-1], [-1, -2], [-1, -2, -3, -4]], ids=["node", "pair", "edge"])
 def test_a_moment_on_nodes_in_one_line_is_refused_by_name(bar, tissue, group):
     cloud = replace(bar, groups={**bar.groups, "line": np.sort(bar.group("x+")[group])})
-    model = pt.FullModel(cloud, tissue, viscosity=0.0)
+    model = pt.Solid(cloud, tissue, stiffness_damping=0.0)
     with pytest.raises(pt.InputError, match=r"moment of Traction on 'line'.*one line or at one point"):
-        model.drive([pt.Traction("line", force=(1, 0, 0), moment=(1, 0, 0))])
-    model.drive([pt.Traction("line", force=(1, 0, 0))])
+        model.prepare([pt.SurfaceForce("line", force=(1, 0, 0), moment=(1, 0, 0))])
+    model.prepare([pt.SurfaceForce("line", force=(1, 0, 0))])
 
 
 def test_a_moment_on_a_sheet_acts_on_its_face_and_not_on_its_edge():
     cloud = pt.sheet([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)], spacing=0.02)
     cloud = replace(cloud, groups={**cloud.groups, "face": np.arange(len(cloud))})
     model = pt.Membrane(cloud, pt.NeoHookean(C1=20e3, density=1000.0, poisson=0.5), thickness=1e-3, prestretch=1.1)
-    drive = model.drive([pt.Traction("face", moment=(1.0, 2.0, 3.0))])
-    force = model.external_force(model.state(drive), drive)
+    prepared = model.prepare([pt.SurfaceForce("face", moment=(1.0, 2.0, 3.0))])
+    force = model.external_force(model.state(prepared), prepared)
     arms = np.pad(cloud.points, ((0, 0), (0, 1)))
     np.testing.assert_allclose(force.sum(axis=0), 0, atol=1e-12 * np.abs(force).sum())
     np.testing.assert_allclose(np.cross(arms, force).sum(axis=0), (1.0, 2.0, 3.0), rtol=1e-12)
     with pytest.raises(pt.InputError, match=r"moment of Traction on 'edge1'.*one line"):
-        model.drive([pt.Traction("edge1", moment=(0.0, 0.0, 1.0))])
+        model.prepare([pt.SurfaceForce("edge1", moment=(0.0, 0.0, 1.0))])
 
 
 def twist_rate(cells, tissue, moment, width=0.015):
     """Turn per length [1/m] of a square bar at rest, half-way between its held and its twisted end."""
     cloud = pt.box((2 * width, width, width), spacing=width / cells)
-    model = pt.FullModel(cloud, tissue, fixed="x-", viscosity=0.0)
-    drive = model.drive([pt.Traction("x+", moment=(moment, 0, 0))])
-    unknown = np.flatnonzero(np.repeat(~model.held, 3))
+    model = pt.Solid(cloud, tissue, fixed="x-", stiffness_damping=0.0)
+    prepared = model.prepare([pt.SurfaceForce("x+", moment=(moment, 0, 0))])
+    unknown = np.flatnonzero(np.repeat(~model.fixed_mask, 3))
     stiffness = np.empty((len(unknown), len(unknown)))
     for column, k in enumerate(unknown):
         u = np.zeros((len(cloud), 3))
         u.flat[k] = -1e-8
         stiffness[:, column] = model.force(u).flat[unknown] / 1e-8
-    pulled = model.half_cell * model.external_force(model.state(drive), drive) / model.volumes[:, None]
+    pulled = model.half_cell * model.external_force(model.state(prepared), prepared) / model.volumes[:, None]
     u = np.zeros((len(cloud), 3))
     u.flat[unknown] = np.linalg.solve(stiffness, pulled.flat[unknown])
     turns = []

@@ -21,7 +21,7 @@ def cloud_of(spacing=0.005, size=(0.04, 0.02, 0.02)):
 
 
 def body(materials, **options):
-    return pt.FullModel(cloud_of(), materials, "x-", form="energy", **{"viscosity": 2e-5} | options)
+    return pt.Solid(cloud_of(), materials, "x-", form="energy", **{"stiffness_damping": 2e-5} | options)
 
 
 def bent(points):
@@ -95,19 +95,19 @@ def test_a_material_for_every_node_is_one_by_group():
 def test_a_reduced_model_knows_the_parts(tmp_path):
     prony = pt.Prony(shares=0.5, times=0.02)
     model = body({"": replace_prony(SOFT, prony), "far": replace_prony(FIRM, prony)})
-    loads = [pt.Traction("x+", force=lambda t: np.sin(150 * t) ** 2 * np.array([0.3, 0.1, 0.0]))]
+    loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(150 * t) ** 2 * np.array([0.3, 0.1, 0.0]))]
     run = pt.rollout(model, loads, duration=0.03, every=0.001, progress=False)
     assert np.abs(run.balance).max() < 0.01 * np.abs(run.external).max()
-    few = pt.reduce(model, run, modes=6)
+    few = pt.hyper_reduce(model, run, modes=6)
     again = pt.rollout(few, loads, duration=0.03, every=0.001, progress=False)
-    assert pt.errors(run, again).displacement < 0.08
+    assert pt.relative_errors(run, again).displacement < 0.08
     assert again.dissipated[-1] == pytest.approx(run.dissipated[-1], rel=0.05)
     pt.save(few, tmp_path / "bar.rom")
     loaded, a = pt.load(tmp_path / "bar.rom"), 1e-4 * np.ones(6) / few.sizes
-    assert loaded.parts.regions.materials == few.parts.regions.materials
-    np.testing.assert_array_equal(loaded.parts.regions.which, few.parts.regions.which)
+    assert loaded.data.regions.materials == few.data.regions.materials
+    np.testing.assert_array_equal(loaded.data.regions.which, few.data.regions.which)
     for each in (few, loaded):  # both at rest
-        each.state(each.drive(loads))
+        each.state(each.prepare(loads))
     np.testing.assert_allclose(loaded.force(a), few.force(a), rtol=1e-6, atol=1e-9)
 
 
@@ -133,6 +133,6 @@ def test_materials_that_do_not_go_together_are_refused(materials, message):
 
 def test_the_strong_form_and_membranes_refuse_them():
     with pytest.raises(pt.InputError, match="form='energy'"):
-        pt.FullModel(cloud_of(), {"": SOFT, "far": FIRM}, "x-")
+        pt.Solid(cloud_of(), {"": SOFT, "far": FIRM}, "x-")
     with pytest.raises(pt.InputError, match="one material"):
         pt.Membrane(pt.disc(0.1, 0.02), {"": SOFT}, 1e-3)

@@ -50,7 +50,7 @@ def test_the_strong_form_is_the_divergence_of_the_stress_where_stretches_meet(st
     F0 = (rotation * (np.array(stretches) + apart * np.array([0.0, 1.0, -1.0]))) @ rotation.T
     B = 0.1 / SIDE * np.random.default_rng(0).uniform(-1, 1, (3, 3, 3))
     B = (B + B.transpose(0, 2, 1)) / 2
-    model = pt.FullModel(cloud, OGDEN, viscosity=0.0, pressure="direct")
+    model = pt.Solid(cloud, OGDEN, stiffness_damping=0.0, pressure="direct")
     force = model.force(X @ F0.T + np.einsum("ijk,nj,nk->ni", B, X, X) / 2 - X)[centre]
     expected, step = np.zeros(3), 1e-4 * SIDE
     for a in range(3):
@@ -61,7 +61,7 @@ def test_the_strong_form_is_the_divergence_of_the_stress_where_stretches_meet(st
 
 @pytest.mark.parametrize("form", ["strong", "energy"])
 def test_rest_has_no_force(form):
-    model = pt.FullModel(pt.box((SIDE,) * 3, SIDE / 4, jitter=0.2), OGDEN, form=form, viscosity=0.0)
+    model = pt.Solid(pt.box((SIDE,) * 3, SIDE / 4, jitter=0.2), OGDEN, form=form, stiffness_damping=0.0)
     scale = OGDEN.shear_modulus / model.cloud.spacing
     assert np.abs(model.force(np.zeros_like(model.cloud.points))).max() < 1e-12 * scale
 
@@ -73,7 +73,7 @@ def test_ogden_with_the_exponent_2_moves_as_neo_hookean(form):
     laws = (pt.Ogden(C=10e3, alpha=2.0, **given), pt.NeoHookean(C1=10e3, **given))
     cloud = pt.box((SIDE,) * 3, SIDE / 4, jitter=0.2)
     u = 0.1 * SIDE * np.sin(cloud.points @ np.random.default_rng(0).uniform(-80, 80, (3, 3)))
-    one, other = (pt.FullModel(cloud, law, form=form, viscosity=0.0).force(u) for law in laws)
+    one, other = (pt.Solid(cloud, law, form=form, stiffness_damping=0.0).force(u) for law in laws)
     np.testing.assert_allclose(one, other, atol=1e-11 * np.abs(other).max())
 
 

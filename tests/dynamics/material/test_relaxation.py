@@ -17,21 +17,21 @@ def tissue(prony=SERIES, poisson=0.4):
 
 @pytest.fixture(scope="module")
 def body():
-    return pt.FullModel(pt.box((0.02, 0.02, 0.02), 0.005), tissue(), form="energy", viscosity=0.0)
+    return pt.Solid(pt.box((0.02, 0.02, 0.02), 0.005), tissue(), form="energy", stiffness_damping=0.0)
 
 
 def responses(body, courses, times):
     """First Piola-Kirchhoff stresses (t, 3, 3), stored and lost energies [J/m^3] of uniform deformations F(t)."""
-    memory, points = body.work.memory, body.cloud.points
-    body._recall(body.state(body.drive([])))
+    history, points = body.work.history, body.cloud.points
+    body._restore_history(body.state(body.prepare([])))
     stresses, stored, lost = [], [], []
     for before, time in zip([times[0], *times], times, strict=False):
-        memory.interval[0] = time - before
+        history.interval[0] = time - before
         u = points @ (courses(time) - np.eye(3)).T
         stresses.append(body.stress(u).mean(axis=0))
-        memory.interval[0] = 0.0
+        history.interval[0] = 0.0
         stored.append(body.strain_energy(u) / body.volumes.sum())
-        lost.append(body._remembered()[0] / body.volumes.sum())
+        lost.append(body._saved_history()[0] / body.volumes.sum())
     return np.array(stresses), np.array(stored), np.array(lost)
 
 
@@ -123,7 +123,7 @@ def test_work_is_stored_or_lost_and_never_made(body):
 def test_the_volume_relaxes_if_it_is_told_to():
     prony = pt.Prony(shares=0.5, times=0.02, bulk_shares=0.4)
     material = tissue(prony)
-    body = pt.FullModel(pt.box((0.02, 0.02, 0.02), 0.005), material, form="energy", viscosity=0.0)
+    body = pt.Solid(pt.box((0.02, 0.02, 0.02), 0.005), material, form="energy", stiffness_damping=0.0)
     times, amount = np.array([0.0, 1e-9, 0.02, 1.0]), 1e-4
     stresses, stored, lost = responses(body, lambda t: (1 + amount * (t > 0)) * np.eye(3), times)
     pressure = np.trace(stresses[1:], axis1=1, axis2=2) / 3
@@ -138,15 +138,17 @@ def test_a_block_creeps_under_a_step_of_force_as_the_standard_solid():
     """One branch: strain = F/G (1 - s/(1 + s) exp(-t / ((1 + s) tau)))."""
     prony = pt.Prony(shares=1.0, times=0.05)
     cloud = pt.box((0.06, 0.01, 0.01), 0.0025)
-    bar = pt.FullModel(cloud, tissue(prony, poisson=0.45), "x-", form="energy", viscosity=2e-5)
+    bar = pt.Solid(cloud, tissue(prony, poisson=0.45), "x-", form="energy", stiffness_damping=2e-5)
     area, young = 1e-4, 2 * MU * 1.45
     force = 2e-3 * young * area
-    run = pt.rollout(bar, [pt.Traction("x+", force=lambda t: (force, 0, 0))], duration=0.4, every=0.004, progress=False)
+    run = pt.rollout(
+        bar, [pt.SurfaceForce("x+", force=lambda t: (force, 0, 0))], duration=0.4, every=0.004, progress=False
+    )
     tip = run.displacements[:, cloud.group("x+"), 0].mean(axis=1)
     assert np.abs(run.balance).max() < 0.01 * np.abs(run.external).max()
     ease = pt.rollout(  # the same bar without branches, slowly pulled: the end of the creep
-        pt.FullModel(cloud, tissue(None, poisson=0.45), "x-", form="energy", viscosity=5e-4),
-        [pt.Traction("x+", force=lambda t: (force * min(t / 0.1, 1), 0, 0))], duration=0.3, every=0.01, progress=False,
+        pt.Solid(cloud, tissue(None, poisson=0.45), "x-", form="energy", stiffness_damping=5e-4),
+        [pt.SurfaceForce("x+", force=lambda t: (force * min(t / 0.1, 1), 0, 0))], duration=0.3, every=0.01, progress=False,
     )  # fmt: skip
     final = ease.displacements[-5:, cloud.group("x+"), 0].mean()
     # nearly incompressible, so shear alone decides; the bar rings about the creep, fast and damped
@@ -158,8 +160,8 @@ def test_a_block_creeps_under_a_step_of_force_as_the_standard_solid():
 
 def test_a_run_does_not_depend_on_how_it_is_divided_and_a_new_one_starts_afresh():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
-    bar = pt.FullModel(cloud, tissue(), "x-", form="energy", viscosity=2e-5)
-    loads = [pt.Traction("x+", force=lambda t: (0.02 * np.sin(60 * t), 0.01, 0))]
+    bar = pt.Solid(cloud, tissue(), "x-", form="energy", stiffness_damping=2e-5)
+    loads = [pt.SurfaceForce("x+", force=lambda t: (0.02 * np.sin(60 * t), 0.01, 0))]
     options = {"duration": 0.03, "progress": False, "step": 2.5e-5}
     coarse, fine, again = (pt.rollout(bar, loads, every=e, **options) for e in (0.03, 0.003, 0.03))
     np.testing.assert_array_equal(again.displacements, coarse.displacements)
@@ -171,8 +173,8 @@ def test_a_run_does_not_depend_on_how_it_is_divided_and_a_new_one_starts_afresh(
 
 def test_what_does_not_relax_is_not_touched():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
-    model = pt.FullModel(cloud, tissue(None), "x-", form="energy")
-    assert model.state(model.drive([])).memory == ()
+    model = pt.Solid(cloud, tissue(None), "x-", form="energy")
+    assert model.state(model.prepare([])).history == ()
 
 
 @pytest.mark.parametrize(
@@ -194,6 +196,6 @@ def test_bad_series_are_refused(options, message):
 def test_the_strong_form_and_other_things_are_refused():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     with pytest.raises(pt.InputError, match="form='energy'"):
-        pt.FullModel(cloud, tissue(), "x-")
+        pt.Solid(cloud, tissue(), "x-")
     with pytest.raises(pt.InputError, match=r"give a palpate\.Prony"):
         pt.NeoHookean(C1=1.0, density=1.0, poisson=0.4, prony=0.5)

@@ -19,7 +19,7 @@ def cloud(request):
 
 
 def body(cloud, law, form, pressure, fixed=()):
-    return pt.FullModel(cloud, law, fixed, form=form, pressure=pressure, viscosity=0.0)
+    return pt.Solid(cloud, law, fixed, form=form, pressure=pressure, stiffness_damping=0.0)
 
 
 @pytest.mark.parametrize(("form", "pressure"), FORMS)

@@ -229,7 +229,7 @@ def test_prestretch_tightens_a_sheet_of_the_same_matter(prestretch):
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
 def test_a_taut_sheet_sounds_at_the_zeros_of_bessel(cloud, form, bound):
     prestretch = 1.05
-    model = sheet(cloud, prestretch=prestretch, form=form, viscosity=0.0)
+    model = sheet(cloud, prestretch=prestretch, form=form, stiffness_damping=0.0)
     free, step = inside(model), 1e-8
     tangent = np.empty((len(free), len(free)))
     for column, node in enumerate(free):
@@ -243,12 +243,12 @@ def test_a_taut_sheet_sounds_at_the_zeros_of_bessel(cloud, form, bound):
 
 
 def settle(model, loads, u, seconds=0.4, damping=60.0):
-    drive, state = model.drive(loads), pt.State(u, np.zeros_like(u))
+    prepared, state = model.prepare(loads), pt.State(u, np.zeros_like(u))
     while state.time < seconds:
-        step = model.stable_step(state, drive)
-        state = model.advance(state, drive, step, 50)
+        step = model.stable_step(state, prepared)
+        state = model.advance(state, prepared, step, 50)
         state = pt.State(state.coordinates, state.velocities * np.exp(-50 * step * damping), state.time)
-    return state, drive
+    return state, prepared
 
 
 @pytest.mark.parametrize("layout", ["rings", "hexagonal"])
@@ -259,9 +259,9 @@ def test_a_pushed_sheet_takes_the_axisymmetric_shape(layout):
     radius = np.linalg.norm(cloud.points, axis=1)
     u = np.zeros((len(cloud), 3))
     u[:, 2] = 0.01 * np.clip((RADIUS - radius) / 0.08, 0, 1)
-    state, drive = settle(model, [pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))], u)
+    state, prepared = settle(model, [pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))], u)
     mean = np.sum(cloud.volumes * state.coordinates[:, 2]) / cloud.volumes.sum()
-    force = reactions(model, pt.State(state.coordinates, 0 * u), drive)
+    force = reactions(model, pt.State(state.coordinates, 0 * u), prepared)
     assert mean == pytest.approx(3.6187e-3, rel=0.02)
     assert force["tool"][2] == pytest.approx(4.2908e-3, rel=0.06)
     np.testing.assert_allclose(force["tool"] + force["rim"], 0, atol=0.01 * force["tool"][2])
@@ -273,7 +273,7 @@ def test_an_inflated_sheet_rises_as_high_as_the_axisymmetric_one(cloud):
     model = sheet(cloud)
     u = np.zeros((len(model.cloud), 3))
     u[:, 2] = 0.03 * (1 - np.sum(model.cloud.points**2, axis=1) / RADIUS**2)
-    state, _ = settle(model, [pt.Traction("face", pressure=-10.0)], u)
+    state, _ = settle(model, [pt.SurfaceForce("face", pressure=-10.0)], u)
     assert state.coordinates[model.cloud.group("centre")[0], 2] == pytest.approx(29.949e-3, rel=0.01)
 
 
@@ -283,12 +283,12 @@ def test_a_strip_pulled_at_its_edge_is_in_simple_tension():
     stretch = 1.3
     stress = 2 * C1 * (stretch - stretch**-2)
     force = stress * 0.06 * THICKNESS
-    loads = [pt.Traction("edge1", force=(force, 0.0, 0.0)), pt.Traction("edge3", force=(-force, 0.0, 0.0))]
+    loads = [pt.SurfaceForce("edge1", force=(force, 0.0, 0.0)), pt.SurfaceForce("edge3", force=(-force, 0.0, 0.0))]
     state = pt.State(uniform(model, np.eye(3, 2) * [stretch, stretch**-0.5]), np.zeros((len(cloud), 3)))
-    acceleration = model.acceleration(state, model.drive(loads))
+    acceleration = model.acceleration(state, model.prepare(loads))
     largest = force / (1200 * THICKNESS * 0.06 * cloud.spacing)
     assert np.abs(acceleration).max() < 1e-9 * largest
-    assert np.abs(model.acceleration(state, model.drive(()))).max() > 0.5 * largest
+    assert np.abs(model.acceleration(state, model.prepare(()))).max() > 0.5 * largest
 
 
 def run(cloud="rings", after="return", duration=0.15, **options):
@@ -415,7 +415,7 @@ def test_a_cloud_without_a_boundary_is_refused():
         ({"fixed": "edge"}, "unknown group 'edge'"),
         ({"prestretch": 0.9}, "prestretch = 0.9 is out of range"),
         ({"form": "weak"}, "allowed are 'energy' and 'strong'"),
-        ({"viscosity": -1.0}, "viscosity"),
+        ({"stiffness_damping": -1.0}, "stiffness_damping"),
         ({"neighbours": 3}, "neighbours"),
     ],
 )
@@ -427,7 +427,7 @@ def test_bad_input_is_named(change, message):
 
 def test_a_solid_refuses_an_incompressible_material():
     with pytest.raises(pt.InputError, match="compressible"):
-        pt.FullModel(pt.box((0.03, 0.03, 0.03), 0.01), LAWS["NeoHookean"])
+        pt.Solid(pt.box((0.03, 0.03, 0.03), 0.01), LAWS["NeoHookean"])
     with pytest.raises(pt.InputError, match="incompressible"):
         LAWS["NeoHookean"].stress(np.eye(3))
 
@@ -435,13 +435,13 @@ def test_a_solid_refuses_an_incompressible_material():
 def test_a_driven_node_on_the_rim_is_refused():
     model = sheet(CLOUDS["rings"].within("tool", (RADIUS, 0.0), 0.011))
     with pytest.raises(pt.InputError, match="already fixed"):
-        model.drive([pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))])
+        model.prepare([pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))])
 
 
 def test_a_tool_that_holds_the_whole_sheet_is_refused():
     model = sheet(CLOUDS["rings"].within("tool", (0.0, 0.0), 0.095))
     with pytest.raises(pt.InputError, match="none is left to move"):
-        model.drive([pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))])
+        model.prepare([pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))])
 
 
 def test_a_tool_cannot_let_go_before_it_began():

@@ -23,7 +23,7 @@ def made(relaxed, prestretch=1.0, fibres=None, prony=SERIES):
     cloud = pt.sheet(SHEET, 0.01)
     return pt.Membrane(
         cloud, pt.NeoHookean(**LAW, prony=prony), 1e-3, relaxed=relaxed, fibres=fibres, prestretch=prestretch,
-        viscosity=0.0,
+        stiffness_damping=0.0,
     )  # fmt: skip
 
 
@@ -33,16 +33,16 @@ def uniform(model, F):
 
 def responses(model, course, times):
     """Mean stresses (t, 3, 2), stored and lost energies [J/m^3] of uniform deformations F(t) (3, 2)."""
-    memory = model.work.memory
-    model._recall(model.state(model.drive([])))
+    history = model.work.history
+    model._restore_history(model.state(model.prepare([])))
     stresses, stored, lost = [], [], []
     for before, time in zip([times[0], *times], times, strict=False):
         u = uniform(model, course(time))
-        memory.interval[0] = time - before
+        history.interval[0] = time - before
         stresses.append(model.stress(u).mean(axis=0))
-        memory.interval[0] = 0.0
+        history.interval[0] = 0.0
         stored.append(model.strain_energy(u) / model.volumes.sum())
-        lost.append(model._remembered()[0] / model.volumes.sum())
+        lost.append(model._saved_history()[0] / model.volumes.sum())
     return np.array(stresses), np.array(stored), np.array(lost)
 
 
@@ -97,10 +97,10 @@ def test_forces_are_the_slope_of_the_energy_taut_and_wrinkled(relaxing):
     points = model.cloud.points
     fields = np.column_stack([np.sin(40 * points[:, 1]), np.cos(30 * points[:, 0]), np.sin(50 * points[:, 0])])
     before = uniform(model, np.array([[1.1, 0.2], [0.0, 1.2], [0.0, 0.1]]))
-    model._recall(None)
-    model.work.memory.interval[0] = 0.01
+    model._restore_history(None)
+    model.work.history.interval[0] = 0.01
     model.force(before)
-    model.work.memory.interval[0] = 0.0
+    model.work.history.interval[0] = 0.0
     u = uniform(model, np.array([[1.15, 0.0], [0.0, 0.93], [0.0, 0.0]])) + 0.001 * fields
     direction, step = np.random.default_rng(0).standard_normal(u.shape), 1e-8
     slope = (model.strain_energy(u + step * direction) - model.strain_energy(u - step * direction)) / (2 * step)
@@ -125,7 +125,7 @@ def test_fibres_pull_as_the_closed_form_says(prony):
     k1, k2, kappa = HGO.values()
     for l1, l2 in ((1.3, 1.3**-0.5), (1.2, 1.2), (0.9, 1.02), (1.02, 1.3)):
         F = np.diag([l1, l2, 1.0])[:, :2]
-        model._recall(None), bare._recall(None)
+        model._restore_history(None), bare._restore_history(None)
         found = (model.stress(uniform(model, F)) - bare.stress(uniform(bare, F))).mean(axis=0)
         E = max(kappa * (l1**2 + l2**2 + (l1 * l2) ** -2 - 3) + (1 - 3 * kappa) * (l1**2 - 1), 0.0)
         rate = 2 * k1 * E * np.exp(k2 * E**2)
@@ -179,4 +179,4 @@ def test_sampled_membranes_refuse_them():
     model = made(True)
     run = pt.rollout(model, [], duration=1e-4, every=1e-4, progress=False)
     with pytest.raises(pt.InputError, match="without fibres= and prony="):
-        pt.reduce(model, run, modes=1)
+        pt.hyper_reduce(model, run, modes=1)

@@ -9,8 +9,8 @@ import palpate as pt
 from palpate.dynamics.nodal.stability import (
     SAFETY,
     FrequencyTracker,
-    _viscosity_by_steps,
-    needed_viscosity,
+    _damping_by_steps,
+    needed_stiffness_damping,
     spectrum,
     stable_step,
     stiffness,
@@ -20,7 +20,7 @@ from palpate.dynamics.run.model import State
 
 @pytest.fixture(scope="module")
 def model(bar, tissue):
-    return pt.FullModel(bar, tissue, fixed="x-")
+    return pt.Solid(bar, tissue, fixed="x-")
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def eigenvalues(model):
 
 def test_the_stiffness_is_the_derivative_of_the_force(model):
     K = stiffness(model)
-    free = np.repeat(~model.held, 3)
+    free = np.repeat(~model.fixed_mask, 3)
     u = np.where(free, np.random.default_rng(0).normal(size=free.shape), 0.0).reshape(-1, 3)
     rate = -model.force(1e-9 * u).reshape(-1)[free] / (1e-9 * model.material.density)
     np.testing.assert_allclose(K @ u.reshape(-1)[free], rate, atol=1e-5 * np.abs(rate).max())
@@ -44,7 +44,7 @@ def test_a_free_body_has_six_modes_of_no_stiffness(free):
 
 def test_the_tracker_finds_the_highest_frequency(model, eigenvalues):
     highest = np.sqrt(np.abs(eigenvalues).max())
-    found = FrequencyTracker(model)(np.zeros_like(model.cloud.points), model.held)
+    found = FrequencyTracker(model)(np.zeros_like(model.cloud.points), model.fixed_mask)
     assert found == pytest.approx(highest, rel=0.05)
     assert model.stability.highest_frequency == pytest.approx(highest, rel=0.05)
 
@@ -54,14 +54,14 @@ def test_the_tracker_follows_the_body_as_it_stretches(model):
     tracker = FrequencyTracker(model)
     for stretch in np.linspace(1, 2, 6):
         u[:, 0] = (stretch - 1) * model.cloud.points[:, 0]
-        found = tracker(u, model.held)
+        found = tracker(u, model.fixed_mask)
     assert found == pytest.approx(np.sqrt(np.abs(spectrum(model, u)).max()), rel=0.1)
 
 
 def test_viscosity_by_stepping_agrees_with_the_spectrum(bar, tissue, eigenvalues):
-    model = pt.FullModel(bar, tissue, fixed="x-", viscosity=0.0)
-    found, growth = _viscosity_by_steps(model, model.stability.highest_frequency)
-    needed = needed_viscosity(eigenvalues)
+    model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=0.0)
+    found, growth = _damping_by_steps(model, model.stability.highest_frequency)
+    needed = needed_stiffness_damping(eigenvalues)
     assert needed / 2 < found < 2 * needed
     assert growth < 200
 
@@ -69,7 +69,7 @@ def test_viscosity_by_stepping_agrees_with_the_spectrum(bar, tissue, eigenvalues
 def test_the_needed_viscosity_stops_the_fastest_growth():
     # x'' + w^2 (x + beta x') = 0 with a complex w^2: growth stops where beta = 2 |Im w| / |w|^2
     square = np.array([1e8 * (1 + 0.01j)])
-    beta = needed_viscosity(square)
+    beta = needed_stiffness_damping(square)
     for factor, grows in ((0.99, True), (1.01, False)):
         roots = np.roots([1, factor * beta * square[0], square[0]])
         assert (roots.real.max() > 0) == grows
@@ -80,53 +80,58 @@ def test_the_report_says_what_decided(model, eigenvalues):
     assert report.method == "dense spectrum"
     assert report.worst_real_part == pytest.approx(eigenvalues.real.min(), rel=1e-3)
     assert report.worst_real_part > 0
-    assert report.needed == pytest.approx(needed_viscosity(eigenvalues), rel=1e-3)
-    assert report.used == model.viscosity >= report.needed
+    assert report.needed == pytest.approx(needed_stiffness_damping(eigenvalues), rel=1e-3)
+    assert report.used == model.stiffness_damping >= report.needed
     assert report.step == pytest.approx(stable_step(report.highest_frequency, report.used))
     for word in ("worst real part", "viscosity needed", "viscosity used", "stable step", "dense spectrum"):
         assert word in str(report)
 
 
 def test_a_given_viscosity_is_used(bar, tissue):
-    model = pt.FullModel(bar, tissue, fixed="x-", viscosity=1.25e-4)
-    assert model.viscosity == model.stability.used == 1.25e-4
+    model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=1.25e-4)
+    assert model.stiffness_damping == model.stability.used == 1.25e-4
     assert "not computed" in str(model.stability)
 
 
-@pytest.mark.parametrize("viscosity", [0.0, 1e-4])
-def test_the_step_is_the_stability_limit_of_one_oscillator(viscosity):
+@pytest.mark.parametrize("stiffness_damping", [0.0, 1e-4])
+def test_the_step_is_the_stability_limit_of_one_oscillator(stiffness_damping):
     w = 1e4
-    limit = stable_step(w, viscosity) / SAFETY
+    limit = stable_step(w, stiffness_damping) / SAFETY
     for factor, bounded in ((0.99, True), (1.01, False)):
         h = factor * limit
         # v += -h w^2 (u + beta v); u += h v
-        step = np.array([[1 - h * h * w * w, h - h * h * w * w * viscosity], [-h * w * w, 1 - h * w * w * viscosity]])
+        step = np.array(
+            [
+                [1 - h * h * w * w, h - h * h * w * w * stiffness_damping],
+                [-h * w * w, 1 - h * w * w * stiffness_damping],
+            ]
+        )
         assert (np.abs(np.linalg.eigvals(step)).max() < 1 + 1e-9) == bounded
 
 
 @pytest.mark.parametrize("viscous", [False, True], ids=["needed", "more"])
 def test_the_stable_step_is_stable_and_a_third_more_is_not(bar, tissue, calm, viscous):
-    model = pt.FullModel(bar, tissue, fixed="x-", viscosity=5 * calm if viscous else calm)
-    drive = model.drive(())
+    model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=5 * calm if viscous else calm)
+    prepared = model.prepare(())
     noise = 1e-9 * np.random.default_rng(0).normal(size=bar.points.shape)
-    start = model.state(drive, noise)
-    step = model.stable_step(start, drive)
+    start = model.state(prepared, noise)
+    step = model.stable_step(start, prepared)
     size = {}
     for factor in (1.0, 1.3 / SAFETY):
         with np.errstate(all="ignore"):
-            state = model.advance(start, drive, factor * step, 400)
+            state = model.advance(start, prepared, factor * step, 400)
         size[factor] = np.linalg.norm(state.coordinates) / np.linalg.norm(noise)
     assert size[1.0] < 1
     assert not size[1.3 / SAFETY] < 1e6
 
 
 def test_the_stable_step_shrinks_as_the_body_stretches(model):
-    drive = model.drive(())
+    prepared = model.prepare(())
     u = np.zeros_like(model.cloud.points)
     steps = []
     for stretch in (1.0, 3.0):
         u[:, 0] = (stretch - 1) * model.cloud.points[:, 0]
-        steps.append(model.stable_step(model.state(drive, u), drive))
+        steps.append(model.stable_step(model.state(prepared, u), prepared))
     assert 0.15 < steps[1] / steps[0] < 0.7
 
 
@@ -134,18 +139,18 @@ def test_a_body_that_no_viscosity_can_calm_is_refused_with_the_node():
     cloud = pt.box((0.02,) * 3, spacing=0.005, jitter=0.2)
     tissue = pt.NeoHookean(C1=20e3, density=1000, poisson=0.499)
     with pytest.raises(pt.CloudError, match=r"unstable at rest.*node \d+.*more neighbours \(now 27\)"):
-        pt.FullModel(cloud, tissue, fixed="x-", pressure="direct", neighbours=27)
+        pt.Solid(cloud, tissue, fixed="x-", pressure="direct", neighbours=27)
 
 
 def test_large_clouds_are_examined_by_the_step_map(tissue):
     cloud = pt.box((0.04, 0.02, 0.02), spacing=0.0025)
-    model = pt.FullModel(cloud, tissue, fixed="x-")
+    model = pt.Solid(cloud, tissue, fixed="x-")
     report = model.stability
     assert report.method == "step map"
     assert report.growth is not None
     assert "growth left" in str(report)
-    drive = model.drive(())
+    prepared = model.prepare(())
     tiny = 1e-9 * np.random.default_rng(5).normal(size=cloud.points.shape)
-    state = model.state(drive, tiny)
-    later = model.advance(State(state.coordinates, state.velocities), drive, report.step, 1000)
+    state = model.state(prepared, tiny)
+    later = model.advance(State(state.coordinates, state.velocities), prepared, report.step, 1000)
     assert np.linalg.norm(later.coordinates) < np.linalg.norm(tiny)

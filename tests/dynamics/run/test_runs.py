@@ -41,8 +41,8 @@ def test_a_free_body_moves_on_with_its_velocity(free):
 
 def centre_error(cloud, material, force):
     """How far the centre of mass is from F t^2 / 2 m, relatively, after a few oscillations."""
-    model = pt.FullModel(cloud, material, viscosity=6e-5)
-    run = pt.rollout(model, [pt.Traction("x+", force=force)], duration=0.02, every=0.02)
+    model = pt.Solid(cloud, material, stiffness_damping=6e-5)
+    run = pt.rollout(model, [pt.SurfaceForce("x+", force=force)], duration=0.02, every=0.02)
     path = 0.5 * 0.02**2 * np.array(force) / model.masses.sum()
     return np.linalg.norm(mean(model, run.displacements[-1]) - path) / np.linalg.norm(path)
 
@@ -60,7 +60,7 @@ def test_the_centre_of_mass_follows_a_shearing_force_the_finer_the_better(tissue
 
 
 def test_equal_and_opposite_forces_leave_the_centre_of_mass(free):
-    loads = [pt.Traction("x+", force=(0.5, 0.0, 0.0)), pt.Traction("x-", force=(-0.5, 0.0, 0.0))]
+    loads = [pt.SurfaceForce("x+", force=(0.5, 0.0, 0.0)), pt.SurfaceForce("x-", force=(-0.5, 0.0, 0.0))]
     run = pt.rollout(free, loads, duration=0.01, every=0.01)
     assert np.abs(run.displacements[-1]).max() > 1e-4
     np.testing.assert_allclose(mean(free, run.displacements[-1]), 0, atol=1e-13)
@@ -74,8 +74,8 @@ def test_a_run_turns_with_the_frame(free, rotation):
     runs = []
     for R in (np.eye(3), rotation):
         loads = [
-            pt.Traction("x+", force=R @ force),
-            pt.Traction("z-", pressure=lambda t: 500 * np.sin(500 * t)),
+            pt.SurfaceForce("x+", force=R @ force),
+            pt.SurfaceForce("z-", pressure=lambda t: 500 * np.sin(500 * t)),
             pt.Gravity(R @ gravity),
         ]
         runs.append(
@@ -97,7 +97,7 @@ def test_a_run_turns_with_the_frame(free, rotation):
 
 
 def test_a_symmetric_pull_stays_symmetric(held):
-    run = pt.rollout(held, [pt.Traction("x+", force=(2.0, 0.0, 0.0))], duration=0.02, every=0.02)
+    run = pt.rollout(held, [pt.SurfaceForce("x+", force=(2.0, 0.0, 0.0))], duration=0.02, every=0.02)
     u = run.displacements[-1].reshape(7, 4, 4, 3)
     bound = 1e-10 * np.abs(u).max()
     np.testing.assert_allclose(u[:, ::-1] * (1, -1, 1), u, atol=bound)
@@ -108,14 +108,14 @@ def test_a_symmetric_pull_stays_symmetric(held):
 def test_a_bar_without_contraction_rings_at_its_axial_frequency():
     cloud = pt.box((0.06, 0.015, 0.015), spacing=0.005)
     material = pt.NeoHookean(C1=20e3, density=1000, poisson=0.0)
-    model = pt.FullModel(cloud, material, fixed="x-", viscosity=3e-5)
+    model = pt.Solid(cloud, material, fixed="x-", stiffness_damping=3e-5)
     frequency = np.pi / 2 / 0.06 * np.sqrt(2 * material.shear_modulus / 1000)
     shape = np.zeros((len(cloud), 3))
     shape[:, 0] = np.sin(np.pi / 2 * cloud.points[:, 0] / 0.06)
     period = 2 * np.pi / frequency
     run = pt.rollout(model, velocity=1e-6 * shape, duration=2 * period, every=period / 40)
     amplitude = run.displacements[:, :, 0] @ shape[:, 0] / np.sum(shape[:, 0] ** 2)
-    decay = np.exp(-model.viscosity * frequency**2 / 2 * run.times)
+    decay = np.exp(-model.stiffness_damping * frequency**2 / 2 * run.times)
     expected = 1e-6 / frequency * decay * np.sin(frequency * run.times)
     np.testing.assert_allclose(amplitude, expected, atol=0.04 * 1e-6 / frequency)
 
@@ -144,7 +144,7 @@ def test_energy_balances_the_finer_the_better(tissue, pull):
     missed = []
     for spacing in (0.005, 0.0025):
         cloud = pt.box((0.03, 0.015, 0.015), spacing=spacing)
-        model = pt.FullModel(cloud, tissue, fixed="x-", viscosity=0.01 * spacing)
+        model = pt.Solid(cloud, tissue, fixed="x-", stiffness_damping=0.01 * spacing)
         run = pt.rollout(model, [pull], duration=0.03, every=0.0005)
         missed.append(np.abs(run.balance).max() / run.external.max())
         assert np.all(np.diff(run.dissipated) >= 0)
@@ -165,7 +165,7 @@ def test_velocities_are_the_rates_of_the_displacements(run):
 
 
 def test_a_support_carries_the_weight(bar, tissue):
-    model = pt.FullModel(bar, tissue, fixed="z-", viscosity=1e-3)
+    model = pt.Solid(bar, tissue, fixed="z-", stiffness_damping=1e-3)
     run = pt.rollout(model, [pt.Gravity()], duration=0.05, every=0.05)
     weight = 9.81 * model.masses.sum()
     np.testing.assert_allclose(run.reactions["z-"][-1], (0, 0, weight), atol=1e-3 * weight)
@@ -177,38 +177,38 @@ def motion():
 
 
 @pytest.fixture(scope="module")
-def driven(bar, tissue, calm, motion):
+def prescribed(bar, tissue, calm, motion):
     """The bar, pulled by a tool at its end."""
-    return pt.rollout(pt.FullModel(bar, tissue, fixed="x-", viscosity=calm), [motion], duration=0.02, every=0.001)
+    return pt.rollout(pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm), [motion], duration=0.02, every=0.001)
 
 
-def test_a_tool_holds_its_nodes_exactly(bar, driven, motion):
-    for time, u in zip(driven.times, driven.displacements, strict=True):
+def test_a_tool_holds_its_nodes_exactly(bar, prescribed, motion):
+    for time, u in zip(prescribed.times, prescribed.displacements, strict=True):
         wanted = np.broadcast_to(motion.displacement(None, time), (16, 3))
         np.testing.assert_allclose(u[bar.group("x+")], wanted, atol=1e-15)
 
 
-def test_a_tool_gives_its_nodes_its_velocity(bar, driven):
-    found = driven.velocities[1:, bar.group("x+")[3], 0]
-    np.testing.assert_allclose(found, 0.06 * np.sin(120 * driven.times[1:]), atol=0.03 * 0.06)
+def test_a_tool_gives_its_nodes_its_velocity(bar, prescribed):
+    found = prescribed.velocities[1:, bar.group("x+")[3], 0]
+    np.testing.assert_allclose(found, 0.06 * np.sin(120 * prescribed.times[1:]), atol=0.03 * 0.06)
 
 
-def test_tool_and_support_balance_the_momentum(bar, held, driven):
-    momentum = driven.velocities.transpose(0, 2, 1) @ held.masses
+def test_tool_and_support_balance_the_momentum(bar, held, prescribed):
+    momentum = prescribed.velocities.transpose(0, 2, 1) @ held.masses
     rate = (momentum[2:] - momentum[:-2]) / 0.002
-    force = (driven.reactions["x-"] + driven.reactions["x+"])[1:-1]
-    assert np.abs(rate - force).max() < 0.1 * np.abs(driven.reactions["x+"]).max()
+    force = (prescribed.reactions["x-"] + prescribed.reactions["x+"])[1:-1]
+    assert np.abs(rate - force).max() < 0.1 * np.abs(prescribed.reactions["x+"]).max()
 
 
-def test_the_work_of_a_tool_goes_into_the_body(driven):
-    assert driven.external.max() > 0
-    assert np.abs(driven.balance).max() < 0.1 * driven.external.max()
+def test_the_work_of_a_tool_goes_into_the_body(prescribed):
+    assert prescribed.external.max() > 0
+    assert np.abs(prescribed.balance).max() < 0.1 * prescribed.external.max()
 
 
 def test_a_tool_pulls_as_hard_as_the_support_when_nothing_moves():
     bar = pt.box((0.03, 0.015, 0.015), spacing=0.00375)
     material = pt.NeoHookean(C1=20e3, density=1000, poisson=0.0)
-    model = pt.FullModel(bar, material, fixed="x-", viscosity=1e-3)
+    model = pt.Solid(bar, material, fixed="x-", stiffness_damping=1e-3)
     stretch = pt.PrescribedMotion("x+", lambda points, t: (0.003 * min(1, t / 0.02), 0, 0))
     run = pt.rollout(model, [stretch], duration=0.06, every=0.06)
     tool, support = (run.reactions[name][-1] for name in ("x+", "x-"))
@@ -239,8 +239,8 @@ def test_a_motion_sees_the_places_of_its_nodes(bar, held):
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49, 0.499])
 def test_a_poked_body_calms_down(poisson, jitter):
     cloud = pt.box((0.02, 0.015, 0.015), spacing=0.005, jitter=jitter)
-    model = pt.FullModel(cloud, pt.MooneyRivlin(C1=20e3, C2=2e3, density=1000, poisson=poisson), fixed="z-")
-    poke = pt.Traction("z+", force=lambda t: (0.5, 0, -1.0) if t < 0.005 else (0, 0, 0))
+    model = pt.Solid(cloud, pt.MooneyRivlin(C1=20e3, C2=2e3, density=1000, poisson=poisson), fixed="z-")
+    poke = pt.SurfaceForce("z+", force=lambda t: (0.5, 0, -1.0) if t < 0.005 else (0, 0, 0))
     run = pt.rollout(model, [poke], duration=0.03, every=0.001)
     total = run.kinetic + run.strain
     assert np.abs(run.displacements).max() > 3e-4
@@ -258,7 +258,7 @@ def same(one, other):
 
 def test_a_run_of_the_same_body_is_the_same_bit_by_bit(bar, tissue, calm, pull):
     same(*(
-        pt.rollout(pt.FullModel(bar, tissue, fixed="x-", viscosity=calm), [pull], duration=0.01, every=0.005)
+        pt.rollout(pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm), [pull], duration=0.01, every=0.005)
         for _ in range(2)
     ))  # fmt: skip
 
@@ -272,14 +272,14 @@ def test_any_number_of_threads_gives_the_same_bits(bar, tissue, calm, pull):
     runs = []
     for threads in (1, 2):
         numba.set_num_threads(threads)
-        model = pt.FullModel(bar, tissue, fixed="x-", viscosity=calm)
+        model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm)
         runs.append(pt.rollout(model, [pull], duration=0.01, every=0.005))
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     same(*runs)
 
 
 def test_loads_of_an_earlier_run_are_forgotten(held):
-    pt.rollout(held, [pt.Traction("x+", force=(1.0, 0, 0))], duration=1e-3, every=1e-3)
+    pt.rollout(held, [pt.SurfaceForce("x+", force=(1.0, 0, 0))], duration=1e-3, every=1e-3)
     run = pt.rollout(held, duration=1e-3, every=1e-3)
     np.testing.assert_allclose(run.displacements, 0, atol=1e-15)
 
@@ -290,12 +290,12 @@ def test_works_do_not_depend_on_how_steps_are_bundled(held, loaded):
     loads = [pt.PrescribedMotion("x+", lambda points, t: (1e-3 * np.sin(500 * t) ** 2, 0, 0))]
     if loaded == "vibrating":
         loads, u[:, 2] = [], 5 * held.cloud.points[:, 0] ** 2
-    drive = held.drive(loads)
+    prepared = held.prepare(loads)
     ends = []
     for bundle in (1, 50):
-        state = held.state(drive, u)
+        state = held.state(prepared, u)
         for _ in range(200 // bundle):
-            state = held.advance(state, drive, 2e-5, bundle)
+            state = held.advance(state, prepared, 2e-5, bundle)
         ends.append(state)
     np.testing.assert_allclose(ends[0].coordinates, ends[1].coordinates, atol=5e-6)  # of 4.5 mm
     assert ends[1].dissipated == pytest.approx(ends[0].dissipated, rel=0.05)

@@ -100,7 +100,7 @@ def test_other_programs_read_the_arrays(run, path):
 
 
 @pytest.mark.parametrize("load", [pt.Trajectory.load, StoredTrajectory])
-@pytest.mark.parametrize("name", ["displacements", "times", "steps", "points", "touches", "held"])
+@pytest.mark.parametrize("name", ["displacements", "times", "steps", "points", "contact_forces", "bonded"])
 def test_a_file_without_one_of_its_parts_is_refused(run, path, forge, name, load):
     run.save(path)
     forge(path, lambda header, arrays: arrays.pop(name), FORMAT, VERSION)
@@ -131,8 +131,8 @@ def test_a_frame_that_is_not_finite_is_refused_when_it_is_read(run, path, forge)
         ("model", 5, "model must be text"),
         ("complete", "yes", "complete must be true or false"),
         ("wall_seconds", "5", "wall_seconds"),
-        ("viscosity", -1.0, "viscosity = -1.0 is out of range"),
-        ("viscosity", None, "viscosity must be a number"),
+        ("stiffness_damping", -1.0, "viscosity = -1.0 is out of range"),
+        ("stiffness_damping", None, "viscosity must be a number"),
         ("reactions", "x-", "reactions must be a list of names"),
         ("reactions", ["x-", "x-"], "reactions must be a list of names"),
         ("reactions", [["x-"]], "reactions must be a list of names"),
@@ -150,10 +150,10 @@ def test_what_no_header_says_is_refused(run, path, forge, name, value, message):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("touches", np.array([[0.0, -1.0, 0, 0, 0]])),
-        ("touches", np.array([[0.5, 1.0, 0, 0, 0]])),
-        ("touches", np.array([[10**6, 1.0, 0, 0, 0]])),
-        ("touches", np.array([[0.0, 10**6, 0, 0, 0]])),
+        ("contact_forces", np.array([[0.0, -1.0, 0, 0, 0]])),
+        ("contact_forces", np.array([[0.5, 1.0, 0, 0, 0]])),
+        ("contact_forces", np.array([[10**6, 1.0, 0, 0, 0]])),
+        ("contact_forces", np.array([[0.0, 10**6, 0, 0, 0]])),
         ("times", np.array([0.0, -1.0, 1.0])),
         ("points", np.zeros((0, 3))),
         ("points", np.zeros(3)),
@@ -166,8 +166,8 @@ def test_arrays_that_no_run_has_are_refused(run, path, forge, name, value):
 
     def change(header, arrays):
         arrays[name] = value
-        if name == "touches":
-            arrays["held"] = np.zeros(len(value), dtype=bool)
+        if name == "contact_forces":
+            arrays["bonded"] = np.zeros(len(value), dtype=bool)
 
     forge(path, change, FORMAT, VERSION)
     with pytest.raises(pt.FileFormatError, match=r"run\.h5"):
@@ -198,13 +198,13 @@ def test_a_flipped_bit_is_refused_wherever_it_is(run, path, load):
 
 def cut(path, run, label=""):
     """Leave the journal of a run that was stopped at once; return where its records end."""
-    recorder, ends = Recorder(path, run.model, run.points, run.viscosity, label), [0]
+    recorder, ends = Recorder(path, run.model, run.points, run.stiffness_damping, label), [0]
     for k in range(len(run.times)):
-        own = run.touches[:, 0] == k
+        own = run.contact_forces[:, 0] == k
         energies = {name: float(getattr(run, name)[k]) for name in ("kinetic", "strain", "external", "dissipated")}
         forces = {name: force[k] for name, force in run.reactions.items()}
         frame = Outputs(run.displacements[k], run.velocities[k], forces, **energies, moments={},
-                        touches=run.touches[own, 1:], held=run.held[own])  # fmt: skip
+                        contact_forces=run.contact_forces[own, 1:], bonded=run.bonded[own])  # fmt: skip
         recorder.add(float(run.times[k]), int(run.steps[k]), frame)
         ends.append(path.stat().st_size)
     recorder._journal.close()
@@ -215,7 +215,7 @@ def test_a_run_that_was_cut_off_keeps_its_frames(run, path):
     ends = cut(path, run, "mine")
     kept, stored = pt.Trajectory.load(path), StoredTrajectory(path)
     assert (kept.complete, kept.label, stored.label) == (False, "mine", "mine")
-    for field in ("times", "displacements", "velocities", "steps", "kinetic", "touches", "points"):
+    for field in ("times", "displacements", "velocities", "steps", "kinetic", "contact_forces", "points"):
         np.testing.assert_array_equal(getattr(kept, field), getattr(run, field))
     np.testing.assert_array_equal(kept.reactions["x-"], run.reactions["x-"])
     np.testing.assert_array_equal(stored.displacements[::7], run.displacements[::7])
@@ -240,7 +240,7 @@ def test_a_damaged_journal_is_refused_and_not_shortened(run, path):
 
 
 def test_a_run_that_diverges_at_once_leaves_a_file_that_is_loaded(held, path):
-    recorder = Recorder(path, held.name, held.cloud.points, held.viscosity)
+    recorder = Recorder(path, held.name, held.cloud.points, held.stiffness_damping)
     recorder.close(0.1, complete=False)
     kept = pt.Trajectory.load(path)
     assert (len(kept.times), kept.complete) == (0, False)
@@ -253,8 +253,8 @@ def test_a_killed_run_keeps_its_frames(tmp_path):
     program = f"""
 import os, signal
 import palpate as pt
-model = pt.FullModel(pt.box((0.015, 0.015, 0.015), spacing=0.005),
-    pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45), fixed="x-", viscosity=6e-5)
+model = pt.Solid(pt.box((0.015, 0.015, 0.015), spacing=0.005),
+    pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45), fixed="x-", stiffness_damping=6e-5)
 def stop(time, wall):
     if time > 2.5e-3:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -298,8 +298,8 @@ def test_a_disk_that_fills_up_during_a_run_is_named_and_keeps_frames(tmp_path):
     program = f"""
 import resource
 import palpate as pt
-model = pt.FullModel(pt.box((0.015, 0.015, 0.015), spacing=0.005),
-    pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45), fixed="x-", viscosity=6e-5)
+model = pt.Solid(pt.box((0.015, 0.015, 0.015), spacing=0.005),
+    pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45), fixed="x-", stiffness_damping=6e-5)
 pt.rollout(model, [pt.Gravity()], duration=1e-3, every=1e-3)  # compiles
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 try:

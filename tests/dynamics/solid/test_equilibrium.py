@@ -25,13 +25,13 @@ def uniaxial(material, stretch):
 def test_the_closed_form_of_a_pulled_bar_is_an_exact_equilibrium(poisson, stretch, jitter):
     cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005, jitter=jitter)
     material = pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000, poisson=poisson)
-    model = pt.FullModel(cloud, material, viscosity=5e-5)
+    model = pt.Solid(cloud, material, stiffness_damping=5e-5)
     lateral, nominal = uniaxial(material, stretch)
     force = np.array([nominal * 0.015**2, 0, 0])
-    loads = [pt.Traction("x+", force=force), pt.Traction("x-", force=-force)]
+    loads = [pt.SurfaceForce("x+", force=force), pt.SurfaceForce("x-", force=-force)]
     u = cloud.points * (np.array([stretch, lateral, lateral]) - 1)
-    drive = model.drive(loads)
-    rates = model.acceleration(model.state(drive, u), drive)
+    prepared = model.prepare(loads)
+    rates = model.acceleration(model.state(prepared, u), prepared)
     np.testing.assert_allclose(rates, 0, atol=1e-8 * abs(nominal) / (1000 * cloud.spacing))
 
 
@@ -40,11 +40,14 @@ def test_the_closed_form_of_a_pulled_bar_is_an_exact_equilibrium(poisson, stretc
 def test_a_slowly_pulled_bar_comes_to_the_closed_form(poisson, stretch):
     cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     material = pt.NeoHookean(C1=20e3, density=1000, poisson=poisson)
-    model = pt.FullModel(cloud, material, viscosity=1e-3)
+    model = pt.Solid(cloud, material, stiffness_damping=1e-3)
     lateral, nominal = uniaxial(material, stretch)
     force = np.array([nominal * 0.015**2, 0, 0])
     ramp = lambda t: min(1.0, t / 0.01)  # noqa: E731
-    loads = [pt.Traction("x+", force=lambda t: ramp(t) * force), pt.Traction("x-", force=lambda t: -ramp(t) * force)]
+    loads = [
+        pt.SurfaceForce("x+", force=lambda t: ramp(t) * force),
+        pt.SurfaceForce("x-", force=lambda t: -ramp(t) * force),
+    ]
     last = pt.rollout(model, loads, duration=0.03, every=0.03).displacements[-1]
     # in the long run a compressed bar would turn over: dead forces push it
     size = np.ptp(cloud.points + last, axis=0) / np.ptp(cloud.points, axis=0)
@@ -52,29 +55,29 @@ def test_a_slowly_pulled_bar_comes_to_the_closed_form(poisson, stretch):
 
 
 def test_pressure_all_around_shrinks_a_body_evenly(small_cloud, tissue):
-    model = pt.FullModel(small_cloud, tissue, viscosity=0.0)
+    model = pt.Solid(small_cloud, tissue, stiffness_damping=0.0)
     F = 0.95 * np.eye(3)
     cauchy = (tissue.stress(F) @ F.T / np.linalg.det(F))[0, 0]
-    drive = model.drive([pt.Traction(side, pressure=-cauchy) for side in ("x-", "x+", "y-", "y+", "z-", "z+")])
-    rates = model.acceleration(model.state(drive, -0.05 * small_cloud.points), drive)
+    prepared = model.prepare([pt.SurfaceForce(side, pressure=-cauchy) for side in ("x-", "x+", "y-", "y+", "z-", "z+")])
+    rates = model.acceleration(model.state(prepared, -0.05 * small_cloud.points), prepared)
     np.testing.assert_allclose(rates, 0, atol=1e-9 * abs(cauchy) / (1000 * 0.005))
 
 
 def test_pressure_follows_the_face_as_it_stretches_and_turns(small_cloud, tissue, rotation):
-    model = pt.FullModel(small_cloud, tissue, viscosity=0.0)
+    model = pt.Solid(small_cloud, tissue, stiffness_damping=0.0)
     F = rotation @ np.diag([1.1, 0.9, 1.3])
-    drive = model.drive([pt.Traction("x+", pressure=lambda t: 100.0)])
-    state = model.state(drive, small_cloud.points @ (F - np.eye(3)).T)
+    prepared = model.prepare([pt.SurfaceForce("x+", pressure=lambda t: 100.0)])
+    state = model.state(prepared, small_cloud.points @ (F - np.eye(3)).T)
     normal, area = rotation[:, 0], 0.015**2 * 0.9 * 1.3
-    np.testing.assert_allclose(model.external_force(state, drive).sum(axis=0), -100 * area * normal, rtol=1e-10)
+    np.testing.assert_allclose(model.external_force(state, prepared).sum(axis=0), -100 * area * normal, rtol=1e-10)
 
 
 def test_a_pressure_at_rest_is_a_force_against_the_normal(small_cloud, tissue):
-    model = pt.FullModel(small_cloud, tissue, viscosity=0.0)
+    model = pt.Solid(small_cloud, tissue, stiffness_damping=0.0)
     forces = []
-    for load in (pt.Traction("x+", pressure=100.0), pt.Traction("x+", force=(-100 * 0.015**2, 0, 0))):
-        drive = model.drive([load])
-        forces.append(model.external_force(model.state(drive), drive))
+    for load in (pt.SurfaceForce("x+", pressure=100.0), pt.SurfaceForce("x+", force=(-100 * 0.015**2, 0, 0))):
+        prepared = model.prepare([load])
+        forces.append(model.external_force(model.state(prepared), prepared))
     np.testing.assert_allclose(forces[0], forces[1], rtol=1e-12, atol=1e-18)
 
 
@@ -82,7 +85,7 @@ def test_a_small_following_pressure_acts_like_a_fixed_force(held):
     area = 0.015**2
     runs = [
         pt.rollout(held, [load], duration=0.005, every=0.005).displacements[-1]
-        for load in (pt.Traction("x+", pressure=10.0), pt.Traction("x+", force=(-10 * area, 0, 0)))
+        for load in (pt.SurfaceForce("x+", pressure=10.0), pt.SurfaceForce("x+", force=(-10 * area, 0, 0)))
     ]
     strain = 10 / held.material.shear_modulus
     assert np.abs(runs[1]).max() > 1e-7
@@ -90,8 +93,8 @@ def test_a_small_following_pressure_acts_like_a_fixed_force(held):
 
 
 def test_a_total_force_is_spread_evenly_over_the_face(held):
-    drive = held.drive([pt.Traction("x+", force=(1.0, 2.0, 3.0))])
-    force = held.external_force(held.state(drive), drive)
+    prepared = held.prepare([pt.SurfaceForce("x+", force=(1.0, 2.0, 3.0))])
+    force = held.external_force(held.state(prepared), prepared)
     end = held.cloud.group("x+")
     areas = np.linalg.norm(held.cloud.area_vectors("x+"), axis=1)
     np.testing.assert_allclose(force[end], np.outer(areas / areas.sum(), (1.0, 2.0, 3.0)), rtol=1e-12)
@@ -100,24 +103,24 @@ def test_a_total_force_is_spread_evenly_over_the_face(held):
 
 @pytest.mark.parametrize("half_cell", [2.0, 3.0])
 def test_tractions_and_gravity_do_their_true_virtual_work_in_the_inner_product(small_cloud, tissue, half_cell):
-    model = pt.FullModel(small_cloud, tissue, viscosity=0.0, half_cell=half_cell)
-    drive = model.drive([pt.Traction("x+", force=(1.0, 2.0, 3.0))])
-    rates = model.acceleration(model.state(drive), drive)
+    model = pt.Solid(small_cloud, tissue, stiffness_damping=0.0, half_cell=half_cell)
+    prepared = model.prepare([pt.SurfaceForce("x+", force=(1.0, 2.0, 3.0))])
+    rates = model.acceleration(model.state(prepared), prepared)
     moved = np.sin(100 * small_cloud.points)
     work = np.sum(model.weights[:, None] * 1000 * rates * moved)
-    expected = np.sum(model.external_force(model.state(drive), drive) * moved)
+    expected = np.sum(model.external_force(model.state(prepared), prepared) * moved)
     assert work == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_uniformly_accelerated_bar_has_the_acceleration_of_its_mass(small_cloud):
     """Without lateral contraction a linear stress, quadratic in displacement, pulls every node with F / m."""
     material = pt.NeoHookean(C1=20e3, density=1000, poisson=0.0)
-    model = pt.FullModel(small_cloud, material, viscosity=0.0, pressure="direct")
+    model = pt.Solid(small_cloud, material, stiffness_damping=0.0, pressure="direct")
     force = 1e-7
     x = small_cloud.points[:, 0]
     u = np.zeros_like(small_cloud.points)
     u[:, 0] = force / 0.015**2 * x**2 / (2 * 0.015) / (2 * material.shear_modulus)
-    drive = model.drive([pt.Traction("x+", force=(force, 0, 0))])
-    rates = model.acceleration(model.state(drive, u), drive)
+    prepared = model.prepare([pt.SurfaceForce("x+", force=(force, 0, 0))])
+    rates = model.acceleration(model.state(prepared, u), prepared)
     expected = np.tile([force / model.masses.sum(), 0, 0], (64, 1))
     np.testing.assert_allclose(rates, expected, atol=1e-3 * expected.max())

@@ -19,19 +19,19 @@ SHORT = {"duration": 1e-3, "every": 5e-4, "progress": False}
 
 
 def pull(newton):
-    return [pt.Traction("x+", force=(newton, 0.0, 0.0))]
+    return [pt.SurfaceForce("x+", force=(newton, 0.0, 0.0))]
 
 
 @pytest.fixture
 def energetic(small_cloud, tissue):
-    return pt.FullModel(small_cloud, tissue, fixed="x-", form="energy")
+    return pt.Solid(small_cloud, tissue, fixed="x-", form="energy")
 
 
 @pytest.fixture(scope="module")
 def reduced(small_cloud, tissue):
-    full = pt.FullModel(small_cloud, tissue, fixed="x-", form="energy")
+    full = pt.Solid(small_cloud, tissue, fixed="x-", form="energy")
     run = pt.rollout(full, pull(0.5), duration=0.02, every=1e-3, progress=False)
-    return pt.reduce(full, run, modes=3)
+    return pt.hyper_reduce(full, run, modes=3)
 
 
 @pytest.mark.parametrize("newton", [-2e3, 2e4, 1e9, 1e200, 1e308])
@@ -46,7 +46,7 @@ def test_forces_that_no_body_bears_end_runs_of_every_model(newton, held, energet
 
 def test_a_run_that_needs_ever_shorter_steps_is_ended_and_says_so(energetic, monkeypatch):
     steps, stable = iter([1e-4, *[1e-9] * 10**6]), 1e-4
-    monkeypatch.setattr(energetic, "stable_step", lambda state, drive: next(steps))
+    monkeypatch.setattr(energetic, "stable_step", lambda state, prepared: next(steps))
     monkeypatch.setattr(rollout_module, "CHUNK", 2)
     with pytest.raises(pt.DivergenceError, match=r"the run crawls: \d+ steps, 100 times those of the first") as caught:
         pt.rollout(energetic, [], duration=stable * 40, every=stable * 20, progress=False)
@@ -56,12 +56,12 @@ def test_a_run_that_needs_ever_shorter_steps_is_ended_and_says_so(energetic, mon
 def test_a_divergence_names_the_first_node_that_is_not_finite(energetic, monkeypatch):
     advance = type(energetic).advance
 
-    def broken(model, state, drive, step, steps):
-        after = advance(model, state, drive, step, steps)
+    def broken(model, state, prepared, step, steps):
+        after = advance(model, state, prepared, step, steps)
         after.coordinates[[7, 9]] = np.nan
         return after
 
-    monkeypatch.setattr(pt.FullModel, "advance", broken)
+    monkeypatch.setattr(pt.Solid, "advance", broken)
     with pytest.raises(pt.DivergenceError, match="first non-finite node 7 at"):
         pt.rollout(energetic, [], step=1e-5, **SHORT)
 
@@ -70,14 +70,14 @@ def test_a_divergence_names_the_first_node_that_is_not_finite(energetic, monkeyp
 def test_no_snapshot_that_is_not_finite_is_kept_or_written(name, energetic, monkeypatch, tmp_path):
     outputs = type(energetic).outputs
 
-    def spoilt(model, state, drive) -> Outputs:
-        found = outputs(model, state, drive)
+    def spoilt(model, state, prepared) -> Outputs:
+        found = outputs(model, state, prepared)
         if state.time < 4e-4:
             return found
         value = {"x-": np.full(3, np.inf)} if name == "reactions" else getattr(found, name) * np.inf + np.inf
         return replace(found, **{name: value})
 
-    monkeypatch.setattr(pt.FullModel, "outputs", spoilt)
+    monkeypatch.setattr(pt.Solid, "outputs", spoilt)
     file = tmp_path / "run.h5"
     with pytest.raises(pt.DivergenceError, match="became non-finite") as caught:
         pt.rollout(energetic, pull(0.1), file=file, **SHORT)
@@ -135,7 +135,7 @@ def test_snapshots_that_memory_does_not_hold_are_refused(energetic, monkeypatch)
 )
 def test_bodies_beyond_double_precision_are_refused(form, given, small_cloud):
     with pytest.raises(pt.InputError, match=r"highest frequency of the body must be|out of range"):
-        pt.FullModel(small_cloud, pt.NeoHookean(**({"C1": 5e3, "density": 1e3, "poisson": 0.45} | given)), form=form)
+        pt.Solid(small_cloud, pt.NeoHookean(**({"C1": 5e3, "density": 1e3, "poisson": 0.45} | given)), form=form)
 
 
 @pytest.mark.parametrize("given", [{"C1": 1e-300}, {"density": 5e-324}])
@@ -166,7 +166,7 @@ def test_quaternions_of_any_length_are_unit_ones():
 
 @pytest.mark.parametrize("value", [10**5000, np.inf, "much"], ids=["long", "inf", "text"])
 def test_loads_that_are_no_numbers_are_refused(value, energetic):
-    for load in (pt.Gravity((0.0, 0.0, value)), pt.Traction("x+", pressure=value)):
+    for load in (pt.Gravity((0.0, 0.0, value)), pt.SurfaceForce("x+", pressure=value)):
         with pytest.raises(pt.InputError, match=r"Gravity|Traction"):
             pt.rollout(energetic, [load], **SHORT)
 
@@ -201,7 +201,7 @@ def test_clouds_that_do_not_fit_together_are_refused(given, message, small_cloud
         return
     cloud = replace(small_cloud, **given(small_cloud))
     with pytest.raises(pt.InputError), np.errstate(all="ignore"):
-        pt.FullModel(cloud, tissue, form="energy")
+        pt.Solid(cloud, tissue, form="energy")
 
 
 def test_random_extremes_are_refused_or_run():

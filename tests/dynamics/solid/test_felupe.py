@@ -59,12 +59,12 @@ def test_a_block_bends_as_far_as_in_finite_elements(poisson):
     material = pt.NeoHookean(C1=20e3, density=1000, poisson=poisson)
     expected = finite_elements(material, (6, 3, 3))
     cloud = pt.box(SIZE, spacing=0.0025)
-    model = pt.FullModel(cloud, material, fixed="x-", viscosity=0.0)
-    drive = model.drive([pt.Traction("x+", force=(0, 0, FORCE))])
+    model = pt.Solid(cloud, material, fixed="x-", stiffness_damping=0.0)
+    prepared = model.prepare([pt.SurfaceForce("x+", force=(0, 0, FORCE))])
     # so small a load that one Newton step ends at rest
     last = np.zeros_like(cloud.points)
-    push = model.acceleration(model.state(drive), drive)[~model.held]
-    last[~model.held] = np.linalg.solve(stiffness(model), push.ravel()).reshape(-1, 3)
+    push = model.acceleration(model.state(prepared), prepared)[~model.fixed_mask]
+    last[~model.fixed_mask] = np.linalg.solve(stiffness(model), push.ravel()).reshape(-1, 3)
     shares = np.linalg.norm(cloud.area_vectors("x+"), axis=1)
     tip = shares / shares.sum() @ last[cloud.group("x+")]
     assert tip[2] == pytest.approx(expected[2], rel=0.05)
@@ -77,13 +77,13 @@ def test_a_block_of_stiffening_tissue_bends_far_as_in_finite_elements(form, erro
     force = 0.1
     expected = finite_elements(material, (4, 2, 2), force)
     cloud = pt.box(SIZE, spacing=0.003)
-    model = pt.FullModel(cloud, material, fixed="x-", form=form, viscosity=0.0)
+    model = pt.Solid(cloud, material, fixed="x-", form=form, stiffness_damping=0.0)
     last = np.zeros_like(cloud.points)
     for share in (*np.linspace(0.125, 1.0, 8), *np.ones(5)):  # Newton's steps; the last ones end at rest
-        drive = model.drive([pt.Traction("x+", force=(0, 0, share * force))])
-        state = model.state(drive, last)
-        push = model.acceleration(state, drive)[~model.held]
-        last[~model.held] += np.linalg.solve(stiffness(model, last), push.ravel()).reshape(-1, 3)
+        prepared = model.prepare([pt.SurfaceForce("x+", force=(0, 0, share * force))])
+        state = model.state(prepared, last)
+        push = model.acceleration(state, prepared)[~model.fixed_mask]
+        last[~model.fixed_mask] += np.linalg.solve(stiffness(model, last), push.ravel()).reshape(-1, 3)
     assert np.abs(push).max() < 1e-3  # [m/s^2]
     shares = np.linalg.norm(cloud.area_vectors("x+"), axis=1)
     tip = shares / shares.sum() @ last[cloud.group("x+")]

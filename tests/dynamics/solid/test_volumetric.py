@@ -45,7 +45,7 @@ def some_state(cloud):
 
 @pytest.mark.parametrize("prony", [None, pt.Prony(shares=0.5, times=0.01, bulk_shares=0.3)], ids=["eased", "relaxing"])
 def test_forces_are_minus_the_slope_of_the_energy(cloud, material, prony):
-    model = pt.FullModel(cloud, replace(material, poisson=None, prony=prony), form="energy")
+    model = pt.Solid(cloud, replace(material, poisson=None, prony=prony), form="energy")
     u = some_state(cloud)
     direction, step = np.random.default_rng(1).normal(size=u.shape), 1e-6 * cloud.spacing
     ahead, behind = (model.strain_energy(u + s * step * direction) for s in (1, -1))
@@ -55,7 +55,7 @@ def test_forces_are_minus_the_slope_of_the_energy(cloud, material, prony):
 
 @pytest.mark.parametrize("options", [{"form": "energy"}, {}, {"pressure": "direct"}], ids=["energy", "split", "direct"])
 def test_nodal_stresses_of_a_uniform_deformation_are_the_materials(cloud, material, options):
-    model = pt.FullModel(cloud, material, viscosity=1e-5, **options)
+    model = pt.Solid(cloud, material, stiffness_damping=1e-5, **options)
     u = cloud.points @ (STRETCH - np.eye(3)).T
     inside = np.abs(cloud.points - SIDE / 2).max(axis=1) < 0.3 * SIDE  # the transposed smoothing needs neighbours
     stress = model.stress(u)[inside]
@@ -68,7 +68,7 @@ def test_the_direct_strong_form_is_the_divergence_of_the_stress(cloud, material)
     X = cloud.points
     H = 4.0 * np.random.default_rng(2).normal(size=(3, 3, 3))
     H = (H + H.transpose(0, 2, 1)) / 2
-    model = pt.FullModel(cloud, material, viscosity=1e-5, pressure="direct")
+    model = pt.Solid(cloud, material, stiffness_damping=1e-5, pressure="direct")
     u = X @ (STRETCH - np.eye(3)).T + np.einsum("cab,na,nb->nc", H, X, X) / 2
     inner = np.flatnonzero((np.abs(X - SIDE / 2) < 0.3 * SIDE).all(axis=1))
     F, step = STRETCH + np.einsum("cab,na->ncb", H, X[inner]), 1e-6
@@ -85,7 +85,7 @@ def test_a_bar_under_the_closed_forms_stretch_is_at_rest_between_its_ends(form, 
     stretch = 1.4
     across = brentq(lambda a: material.stress(np.diag([stretch, a, a]))[1, 1], 0.5, 1.2, xtol=1e-14)
     cloud = pt.box((0.75 * SIDE, SIDE, SIDE), spacing=SIDE / 4)
-    model = pt.FullModel(cloud, material, form=solid, viscosity=1e-5)
+    model = pt.Solid(cloud, material, form=solid, stiffness_damping=1e-5)
     force = model.force(cloud.points * (np.array([stretch, across, across]) - 1))
     scale = material.stress(np.diag([stretch, across, across]))[0, 0] / cloud.spacing
     between = (cloud.points[:, 0] > 1e-9) & (cloud.points[:, 0] < 0.75 * SIDE - 1e-9)

@@ -9,7 +9,7 @@ import pytest
 
 import palpate as pt
 from palpate.reduction.basis import incremental_pod as incremental
-from palpate.reduction.basis.incremental_pod import decomposed
+from palpate.reduction.basis.incremental_pod import decompose
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.basis.strain_pod import main_modes
 
@@ -58,7 +58,7 @@ def test_singular_values_keep_to_the_bound_and_never_exceed(snapshots, weights, 
     roots = np.repeat(np.sqrt(weights), 3)
     rows = snapshots.reshape(70, -1) * roots
     exact = np.linalg.svd(rows, compute_uv=False)
-    found = decomposed(blocks(snapshots), lambda u: u * weights[:, None], allowed)
+    found = decompose(blocks(snapshots), lambda u: u * weights[:, None], allowed)
     assert (found.dropped > 0) == (allowed > 0)
     assert found.dropped <= 9 * allowed
     values = np.zeros(70)
@@ -73,7 +73,7 @@ def test_singular_values_keep_to_the_bound_and_never_exceed(snapshots, weights, 
 def test_what_modes_miss_is_what_is_told(snapshots, weights, allowed, count):
     roots = np.repeat(np.sqrt(weights), 3)
     rows = snapshots.reshape(70, -1) * roots
-    found = decomposed(blocks(snapshots), lambda u: u * weights[:, None], allowed, least=count)
+    found = decompose(blocks(snapshots), lambda u: u * weights[:, None], allowed, least=count)
     q, _ = np.linalg.qr((found.shapes(count).reshape(count, -1) * roots).T)
     missed = np.sum((rows - (rows @ q) @ q.T) ** 2)
     best = np.sum(np.linalg.svd(rows, compute_uv=False)[count:] ** 2)
@@ -126,11 +126,11 @@ def test_modes_of_strain_by_blocks_span_those_of_all(run, held, monkeypatch):
 
 
 def test_a_model_trained_on_files_is_that_trained_in_memory(bar, tissue, files, calm):
-    body = pt.FullModel(bar, tissue, fixed="x-", form="energy", viscosity=calm)
-    stored = pt.reduce(body, files, modes=4)
-    loaded = pt.reduce(body, [pt.Trajectory.load(path) for path in files], modes=4)
-    np.testing.assert_array_equal(stored.parts.columns, loaded.parts.columns)
-    np.testing.assert_array_equal(stored.parts.cubature.weights, loaded.parts.cubature.weights)
+    body = pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=calm)
+    stored = pt.hyper_reduce(body, files, modes=4)
+    loaded = pt.hyper_reduce(body, [pt.Trajectory.load(path) for path in files], modes=4)
+    np.testing.assert_array_equal(stored.data.basis_vectors, loaded.data.basis_vectors)
+    np.testing.assert_array_equal(stored.data.cubature.weights, loaded.data.cubature.weights)
 
 
 @pytest.mark.parametrize("change", ["missing", "truncated", "text"])

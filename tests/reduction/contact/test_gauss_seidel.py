@@ -1,4 +1,4 @@
-"""Tools on reduced models: the forces that keep a compliant surface out of them, and runs beside the full model's."""
+"""RigidTools on reduced models: the forces that keep a compliant surface out of them, and runs beside the full model's."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from scipy.spatial.distance import cdist
 
 import palpate as pt
 from palpate.dynamics.contact.geometry import gap
-from palpate.reduction.contact.compliance import NO_DENTS, dents_of
+from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
 from palpate.reduction.contact.gauss_seidel import settle
-from palpate.reduction.contact.surface import Tools, skin, touched
+from palpate.reduction.contact.surface import RigidTools, contact_scratch, contact_surface
 
 SPACING, RADIUS = 0.002, 0.008
 SIZE, BALL = (0.06, 0.06, 0.03), 0.015
@@ -22,14 +22,14 @@ def flat_skin():
     x, y = np.meshgrid(SPACING * np.arange(-6, 7), SPACING * np.arange(-6, 7), indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     columns = np.random.default_rng(0).standard_normal((3, len(points), 3))
-    return skin(falling(points, np.arange(len(points)), [0.004], [0.01], 0.005), points, columns)
+    return contact_surface(falling(points, np.arange(len(points)), [0.004], [0.01], 0.005), points, columns)
 
 
 def falling(points, nodes, lengths, compliances, own):
     """A compliance that falls off exponentially between places, the same along all directions."""
     apart = cdist(points[nodes], points[nodes])
     between = own * np.eye(len(nodes)) + np.exp(-apart[:, :, None] / lengths) @ np.array(compliances)
-    return NO_DENTS._replace(
+    return NO_COMPLIANCE._replace(
         nodes=nodes, carriers=np.arange(len(nodes))[:, None], weights=np.ones((len(nodes), 1)),
         flexibility=np.kron(between, np.eye(3)).astype(np.float32),
         patches=np.arange(len(nodes))[:, None], shares=np.ones((len(nodes), 1)),
@@ -39,7 +39,7 @@ def falling(points, nodes, lengths, compliances, own):
 def ball(of, friction=0.0, tools=1):
     frames = np.zeros((tools, 2, 3, 4))
     frames[:, :, :, :3] = np.eye(3)
-    return Tools(
+    return RigidTools(
         np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction),
         np.zeros((tools, 3)), frames, np.zeros(3), np.zeros((tools, 6)),
         np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
@@ -50,20 +50,23 @@ def moved(tools, before, after):
     tools.frames[0, 0, :, 3], tools.frames[0, 1, :, 3] = before, after
 
 
-def gaps(touch, tools):
-    count = touch.numbers[0]
+def gaps(contact_state, tools):
+    count = contact_state.numbers[0]
     return np.array(
-        [gap(0, tools.sizes[t], tools.frames[t, 1], *touch.now[e]) for e, t in enumerate(touch.tool[:count])]
+        [
+            gap(0, tools.sizes[t], tools.frames[t, 1], *contact_state.now[e])
+            for e, t in enumerate(contact_state.tool[:count])
+        ]
     )
 
 
 def test_no_node_stays_inside_and_no_force_pulls():
     of = flat_skin()
-    touch, tools = touched(of, 1), ball(of)
+    contact_state, tools = contact_scratch(of, 1), ball(of)
     moved(tools, (0, 0, RADIUS), (0.0005, 0, RADIUS - 0.002))
-    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
-    found, forces = gaps(touch, tools), touch.push[: touch.numbers[0]]
-    assert touch.numbers[0] > 20
+    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3)
+    found, forces = gaps(contact_state, tools), contact_state.push[: contact_state.numbers[0]]
+    assert contact_state.numbers[0] > 20
     assert found[:, 0].min() > -2e-3 * 0.002
     along = np.sum(forces * found[:, 1:], axis=1)
     assert along.min() >= 0
@@ -75,11 +78,11 @@ def test_no_node_stays_inside_and_no_force_pulls():
 
 def test_what_the_tool_gets_is_what_the_nodes_and_coordinates_get():
     of = flat_skin()
-    touch, tools = touched(of, 1), ball(of, friction=0.4)
+    contact_state, tools = contact_scratch(of, 1), ball(of, friction=0.4)
     moved(tools, (0, 0, RADIUS), (0.001, 0.0004, RADIUS - 0.002))
     step = 1e-3
-    work, lost = settle(of, touch, tools, np.zeros(3), np.zeros(3), step)
-    forces, places = touch.force[0], touch.place[0]
+    work, lost = settle(of, contact_state, tools, np.zeros(3), np.zeros(3), step)
+    forces, places = contact_state.force[0], contact_state.place[0]
     np.testing.assert_allclose(tools.impulses[0, :3], step * forces.sum(axis=0), rtol=1e-12)
     on = forces.any(axis=1)
     arms = places[on] - tools.frames[0, 1, :, 3]
@@ -93,13 +96,13 @@ def test_what_the_tool_gets_is_what_the_nodes_and_coordinates_get():
 
 def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
     of = flat_skin()
-    touch, tools = touched(of, 1), ball(of, friction=0.3)
+    contact_state, tools = contact_scratch(of, 1), ball(of, friction=0.3)
     place = np.array([0.0, 0.0, RADIUS])
     for way in [np.array([0, 0, -0.00025])] * 8 + [np.array([0.0002, 0, 0])] * 30:
         moved(tools, place, place + way)
-        settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+        settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3)
         place = place + way
-        found, forces = gaps(touch, tools), touch.push[: touch.numbers[0]]
+        found, forces = gaps(contact_state, tools), contact_state.push[: contact_state.numbers[0]]
         along = np.sum(forces * found[:, 1:], axis=1)
         across = np.linalg.norm(forces - along[:, None] * found[:, 1:], axis=1)
         assert np.all(across <= 0.3 * along + 2e-3 * along.max())
@@ -108,23 +111,23 @@ def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
 
 def test_two_tools_and_none():
     of = flat_skin()
-    touch, tools = touched(of, 2), ball(of, tools=2)
+    contact_state, tools = contact_scratch(of, 2), ball(of, tools=2)
     for t, x in enumerate((-0.006, 0.006)):
         tools.frames[t, :, :, 3] = (x, 0, RADIUS - 0.001)
-    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
+    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3)
     np.testing.assert_allclose(tools.impulses[0, 2], tools.impulses[1, 2], rtol=2e-3)  # alike
     tools.frames[:, :, 2, 3] += 1.0
-    settle(of, touch, tools, np.zeros(3), np.zeros(3), 1e-3)
-    assert not touch.force.any()
+    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3)
+    assert not contact_state.force.any()
     assert not tools.load.any()
 
 
 def test_dents_are_the_compliance_times_the_forces():
     points = np.random.default_rng(1).random((30, 3))
-    dents = falling(points, np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
+    compliance = falling(points, np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
     forces = np.zeros((30, 3))
     forces[[7, 20]] = [[1.0, 0.0, 2.0], [0.0, -1.0, 0.5]]
-    found, energy = dents_of(dents, points, forces[None, 5:], [False])
+    found, energy = contact_displacements(compliance, points, forces[None, 5:], [False])
     far = np.linalg.norm(points[7] - points[20])
     g = 2 * np.exp(-far / 0.1) + 3 * np.exp(-far / 0.4)
     np.testing.assert_allclose(found[7], 6.0 * forces[7] + g * forces[20], rtol=1e-6)
@@ -147,20 +150,22 @@ def press(x, y, depth=0.004):
 def pressed():
     """A block, runs of presses, and a model trained on all but the last."""
     cloud = pt.box(SIZE, spacing=0.006)
-    body = pt.FullModel(cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", viscosity=1e-4)
+    body = pt.Solid(
+        cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
+    )
     places = [(0.021, 0.027), (0.039, 0.033), (0.030, 0.040), (0.024, 0.038)]
     runs = [pt.rollout(body, press(*place), duration=0.2, every=0.005) for place in places]
-    model = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0])
+    model = pt.hyper_reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0])
     return body, runs, model
 
 
 def test_runs_tell_which_nodes_tools_touched(pressed, tmp_path):
     _, (run, *_), _ = pressed
     pushes = np.zeros((len(run.times), 3))
-    np.add.at(pushes, run.touches[:, 0].astype(int), run.touches[:, 2:])
+    np.add.at(pushes, run.contact_forces[:, 0].astype(int), run.contact_forces[:, 2:])
     np.testing.assert_allclose(pushes, run.reactions["tool"], atol=1e-9)
     run.save(tmp_path / "run.h5")
-    np.testing.assert_array_equal(pt.Trajectory.load(tmp_path / "run.h5").touches, run.touches)
+    np.testing.assert_array_equal(pt.Trajectory.load(tmp_path / "run.h5").contact_forces, run.contact_forces)
 
 
 def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
@@ -181,9 +186,12 @@ def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
 def test_the_inside_moves_with_its_dents(pressed):
     """Where the modes alone are half the press away, and the surface, forces and energy are what they were."""
     body, runs, model = pressed
-    alone = pt.ReducedModel(replace(model.parts, dents=model.parts.dents._replace(inside=None)))
+    alone = pt.ReducedModel(replace(model.data, compliance=model.data.compliance._replace(interior=None)))
     own, bare = (pt.rollout(m, press(0.024, 0.038), duration=0.2, every=0.005) for m in (model, alone))
-    within, nodes = model.parts.dents.inside.nodes, np.setdiff1d(np.arange(len(body.cloud)), body.cloud.group("z-"))
+    within, nodes = (
+        model.data.compliance.interior.nodes,
+        np.setdiff1d(np.arange(len(body.cloud)), body.cloud.group("z-")),
+    )
     surface = np.setdiff1d(nodes, within)
     np.testing.assert_array_equal(own.displacements[:, surface], bare.displacements[:, surface])
     np.testing.assert_array_equal(own.reactions["tool"], bare.reactions["tool"])
@@ -193,28 +201,35 @@ def test_the_inside_moves_with_its_dents(pressed):
         np.linalg.norm(run.displacements[on][:, within] - runs[-1].displacements[on][:, within], axis=2)
         for run in (own, bare)
     )
-    reach = np.linalg.norm(runs[-1].displacements, axis=2).max()
-    print(mine.max() / reach, without.max() / reach, mine.sum() / without.sum(), np.quantile(mine, 0.95) / reach)
-    assert pt.errors(runs[-1], own).displacement < pt.errors(runs[-1], bare).displacement
+    distance_scale = np.linalg.norm(runs[-1].displacements, axis=2).max()
+    print(
+        mine.max() / distance_scale,
+        without.max() / distance_scale,
+        mine.sum() / without.sum(),
+        np.quantile(mine, 0.95) / distance_scale,
+    )
+    assert pt.relative_errors(runs[-1], own).displacement < pt.relative_errors(runs[-1], bare).displacement
 
 
 def test_forces_are_made_those_of_runs(pressed):
     body, runs, model = pressed
     trials = [(press(0.021, 0.027), runs[0])]
-    measured = pt.reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0], repeated=trials)
+    measured = pt.hyper_reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0], repeated=trials)
     before, *_, after = measured.report["force_ratios"]
     assert abs(np.log(after)) <= min(0.02, abs(np.log(before)))
     factor = measured.report["force_factor"]
-    np.testing.assert_allclose(measured.parts.dents.flexibility, factor * model.parts.dents.flexibility, rtol=1e-5)
+    np.testing.assert_allclose(
+        measured.data.compliance.flexibility, factor * model.data.compliance.flexibility, rtol=1e-5
+    )
     with pytest.raises(pt.InputError, match="no tool touches"):
-        pt.reduce(body, runs[:1], modes=4, repeated=[([], run_without(runs[0]))])
+        pt.hyper_reduce(body, runs[:1], modes=4, repeated=[([], run_without(runs[0]))])
 
 
 @pytest.mark.parametrize("longer", [0.0, 1e9, -1.0])
 def test_runs_that_no_model_can_follow_are_refused(pressed, longer):
     body, runs, _ = pressed
     with pytest.raises(pt.InputError, match="cannot follow a training run"):
-        pt.reduce(
+        pt.hyper_reduce(
             body, [replace(runs[0], times=longer * runs[0].times)], modes=0, enrichment=pt.vibration_modes(body, 24)[0]
         )
 
@@ -222,7 +237,7 @@ def test_runs_that_no_model_can_follow_are_refused(pressed, longer):
 def test_the_surface_of_its_own_is_needed(pressed):
     """What the modes alone, without the surface's compliance, make of it: a far too large force."""
     _body, runs, model = pressed
-    stiff = pt.ReducedModel(replace(model.parts, dents=model.parts.dents.scaled(1e-3)))
+    stiff = pt.ReducedModel(replace(model.data, compliance=model.data.compliance.scaled(1e-3)))
     own = pt.rollout(stiff, press(0.024, 0.038), duration=0.2, every=0.005)
     assert np.abs(own.reactions["tool"]).max() > 1.3 * np.abs(runs[-1].reactions["tool"]).max()
 
@@ -243,20 +258,20 @@ def test_what_cannot_be_touched_is_refused(pressed):
         pt.rollout(model, [pt.Contact(pt.Sphere(BALL), (0.03, 0.03, SIZE[2]))], duration=0.01, every=0.01)
     with pytest.raises(pt.InputError, match="stepped explicitly"):
         pt.rollout(model.with_step(1e-3), press(0.03, 0.03), duration=0.01, every=0.01)
-    bare = pt.reduce(body, [run_without(runs[0])], modes=4)
+    bare = pt.hyper_reduce(body, [run_without(runs[0])], modes=4)
     with pytest.raises(pt.InputError, match="train it with a Contact"):
         pt.rollout(bare, press(0.03, 0.03), duration=0.01, every=0.01)
     shapes, other = pt.vibration_modes(body, 4)[0], pt.box((0.03, 0.06, 0.03), spacing=0.006)
-    elsewhere = pt.FullModel(other, body.material, "z-", form="energy")
+    elsewhere = pt.Solid(other, body.material, "z-", form="energy")
     with pytest.raises(pt.InputError, match="coarse: its points lie elsewhere"):
-        pt.reduce(body, runs[:1], modes=0, enrichment=shapes, coarse=elsewhere)
-    held = pt.ReducedModel(replace(model.parts, driven=("z+",)))
+        pt.hyper_reduce(body, runs[:1], modes=0, enrichment=shapes, coarse=elsewhere)
+    held = pt.ReducedModel(replace(model.data, prescribed=("z+",)))
     with pytest.raises(pt.InputError, match="nor reduced models that tools hold"):
         pt.rollout(held, press(0.03, 0.03), duration=0.01, every=0.01)
 
 
 def run_without(run):
-    return replace(run, touches=np.zeros((0, 5)))
+    return replace(run, contact_forces=np.zeros((0, 5)))
 
 
 def test_the_engine_feels_what_a_run_feels(pressed):
@@ -317,7 +332,7 @@ def test_a_grasp_lets_go_and_stands_beside_a_ball(pressed):
     assert run.reactions["grasp"][run.times < 0.095][-1, 2] > 0
     assert run.reactions["ball"][:, 2].min() < 0
     pushes = np.zeros((len(run.times), 3))
-    np.add.at(pushes, run.touches[:, 0].astype(int), run.touches[:, 2:5])
+    np.add.at(pushes, run.contact_forces[:, 0].astype(int), run.contact_forces[:, 2:5])
     np.testing.assert_allclose(pushes, run.reactions["grasp"] + run.reactions["ball"], atol=1e-9)
 
 

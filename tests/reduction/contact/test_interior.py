@@ -8,17 +8,17 @@ import pytest
 import palpate as pt
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.reduction.basis.linear_modes import vibration_modes
-from palpate.reduction.contact.compliance import NO_DENTS, dents_of
-from palpate.reduction.contact.interior import _followed, inside
+from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
+from palpate.reduction.contact.interior import _followed, interior
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
-from palpate.reduction.training.fit_compliance import _free_inside, _free_surface
+from palpate.reduction.training.fit_compliance import _free_interior, _free_surface
 
 TISSUE = pt.NeoHookean(C1=1e3, density=1000, poisson=0.4)
 SIZE = (0.06, 0.06, 0.03)
 
 
 def block(spacing):
-    return pt.FullModel(pt.box(SIZE, spacing=spacing), TISSUE, "z-", form="energy")
+    return pt.Solid(pt.box(SIZE, spacing=spacing), TISSUE, "z-", form="energy")
 
 
 @pytest.fixture(scope="module")
@@ -27,37 +27,37 @@ def fine():
     return body, vibration_modes(body, 10)[0]
 
 
-def dents_from(statics, body, modes):
+def compliance_from(statics, body, modes):
     """The compliance of a body's surface and inside by the statics of a model of it."""
     those, nodes = (_free_surface(of.cloud, of.fixed) for of in (statics, body))
-    deeper, deep = (_free_inside(of.cloud, of.fixed) for of in (statics, body))
+    deeper, deep = (_free_interior(of.cloud, of.fixed) for of in (statics, body))
     rows = residual_flexibility(statics, those, body.cloud.points, modes, deeper)
     places, weights = carriers(statics.cloud, those, body.cloud, nodes)
     count = 3 * len(those)
-    return NO_DENTS._replace(
+    return NO_COMPLIANCE._replace(
         nodes=nodes, carriers=places, weights=weights, flexibility=rows[:count].astype(np.float32),
-        inside=inside(statics.cloud, deeper, those, rows[count:], body.cloud, deep),
+        interior=interior(statics.cloud, deeper, those, rows[count:], body.cloud, deep),
     )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def own(fine):
-    return dents_from(fine[0], *fine)
+    return compliance_from(fine[0], *fine)
 
 
-def pressed(dents, points):
+def pressed(compliance, points):
     """Forces on the nodes about the middle of the top, those nodes, and what they do."""
-    middle = np.linalg.norm(points[dents.nodes] - (0.03, 0.03, SIZE[2]), axis=1) < 0.0076
-    forces = np.zeros((len(dents.nodes), 3))
+    middle = np.linalg.norm(points[compliance.nodes] - (0.03, 0.03, SIZE[2]), axis=1) < 0.0076
+    forces = np.zeros((len(compliance.nodes), 3))
     forces[middle] = np.array([0.1, 0.0, -1.0]) / middle.sum()
-    return forces, dents.nodes[middle], dents_of(dents, points, forces[None], [True])[0]
+    return forces, compliance.nodes[middle], contact_displacements(compliance, points, forces[None], [True])[0]
 
 
 def test_every_free_node_is_either_touched_or_follows(own, fine):
     cloud = fine[0].cloud
-    assert not np.intersect1d(own.nodes, own.inside.nodes).size
+    assert not np.intersect1d(own.nodes, own.interior.nodes).size
     np.testing.assert_array_equal(
-        np.union1d(own.nodes, own.inside.nodes), np.setdiff1d(np.arange(len(cloud)), cloud.group("z-"))
+        np.union1d(own.nodes, own.interior.nodes), np.setdiff1d(np.arange(len(cloud)), cloud.group("z-"))
     )
     assert np.isin(own.nodes, surface_nodes(cloud)).all()
 
@@ -67,7 +67,7 @@ def test_dents_of_statics_go_on_inside_as_statics_do(own, fine):
     forces, _, found = pressed(own, body.cloud.points)
     load = np.zeros((len(body.cloud), 3))
     load[own.nodes] = forces
-    every = np.flatnonzero(~body.held)
+    every = np.flatnonzero(~body.fixed_mask)
     rows = residual_flexibility(body, every, body.cloud.points, modes)  # of all nodes, as if all were of the surface
     wanted = (rows @ load[every].reshape(-1)).reshape(-1, 3)
     np.testing.assert_allclose(found[every], wanted, atol=1e-3 * np.abs(wanted).max())
@@ -75,29 +75,31 @@ def test_dents_of_statics_go_on_inside_as_statics_do(own, fine):
 
 def test_the_surface_and_the_energy_know_nothing_of_it(own, fine):
     forces, _, found = pressed(own, fine[0].cloud.points)
-    bare, energy = dents_of(own._replace(inside=None), fine[0].cloud.points, forces[None], [True])
+    bare, energy = contact_displacements(own._replace(interior=None), fine[0].cloud.points, forces[None], [True])
     np.testing.assert_array_equal(found[own.nodes], bare[own.nodes])
-    assert not bare[own.inside.nodes].any()
-    assert dents_of(own, fine[0].cloud.points, forces[None], [True])[1] == energy
+    assert not bare[own.interior.nodes].any()
+    assert contact_displacements(own, fine[0].cloud.points, forces[None], [True])[1] == energy
 
 
 def test_two_tools_add_up(own, fine):
     points = fine[0].cloud.points
     forces, _, one = pressed(own, points)
     other = np.roll(forces, 3, axis=0)
-    both = dents_of(own, points, np.stack([forces, other]), [True, True])[0]
-    alone = dents_of(own, points, other[None], [True])[0]
+    both = contact_displacements(own, points, np.stack([forces, other]), [True, True])[0]
+    alone = contact_displacements(own, points, other[None], [True])[0]
     np.testing.assert_allclose(both, one + alone, atol=1e-12)
 
 
 def test_a_softer_surface_leaves_the_inside_at_its_statics(own, fine):
     body, modes = fine
-    carried = dents_from(block(0.0075), body, modes)
-    for dents in (own, carried):
-        _, _, whole = pressed(dents, body.cloud.points)
-        _, _, half = pressed(dents.scaled(0.5), body.cloud.points)
-        np.testing.assert_allclose(half[dents.nodes], 0.5 * whole[dents.nodes], rtol=1e-6)
-        np.testing.assert_allclose(half[dents.inside.nodes], whole[dents.inside.nodes], rtol=1e-5, atol=1e-12)
+    carried = compliance_from(block(0.0075), body, modes)
+    for compliance in (own, carried):
+        _, _, whole = pressed(compliance, body.cloud.points)
+        _, _, half = pressed(compliance.scaled(0.5), body.cloud.points)
+        np.testing.assert_allclose(half[compliance.nodes], 0.5 * whole[compliance.nodes], rtol=1e-6)
+        np.testing.assert_allclose(
+            half[compliance.interior.nodes], whole[compliance.interior.nodes], rtol=1e-5, atol=1e-12
+        )
 
 
 def test_linear_fields_are_carried_over():
@@ -116,9 +118,9 @@ def test_linear_fields_are_carried_over():
 
 def test_a_coarser_model_tells_how_a_finer_ones_inside_follows(own, fine):
     body, modes = fine
-    carried = dents_from(block(0.0075), body, modes)
+    carried = compliance_from(block(0.0075), body, modes)
     _, _, wanted = pressed(own, body.cloud.points)
     _, _, found = pressed(carried, body.cloud.points)
-    within = own.inside.nodes
+    within = own.interior.nodes
     missed = np.linalg.norm(found[within] - wanted[within], axis=1)
     assert np.sum(missed) < 0.3 * np.sum(np.linalg.norm(wanted[within], axis=1))

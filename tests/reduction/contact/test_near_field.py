@@ -5,8 +5,8 @@ import pytest
 
 import palpate as pt
 from palpate.reduction.basis.linear_modes import rest_stiffness, vibration_modes
-from palpate.reduction.contact.compliance import NO_DENTS, dents_of
-from palpate.reduction.contact.near_field import close_compliance, made_positive
+from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
+from palpate.reduction.contact.near_field import add_own_compliance, near_field_compliance
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 
 SIDE = 0.04
@@ -14,7 +14,7 @@ SIDE = 0.04
 
 def block(spacing):
     tissue = pt.NeoHookean(C1=1e3, density=1000, poisson=0.45)
-    return pt.FullModel(pt.box((SIDE, SIDE, SIDE / 2), spacing=spacing), tissue, fixed="z-", form="energy")
+    return pt.Solid(pt.box((SIDE, SIDE, SIDE / 2), spacing=spacing), tissue, fixed="z-", form="energy")
 
 
 def free_surface(body):
@@ -30,26 +30,26 @@ def surfaces():
     own = residual_flexibility(fine, nodes, fine.cloud.points, modes)
     places, weights = carriers(coarse.cloud, those, fine.cloud, nodes)
     rest = residual_flexibility(coarse, those, fine.cloud.points, modes)
-    close, between = close_compliance(fine, nodes, coarse, those, places, weights)
-    dents = NO_DENTS._replace(
-        nodes=nodes, carriers=places, weights=weights, flexibility=rest.astype(np.float32), close=close,
-        between=between,
+    nearby, near_field = near_field_compliance(fine, nodes, coarse, those, places, weights)
+    compliance = NO_COMPLIANCE._replace(
+        nodes=nodes, carriers=places, weights=weights, flexibility=rest.astype(np.float32), nearby=nearby,
+        near_field=near_field,
     )  # fmt: skip
-    return fine, nodes, own, dents
+    return fine, nodes, own, compliance
 
 
 @pytest.mark.parametrize("radius", [0.002, 0.005, 0.009])  # of the patch that is pressed [m]: one node, and more
 @pytest.mark.parametrize("place", [(0.02, 0.02, 0.02), (0.032, 0.012, 0.02), (0.04, 0.02, 0.012)])
 def test_with_it_a_coarser_surface_dents_as_the_fine_one(surfaces, radius, place):
-    fine, nodes, own, dents = surfaces
+    fine, nodes, own, compliance = surfaces
     pressed = np.linalg.norm(fine.cloud.points[nodes] - place, axis=1) < radius
     force = np.zeros((len(nodes), 3))
     force[pressed] = np.array([0.1, 0.2, -1.0]) / pressed.sum()
     wanted = (own @ force.reshape(-1)).reshape(-1, 3)
-    alone = dents._replace(close=np.zeros((0, 0), dtype=int), between=np.zeros((0, 0, 3, 3), dtype=np.float32))
+    alone = compliance._replace(nearby=np.zeros((0, 0), dtype=int), near_field=np.zeros((0, 0, 3, 3), dtype=np.float32))
     missed = {}
-    for name, known in (("alone", alone), ("with it", dents)):
-        found = dents_of(known, fine.cloud.points, force[None], [True])[0][nodes]
+    for name, known in (("alone", alone), ("with it", compliance)):
+        found = contact_displacements(known, fine.cloud.points, force[None], [True])[0][nodes]
         missed[name] = np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
     print(radius, place, pressed.sum(), missed)
     assert missed["with it"] < 0.15
@@ -57,17 +57,19 @@ def test_with_it_a_coarser_surface_dents_as_the_fine_one(surfaces, radius, place
 
 
 def test_it_is_symmetric_and_positive_with_the_coarser_surface(surfaces):
-    _, nodes, _, dents = surfaces
+    _, nodes, _, compliance = surfaces
     count = len(nodes)
-    spread = np.zeros((count, len(dents.flexibility) // 3))
-    np.add.at(spread, (np.arange(count)[:, None], dents.carriers), dents.weights)
+    spread = np.zeros((count, len(compliance.flexibility) // 3))
+    np.add.at(spread, (np.arange(count)[:, None], compliance.carriers), compliance.weights)
     spread = np.kron(spread, np.eye(3))
-    far, lowest = spread @ dents.flexibility @ spread.T, []
-    raised = made_positive(dents.flexibility, dents.carriers, dents.weights, dents.close, dents.between)
-    for between in (dents.between, raised):
+    far, lowest = spread @ compliance.flexibility @ spread.T, []
+    raised = add_own_compliance(
+        compliance.flexibility, compliance.carriers, compliance.weights, compliance.nearby, compliance.near_field
+    )
+    for near_field in (compliance.near_field, raised):
         whole = np.zeros((count, 3, count, 3))
         for i in range(count):
-            for j, part in zip(dents.close[i], between[i], strict=True):
+            for j, part in zip(compliance.nearby[i], near_field[i], strict=True):
                 whole[i, :, j] += part
         whole = whole.reshape(3 * count, -1)
         np.testing.assert_allclose(whole, whole.T, atol=1e-6 * whole.max())

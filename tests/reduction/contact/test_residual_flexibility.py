@@ -9,15 +9,23 @@ from scipy.sparse.linalg import splu
 
 import palpate as pt
 from palpate.reduction.basis.linear_modes import rest_stiffness, vibration_modes
-from palpate.reduction.contact.compliance import NO_DENTS, compliance, dents_of, near, pair, refresh, softness, stored
+from palpate.reduction.contact.compliance import (
+    NO_COMPLIANCE,
+    active_compliance,
+    contact_displacements,
+    energy_factor,
+    pair,
+    refresh,
+    secant_factor,
+)
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
-from palpate.reduction.training.fit_compliance import fitted_hardening
+from palpate.reduction.training.fit_compliance import fit_stiffening
 
 TISSUE = pt.NeoHookean(C1=1e3, density=1000, poisson=0.4)
 
 
 def block(spacing, fixed="z-"):
-    return pt.FullModel(pt.box((0.04, 0.04, 0.02), spacing=spacing), TISSUE, fixed, form="energy")
+    return pt.Solid(pt.box((0.04, 0.04, 0.02), spacing=spacing), TISSUE, fixed, form="energy")
 
 
 def free_surface(body):
@@ -34,7 +42,7 @@ def solved():
 
 def loaded(body, modes, nodes):
     """Return random forces (n, 3) [N] on some nodes, and how they move all and the modes alone (n, 3) [m]."""
-    free = np.flatnonzero(np.repeat(~body.held, 3))
+    free = np.flatnonzero(np.repeat(~body.fixed_mask, 3))
     stiffness = rest_stiffness(body)[free][:, free].tocsc()
     load = np.zeros((len(body.cloud), 3))
     load[nodes] = np.random.default_rng(0).standard_normal((len(nodes), 3))
@@ -54,7 +62,7 @@ def test_modes_and_what_they_leave_are_the_whole_statics(solved):
 
 def test_modes_and_what_they_leave_are_the_whole_statics_inside_too(solved):
     body, modes, nodes, rest = solved
-    within = np.setdiff1d(np.flatnonzero(~body.held), nodes)
+    within = np.setdiff1d(np.flatnonzero(~body.fixed_mask), nodes)
     both = residual_flexibility(body, nodes, body.cloud.points, modes, within[::2])
     np.testing.assert_array_equal(both[: len(rest)], rest)
     load, whole, modal = loaded(body, modes, nodes)
@@ -81,11 +89,11 @@ def test_a_coarser_surface_stands_for_a_finer_one():
     force = np.zeros((len(nodes), 3))
     force[middle, 2] = -1.0 / middle.sum()
     own = (residual_flexibility(fine, nodes, fine.cloud.points, modes) @ force.reshape(-1)).reshape(-1, 3)
-    dents = NO_DENTS._replace(
+    compliance = NO_COMPLIANCE._replace(
         nodes=nodes, carriers=places, weights=weights,
         flexibility=residual_flexibility(coarse, those, fine.cloud.points, modes).astype(np.float32),
     )  # fmt: skip
-    carried = dents_of(dents, fine.cloud.points, force[None], [True])[0][nodes]
+    carried = contact_displacements(compliance, fine.cloud.points, force[None], [True])[0][nodes]
     assert carried[middle, 2].mean() == pytest.approx(own[middle, 2].mean(), rel=0.15)
 
 
@@ -101,17 +109,17 @@ def test_what_cannot_be_solved_is_refused(solved):
 def test_what_is_kept_between_touched_nodes_stays_right_as_they_come_and_go(solved):
     body, _, nodes, rest = solved
     count = len(nodes)
-    close = (np.arange(count)[:, None] + np.array([0, 1, 2, -2, -1])) % count  # in a ring, each twice as far again
-    between = np.tile(0.01 * np.eye(3), (count, 5, 1, 1))
-    dents = NO_DENTS._replace(
+    nearby = (np.arange(count)[:, None] + np.array([0, 1, 2, -2, -1])) % count  # in a ring, each twice as far again
+    near_field = np.tile(0.01 * np.eye(3), (count, 5, 1, 1))
+    compliance = NO_COMPLIANCE._replace(
         nodes=nodes, carriers=np.arange(len(nodes))[:, None], weights=np.ones((len(nodes), 1)),
         flexibility=rest.astype(np.float32),
         patches=np.column_stack([np.arange(len(nodes)), np.roll(np.arange(len(nodes)), 1)]),
-        shares=np.full((len(nodes), 2), 0.5), close=close, between=between.astype(np.float32),
+        shares=np.full((len(nodes), 2), 0.5), nearby=nearby, near_field=near_field.astype(np.float32),
     )  # fmt: skip
     order = np.random.default_rng(1).permutation(len(nodes))
-    laid, block_ = compliance(dents, order), np.zeros((3, 3))
-    kept = near(laid, 1)
+    laid, block_ = compliance(compliance, order), np.zeros((3, 3))
+    kept = active_compliance(laid, 1)
     random = np.random.default_rng(2)
     for _ in range(120):  # more than there is room for: some are forgotten
         now = random.permutation(2 * len(nodes))[: random.integers(0, 12)]
@@ -123,19 +131,19 @@ def test_what_is_kept_between_touched_nodes_stays_right_as_they_come_and_go(solv
                 np.testing.assert_allclose(kept.matrix[kept.slot[i], kept.slot[j]], block_, rtol=1e-5, atol=1e-9)
     force = np.zeros((len(nodes), 3))  # and the step's pairs are those of the run's displacements
     force[order[3]] = (0.1, -0.2, 0.3)
-    found = dents_of(dents, body.cloud.points, force[None], [True])[0]
+    found = contact_displacements(compliance, body.cloud.points, force[None], [True])[0]
     pair(laid, len(nodes) + 7, len(nodes) + 3, block_)
     np.testing.assert_allclose(found[nodes[order[7]]], block_ @ force[order[3]], rtol=1e-3)
 
 
 def test_hardening_is_found_again_and_its_energy_is_the_work():
     force = np.linspace(0.01, 3.0, 60)
-    hardening = np.array([0.3, 1.5])
+    stiffening = np.array([0.3, 1.5])
     linear = force**2
-    factor, found = fitted_hardening(force, 0.9 * softness(hardening, force) * linear, linear)
+    factor, found = fit_stiffening(force, 0.9 * secant_factor(stiffening, force) * linear, linear)
     assert factor == pytest.approx(0.9, rel=0.02)
-    np.testing.assert_allclose(softness(found, force), softness(hardening, force), rtol=0.01)
-    depth = lambda f: 2e-3 * f * softness(hardening, f)  # noqa: E731
+    np.testing.assert_allclose(secant_factor(found, force), secant_factor(stiffening, force), rtol=0.01)
+    depth = lambda f: 2e-3 * f * secant_factor(stiffening, f)  # noqa: E731
     work = 3.0 * depth(3.0) - quad(depth, 0.0, 3.0)[0]
-    assert stored(hardening, 3.0) * 0.5 * 3.0 * depth(3.0) == pytest.approx(work, rel=1e-9)
-    assert stored(np.array([0.0, 1.0]), 3.0) == 1.0
+    assert energy_factor(stiffening, 3.0) * 0.5 * 3.0 * depth(3.0) == pytest.approx(work, rel=1e-9)
+    assert energy_factor(np.array([0.0, 1.0]), 3.0) == 1.0

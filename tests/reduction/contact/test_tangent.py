@@ -33,14 +33,16 @@ def press(x, y):
 def pressed():
     """A block that is clamped below, and a model trained on presses of a ball."""
     cloud = pt.box(SIZE, spacing=0.006)
-    body = pt.FullModel(cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", viscosity=1e-4)
+    body = pt.Solid(
+        cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
+    )
     runs = [pt.rollout(body, [press(*at)], duration=0.2, every=0.005) for at in ((0.021, 0.027), (0.030, 0.040))]
-    return body, pt.reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 24)[0])
+    return body, pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 24)[0])
 
 
 def slow(model, **parts):
     """A model so viscous that it soon comes to rest."""
-    return pt.ReducedModel(replace(model.parts, viscosity=3e-3, **parts))
+    return pt.ReducedModel(replace(model.data, stiffness_damping=3e-3, **parts))
 
 
 class Hand:
@@ -65,8 +67,12 @@ class Hand:
 
     def pushed(self):
         """Return the patches or nodes that the tool pushes."""
-        touch = self.ready.data.touch
-        return {int(i) for i, force in zip(touch.point, touch.push[: touch.numbers[0]], strict=False) if force.any()}
+        contact_state = self.ready.data.contact_state
+        return {
+            int(i)
+            for i, force in zip(contact_state.point, contact_state.push[: contact_state.numbers[0]], strict=False)
+            if force.any()
+        }
 
     def feels(self, place, by):
         """Return the derivative of the force by displacements to either side, between which it pushes the same."""
@@ -134,28 +140,30 @@ def test_so_it_is_of_forceps(pressed):
 def dense(hand):
     """Return the stiffness where all patches stick, by inverses of whole matrices."""
     data = hand.ready.data
-    touch, hardening = data.touch, data.skin.compliance.hardening
-    on = [e for e in range(touch.numbers[0]) if touch.push[e].any()]
-    pushes, block = touch.push[on], np.zeros((3, 3))
+    contact_state, stiffening = data.contact_state, data.contact_surface.compliance.stiffening
+    on = [e for e in range(contact_state.numbers[0]) if contact_state.push[e].any()]
+    pushes, block = contact_state.push[on], np.zeros((3, 3))
     matrix = np.zeros((len(on), 3, len(on), 3))
     for i, e in enumerate(on):
         for j, f in enumerate(on):
-            pair(data.skin.compliance, touch.point[e], touch.point[f], block)
-            matrix[i, :, j] = touch.soft[0] * block
-    columns = data.skin.columns[touch.node[on]].reshape(-1, data.modes).astype(float)
-    matrix = matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.held @ columns.T  # steps of 1 ms
+            pair(data.contact_surface.compliance, contact_state.point[e], contact_state.point[f], block)
+            matrix[i, :, j] = contact_state.soft[0] * block
+    columns = data.contact_surface.columns[contact_state.node[on]].reshape(-1, data.modes).astype(float)
+    matrix = (
+        matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.constrained_inverse_mass @ columns.T
+    )  # steps of 1 ms
     matrix += columns @ np.linalg.solve(0.5 * (data.tangent + data.tangent.T), columns.T)
     each, whole = np.tile(np.eye(3), (len(on), 1)), pushes.sum(axis=0)
     size = np.linalg.norm(whole)
-    dent = (touch.now[on] - touch.modal[on]).ravel()
-    matrix += np.outer(-hardening[0] / (hardening[1] + size) * dent, each @ whole / size)
+    dent = (contact_state.now[on] - contact_state.modal[on]).ravel()
+    matrix += np.outer(-stiffening[0] / (stiffening[1] + size) * dent, each @ whole / size)
     return each.T @ np.linalg.solve(matrix, each), 3 * len(on)
 
 
 def test_many_patches_take_several_calls_and_give_what_dense_equations_give(pressed):
-    softening = pressed[1].parts.dents._replace(hardening=np.array([0.3, 5.0]))
+    softening = pressed[1].data.compliance._replace(stiffening=np.array([0.3, 5.0]))
     above = (0.03, 0.03, SIZE[2] + 0.001), (np.pi, 0.0, 0.0)  # facing down
-    hand = Hand(slow(pressed[1], dents=softening), pt.Contact(pt.Plane(), above, friction=2.0))
+    hand = Hand(slow(pressed[1], compliance=softening), pt.Contact(pt.Plane(), above, friction=2.0))
     hand.presses((0.0003, 0.0, -0.003))
     expected, rows = dense(hand)
     found, calls = hand.told()

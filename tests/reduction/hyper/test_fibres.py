@@ -28,7 +28,7 @@ KINDS = {
     "two": (pt.NeoHookean(C1=5e3, **REST), pt.Fibres(k1=20e3, k2=3.0, dispersion=0.1, directions=two)),
     "the heart": (pt.VolumeOnly(mu=2e3, **REST), pt.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=around)),
 }
-PULL = [pt.Traction("x+", force=lambda t: np.sin(200 * t) ** 2 * np.array([0.3, 0.1, -0.05]))]
+PULL = [pt.SurfaceForce("x+", force=lambda t: np.sin(200 * t) ** 2 * np.array([0.3, 0.1, -0.05]))]
 OPTIONS = {"duration": 0.03, "every": 0.00075, "progress": False}
 
 
@@ -36,22 +36,22 @@ OPTIONS = {"duration": 0.03, "every": 0.00075, "progress": False}
 def body(request):
     material, fibres = KINDS[request.param]
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
-    return pt.FullModel(cloud, material, "x-", form="energy", viscosity=5e-5, fibres=fibres)
+    return pt.Solid(cloud, material, "x-", form="energy", stiffness_damping=5e-5, fibres=fibres)
 
 
 @pytest.fixture(scope="module")
 def run(body):
     scale = 0.2 if isinstance(body.material, pt.VolumeOnly) else 1.0
-    loads = [pt.Traction("x+", force=lambda t: scale * PULL[0].force(t))]
+    loads = [pt.SurfaceForce("x+", force=lambda t: scale * PULL[0].force(t))]
     return loads, pt.rollout(body, loads, **OPTIONS)
 
 
 def test_with_all_nodes_fibres_add_their_work_on_the_columns(body, run):
-    parts = pt.reduce(body, run[1], modes=6, cubature=0.0).parts
-    model, bare = (pt.ReducedModel(p, single=False) for p in (parts, replace(parts, fibres=None)))
-    columns = parts.columns[: model.count]
+    data = pt.hyper_reduce(body, run[1], modes=6, cubature=0.0).data
+    model, bare = (pt.ReducedModel(p, single=False) for p in (data, replace(data, fibres=None)))
+    columns = data.basis_vectors[: model.count]
     slopes = np.stack([body.stencils.gradient(column) for column in columns])
-    for a in parts.trained[4::12]:
+    for a in data.trained[4::12]:
         F = body.deformation_gradient(np.tensordot(a, columns, 1))
         expected = -np.einsum("n,mnij,nij->m", body.volumes, slopes, body.fibres.stress(F))
         found = model.force(a) - bare.force(a)
@@ -62,37 +62,37 @@ def test_with_all_nodes_fibres_add_their_work_on_the_columns(body, run):
 
 def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
     loads, expected = run
-    model = pt.reduce(body, expected, modes=12)
+    model = pt.hyper_reduce(body, expected, modes=12)
     assert model.report["nodes"] < len(body.cloud) / 2
-    found = pt.errors(expected, pt.rollout(model, loads, **OPTIONS))
+    found = pt.relative_errors(expected, pt.rollout(model, loads, **OPTIONS))
     assert found.displacement < 0.05
     assert found.reaction < 0.03
     # forces are the slope of the energy, beyond what was trained on too
     random = np.random.default_rng(0)
-    precise = pt.ReducedModel(model.parts, single=False)
+    precise = pt.ReducedModel(model.data, single=False)
     for scale in (1.0, 5.0):
-        a = scale * model.parts.trained[20]
+        a = scale * model.data.trained[20]
         step = 1e-6 * np.abs(a).max() * random.standard_normal(len(a))
         slope = precise.energy(a + step) - precise.energy(a - step)
         assert -2 * precise.force(a) @ step == pytest.approx(slope, rel=1e-5, abs=1e-9 * precise.energy(a))
     # a crushed and turned body has a finite energy and force
-    wild = 1e3 * np.abs(model.parts.trained).max() * random.standard_normal(12)
+    wild = 1e3 * np.abs(model.data.trained).max() * random.standard_normal(12)
     assert np.isfinite(model.energy(wild))
     assert np.isfinite(model.force(wild)).all()
     # the file
     pt.save(model, tmp_path / "fibres.rom")
     loaded = pt.load(tmp_path / "fibres.rom")
-    assert type(loaded.parts.fibres) is type(body.fibres)
-    np.testing.assert_array_equal(loaded.parts.fibres.directions, body.fibres.directions)
+    assert type(loaded.data.fibres) is type(body.fibres)
+    np.testing.assert_array_equal(loaded.data.fibres.directions, body.fibres.directions)
     np.testing.assert_array_equal(loaded.force(a), model.force(a))
-    u = model.displacement(model.state(model.drive(loads)), None)
+    u = model.displacement(model.state(model.prepare(loads)), None)
     np.testing.assert_array_equal(loaded.stress(u), model.stress(u))
 
 
 def test_a_model_without_its_fibres_is_another_one(body, run):
-    model = pt.reduce(body, run[1], modes=12)
-    bare = pt.ReducedModel(replace(model.parts, fibres=None))
-    a = model.parts.trained[20]
+    model = pt.hyper_reduce(body, run[1], modes=12)
+    bare = pt.ReducedModel(replace(model.data, fibres=None))
+    a = model.data.trained[20]
     assert np.linalg.norm(bare.force(a) - model.force(a)) > 0.1 * np.linalg.norm(model.force(a))
 
 
@@ -101,10 +101,10 @@ def test_fibres_of_ones_own_are_not_saved(tmp_path):
         pass
 
     cloud = pt.box((0.02, 0.015, 0.015), 0.005)
-    body = pt.FullModel(cloud, KINDS["one"][0], "x-", form="energy", fibres=Hair(k1=1e3, k2=1.0, directions=X))
+    body = pt.Solid(cloud, KINDS["one"][0], "x-", form="energy", fibres=Hair(k1=1e3, k2=1.0, directions=X))
     fields = np.random.default_rng(0).standard_normal((8, len(cloud), 3)) * cloud.points[:, :1] * 1e-2
     zeros = np.zeros((4, 8))
     states = pt.Trajectory("s", np.arange(8.0), fields, 0 * fields, {}, *zeros, np.arange(8), cloud.points)
-    model = pt.reduce(body, states, modes=2)
+    model = pt.hyper_reduce(body, states, modes=2)
     with pytest.raises(pt.InputError, match="is not one of palpate's"):
         pt.save(model, tmp_path / "hair.rom")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.contact.compliance import dents_of, softness
-from palpate.reduction.training.calibrate_contact import _correction, measured
-from palpate.reduction.training.fit_compliance import _led
+from palpate.reduction.contact.compliance import contact_displacements, secant_factor
+from palpate.reduction.training.calibrate_contact import _correction, calibrate_contact
+from palpate.reduction.training.fit_compliance import _follow_run
 
 SIZE, BALL, LASTING = (0.06, 0.06, 0.03), 0.015, 0.16
 
@@ -45,7 +45,9 @@ def run(model, loads):
 @pytest.fixture(scope="module")
 def body():
     cloud = pt.box(SIZE, spacing=0.006)
-    return pt.FullModel(cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", viscosity=1e-4)
+    return pt.Solid(
+        cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
+    )
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +62,7 @@ def smooth(body):
 
 @pytest.fixture(scope="module")
 def model(body, runs, smooth):
-    return pt.reduce(body, runs, modes=0, enrichment=smooth)
+    return pt.hyper_reduce(body, runs, modes=0, enrichment=smooth)
 
 
 def missed(own, full):
@@ -81,59 +83,63 @@ def test_a_model_of_one_press_and_one_grasp_answers_others(body, model, kind, mo
 def test_forces_on_nodes_lead_a_model_through_a_grasp(runs, model):
     """Its modes are where those of the full run are; without these forces they would stay at rest."""
     full = runs[1]
-    expected = model.projected(full.displacements)
-    led = _led(model, full)
+    expected = model.project(full.displacements)
+    led = _follow_run(model, full)
     size = np.linalg.norm(expected)
     assert np.linalg.norm(led - expected) < 0.1 * size
-    bare = _led(model, replace(full, touches=np.zeros((0, 5)), held=np.zeros(0, dtype=bool)))
+    bare = _follow_run(model, replace(full, contact_forces=np.zeros((0, 5)), held=np.zeros(0, dtype=bool)))
     assert np.linalg.norm(bare - expected) > 0.9 * size
 
 
 def test_pulls_do_not_harden_the_surface_and_presses_are_scaled_apart(body, runs, smooth, model):
-    dents = model.parts.dents
-    assert 0.5 < dents.grip < 2.0
-    points, push = body.cloud.points, np.zeros((1, len(dents.nodes), 3))
-    push[0, len(dents.nodes) // 2] = (0.0, 0.0, 1.0)
-    one, ten = (dents_of(dents, points, size * push, [True]) for size in (1.0, 10.0))
+    compliance = model.data.compliance
+    assert 0.5 < compliance.bonded_scale < 2.0
+    points, push = body.cloud.points, np.zeros((1, len(compliance.nodes), 3))
+    push[0, len(compliance.nodes) // 2] = (0.0, 0.0, 1.0)
+    one, ten = (contact_displacements(compliance, points, size * push, [True]) for size in (1.0, 10.0))
     np.testing.assert_allclose(ten[0], 10 * one[0])
     assert ten[1] == pytest.approx(100 * one[1])
-    assert one[1] == pytest.approx(0.5 * np.sum(push[0] * one[0][dents.nodes]))
-    scaled = pt.reduce(body, runs, modes=0, enrichment=smooth, repeated=[(LEARNT[0], runs[0])])
+    assert one[1] == pytest.approx(0.5 * np.sum(push[0] * one[0][compliance.nodes]))
+    scaled = pt.hyper_reduce(body, runs, modes=0, enrichment=smooth, repeated=[(LEARNT[0], runs[0])])
     factor = scaled.report["force_factor"]
     assert abs(np.log(factor)) > 0.01
-    np.testing.assert_allclose(dents_of(scaled.parts.dents, points, push, [True])[0], one[0], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(
+        contact_displacements(scaled.data.compliance, points, push, [True])[0], one[0], rtol=1e-5, atol=1e-9
+    )
 
 
 def test_forceps_are_given_the_forces_of_runs(runs, model):
-    dents = model.parts.dents
-    off = pt.ReducedModel(replace(model.parts, dents=dents._replace(grip=1.4 * dents.grip)))
-    made, told = measured(off, [(LEARNT[1], runs[1])])
+    compliance = model.data.compliance
+    off = pt.ReducedModel(
+        replace(model.data, compliance=compliance._replace(bonded_scale=1.4 * compliance.bonded_scale))
+    )
+    made, told = calibrate_contact(off, [(LEARNT[1], runs[1])])
     before, *_, after = told["force_ratios"]
     assert before < 0.93
     assert abs(np.log(after)) < 0.02
-    assert made.parts.dents.grip < 1.2 * dents.grip
+    assert made.data.compliance.bonded_scale < 1.2 * compliance.bonded_scale
     assert told["force_factor"] == 1.0  # presses keep what they had
-    np.testing.assert_array_equal(made.parts.dents.flexibility, dents.flexibility)
-    np.testing.assert_array_equal(made.parts.dents.hardening, dents.hardening)
+    np.testing.assert_array_equal(made.data.compliance.flexibility, compliance.flexibility)
+    np.testing.assert_array_equal(made.data.compliance.stiffening, compliance.stiffening)
 
 
 def test_a_run_that_errs_far_more_than_the_others_moves_the_correction_little(model):
-    dents = model.parts.dents._replace(hardening=np.array([0.3, 1.0]))
+    compliance = model.data.compliance._replace(stiffening=np.array([0.3, 1.0]))
     theirs = np.tile(np.linspace(0.1, 2.0, 40), 8)
     few = 1.03 * theirs
     few[:40] *= 0.7
-    factor, hardening = _correction(dents, np.array([few, theirs]))
-    change = factor * softness(hardening, theirs) / softness(dents.hardening, theirs)
+    factor, stiffening = _correction(compliance, np.array([few, theirs]))
+    change = factor * secant_factor(stiffening, theirs) / secant_factor(compliance.stiffening, theirs)
     np.testing.assert_allclose(change, 1.03**1.4, atol=0.015)  # by the mean it would be 0.98
 
 
 def test_grip_and_held_nodes_are_kept(model, tmp_path):
     pt.save(model, tmp_path / "block.rom")
     loaded = pt.load(tmp_path / "block.rom")
-    assert loaded.parts.dents.grip == model.parts.dents.grip
+    assert loaded.data.compliance.bonded_scale == model.data.compliance.bonded_scale
     loads = [*OTHERS["grasp"], replace(press(0.015, 0.03)[0], name="ball")]
     short = pt.rollout(loaded, loads, duration=0.05, every=0.01, file=tmp_path / "run.h5")
     held = OTHERS["grasp"][0].marked(model.cloud).group("grasp")
-    np.testing.assert_array_equal(np.unique(short.touches[short.held, 1]), held)
-    assert not short.held.all()
-    np.testing.assert_array_equal(pt.Trajectory.load(tmp_path / "run.h5").held, short.held)
+    np.testing.assert_array_equal(np.unique(short.contact_forces[short.bonded, 1]), held)
+    assert not short.bonded.all()
+    np.testing.assert_array_equal(pt.Trajectory.load(tmp_path / "run.h5").bonded, short.bonded)

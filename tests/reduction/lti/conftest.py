@@ -16,17 +16,17 @@ def small_pull(time):
 
 @pytest.fixture(scope="session")
 def soft_pull():
-    return pt.Traction("x+", force=small_pull)
+    return pt.SurfaceForce("x+", force=small_pull)
 
 
 @pytest.fixture(scope="session")
 def strong(bar, tissue, calm):
-    return pt.FullModel(bar, tissue, fixed="x-", viscosity=calm)
+    return pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm)
 
 
 @pytest.fixture(scope="session")
 def energetic(bar, tissue):
-    return pt.FullModel(bar, tissue, fixed="x-", form="energy", viscosity=2e-5)
+    return pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=2e-5)
 
 
 @pytest.fixture(scope="session")

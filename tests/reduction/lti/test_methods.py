@@ -11,7 +11,7 @@ import palpate as pt
 from palpate.reduction.lti.budget import Budget, dense_lyapunov, sparse_lyapunov
 from palpate.reduction.lti.gramians import residual
 from palpate.reduction.lti.hankel import Realisation, hankel_norm, lyapunov_factor
-from palpate.reduction.lti.projection_methods import condensed, eigenvectors
+from palpate.reduction.lti.projection_methods import condense, eigenvectors
 from palpate.reduction.lti.reductors import METHODS, PYMOR, Reduction
 
 WHY = "pyMOR is not installed: pip install 'palpate[linear]'"
@@ -141,10 +141,10 @@ def test_pymor_s_time_stepping_gives_the_same_result(method, reduction):
     from pymor.models.iosys import LTIModel
 
     model = reduction.model(method, 6)
-    pull = pt.Traction("x+", force=lambda t: (1e-4 * t * (0.02 - t), 0.0, 5e-5 * t * (0.02 - t)))
-    drive, end, missed = model.drive([pull]), 0.02, []
-    state = model.advance(model.state(drive), drive, end / 800, 800)
-    expected = model.responses(state, drive)
+    pull = pt.SurfaceForce("x+", force=lambda t: (1e-4 * t * (0.02 - t), 0.0, 5e-5 * t * (0.02 - t)))
+    prepared, end, missed = model.prepare([pull]), 0.02, []
+    state = model.advance(model.state(prepared), prepared, end / 800, 800)
+    expected = model.responses(state, prepared)
     for steps in (800, 1600):
         lti = LTIModel.from_matrices(
             model.A, model.B, model.C, model.D, T=end, time_stepper=ImplicitMidpointTimeStepper(steps)
@@ -177,7 +177,7 @@ def test_modal_truncation_keeps_the_slowest_poles(form, request):
     slowest = np.sort(np.abs(squares))[:10]
     values, right, left = eigenvectors(system, 10)
     np.testing.assert_allclose(np.sort(np.abs(values))[:10], slowest, rtol=1e-6)
-    beta = system.model.viscosity
+    beta = system.model.stiffness_damping
     expected = [root for square in values for root in np.roots([1, beta * square, square])]
     found = pt.reduce_linear(system, "modal", 10).poles
     for pole in found:
@@ -208,7 +208,7 @@ def test_every_method_comes_nearer_with_more_modes(form, request, soft_pull):
             pt.rollout(own.model(method, modes), [soft_pull], duration=0.02, every=0.0005, progress=False)
             for modes in (3, 9)
         ]
-        few, many = (pt.errors(full, run).displacement for run in runs)
+        few, many = (pt.relative_errors(full, run).displacement for run in runs)
         assert many < few, method
         assert many < 0.3, method
 
@@ -225,7 +225,7 @@ def test_irka_meets_the_slowest_resonance(modes, reduction):
 
 
 def test_condensing_keeps_poles_and_the_static_response(system):
-    reduced, (wide, test) = condensed(system, 30)
+    reduced, (wide, test) = condense(system, 30)
     np.testing.assert_allclose(
         reduced.transfer(0.0), system.transfer(0.0), atol=1e-9 * np.abs(system.transfer(0.0)).max()
     )
@@ -246,7 +246,7 @@ def test_without_condensing_the_whole_body_is_balanced(system, training):
 
 def test_the_low_rank_solver_balances_what_is_strongly_damped(bar, tissue, soft_pull):
     pytest.importorskip("pymor", reason=WHY)
-    body = pt.FullModel(bar, tissue, fixed="x-", form="energy", viscosity=5e-3)
+    body = pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=5e-3)
     own = Reduction(pt.linearise(body, [soft_pull], ["x+"]), condense=0)
     low, dense = (own.model(method, 4) for method in ("balanced-low-rank", "balanced"))
     grid = np.concatenate([[0.0], np.geomspace(10.0, 1e5, 30)])

@@ -10,8 +10,8 @@ import pytest
 
 import palpate as pt
 from palpate.reduction.lti.model import LinearModel
-from palpate.reduction.lti.projection_methods import projected
-from palpate.reduction.lti.state_space import held_over
+from palpate.reduction.lti.projection_methods import project
+from palpate.reduction.lti.state_space import first_order_hold
 from palpate.reduction.lti.storage import FORMAT, VERSION
 
 HOLD = {"duration": 0.02, "every": 0.0005, "progress": False}
@@ -24,12 +24,12 @@ def swing(points, time):
 @pytest.fixture(scope="module")
 def whole(system):
     """The linear model that has every motion of the body."""
-    return LinearModel(system, projected(system, np.diag(1 / np.sqrt(system.mass.diagonal()))))
+    return LinearModel(system, project(system, np.diag(1 / np.sqrt(system.mass.diagonal()))))
 
 
 def test_a_step_is_exact_for_inputs_that_go_evenly():
     a, b = np.array([[0.0, 1.0], [-9.0, -0.3]]), np.array([[0.0], [1.0]])
-    long, short = held_over(a, b, 0.5), held_over(a, b, 0.5 / 64)
+    long, short = first_order_hold(a, b, 0.5), first_order_hold(a, b, 0.5 / 64)
     x = np.array([0.3, -1.0])
     fine = x.copy()
     for s in range(64):
@@ -40,50 +40,50 @@ def test_a_step_is_exact_for_inputs_that_go_evenly():
 
 def test_with_every_mode_it_moves_as_the_full_body_under_small_loads(whole, energetic, soft_pull):
     full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (energetic, whole))
-    found = pt.errors(full, own)
+    found = pt.relative_errors(full, own)
     assert max(found.displacement, found.velocity, found.energy, found.reaction) < 5e-3
     assert np.abs(own.balance).max() < 1e-3 * own.external.max()
     assert own.model == "linear"
 
 
 def test_with_every_mode_it_moves_as_the_strong_form(strong_system, strong, soft_pull):
-    whole = LinearModel(strong_system, projected(strong_system, np.diag(1 / np.sqrt(strong_system.mass.diagonal()))))
+    whole = LinearModel(strong_system, project(strong_system, np.diag(1 / np.sqrt(strong_system.mass.diagonal()))))
     full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (strong, whole))
-    found = pt.errors(full, own)
+    found = pt.relative_errors(full, own)
     assert max(found.displacement, found.velocity, found.reaction) < 1e-2
 
 
 def test_a_tool_moves_it_as_it_moves_the_full_body(tool_system, energetic):
     tool = pt.PrescribedMotion("tip", swing)
-    model = LinearModel(tool_system, projected(tool_system, np.diag(1 / np.sqrt(tool_system.mass.diagonal()))))
+    model = LinearModel(tool_system, project(tool_system, np.diag(1 / np.sqrt(tool_system.mass.diagonal()))))
     full, own = (pt.rollout(body, [tool], **HOLD) for body in (energetic, model))
-    found = pt.errors(full, own)
+    found = pt.relative_errors(full, own)
     assert max(found.displacement, found.velocity, found.reaction) < 1e-2
     assert np.abs(own.balance).max() < 2e-3 * own.external.max()
     # the outputs of the system are the tool's force
-    drive = model.drive([tool])
-    state = model.advance(model.state(drive), drive, 1e-4, 100)
+    prepared = model.prepare([tool])
+    state = model.advance(model.state(prepared), prepared, 1e-4, 100)
     np.testing.assert_allclose(
-        model.responses(state, drive)[3:6], model.outputs(state, drive).reactions["tip"], rtol=1e-3, atol=1e-9
+        model.responses(state, prepared)[3:6], model.outputs(state, prepared).reactions["tip"], rtol=1e-3, atol=1e-9
     )
 
 
 def test_one_long_step_is_many_short_ones(system):
     model = pt.reduce_linear(system, "modal", 5)
-    ramp = pt.Traction("x+", force=lambda t: (1e-4 * t, 0.0, 2e-5))
-    drive = model.drive([ramp])
-    one, many = (model.advance(model.state(drive), drive, 0.01 / n, n) for n in (1, 50))
+    ramp = pt.SurfaceForce("x+", force=lambda t: (1e-4 * t, 0.0, 2e-5))
+    prepared = model.prepare([ramp])
+    one, many = (model.advance(model.state(prepared), prepared, 0.01 / n, n) for n in (1, 50))
     np.testing.assert_allclose(one.coordinates, many.coordinates, rtol=1e-9)
     np.testing.assert_allclose(one.velocities, many.velocities, rtol=1e-9)
 
 
 def test_initial_states_are_projected(whole, energetic):
-    drive = whole.drive([])
+    prepared = whole.prepare([])
     u, v = 1e-6 * np.random.default_rng(0).standard_normal((2, len(energetic.cloud), 3))
-    u[energetic.held] = v[energetic.held] = 0.0
-    state = whole.state(drive, u, v)
-    np.testing.assert_allclose(whole.displacement(state, drive), u, atol=1e-15)
-    np.testing.assert_allclose(whole.velocity(state, drive, np.array([5, 7])), v[[5, 7]], atol=1e-15)
+    u[energetic.fixed_mask] = v[energetic.fixed_mask] = 0.0
+    state = whole.state(prepared, u, v)
+    np.testing.assert_allclose(whole.displacement(state, prepared), u, atol=1e-15)
+    np.testing.assert_allclose(whole.velocity(state, prepared, np.array([5, 7])), v[[5, 7]], atol=1e-15)
 
 
 @pytest.mark.parametrize("method", ["modal", "hankel"])
@@ -91,11 +91,11 @@ def test_a_tool_that_moves_from_the_start_is_followed(method, tool_system, energ
     tool = pt.PrescribedMotion("tip", lambda points, time: (1e-5 * time, 0.0, 0.0))
     model = pt.reduce_linear(tool_system, method, 20, condense=60)
     full, own = (pt.rollout(body, [tool], **HOLD) for body in (energetic, model))
-    found = pt.errors(full, own)
+    found = pt.relative_errors(full, own)
     assert found.energy < 0.02
     assert found.displacement < (0.1 if method == "modal" else 0.4)  # Hankel's promises its outputs, not the field
     with pytest.raises(pt.InputError, match="starts at rest") if method == "hankel" else nullcontext():
-        model.state(model.drive([tool]), 1e-6 * np.ones((len(energetic.cloud), 3)))
+        model.state(model.prepare([tool]), 1e-6 * np.ones((len(energetic.cloud), 3)))
 
 
 def test_forces_energy_and_stress_are_those_of_the_linear_body(whole, energetic):
@@ -109,7 +109,7 @@ def test_forces_energy_and_stress_are_those_of_the_linear_body(whole, energetic)
 @pytest.mark.parametrize(
     ("loads", "message"),
     [
-        ([pt.Traction("z+", force=(1.0, 0.0, 0.0))], "made for forces on"),
+        ([pt.SurfaceForce("z+", force=(1.0, 0.0, 0.0))], "made for forces on"),
         ([pt.Gravity()], "without Gravity"),
         ([pt.PrescribedMotion("tip", (0.0, 0.0, 0.0))], "held by tools"),
         ([pt.Contact(pt.Sphere(0.01), (0.0, 0.0, 0.1))], "no Contact"),
@@ -117,7 +117,7 @@ def test_forces_energy_and_stress_are_those_of_the_linear_body(whole, energetic)
 )
 def test_other_loads_are_refused(whole, loads, message):
     with pytest.raises(pt.InputError, match=message):
-        whole.drive(loads)
+        whole.prepare(loads)
 
 
 def test_a_tool_that_turns_far_is_refused(tool_system):
@@ -128,7 +128,7 @@ def test_a_tool_that_turns_far_is_refused(tool_system):
         return np.stack([0 * arms[:, 0], -2 * arms[:, 1], -2 * arms[:, 2]], axis=1)
 
     with pytest.raises(pt.InputError, match="not a small rigid one"):
-        model.state(model.drive([pt.PrescribedMotion("tip", turn)]))
+        model.state(model.prepare([pt.PrescribedMotion("tip", turn)]))
 
 
 def test_the_engine_s_period_is_the_run(tool_system):
@@ -187,9 +187,9 @@ def test_the_engine_takes_one_tool_and_no_load(system):
 
 
 def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
-    from palpate.reduction.lti.realtime import reach
+    from palpate.reduction.lti.realtime import linear_range
 
-    found = reach(pt.reduce_linear(tool_system, "modal", 4))
+    found = linear_range(pt.reduce_linear(tool_system, "modal", 4))
     assert np.all(found > 0)
     full, field = tool_system.model, tool_system.lifting[0]
     rigid = np.zeros_like(field)

@@ -14,28 +14,32 @@ SIZE, BALL = (0.048, 0.048, 0.024), 0.015
 @pytest.fixture(scope="module")
 def pressed():
     """A reduced block, and the last state of a press on it."""
-    body = pt.FullModel(
-        pt.box(SIZE, 0.006), pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", viscosity=1e-4
+    body = pt.Solid(
+        pt.box(SIZE, 0.006),
+        pt.NeoHookean(C1=2e3, density=1000, poisson=0.4),
+        "z-",
+        form="energy",
+        stiffness_damping=1e-4,
     )
     motion = lambda time: (0.024, 0.024, SIZE[2] + BALL + 0.001 - 0.004 * min(time / 0.1, 1.0))  # noqa: E731
     load = pt.Contact(pt.Sphere(BALL), motion)
     run = pt.rollout(body, [load], duration=0.12, every=0.005)
-    model = pt.reduce(body, run, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
-    drive = model.drive([load])
-    state = model.state(drive)
+    model = pt.hyper_reduce(body, run, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
+    prepared = model.prepare([load])
+    state = model.state(prepared)
     for _ in range(40):
-        step = model.stable_step(state, drive)
+        step = model.stable_step(state, prepared)
         steps = int(np.ceil(0.005 / step))
-        state = model.advance(state, drive, 0.005 / steps, steps)
-    return model, drive, state
+        state = model.advance(state, prepared, 0.005 / steps, steps)
+    return model, prepared, state
 
 
 def test_vertices_are_where_the_model_says(pressed):
-    model, drive, state = pressed
+    model, prepared, state = pressed
     surface = Surface(model)
-    push = state.touch.pushes[0]
+    push = state.contact_state.pushes[0]
     on = np.flatnonzero(push.any(axis=1))
-    nodal = model.displacement(state, drive, surface.nodes)
+    nodal = model.displacement(state, prepared, surface.nodes)
     met = surface.displacements(state.coordinates, on, push[on])
     np.testing.assert_allclose(met, surface.met(nodal.astype(np.float32)), atol=2e-3 * np.abs(nodal).max())
     middle = int(np.argmin(np.linalg.norm(surface.rest - (0.024, 0.024, SIZE[2]), axis=1)))
@@ -46,14 +50,14 @@ def test_vertices_are_where_the_model_says(pressed):
 def test_held_nodes_get_their_forces_themselves(pressed):
     model, _, _ = pressed
     surface, load = Surface(model), pt.Grasp((0.024, 0.024, SIZE[2]), 0.008, (0.024, 0.024, SIZE[2] + 0.002))
-    drive = model.drive([load])
-    state = model.state(drive)
+    prepared = model.prepare([load])
+    state = model.state(prepared)
     for _ in range(10):
-        steps = int(np.ceil(0.005 / model.stable_step(state, drive)))
-        state = model.advance(state, drive, 0.005 / steps, steps)
-    push = state.touch.pushes[0]
+        steps = int(np.ceil(0.005 / model.stable_step(state, prepared)))
+        state = model.advance(state, prepared, 0.005 / steps, steps)
+    push = state.contact_state.pushes[0]
     on = np.flatnonzero(push.any(axis=1))
-    nodal = model.displacement(state, drive, surface.nodes)
+    nodal = model.displacement(state, prepared, surface.nodes)
     seen = surface.displacements(state.coordinates, on, push[on], held=True)
     np.testing.assert_allclose(seen, nodal, atol=2e-3 * np.abs(nodal).max())
 
@@ -68,8 +72,8 @@ def test_triangles_are_the_clouds(pressed):
 def test_stress_is_that_of_the_law_for_the_gradient_of_the_modes(pressed):
     model, _, state = pressed
     surface = Surface(model)
-    F = model.deformation_gradient(np.tensordot(state.coordinates, model.parts.columns[: model.count], 1))
-    P = model.parts.stress(F)[surface.nodes]
+    F = model.deformation_gradient(np.tensordot(state.coordinates, model.data.basis_vectors[: model.count], 1))
+    P = model.data.stress(F)[surface.nodes]
     F = F[surface.nodes]
     cauchy = P @ F.swapaxes(1, 2) / np.linalg.det(F)[:, None, None]
     size = np.abs(cauchy).max()

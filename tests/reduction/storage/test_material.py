@@ -11,9 +11,9 @@ import pytest
 
 import palpate as pt
 from palpate.reduction.storage.material import (
-    described,
-    described_fibres,
-    described_regions,
+    describe_fibres,
+    describe_regions,
+    describe_material,
     fibres_of,
     material_of,
     regions_of,
@@ -35,7 +35,7 @@ DIRECTIONS = np.tile([1.0, 0.0, 0.0], (1, 4, 1))
 
 
 def said_of(material):
-    said = described(material)
+    said = describe_material(material)
     return said["material"], json.loads(said["parameters"]), said["expression"], json.loads(said["prony"])
 
 
@@ -121,7 +121,7 @@ def test_anything_in_the_place_of_regions_is_regions_or_refused():
     first = MATERIALS[0]
     materials = (first, replace(first, C1=9e3, bulk=None), replace(first, C1=2e3, bulk=None))
     which = np.array([0, 1, 2, 1, 0])
-    said = json.loads(described_regions(Regions(materials, which)))
+    said = json.loads(describe_regions(Regions(materials, which)))
     assert regions_of(said, which, first).materials == materials
     rng = np.random.default_rng(1)
     for _ in range(1500):
@@ -138,7 +138,7 @@ def test_there_are_no_more_materials_than_nodes():
 @pytest.mark.parametrize("law", FIBRE_LAWS, ids=lambda law: law.name)
 def test_anything_in_the_place_of_fibres_is_fibres_or_refused(law):
     fibres = law.kind(**law.example, directions=DIRECTIONS)
-    said = json.loads(described_fibres(fibres))
+    said = json.loads(describe_fibres(fibres))
     assert fibres_of(said, DIRECTIONS).coefficients == fibres.coefficients
     rng = np.random.default_rng(2)
     for _ in range(1500):

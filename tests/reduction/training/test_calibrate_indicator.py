@@ -17,7 +17,7 @@ EVERY, DURATION = 0.0005, 0.02
 @pytest.fixture(scope="module")
 def body():
     tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.49)
-    return pt.FullModel(pt.box((0.04, 0.015, 0.015), 0.005), tissue, "x-", form="energy", viscosity=2e-5)
+    return pt.Solid(pt.box((0.04, 0.015, 0.015), 0.005), tissue, "x-", form="energy", stiffness_damping=2e-5)
 
 
 def pull(x, y, twist, rate=300.0):
@@ -25,7 +25,9 @@ def pull(x, y, twist, rate=300.0):
         return np.sin(rate * t) ** 2
 
     return [
-        pt.Traction("x+", force=lambda t: course(t) * np.array([x, y, -y]), moment=lambda t: (twist * course(t), 0, 0))
+        pt.SurfaceForce(
+            "x+", force=lambda t: course(t) * np.array([x, y, -y]), moment=lambda t: (twist * course(t), 0, 0)
+        )
     ]
 
 
@@ -45,20 +47,24 @@ def held(body):
 
 @pytest.fixture(scope="module")
 def rom(body, runs, held):
-    return pt.reduce(body, runs, modes=10, held_out=held)
+    return pt.hyper_reduce(body, runs, modes=10, held_out=held)
 
 
 def states(model, run):
-    coordinates, velocities = model.projected(run.displacements), model.projected(run.velocities)
+    coordinates, velocities = model.project(run.displacements), model.project(run.velocities)
     return [pt.State(a, v, float(t)) for a, v, t in zip(coordinates, velocities, run.times, strict=True)]
 
 
 def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, runs):
     """At rest under a small load: solve with the modes alone, and with modes and witnesses."""
-    model = pt.reduce(body, runs, modes=8, cubature=0.0)
-    drive, modes, columns = model.drive([pt.Traction("x+", force=(0, 1e-4, 0))]), 8, model.parts.columns
-    which = np.r_[:modes, len(columns) - model.parts.witnesses : len(columns)]
-    load = np.einsum("nc,mnc->m", model.external_force(model.state(drive), drive), columns[which])
+    model = pt.hyper_reduce(body, runs, modes=8, cubature=0.0)
+    prepared, modes, columns = (
+        model.prepare([pt.SurfaceForce("x+", force=(0, 1e-4, 0))]),
+        8,
+        model.data.basis_vectors,
+    )
+    which = np.r_[:modes, len(columns) - model.data.residual_fields : len(columns)]
+    load = np.einsum("nc,mnc->m", model.external_force(model.state(prepared), prepared), columns[which])
     samples, stiffness = model.sampled(which), np.zeros((len(which), len(which)))
     sizes = 1e-8 / np.linalg.norm(columns[which], axis=2).max(axis=1)
     model._tangent(
@@ -68,55 +74,57 @@ def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, run
     both = np.linalg.solve(stiffness, load)
     added = np.tensordot(both - np.r_[kept, np.zeros(len(which) - modes)], columns[which], 1)
     expected = np.sqrt((added**2).sum(axis=1) @ body.volumes / body.volumes.sum())
-    assert model.imbalance(pt.State(kept, np.zeros(modes)), drive) == pytest.approx(expected, rel=0.02)
+    assert model.residual_norm(pt.State(kept, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
 
 
 def test_the_samples_measure_the_imbalance_that_all_nodes_measure(body, runs, rom, held):
-    every = pt.reduce(body, runs, modes=10, cubature=0.0)
+    every = pt.hyper_reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]
-    drive = rom.drive(loads)
-    found, expected = (np.array([m.imbalance(s, drive) for s in states(rom, full)]) for m in (rom, every))
-    assert len(rom.parts.cubature.nodes) < 0.7 * len(body.cloud)
+    prepared = rom.prepare(loads)
+    found, expected = (np.array([m.residual_norm(s, prepared) for s in states(rom, full)]) for m in (rom, every))
+    assert len(rom.data.cubature.nodes) < 0.7 * len(body.cloud)
     assert np.linalg.norm(found - expected) < 0.25 * np.linalg.norm(expected)
 
 
 def test_witnesses_add_no_nodes_and_change_no_motion(body, rom):
     count = rom.count
     bare = replace(
-        rom.parts, witnesses=0, columns=rom.parts.columns[:-8], gradients=rom.parts.gradients[:, :-8],
-        constant=rom.parts.constant[:-8, :-8],
+        rom.data, residual_fields=0, basis_vectors=rom.data.basis_vectors[:-8], gradients=rom.data.gradients[:, :-8],
+        constant=rom.data.constant[:-8, :-8],
     )  # fmt: skip
     other, loads = pt.ReducedModel(bare), pull(5.0, 0.2, -1.5e-3)
-    assert rom.parts.witnesses == 8
+    assert rom.data.residual_fields == 8
     one, two = rollout(rom, loads), rollout(other, loads)
     np.testing.assert_allclose(one.displacements, two.displacements, atol=1e-12)
-    drive, state = rom.drive(loads), pt.State(rom.parts.trained[30] * 1.1, np.zeros(count), 0.005)
-    assert other.imbalance(state, drive) == 0.0
-    assert other.trust(state, drive) == rom.distance(state) / rom.parts.reach
+    prepared, state = rom.prepare(loads), pt.State(rom.data.trained[30] * 1.1, np.zeros(count), 0.005)
+    assert other.residual_norm(state, prepared) == 0.0
+    assert other.trust(state, prepared) == rom.distance(state) / rom.data.distance_scale
 
 
 def test_a_load_that_the_modes_cannot_follow_is_not_trusted_however_little_the_body_moves(rom, body):
     """The sides of the beam are pressed together: no training run did that."""
-    pinch = [pt.Traction("z+", force=(0, 0, -30.0)), pt.Traction("z-", force=(0, 0, 30.0))]
-    drive, state = rom.drive(pinch), pt.State(np.zeros(rom.count), np.zeros(rom.count))
-    assert rom.distance(state) / rom.parts.reach < 0.01
-    assert rom.trust(state, drive) > 1
+    pinch = [pt.SurfaceForce("z+", force=(0, 0, -30.0)), pt.SurfaceForce("z-", force=(0, 0, 30.0))]
+    prepared, state = rom.prepare(pinch), pt.State(np.zeros(rom.count), np.zeros(rom.count))
+    assert rom.distance(state) / rom.data.distance_scale < 0.01
+    assert rom.trust(state, prepared) > 1
 
 
 def test_the_engines_report_tells_the_same_number(body):
     turn = [pt.PrescribedMotion("x+", lambda _, t: 1e-3 * np.sin(200 * t) ** 2 * np.array([1.0, 1.0, 0.0]))]
-    rom = pt.reduce(body, rollout(body, turn), modes=6, driven="x+")
+    rom = pt.hyper_reduce(body, rollout(body, turn), modes=6, prescribed="x+")
     for model in (rom, rom.with_step(2.5e-4)):
-        speed, ready, report = np.array([0.5, 0.2, 0.0]), pt.realtime_model(model), np.zeros(8 + model.parts.lifted)
-        drive = model.drive([pt.PrescribedMotion("x+", lambda _, t: speed * t)])  # noqa: B023
+        speed, ready, report = np.array([0.5, 0.2, 0.0]), pt.realtime_model(model), np.zeros(8 + model.data.lifted)
+        prepared = model.prepare([pt.PrescribedMotion("x+", lambda _, t: speed * t)])  # noqa: B023
         q, v = np.zeros(model.count), np.zeros(model.count)
         for period in range(1, 6):
             target = ready.tool @ np.r_[speed * period * 1e-3, np.zeros(9)]
             ready.advance(ready.data, q, v, target, 1e-3, report)
             state = pt.State(q, v, period * 1e-3)
-            assert report[1] == pytest.approx(model.trust(state, drive), rel=1e-3)
-            alone = pt.ReducedModel(replace(model.parts, reach=1e9), step=model.step)
-            assert alone.trust(state, drive) == pytest.approx(model.imbalance(state, drive) / model.parts.leeway)
+            assert report[1] == pytest.approx(model.trust(state, prepared), rel=1e-3)
+            alone = pt.ReducedModel(replace(model.data, distance_scale=1e9), step=model.step)
+            assert alone.trust(state, prepared) == pytest.approx(
+                model.residual_norm(state, prepared) / model.data.residual_scale
+            )
 
 
 def test_errors_are_told_by_the_largest_trust_number_so_far():
@@ -156,13 +164,13 @@ def test_expected_errors_rise_with_trust_and_are_unknown_above_all_that_was_met(
 
 def test_no_error_is_expected_without_held_out_runs(body, runs):
     with pytest.raises(pt.InputError, match="train with reduce"):
-        pt.reduce(body, runs, modes=4).expected_error(0.5)
+        pt.hyper_reduce(body, runs, modes=4).expected_error(0.5)
 
 
 def test_a_basis_that_holds_all_snapshots_leaves_no_witness(body, runs):
     short = replace(runs[0], displacements=runs[0].displacements[[10, 20]], times=runs[0].times[[10, 20]])
-    model = pt.reduce(body, short, modes=2)
-    assert model.parts.witnesses == 0
-    drive = model.drive(pull(1.0, 0.0, 0.0))
-    state = pt.State(2 * model.parts.trained[-1], np.zeros(2), 0.001)
-    assert model.trust(state, drive) == pytest.approx(model.distance(state) / model.parts.reach)
+    model = pt.hyper_reduce(body, short, modes=2)
+    assert model.data.residual_fields == 0
+    prepared = model.prepare(pull(1.0, 0.0, 0.0))
+    state = pt.State(2 * model.data.trained[-1], np.zeros(2), 0.001)
+    assert model.trust(state, prepared) == pytest.approx(model.distance(state) / model.data.distance_scale)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.training.errors import touch_errors
+from palpate.reduction.training.errors import contact_errors
 
 
 def test_a_run_has_no_error_against_itself(run):
-    assert pt.errors(run, run).as_dict() == {"displacement": 0, "velocity": 0, "energy": 0, "reaction": 0}
+    assert pt.relative_errors(run, run).as_dict() == {"displacement": 0, "velocity": 0, "energy": 0, "reaction": 0}
 
 
 def test_a_scaled_run_is_wrong_by_its_scale(run):
@@ -24,7 +24,7 @@ def test_a_scaled_run_is_wrong_by_its_scale(run):
         kinetic=1.5 * run.kinetic,
         strain=1.5 * run.strain,
     )
-    found = pt.errors(run, other)
+    found = pt.relative_errors(run, other)
     energy, force = run.kinetic + run.strain, np.linalg.norm(run.reactions["x-"], axis=1)
     assert found.displacement == pytest.approx(0.03)
     assert found.velocity == pytest.approx(0.1)
@@ -40,13 +40,13 @@ def test_the_displacement_error_is_equation_34(run):
         np.linalg.norm(b - a, axis=1).sum() / np.linalg.norm(a, axis=1).sum()
         for a, b in zip(run.displacements[1:], other.displacements[1:], strict=True)  # the first does not move
     ]
-    assert pt.errors(run, other).displacement == pytest.approx(np.mean(per_snapshot))
+    assert pt.relative_errors(run, other).displacement == pytest.approx(np.mean(per_snapshot))
 
 
 def test_a_single_wrong_snapshot_counts_with_its_share(run):
     wrong = run.displacements.copy()
     wrong[7] *= 2
-    assert pt.errors(run, replace(run, displacements=wrong)).displacement == pytest.approx(1 / 60)
+    assert pt.relative_errors(run, replace(run, displacements=wrong)).displacement == pytest.approx(1 / 60)
 
 
 def test_the_worst_support_counts(run):
@@ -54,13 +54,13 @@ def test_the_worst_support_counts(run):
     one = replace(run, reactions={"a": force, "b": force})
     other = replace(run, reactions={"a": force, "b": 2 * force})
     size = np.linalg.norm(force, axis=1)
-    assert pt.errors(one, other).reaction == pytest.approx(size.mean() / size.max())
+    assert pt.relative_errors(one, other).reaction == pytest.approx(size.mean() / size.max())
 
 
 def test_runs_at_rest_have_no_error(run):
     still = {name: 0 * getattr(run, name) for name in ("displacements", "velocities", "kinetic", "strain")}
     rest = replace(run, **still, reactions={"x-": 0 * run.reactions["x-"]})
-    assert set(pt.errors(rest, rest).as_dict().values()) == {0}
+    assert set(pt.relative_errors(rest, rest).as_dict().values()) == {0}
 
 
 @pytest.mark.parametrize("change", ["times", "frames", "nodes"])
@@ -71,38 +71,38 @@ def test_runs_that_cannot_be_compared_are_refused(run, change):
         "nodes": lambda: replace(run, displacements=run.displacements[:, :-1]),
     }[change]()
     with pytest.raises(pt.InputError, match="different times or numbers of nodes"):
-        pt.errors(run, other)
+        pt.relative_errors(run, other)
 
 
-def touched(run):
+def contact_scratch(run):
     """A run with two reactions of tools: one pushes ever harder, the other does nothing."""
     force = np.linspace(0.0, 1.0, len(run.times))[:, None] * [0.0, 0.0, -2.0]
     return replace(run, reactions={"ball": force, "idle": 0 * force})
 
 
 def test_forces_of_tools_count_where_they_are_a_tenth_of_the_largest(run):
-    full = touched(run)
+    full = contact_scratch(run)
     other = full.reactions["ball"] * 1.1
     other[: len(run.times) // 20] += 100.0  # while the tool hardly pushes
     nodes = np.arange(len(run.points))
-    found = touch_errors(full, replace(full, reactions=full.reactions | {"ball": other}), ["ball", "idle"], nodes)
+    found = contact_errors(full, replace(full, reactions=full.reactions | {"ball": other}), ["ball", "idle"], nodes)
     assert found.force == pytest.approx(0.1)
     assert found.force_95 == pytest.approx(0.1)
     assert found.surface_95 == found.farthest_95 == 0
 
 
 def test_the_surface_is_measured_by_its_largest_displacement(run):
-    full, nodes = touched(run), np.argsort(run.points[:, 0])[-3:]  # far from the support
-    moved, reach = run.displacements.copy(), np.linalg.norm(run.displacements[:, nodes], axis=2).max()
-    moved[:, nodes[1]] += [0.0, 0.2 * reach, 0.0]
+    full, nodes = contact_scratch(run), np.argsort(run.points[:, 0])[-3:]  # far from the support
+    moved, distance_scale = run.displacements.copy(), np.linalg.norm(run.displacements[:, nodes], axis=2).max()
+    moved[:, nodes[1]] += [0.0, 0.2 * distance_scale, 0.0]
     moved[:, np.argmin(run.points[:, 0])] += 1.0  # none of the surface asked for
-    found = touch_errors(full, replace(full, displacements=moved), ["ball"], nodes)
+    found = contact_errors(full, replace(full, displacements=moved), ["ball"], nodes)
     assert found.farthest_95 == pytest.approx(0.2)
     assert found.surface_95 == pytest.approx(0.2)
     assert found.force == found.force_95 == 0
 
 
 def test_tools_that_touch_nothing_have_no_errors(run):
-    full = touched(run)
-    assert touch_errors(full, full, ["idle"], np.arange(3)) is None
-    assert touch_errors(full, full, [], np.arange(3)) is None
+    full = contact_scratch(run)
+    assert contact_errors(full, full, ["idle"], np.arange(3)) is None
+    assert contact_errors(full, full, [], np.arange(3)) is None

@@ -11,14 +11,14 @@ import palpate as pt
 from palpate.reduction.training.select_step import STEPS, _chosen
 
 DURATION, EVERY = 0.04, 0.002
-LOADS = [pt.Traction("x+", force=lambda t: (4.0 * np.sin(80 * t) ** 2, 0.2 * np.sin(80 * t) ** 2, 0.0))]
+LOADS = [pt.SurfaceForce("x+", force=lambda t: (4.0 * np.sin(80 * t) ** 2, 0.2 * np.sin(80 * t) ** 2, 0.0))]
 
 
 @pytest.fixture(scope="module")
 def rom():
     tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
-    body = pt.FullModel(pt.box((0.04, 0.015, 0.015), 0.005), tissue, "x-", form="energy", viscosity=2e-4)
-    return pt.reduce(body, pt.rollout(body, LOADS, duration=DURATION, every=EVERY, progress=False), modes=6)
+    body = pt.Solid(pt.box((0.04, 0.015, 0.015), 0.005), tissue, "x-", form="energy", stiffness_damping=2e-4)
+    return pt.hyper_reduce(body, pt.rollout(body, LOADS, duration=DURATION, every=EVERY, progress=False), modes=6)
 
 
 def ticking(*seconds):
@@ -29,7 +29,7 @@ def ticking(*seconds):
 
 def chosen(rom, *seconds, repeats=1, **options):
     clock = ticking(*seconds)
-    return pt.quickest(rom, LOADS, duration=DURATION, every=EVERY, repeats=repeats, clock=clock, **options)
+    return pt.select_time_step(rom, LOADS, duration=DURATION, every=EVERY, repeats=repeats, clock=clock, **options)
 
 
 def test_errors_are_those_against_small_steps_and_fall_with_the_step(rom):
@@ -65,7 +65,7 @@ def test_of_several_times_the_shortest_counts(rom):
 
 
 def test_the_model_is_otherwise_the_same_and_the_given_one_is_left_alone(rom, tmp_path):
-    double = pt.ReducedModel(rom.parts, single=False)
+    double = pt.ReducedModel(rom.data, single=False)
     found = chosen(double, 2, 1, 2, 2, tolerance=1.0)
     assert (found.step, found.single) == (1e-3, False)
     assert "stepping" not in rom.report
@@ -85,8 +85,8 @@ def test_a_tolerance_that_no_rule_keeps_is_refused_with_what_each_reaches():
 def test_a_rule_that_fails_is_not_taken(rom, monkeypatch):
     advance = pt.ReducedModel.advance
 
-    def failing(self, state, drive, step, steps):
-        result = advance(self, state, drive, step, steps)
+    def failing(self, state, prepared, step, steps):
+        result = advance(self, state, prepared, step, steps)
         if self.step == 1e-3:
             result.coordinates[:] = np.nan
         return result
@@ -101,4 +101,4 @@ def test_a_rule_that_fails_is_not_taken(rom, monkeypatch):
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"tolerance": 2.0}, {"repeats": 0}, {"duration": -1.0}])
 def test_bad_arguments_are_named(rom, options):
     with pytest.raises(pt.InputError, match=f"{next(iter(options))} = .* is out of range"):
-        pt.quickest(rom, LOADS, **{"duration": DURATION} | options)
+        pt.select_time_step(rom, LOADS, **{"duration": DURATION} | options)

@@ -17,12 +17,12 @@ GIVEN = {"density": 1000.0, "prony": SERIES, "volumetric": "logarithmic", "split
 def body():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     far = np.flatnonzero(cloud.points[:, 0] > 0.016)
-    return pt.FullModel(
+    return pt.Solid(
         replace(cloud, groups=cloud.groups | {"far": far}),
         {"": pt.Gent(mu=10e3, Jm=3.0, poisson=0.45, **GIVEN), "far": pt.Gent(mu=25e3, Jm=0.9, poisson=0.4, **GIVEN)},
         "x-",
         form="energy",
-        viscosity=1e-5,
+        stiffness_damping=1e-5,
         stiffness={"x+": 3.0},
         fibres=pt.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(1.0, 0.0, 0.0)),
     )
@@ -30,19 +30,19 @@ def body():
 
 def test_with_all_nodes_and_all_pressures_it_is_the_galerkin_model(body):
     """The pressures of the snapshots do not span those of other states: they miss 0.3 % of the forces there, or 3 %."""
-    loads = [pt.Traction("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.3, 0.05, -0.02]))]
+    loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.3, 0.05, -0.02]))]
     run = pt.rollout(body, loads, duration=0.01, every=0.0005, progress=False)
     assert np.abs(run.balance).max() < 0.01 * np.abs(run.external).max()
-    parts = pt.reduce(body, run, modes=6, cubature=0.0, pressures=1000).parts
-    every = np.sqrt(body.lame) * body.smoothed_back(np.diag(np.sqrt(body.bulk_volumes)))
-    whole = pt.ReducedModel(replace(parts, cubature=replace(parts.cubature, pressure=every)), single=False)
-    some, columns = pt.ReducedModel(parts, single=False), parts.columns[:6]
+    data = pt.hyper_reduce(body, run, modes=6, cubature=0.0, pressures=1000).data
+    every = np.sqrt(body.lame) * body.smooth_transposed(np.diag(np.sqrt(body.bulk_volumes)))
+    whole = pt.ReducedModel(replace(data, cubature=replace(data.cubature, pressure=every)), single=False)
+    some, columns = pt.ReducedModel(data, single=False), data.basis_vectors[:6]
     random, errors = np.random.default_rng(0), []
     for size in (1e-4, 1e-3):
         a = size * random.uniform(-1, 1, 6) / whole.sizes
         for model in (whole, some):
-            model.state(model.drive(loads))
-        body._recall(None)
+            model.state(model.prepare(loads))
+        body._restore_history(None)
         u = np.tensordot(a, columns, 1)
         expected = np.einsum("n,mnc,nc->m", body.volumes, columns, body.force(u))
         np.testing.assert_allclose(whole.force(a), expected, atol=1e-9 * np.abs(expected).max())

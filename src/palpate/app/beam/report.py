@@ -14,7 +14,7 @@ from palpate.app.report import Claim, finished, listed, preamble, time_per_mode
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Study
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.files import plain
-from palpate.reduction.training.errors import errors
+from palpate.reduction.training.errors import relative_errors
 
 __all__ = ["ENERGY_FORM", "build_report", "tables", "tip_displacement"]
 
@@ -63,7 +63,7 @@ def _one_phase(entry: dict[str, Any]) -> dict[str, Any]:
 def _energy_form(study: Study) -> dict[str, Any] | None:
     """Return the same of the energy form's run, and how far it is from the strong form's; nothing if it failed."""
     run = study.peers.get(ENERGY_FORM)
-    return None if run is None else _full_run(study, run) | {"errors": errors(study.full, run).as_dict()}
+    return None if run is None else _full_run(study, run) | {"errors": relative_errors(study.full, run).as_dict()}
 
 
 def _full_run(study: Study, full: Trajectory) -> dict[str, Any]:
@@ -75,7 +75,7 @@ def _full_run(study: Study, full: Trajectory) -> dict[str, Any]:
         "wall_seconds": full.wall_seconds,
         "real_time_factor": scene.duration / full.wall_seconds,
         "steps": int(full.steps[-1]),
-        "viscosity": full.viscosity,
+        "stiffness_damping": full.stiffness_damping,
         "peak_tip_displacement": float(tip[peak]),
         "peak_tip_time": float(full.times[peak]),
         "energy_balance": float(np.abs(full.balance).max() / np.abs(full.external).max()),

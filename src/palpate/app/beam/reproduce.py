@@ -21,11 +21,11 @@ from palpate.app.export import write_vtkhdf
 from palpate.app.report import deliver
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Phase, Study, Train, prepare, run_full, run_reduced
 from palpate.dynamics.run.rollout import rollout
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import DivergenceError, integer_in_range
 from palpate.reduction.basis.pod import pod
-from palpate.reduction.galerkin.model import project
-from palpate.reduction.training.reduce import reduce
+from palpate.reduction.galerkin.model import galerkin
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
 
 __all__ = ["FIGURES", "FILES", "reproduce_beam", "von_mises"]
@@ -34,8 +34,8 @@ Floats = NDArray[np.float64]
 
 PHASES = (Phase("full", 0.0, DURATION),)
 SERIES: dict[str, Train] = {
-    PROJECTED: lambda model, run, size: project(model, run, modes=size),
-    HYPER_REDUCED: lambda model, run, size: reduce(cast(FullModel, model), run, modes=size),
+    PROJECTED: lambda model, run, size: galerkin(model, run, modes=size),
+    HYPER_REDUCED: lambda model, run, size: hyper_reduce(cast(Solid, model), run, modes=size),
 }
 SNAPSHOTS = round(DURATION / EVERY)  # that move: the first shows the body at rest
 FIGURES = (
@@ -103,7 +103,7 @@ def _run_energy_form(study: Study, console: Console) -> None:
     scene = study.scene
     try:
         with console.status("making the energy form of the model ready"):
-            model = FullModel(scene.model.cloud, scene.model.material, scene.model.fixed, form="energy")
+            model = Solid(scene.model.cloud, scene.model.material, scene.model.fixed, form="energy")
             step = model.stability.step
             rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles what is left
         console.say(f"full model, energy form: {scene.duration:g} s ...")
@@ -117,7 +117,7 @@ def _run_energy_form(study: Study, console: Console) -> None:
     console.say(f"full model, energy form: {run.wall_seconds:.2f} s, {int(run.steps[-1])} steps")
 
 
-def von_mises(model: FullModel, displacements: Floats) -> Floats:
+def von_mises(model: Solid, displacements: Floats) -> Floats:
     """Return the von Mises stress [Pa] of the Cauchy stress at every node, (f, n), for displacements (f, n, 3) [m]."""
     stresses = np.empty(displacements.shape[:2])
     for frame, displacement in enumerate(displacements):
@@ -135,7 +135,7 @@ def _write_results(study: Study, report: dict[str, Any], out: Path, console: Con
         from palpate.app.pictures import DrawingError
 
         full, missing = study.full, {}
-        stress = von_mises(cast(FullModel, study.scene.model), full.displacements)
+        stress = von_mises(cast(Solid, study.scene.model), full.displacements)
         fields = {"displacement": full.displacements, "velocity": full.velocities, "von_mises": stress}
         write_vtkhdf(out / "beam.vtkhdf", study.scene.model.cloud, full.times, fields)
         draw_figures(study, report, out)

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
 from palpate.app.console import Console
-from palpate.dynamics.loads.loads import Load, Traction
+from palpate.dynamics.loads.loads import Load, SurfaceForce
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.meshfree.cloud import box
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.reduce import reduce
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import beam
 from palpate.tissue.materials import MooneyRivlin
 
@@ -43,8 +43,8 @@ PULLS = (((8.0, 0.0, 0.0), 0.0), ((0.0, 3.0, 1.0), 0.0), ((-2.0, 1.0, -3.0), 0.0
 def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Console) -> dict[str, Any]:
     """Measure the paper's pull of the beam [m]: forms of the full model, and the hyper-reduced one."""
     scene = beam(spacing=spacing)
-    strong = cast(FullModel, scene.model)
-    bodies = {"strong": strong, "energy": FullModel(strong.cloud, strong.material, strong.fixed, form="energy")}
+    strong = cast(Solid, scene.model)
+    bodies = {"strong": strong, "energy": Solid(strong.cloud, strong.material, strong.fixed, form="energy")}
     seconds: dict[str, list[float]] = {form: [] for form in (*forms, "reduced")}
     steps: dict[str, int] = {}
 
@@ -61,10 +61,10 @@ def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Conso
     fast: ReducedModel | None = None
     for _ in range(repeats):
         runs = [pull(form, bodies[form]) for form in forms]
-        fast = fast or reduce(bodies[forms[0]], runs[0], modes=FEW)
+        fast = fast or hyper_reduce(bodies[forms[0]], runs[0], modes=FEW)
         pull("reduced", fast)
     assert fast is not None
-    drive = fast.drive(scene.loads)
+    prepared = fast.prepare(scene.loads)
     measured = {name: _pull(own, steps[name], scene.duration) for name, own in seconds.items()}
     whole = measured.pop("reduced")
     return {
@@ -74,9 +74,9 @@ def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Conso
         "hyper_reduced": whole
         | {
             "modes": FEW,
-            "nodes": len(fast.parts.cubature.nodes),
+            "nodes": len(fast.data.cubature.nodes),
             "seconds_per_step": whole["wall_seconds"] / whole["steps"],
-            "compiled_seconds_per_step": step_seconds((fast, drive, fast.state(drive)))[0],
+            "compiled_seconds_per_step": step_seconds((fast, prepared, fast.state(prepared)))[0],
             "ratio": {form: whole["wall_seconds"] / full["wall_seconds"] for form, full in measured.items()},
         },
     }
@@ -99,11 +99,11 @@ def large_case(repeats: int, console: Console) -> dict[str, Any]:
     for nodes in BODIES:
         console.say(f"block of {nodes**3} nodes: {len(PULLS)} runs, training {MANY} modes ...")
         model = _with_samples(_trained_on_block(nodes), SAMPLED)
-        drive = model.drive([_load(0)])
-        found.append((model, drive, model.state(drive)))
+        prepared = model.prepare([_load(0)])
+        found.append((model, prepared, model.state(prepared)))
     small, rounds = found[0][0], max(repeats, 15)
     force, reading = force_seconds(small, rounds)
-    table = small._samples.table.nbytes
+    table = small._integration_points.table.nbytes
     from_memory = table * read_seconds(np.ones(LARGE // 8), repeats=rounds) / LARGE
     steps = step_seconds(*found, repeats=rounds)
     chunks = median_seconds(*(_chunk(*each) for each in found), repeats=rounds)
@@ -126,10 +126,10 @@ def large_case(repeats: int, console: Console) -> dict[str, Any]:
     }
 
 
-def _chunk(model: ReducedModel, drive: Any, state: Any) -> Callable[[], Any]:
+def _chunk(model: ReducedModel, prepared: Any, state: Any) -> Callable[[], Any]:
     """Return a call that takes steps as `rollout` does."""
-    step = model.stable_step(state, drive)
-    return lambda: model.advance(state, drive, step, CHUNK)
+    step = model.stable_step(state, prepared)
+    return lambda: model.advance(state, prepared, step, CHUNK)
 
 
 def _load(k: int) -> Load:
@@ -141,17 +141,17 @@ def _load(k: int) -> Load:
     def pull(time: float) -> list[float]:
         return [share(time) * part for part in force]
 
-    return Traction("x+", force=pull, moment=lambda time: (share(time) * twist, 0.0, 0.0))
+    return SurfaceForce("x+", force=pull, moment=lambda time: (share(time) * twist, 0.0, 0.0))
 
 
 def _trained_on_block(nodes: int) -> ReducedModel:
     """Train on a few short runs of a block."""
     law = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
-    body = FullModel(box((EDGE,) * 3, EDGE / (nodes - 1)), law, "x-", form="energy")
+    body = Solid(box((EDGE,) * 3, EDGE / (nodes - 1)), law, "x-", form="energy")
     every = LASTING / FRAMES
     step = every / np.ceil(every / (STEP * body.stability.step))
     runs = [rollout(body, [_load(k)], duration=LASTING, every=every, step=step) for k in range(len(PULLS))]
-    return reduce(body, runs, modes=MANY, cubature=LOOSE)
+    return hyper_reduce(body, runs, modes=MANY, cubature=LOOSE)
 
 
 def _with_samples(model: ReducedModel, count: int) -> ReducedModel:
@@ -159,10 +159,10 @@ def _with_samples(model: ReducedModel, count: int) -> ReducedModel:
 
     A node in parts leaves the energy as it is.
     """
-    rule = model.parts.cubature
+    rule = model.data.cubature
     index = np.resize(np.argsort(-rule.weights), count)
     parts = 1 / np.bincount(index, minlength=len(rule.nodes))[index]
     cubature = replace(
         rule, nodes=rule.nodes[index], weights=rule.weights[index] * parts, pressure=rule.pressure[:, index] * parts
     )
-    return ReducedModel(replace(model.parts, cubature=cubature, gradients=model.parts.gradients[index]))
+    return ReducedModel(replace(model.data, cubature=cubature, gradients=model.data.gradients[index]))

@@ -76,7 +76,7 @@ class Chromium:
         self._folder.cleanup()
 
     def open(
-        self, address: str, width: int = 1280, height: int = 800, *, dark: bool = False, touch: bool = False
+        self, address: str, width: int = 1280, height: int = 800, *, dark: bool = False, contact_state: bool = False
     ) -> Tab:
         """Open a page in a window [px] of its own."""
         target = self.call("Target.createTarget", {"url": "about:blank", "newWindow": True})["targetId"]
@@ -87,7 +87,7 @@ class Chromium:
         tab.resize(width, height)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         tab.call("Emulation.setEmulatedMedia", {"features": [scheme]})
-        if touch:
+        if contact_state:
             tab.call("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
         tab.call("Emulation.setFocusEmulationEnabled", {"enabled": True})  # as if each window were in front
         tab.call("Page.navigate", {"url": address})
@@ -123,7 +123,7 @@ def _connection(process: subprocess.Popen[bytes], told: Path) -> Any:
 
 
 class Tab:
-    """A page in the browser; `errors` are those of its console and its scripts."""
+    """A page in the browser; `relative_errors` are those of its console and its scripts."""
 
     def __init__(self, browser: Chromium, session: str, target: str) -> None:
         self._browser, self._session, self._target = browser, session, target

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.loads.loads import Drive
+from palpate.dynamics.loads.loads import PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.model import ReducedModel
 
@@ -85,24 +85,24 @@ def read_seconds(table: np.ndarray[Any, Any], *, parallel: bool = False, repeats
 def force_seconds(model: ReducedModel, repeats: int = 15) -> tuple[float, float]:
     """Return the median times [s] of a force evaluation and of reading its operator table once, one thread, in turn."""
     columns = 1e-2 * model.cloud.spacing / model.sizes
-    repeat, read, flat = _repeated_force(), _reader(False), model._samples.table.reshape(-1)
+    repeat, read, flat = _repeated_force(), _reader(False), model._integration_points.table.reshape(-1)
     result = np.zeros(model.count)
     force, evaluations = _per_count(
-        lambda times: repeat(model._force, columns, model._samples, model._scratch, result, times)
+        lambda times: repeat(model._force, columns, model._integration_points, model._scratch, result, times)
     )
     table, readings = _per_count(lambda times: read(flat, times))
     own, reading = median_seconds(force, table, repeats=repeats)
     return own / evaluations, reading / readings
 
 
-def step_seconds(*runs: tuple[ReducedModel, Drive, State], steps: int = 2000, repeats: int = 15) -> list[float]:
+def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 2000, repeats: int = 15) -> list[float]:
     """Return the median times [s] of an explicit step of some models, all steps in one compiled call, in turn."""
     return [seconds / steps for seconds in median_seconds(*(_compiled(*run, steps) for run in runs), repeats=repeats)]
 
 
-def _compiled(model: ReducedModel, drive: Drive, state: State, steps: int) -> Call:
+def _compiled(model: ReducedModel, prepared: PreparedLoads, state: State, steps: int) -> Call:
     """Return a call of the compiled steps, with what `ReducedModel.advance` gives them."""
-    step, given = model.stable_step(state, drive), []
+    step, given = model.stable_step(state, prepared), []
     explicit = model._explicit
 
     def noted(*arguments: Any) -> Any:
@@ -111,7 +111,7 @@ def _compiled(model: ReducedModel, drive: Drive, state: State, steps: int) -> Ca
 
     model._explicit = noted
     try:
-        model.advance(state, drive, step, steps)
+        model.advance(state, prepared, step, steps)
     finally:
         model._explicit = explicit
     _, _, *others = given[0]

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load, PrescribedMotion, Traction
+from palpate.dynamics.loads.loads import Load, PrescribedMotion, SurfaceForce
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.galerkin.model import project
-from palpate.reduction.training.reduce import reduce
+from palpate.reduction.galerkin.model import galerkin
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import beam, pull
 from palpate.scenes.liver import MARGIN, pressed_liver
 
@@ -36,7 +36,7 @@ class Body:
     Parameters
     ----------
     title : str
-    model : FullModel
+    model : Solid
     loads : function
         Of a size, the loads of a run.
     small, large : float
@@ -52,7 +52,7 @@ class Body:
     """
 
     title: str
-    model: FullModel
+    model: Solid
     loads: Callable[[float], tuple[Load, ...]]
     small: float
     large: float
@@ -68,14 +68,14 @@ def compared_beam(spacing: float = 0.005, poisson: float = 0.49) -> Body:
     """Return the paper's beam, pulled by up to 0.1 N and up to 100 N."""
     scene = beam(spacing=spacing, poisson=poisson)
     model = scene.model
-    assert isinstance(model, FullModel)
+    assert isinstance(model, Solid)
 
     def loads(size: float) -> tuple[Load, ...]:
-        return (Traction("x+", force=lambda time: (pull(time, size), 0.0, 0.0)),)
+        return (SurfaceForce("x+", force=lambda time: (pull(time, size), 0.0, 0.0)),)
 
     return Body(
         f"The paper's beam, {1e3 * spacing:g} mm", model, loads, SMALL_PULL, LARGE_PULL, "N", ("x+",),
-        scene.duration, scene.every, lambda run, modes: project(model, run, modes=modes), "POD of the nonlinear run",
+        scene.duration, scene.every, lambda run, modes: galerkin(model, run, modes=modes), "POD of the nonlinear run",
     )  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> Body:
     """Return the generated liver, a place of its front pulled by a tool by up to 0.2 mm and up to 20 mm."""
     spacing = number_in_range("spacing", spacing, 0.006, 0.012, unit="m")
     bare = pressed_liver(spacing=spacing, poisson=poisson, radius=2.5 * spacing).model
-    assert isinstance(bare, FullModel)
+    assert isinstance(bare, Solid)
     cloud = bare.cloud
     surface = np.unique(cloud.face_nodes)
     back = cloud.points[cloud.group("back"), 1].min()
@@ -92,7 +92,9 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> Body:
         raise InputError(f"spacing = {spacing!r}: no place of this liver is away from its back")
     at = reachable[np.argmin(cloud.points[reachable, 1])]
     near = surface[np.linalg.norm(cloud.points[surface] - cloud.points[at], axis=1) <= GRIP * spacing]
-    model = FullModel(cloud.with_group(TOOL, near), bare.material, "back", form="energy", viscosity=bare.viscosity)
+    model = Solid(
+        cloud.with_group(TOOL, near), bare.material, "back", form="energy", stiffness_damping=bare.stiffness_damping
+    )
     normals = np.zeros_like(cloud.points)
     normals[cloud.face_nodes] = cloud.face_normals
     along = normals[near].mean(axis=0) / np.linalg.norm(normals[near].mean(axis=0))
@@ -105,7 +107,7 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> Body:
 
     return Body(
         f"A liver pulled at its front, {1e3 * spacing:g} mm", model, loads, SMALL_WAY, LARGE_WAY, "m", (),
-        LASTING, 0.01, lambda run, modes: reduce(model, run, modes=modes, driven=TOOL), "POD of that run, sampled",
+        LASTING, 0.01, lambda run, modes: hyper_reduce(model, run, modes=modes, prescribed=TOOL), "POD of that run, sampled",
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from palpate.reduction.lti.model import LinearModel, propagate
 from palpate.reduction.lti.reductors import METHODS, Reduction
 from palpate.reduction.lti.simulate import input_sizes
 from palpate.reduction.lti.system import LinearSystem, linearise
-from palpate.reduction.training.errors import errors
+from palpate.reduction.training.errors import relative_errors
 
 __all__ = ["Comparison", "compare_methods", "prepare_comparison"]
 
@@ -161,7 +161,7 @@ def _run_errors(made: Comparison, model: Model, load: str) -> dict[str, float] |
         run = rollout(model, body.loads(size), duration=body.duration, every=body.every, progress=False)
     except DivergenceError:
         return None
-    found = errors(full, run)
+    found = relative_errors(full, run)
     return found.as_dict() | {"wall_seconds": run.wall_seconds}
 
 

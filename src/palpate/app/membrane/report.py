@@ -75,7 +75,7 @@ def _full_run(study: Study, run: Trajectory, states: States) -> dict[str, Any]:
         "wall_seconds": run.wall_seconds,
         "real_time_factor": float(run.times[-1] - run.times[0]) / run.wall_seconds,
         "steps": int(run.steps[-1]),
-        "viscosity": run.viscosity,
+        "stiffness_damping": run.stiffness_damping,
         "end_time": float(run.times[-1]),
         "tool_force_at_end": float(force[-1, 2]),
         "centre_deflection_at_end": float(deflection[cloud.group("centre")[0]]),

@@ -24,9 +24,9 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import integer_in_range
-from palpate.reduction.galerkin.model import ProjectedModel, project
+from palpate.reduction.galerkin.model import GalerkinModel, galerkin
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.reduce import reduce
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.membrane import DURATION, EVERY, PUSHED, membrane
 
 __all__ = ["FIGURES", "FILES", "reproduce_membrane"]
@@ -118,14 +118,14 @@ def _singular_values(study: Study) -> tuple[dict[str, Floats], float]:
     return values, perf_counter() - start
 
 
-def train(model: NodalModel, run: Trajectory, modes: int) -> ProjectedModel:
+def train(model: NodalModel, run: Trajectory, modes: int) -> GalerkinModel:
     """Train a reduced model on a run over one phase: the waves start at the tool, and small at first."""
-    return project(model, run, modes=modes, driven=("tool",), lifting="local", relative=True)
+    return galerkin(model, run, modes=modes, prescribed=("tool",), lifting="local", relative=True)
 
 
 def train_sampled(model: NodalModel, run: Trajectory, modes: int) -> ReducedModel:
     """Train a hyper-reduced model on a run over one phase."""
-    return reduce(cast(Membrane, model), run, modes=modes, driven="tool")
+    return hyper_reduce(cast(Membrane, model), run, modes=modes, prescribed="tool")
 
 
 SERIES: dict[str, Train] = {PROJECTED: train, HYPER_REDUCED: train_sampled}

@@ -16,12 +16,12 @@ from palpate.app.study import ReproduceError, prepare
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import DivergenceError, InputError, integer_in_range
 from palpate.files import plain, write_json
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.errors import errors
-from palpate.reduction.training.reduce import reduce
+from palpate.reduction.training.errors import relative_errors
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import DURATION, EVERY, beam
 from palpate.scenes.scene import Scene
 
@@ -107,7 +107,7 @@ def run_once(
     runs, reduced = {"full": _run(scene, scene.model, console, out / "full.h5")}, None
     if modes is not None:
         start = perf_counter()
-        reduced = reduce(cast(FullModel, scene.model), runs["full"], modes=modes)
+        reduced = hyper_reduce(cast(Solid, scene.model), runs["full"], modes=modes)
         count = count_nodes(reduced.report["nodes"])
         console.say(f"trained {modes} modes at {count} in {perf_counter() - start:.3g} s")
         runs["reduced"] = _run(scene, reduced, console)
@@ -127,30 +127,30 @@ def _scene(spacing: float, load: float, poisson: float, energy: bool) -> Scene:
     if not energy:
         return scene
     body = scene.model
-    return replace(scene, model=FullModel(body.cloud, body.material, body.fixed, form="energy"))
+    return replace(scene, model=Solid(body.cloud, body.material, body.fixed, form="energy"))
 
 
 def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | None) -> dict[str, Any]:
     report: dict[str, Any] = {
         "title": scene.title,
         "parameters": dict(scene.parameters),
-        "form": cast(FullModel, scene.model).form,
+        "form": cast(Solid, scene.model).form,
         "machine": machine(),
         "model": model and model.report,
         "runs": {name: _described(run, scene) for name, run in runs.items()},
     }
     if len(runs) == 2:
-        report["errors"] = errors(runs["full"], runs["reduced"]).as_dict()
+        report["errors"] = relative_errors(runs["full"], runs["reduced"]).as_dict()
         report["ratio"] = runs["reduced"].wall_seconds / runs["full"].wall_seconds
     return {name: plain(value) for name, value in report.items()}
 
 
 def _run(scene: Scene, model: Model, console: Console, file: Path | None = None) -> Trajectory:
     """Run a model; stream its frames to a file, if there is one, for what takes long."""
-    drive = model.drive(scene.loads)
+    prepared = model.prepare(scene.loads)
     kept = f"; the frames until then are kept in {file}" if file else ""
     try:
-        step = min(scene.every, model.stable_step(model.state(drive), drive))
+        step = min(scene.every, model.stable_step(model.state(prepared), prepared))
         rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles what is left
         run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file)
     except DivergenceError as error:
@@ -169,7 +169,7 @@ def _described(run: Trajectory, scene: Scene) -> dict[str, Any]:
         "real_time_factor": scene.duration / run.wall_seconds,
         "steps": int(run.steps[-1]),
         "seconds_per_step": run.wall_seconds / float(run.steps[-1]),
-        "viscosity": run.viscosity,
+        "stiffness_damping": run.stiffness_damping,
         "largest_displacement": float(np.linalg.norm(run.displacements, axis=2).max()),
         "largest_reactions": peaks,
         "energy_balance": float(np.abs(run.balance).max() / np.abs(run.external).max()),

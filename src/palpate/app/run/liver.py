@@ -112,7 +112,7 @@ def cached(console: Console) -> ReducedModel:
 def _pressing(body: ReducedModel, file: Path) -> tuple[Poses, Contact]:
     """Return the poses of a ball that presses a body again and again, and the ball itself where it begins."""
     scene = body.report.get("scene", {})
-    if body.parts.dents is None or scene.get("name") != SCENE:
+    if body.data.compliance is None or scene.get("name") != SCENE:
         known = f"but on the scene {scene['name']!r}" if scene else "its file names no scene"
         raise InputError(
             f"model = {str(file)!r}: it was not trained on a liver that a ball touches, {known}; palpate train liver "

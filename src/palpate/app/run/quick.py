@@ -10,7 +10,7 @@ from palpate.dynamics.loads.loads import Load
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.reduce import reduce
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["train", "trained"]
@@ -39,8 +39,8 @@ def train(scene: TrainingScene, modes: int) -> ReducedModel:
     """Train a reduced model of a scene on a few short motions, and try it on others."""
     trials = [_trial(scene, seed) for seed in range(TRAINING + HELD_OUT)]
     runs = [run for _, run in trials[:TRAINING]]
-    return reduce(
-        scene.model, runs, modes=modes, driven=scene.tools, held_out=trials[TRAINING:], cubature=scene.cubature
+    return hyper_reduce(
+        scene.model, runs, modes=modes, prescribed=scene.tools, held_out=trials[TRAINING:], cubature=scene.cubature
     )
 
 

@@ -114,7 +114,7 @@ def _stepped(engine: Engine, hand: Poses, seconds: float, black_box: Path, conso
         warnings.simplefilter("ignore", RuntimeWarning)  # about trust: the report tells it
         try:
             with engine:
-                DummyDevice(_watched(hand, shown)).drive(engine, seconds)
+                DummyDevice(_watched(hand, shown)).prepare(engine, seconds)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("in real time") from None
     if engine.state == "ran away":
@@ -139,7 +139,7 @@ def _watched(hand: Poses, shown: Callable[[float, float], None]) -> Poses:
 
 def _felt(black_box: Path, body: ReducedModel) -> dict[str, Any]:
     """Return what the tool felt, and how well the model knew the states: over all periods."""
-    calibrated = "trust" in body.report.get("held_out", {})
+    calibrate_indicator = "trust" in body.report.get("held_out", {})
     import h5py
 
     with h5py.File(black_box) as file:
@@ -151,7 +151,7 @@ def _felt(black_box: Path, body: ReducedModel) -> dict[str, Any]:
         "largest_trust": float(trust.max()),
         "median_trust": float(np.median(trust)),
         "untrained_share": float(np.mean(trust > 1)),
-        "expected_error": body.expected_error(float(trust.max())) if calibrated else None,
+        "expected_error": body.expected_error(float(trust.max())) if calibrate_indicator else None,
         "mean_steps_per_period": float(taken.mean()),
     }
 

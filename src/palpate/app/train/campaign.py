@@ -13,12 +13,12 @@ from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.app.train.local import run_here
 from palpate.app.train.work import Outcome
 from palpate.dynamics.contact.tools import Contact, Grasp
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.files import check_space
-from palpate.reduction.basis.linear_modes import carried_modes
+from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import save
-from palpate.reduction.training.reduce import reduce
+from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["MODEL", "make_model", "make_runs"]
@@ -91,14 +91,14 @@ def make_model(
     console : Console
     modes : int
     cubature : float, optional
-        As for `palpate.reduce`; by default the scene's.
+        As for `palpate.hyper_reduce`; by default the scene's.
 
     Raises
     ------
     ReproduceError
         No training run was finished.
     InputError
-        As `palpate.reduce`.
+        As `palpate.hyper_reduce`.
     FileFormatError
         The file of a run is damaged, or that of another run.
     OSError
@@ -117,11 +117,11 @@ def make_model(
     share = scene.cubature if cubature is None else cubature
     with console.status(f"training {modes} modes on {len(learned)} runs, trying them on {len(tried)} others"):
         coarse = smooth = None
-        if scene.coarse is not None and isinstance(scene.model, FullModel):
+        if scene.coarse is not None and isinstance(scene.model, Solid):
             coarse = scene.coarse()
-            smooth = carried_modes(coarse, scene.model, modes)
-        model = reduce(
-            scene.model, learned, modes=modes if smooth is None else 0, enrichment=smooth, driven=scene.tools,
+            smooth = interpolated_modes(coarse, scene.model, modes)
+        model = hyper_reduce(
+            scene.model, learned, modes=modes if smooth is None else 0, enrichment=smooth, prescribed=scene.tools,
             held_out=tried, cubature=share, coarse=coarse, repeated=touched[:REPEATED],
         )  # fmt: skip
     model.report["scene"] = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}

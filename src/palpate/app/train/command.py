@@ -51,7 +51,7 @@ def train(
     modes : int
         Size of the reduced model.
     cubature : float, optional
-        As for `palpate.reduce`: what its sampled forces may miss of the whole ones; by default the scene's.
+        As for `palpate.hyper_reduce`: what its sampled forces may miss of the whole ones; by default the scene's.
     workers : int, optional
         Processes of one thread each on this machine; by default 1.
     cluster : str, optional

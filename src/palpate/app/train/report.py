@@ -149,9 +149,9 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
 
 def _touch_rows(found: dict[str, Any]) -> dict[str, str]:
     """Say what tools on the surface of a body miss; nothing where none touches it."""
-    if "touch" not in found:
+    if "contact" not in found:
         return {}
-    errors = {name: (found["touch"]["mean"][name], found["touch"]["percentile_95"][name]) for name in TOUCH}
+    errors = {name: (found["contact"]["mean"][name], found["contact"]["percentile_95"][name]) for name in TOUCH}
     return {
         f"error of {text} while pressed; mean over held-out paths, 95 % below": "-"
         if errors[name][0] is None
@@ -162,7 +162,7 @@ def _touch_rows(found: dict[str, Any]) -> dict[str, str]:
 
 def _touch_table(found: dict[str, Any], held: Sequence[str]) -> list[str]:
     """The same of every held-out path whose tools touch the body, as lines of Markdown."""
-    if "touch" not in found:
+    if "contact" not in found:
         return []
     lines = ["", "Frames with at least a tenth of a tool's largest force:", ""]
     lines += [f"| held-out path | {' | '.join(TOUCH.values())} |", "|---" * (len(TOUCH) + 1) + "|"]

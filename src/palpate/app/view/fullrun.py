@@ -96,11 +96,11 @@ def path_of(recording: Recording) -> tuple[slice, dict[str, Any]]:
     moments, kind = recording.moments[span], used[0]["kind"]
     if any(moment.tool != kind for moment in moments):
         raise InputError(f"the recording names a {kind} as the tool, and moments of another one: record it again")
-    if kind == "group" and len(recording.model.parts.driven) != 1:
+    if kind == "group" and len(recording.model.data.prescribed) != 1:
         raise InputError("the recording holds a group, and its model has not exactly one that tools hold")
     if moments[-1].time - moments[0].time > 2 * LONGEST:
         raise InputError(f"the body moves for more than {2 * LONGEST:g} s in this recording, which no session does")
-    if any(moment.firmness != 1.0 for moment in moments):
+    if any(moment.modulus_ratio != 1.0 for moment in moments):
         raise InputError("the moduli were changed in this recording: the scene's full model has its own")
     if np.any(np.diff([moment.time for moment in moments]) < 0):
         raise InputError("the body was reset in this recording: record without for --full")
@@ -168,7 +168,7 @@ def _load(recording: Recording, tool: dict[str, Any], moments: list[Snapshot], t
     since = turning * turning[0].inv()
     if tool["kind"] == "grasp":
         return Grasp(places[0], tool["radius"], (times, places, since.as_quat(scalar_first=True)), name=TOOL)
-    group = recording.model.parts.driven[0]
+    group = recording.model.data.prescribed[0]
     centre = recording.model.cloud.points[recording.model.cloud.group(group)].mean(axis=0)
     centre, turned = np.pad(centre, (0, 3 - len(centre))), Slerp(times, turning)
 

@@ -51,10 +51,10 @@ def opened(what: str, console: Console) -> tuple[ReducedModel, str]:
     if not path.suffix and not path.exists():
         raise InputError(f"SCENE = {what!r}: allowed are {', '.join(SCENES)}, or a file of `palpate train`")
     model = load(path)
-    if model.parts.dents is None and len(model.parts.driven) != 1:
+    if model.data.compliance is None and len(model.data.prescribed) != 1:
         raise InputError(
             f"{path}: this model takes no tool: it was trained without one that touches it and holds "
-            f"{len(model.parts.driven)} groups; train it with a Contact, or with driven='GROUP'"
+            f"{len(model.data.prescribed)} groups; train it with a Contact, or with prescribed='GROUP'"
         )
     name = str(model.report.get("scene", {}).get("name", path.stem))
     return model, name.rpartition(":")[2].replace("_", " ").capitalize()

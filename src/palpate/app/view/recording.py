@@ -31,7 +31,7 @@ __all__ = ["EVERY", "Recorder", "Recording", "load_recording", "save_recording"]
 
 Floats = NDArray[np.float64]
 
-FORMAT, VERSION = "palpate recording", 2
+FORMAT, VERSION = "palpate recording", 3
 REMEDY = "record the session again"
 LARGEST = 1e9  # of the numbers of a recording, in SI units
 BEYOND = {"steps": 2.0**53, "sequence": 2.0**53, "stiffness": 1e30}  # where these may be larger
@@ -214,7 +214,7 @@ def recording_of(file: SealedFile) -> Recording:
         most = BEYOND.get(name, LARGEST)
         if not (np.abs(own[name]) <= most).all():
             raise InputError(f"array {name} holds numbers that are not finite, or beyond {most:g}")
-    _check_numbers(own, len(model._skin.nodes))
+    _check_numbers(own, len(model._contact_surface.nodes))
     tools = checked_tools(header["tools"], frames)
     start, nodes, forces = (own[f"touched/{name}"] for name in ("start", "nodes", "forces"))
     moments = [_moment(own, k, nodes[start[k] : start[k + 1]], forces[start[k] : start[k + 1]]) for k in range(frames)]
@@ -237,7 +237,7 @@ def _shapes(model: ReducedModel, frames: int, full: bool) -> dict[str, tuple[str
     return shapes
 
 
-def _check_numbers(own: dict[str, Any], touchable: int) -> None:
+def _check_numbers(own: dict[str, Any], contactable: int) -> None:
     """Refuse numbers that no session leaves."""
     for name in ("wall", "time", "steps", "sequence", "trust", "computing"):
         if np.any(own[name] < 0):
@@ -254,8 +254,8 @@ def _check_numbers(own: dict[str, Any], touchable: int) -> None:
     start, nodes = own["touched/start"], own["touched/nodes"]
     if start[0] != 0 or start[-1] != len(nodes) or np.any(np.diff(start) < 0):
         raise InputError("touched/start does not share out touched/nodes")
-    if np.any((nodes < 0) | (nodes >= touchable)):
-        raise InputError(f"touched/nodes names nodes outside 0..{touchable - 1}")
+    if np.any((nodes < 0) | (nodes >= contactable)):
+        raise InputError(f"touched/nodes names nodes outside 0..{contactable - 1}")
     if "full/times" in own and (not len(own["full/times"]) or np.any(np.diff(own["full/times"]) < 0)):
         raise InputError("full/times must not be empty or decrease")
 

@@ -23,7 +23,7 @@ from palpate.realtime.engine import Engine
 from palpate.realtime.row import Reading
 from palpate.realtime.watched import Seen, watched
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.change_tool import retool
+from palpate.reduction.realtime.change_tool import change_tool
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.realtime.model import realtime_model
 
@@ -64,22 +64,22 @@ class Session:
         self.model, self.title, self.rate = model, title, rate
         self.surface = Surface(model)
         self._outside = Outside(self.surface)
-        self.touched = not model.parts.driven and model.parts.dents is not None
+        self.touched = not model.data.prescribed and model.data.compliance is not None
         far = Contact(Sphere(model.cloud.spacing), model.cloud.points.max(axis=0) + 10.0) if self.touched else None
         self._ready = realtime_model(model, contact=far)
         self._home, self._turn = np.zeros(3), UNTURNED  # of the tool when it was put down
         self.held, self.chosen = NOTHING, NOTHING
         if self.touched:
-            retool(self._ready, None, np.concatenate([np.zeros(3), UNTURNED]))
+            change_tool(self._ready, None, np.concatenate([np.zeros(3), UNTURNED]))
         else:
-            group = model.cloud.points[model.cloud.group(model.parts.driven[0])].mean(axis=0)
+            group = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
             self._home[: len(group)] = group
             self.held = self.chosen = Held("group", None)
         self._watched = watched(self._ready)
         self.engine = Engine(self._watched, rate, most_speed=MOST_SPEED)
         self.engine._warned = True  # every frame tells the trust number
         self.paused_because: str | None = None
-        self.speed, self.firmness = 1.0, 1.0
+        self.speed, self.modulus_ratio = 1.0, 1.0
         self.news: list[dict[str, Any]] = []  # what all who watch are still to be told
         self.folder = Path("out/view")  # of recordings
         self._recorder: Recorder | None = None
@@ -98,7 +98,7 @@ class Session:
                 trust=row.trust, position=self._home + seen.place, quaternion=turned(self._turn, row.quaternion),
                 sequence=row.sequence, kinetic=row.kinetic, strain=row.strain, computing=row.computing,
                 lateness=row.lateness, coordinates=seen.coordinates, state=row.state, hand=seen.hand, nodes=seen.nodes,
-                forces=seen.forces, firmness=seen.firmness, tool=self.held.kind,
+                forces=seen.forces, modulus_ratio=seen.modulus_ratio, tool=self.held.kind,
             )  # fmt: skip
 
     def _together(self) -> tuple[Reading, Seen]:
@@ -120,7 +120,7 @@ class Session:
         if self.model.material.prony is not None:
             return []
         own = 1e-3 * float(self.model.material.shear_modulus)
-        return [{"name": MODULUS, "unit": "kPa", "value": self.firmness * own, "low": SOFTEST * own,
+        return [{"name": MODULUS, "unit": "kPa", "value": self.modulus_ratio * own, "low": SOFTEST * own,
                  "high": FIRMEST * own, "live": True}]  # fmt: skip
 
     def _described(self) -> dict[str, Any]:
@@ -315,7 +315,7 @@ class Session:
             raise InputError(f"{name} = {1e-3 * modulus:g} kPa: allowed is from {low:g} to {high:g} kPa")
         with self._lock, self._standing():
             self._watched.stiffen(modulus / own)
-            self.firmness = modulus / own
+            self.modulus_ratio = modulus / own
 
     # the tool
 
@@ -375,7 +375,7 @@ class Session:
     def _equip(self, held: Held, position: Floats, quaternion: Floats, sequence: int = 0) -> None:
         grasps = isinstance(held.shape, Forceps)  # they turn what they hold by as much as they are turned
         turn = UNTURNED if grasps else quaternion
-        retool(self._ready, held.shape, np.concatenate([position, turn]), held.friction)
+        change_tool(self._ready, held.shape, np.concatenate([position, turn]), held.friction)
         self._watched.couple(held.stiffness)
         self._watched.put(self.engine.read().coordinates, np.zeros(3))
         self.engine.place_tool(np.zeros(3), turn, sequence)

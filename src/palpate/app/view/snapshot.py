@@ -42,7 +42,7 @@ class Snapshot(Period):
     hand: Floats
     nodes: NDArray[np.int64]
     forces: Floats
-    firmness: float
+    modulus_ratio: float
     tool: str
 
     def displacements(self, surface: Surface) -> NDArray[np.float32]:
@@ -57,16 +57,16 @@ class Snapshot(Period):
         """
         with np.errstate(all="ignore"):
             values = surface.scalar(name, self.coordinates, moved)
-            values = values if name == "displacement" else np.float32(self.firmness) * values
+            values = values if name == "displacement" else np.float32(self.modulus_ratio) * values
         return np.nan_to_num(values, nan=0.0, posinf=MOST, neginf=-MOST)
 
 
 def told_scalars(surface: Surface) -> list[dict[str, Any]]:
     """Return what the protocol tells of the scalars of a surface; ``"note"`` says what they leave out."""
-    dented = surface.model.parts.dents is not None
+    tool_displacements = surface.model.data.compliance is not None
     return [
         {"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1],
-         "note": WITHOUT_DENTS if dented and name != "displacement" else None}
+         "note": WITHOUT_DENTS if tool_displacements and name != "displacement" else None}
         for name in surface.scalars
     ]  # fmt: skip
 

@@ -21,7 +21,7 @@ from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import register_jitable
 
-__all__ = ["inlined", "kernel_njit", "kernel_sources", "law_digest", "law_njit", "named_for"]
+__all__ = ["inline", "kernel_njit", "kernel_sources", "law_digest", "law_njit", "rename_for"]
 
 
 class KeyedFile(IndexDataCacheFile):  # type: ignore[misc]
@@ -144,7 +144,7 @@ def _text(item: object) -> str:
     return "".join(text or str(value) for value, text in found.items())
 
 
-def named_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
+def rename_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a copy of a function whose name holds a digest.
 
     Compiled code is linked by name. Two laws' functions of one name, compiled in two processes and both read from the
@@ -158,15 +158,15 @@ def named_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return copy
 
 
-def inlined(digest: str, function: Callable[..., Any]) -> Any:
+def inline(digest: str, function: Callable[..., Any]) -> Any:
     """Return a function of a law as compiled code can call it, with the functions that it closes over."""
     cells = tuple(
-        CellType(inlined(digest, cell.cell_contents)) if inspect.isfunction(cell.cell_contents) else cell
+        CellType(inline(digest, cell.cell_contents)) if inspect.isfunction(cell.cell_contents) else cell
         for cell in function.__closure__ or ()
     )
     own = FunctionType(function.__code__, function.__globals__, function.__name__, function.__defaults__, cells)
     own.__qualname__, own.__module__ = function.__qualname__, function.__module__
-    return register_jitable(named_for(digest, own))
+    return register_jitable(rename_for(digest, own))
 
 
 def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -205,7 +205,7 @@ def law_njit(
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        own = named_for(digest, function)
+        own = rename_for(digest, function)
         compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **options)(own)
         if cached:
             compiled._cache = _DigestCache(own, law_digest(function.__module__, digest))

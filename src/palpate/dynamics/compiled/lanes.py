@@ -30,7 +30,7 @@ __all__ = [
     "lane_sums_3x3",
     "lane_sums_3x6",
     "lane_table",
-    "transposed",
+    "transpose",
 ]
 
 
@@ -118,7 +118,7 @@ def lane_table(
     return Lanes(nodes.astype(np.int32), start.astype(np.int64), neighbours, shared, weight_start), tuple(weights)
 
 
-def transposed(
+def transpose(
     neighbours: NDArray[np.int32], weights: NDArray[np.float64], volumes: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """For every node the nodes whose stencils hold it (n, t), padded with itself, and their weights on it (n, t, w).

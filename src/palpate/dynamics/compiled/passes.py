@@ -20,17 +20,17 @@ __all__ = [
     "add_blocks",
     "combine",
     "differences",
-    "forgetful",
     "gather_fluxes",
     "internal_force",
     "lift_passes",
     "smooth_field",
     "weights_address",
+    "without_history",
 ]
 
 
 @kernel_njit()
-def forgetful(work, interval):  # type: ignore[no-untyped-def]
+def without_history(work, interval):  # type: ignore[no-untyped-def]
     """`Formulation.after` of a body that remembers nothing."""
 
 
@@ -67,7 +67,7 @@ class Formulation(NamedTuple):
     differentiate: Any
     finish: Any
     project: Any = None
-    after: Any = forgetful
+    after: Any = without_history
 
 
 @kernel_njit(forceinline=True)

@@ -15,7 +15,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.contact.tools import CAPSULE, HELD, PLANE, Contact
+from palpate.dynamics.contact.tools import BONDED, CAPSULE, PLANE, Contact
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
@@ -50,7 +50,7 @@ class Contacts(NamedTuple):
     first: NDArray[np.int64]  # (n + 1,) of the nodes that carry each node's patch
     near: NDArray[np.int64]  # (c,)
     weights: Floats  # (c,)
-    held_until: Floats  # (n,) time [s] until which a node is held, and not pushed by tools
+    prescribed_until: Floats  # (n,) time [s] until which a node is held, and not pushed by tools
     tolerance: float  # gap [m] below which a patch counts as touching
     close: float  # gap [m] below which it is asked in every sweep
     spread: float  # how far [m] from its node a patch is sought
@@ -191,7 +191,7 @@ def gaps(kind, sizes, pose, places, result):  # type: ignore[no-untyped-def]
 
 
 def contacts(
-    loads: Sequence[Contact], cloud: Cloud, held_until: Floats, patches: sparse.csr_array | None = None
+    loads: Sequence[Contact], cloud: Cloud, prescribed_until: Floats, patches: sparse.csr_array | None = None
 ) -> Contacts:
     """Make tools ready for a cloud.
 
@@ -215,7 +215,7 @@ def contacts(
             raise InputError(f"two tools are named {load.name!r}: give every Contact a name of its own")
         radius = load.tool.sizes[0]
         # a solid's run notices a tool between its nodes; a membrane has no inside
-        if load.tool.kind not in (PLANE, HELD) and radius < cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2):
+        if load.tool.kind not in (PLANE, BONDED) and radius < cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2):
             raise InputError(
                 f"Contact {load.name!r}: a radius of {radius:g} m could slip between nodes {cloud.spacing:g} m apart; "
                 "use a larger tool or a finer spacing"
@@ -237,7 +237,7 @@ def contacts(
         table.indptr.astype(np.int64),
         table.indices.astype(np.int64),
         np.asarray(table.data, dtype=float),
-        held_until,
+        prescribed_until,
         TOUCHING[patches is not None] * cloud.spacing,
         CLOSE * cloud.spacing,
         0.0 if patches is None else SPREAD * cloud.spacing,

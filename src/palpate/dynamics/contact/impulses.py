@@ -45,7 +45,12 @@ def _give(first, near, weights, rate, i, x, y, z, impulse, velocity):  # type: i
 def _begin(contacts, ahead, again, time, u, velocity, mass):  # type: ignore[no-untyped-def]
     """Find the patches that are close to a tool, and push them `again` times as much as in the step before."""
     points, first, near, weights = contacts.points, contacts.first, contacts.near, contacts.weights
-    nodes, held_until, active, pushes = contacts.nodes, contacts.held_until, contacts.active, contacts.pushes
+    nodes, prescribed_until, active, pushes = (
+        contacts.nodes,
+        contacts.prescribed_until,
+        contacts.active,
+        contacts.pushes,
+    )
     rate, impulse = contacts.rate, contacts.impulse
     for k in active[: contacts.found[0]]:
         for c in range(first[nodes[k]], first[nodes[k] + 1]):
@@ -60,7 +65,9 @@ def _begin(contacts, ahead, again, time, u, velocity, mass):  # type: ignore[no-
             y = points[i, 1] + u[i, 1] + ahead * velocity[i, 1]
             z = points[i, 2] + u[i, 2] + ahead * velocity[i, 2]
             square = (x - frame[0, 3]) ** 2 + (y - frame[1, 3]) ** 2 + (z - frame[2, 3]) ** 2
-            found = square < reach * reach and time > held_until[i] and gap(kind, sizes, frame, x, y, z)[0] < around
+            found = (
+                square < reach * reach and time > prescribed_until[i] and gap(kind, sizes, frame, x, y, z)[0] < around
+            )
             if found:  # its node, which costs less to ask
                 x, y, z, _, _, _ = patch(points, first, near, weights, i, ahead, u, velocity)
                 found = gap(kind, sizes, frame, x, y, z)[0] < close
@@ -71,7 +78,7 @@ def _begin(contacts, ahead, again, time, u, velocity, mass):  # type: ignore[no-
             response = 0.0
             for c in range(first[i], first[i + 1]):
                 j = near[c]
-                rate[j] = 1.0 / mass[j] if time > held_until[j] else 0.0
+                rate[j] = 1.0 / mass[j] if time > prescribed_until[j] else 0.0
                 response += weights[c] ** 2 * rate[j]
             pushes[k] *= again
             pushes[k, 3] = response

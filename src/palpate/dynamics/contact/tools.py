@@ -20,7 +20,7 @@ from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.cloud import Cloud
 
 __all__ = [
-    "HELD",
+    "BONDED",
     "Capsule",
     "Contact",
     "Forceps",
@@ -37,7 +37,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
-CAPSULE, PLANE, PUNCH, HELD = 0, 1, 2, 3
+CAPSULE, PLANE, PUNCH, BONDED = 0, 1, 2, 3
 MOST_TURN = 1e6  # [rad] of a rotation vector
 ROUNDING = 0.05  # of a punch's edge, in its radii
 
@@ -154,7 +154,7 @@ class Forceps:
     radius: float
     point: Sequence[float]
     until: float
-    kind: ClassVar[int] = HELD
+    kind: ClassVar[int] = BONDED
 
     @property
     def sizes(self) -> tuple[float, float, float]:
@@ -211,7 +211,7 @@ class Contact:
 
     @cached_property
     def _motion(self) -> Motion:
-        return prepared(self.motion, f"the motion of Contact {self.name!r}")
+        return motion_function(self.motion, f"the motion of Contact {self.name!r}")
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ class Grasp:
     until: float = np.inf
     name: str = "grasp"
 
-    def marked(self, cloud: Cloud) -> Cloud:
+    def with_group(self, cloud: Cloud) -> Cloud:
         """Return a cloud with the nodes that are held as a group of the grasp's name, unless it has one already."""
         if self.name in cloud.groups:
             return cloud
@@ -262,7 +262,7 @@ class Grasp:
 
     @cached_property
     def _motion(self) -> Motion:
-        return prepared(self.motion, f"the motion of Grasp {self.name!r}")
+        return motion_function(self.motion, f"the motion of Grasp {self.name!r}")
 
 
 def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
@@ -270,7 +270,7 @@ def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:
     return np.unique(cloud.face_nodes) if cloud.points.shape[1] == 3 else np.arange(len(cloud))
 
 
-def prepared(motion: Motion, what: str) -> Motion:
+def motion_function(motion: Motion, what: str) -> Motion:
     """Return a motion as a function of time, or as a constant pose.
 
     Raises

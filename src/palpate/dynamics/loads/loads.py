@@ -21,15 +21,15 @@ from palpate.dynamics.loads.foundation import Foundation, foundation_areas
 from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["Drive", "Gravity", "Load", "PrescribedMotion", "Traction", "drive"]
+__all__ = ["Gravity", "Load", "PreparedLoads", "PrescribedMotion", "SurfaceForce", "prepare_loads"]
 
 Floats = NDArray[np.float64]
 Vector = Sequence[float] | Callable[[float], Sequence[float]]
-FREE, FIXED, DRIVEN = 0, 1, 2
+FREE, FIXED, PRESCRIBED = 0, 1, 2
 
 
 @dataclass(frozen=True)
-class Traction:
+class SurfaceForce:
     """A force, a moment or a pressure on the face that a group of nodes makes up (equation 4).
 
     Give a force, a moment or both, or a pressure.
@@ -117,10 +117,10 @@ class PrescribedMotion:
         return np.asarray(times <= self.until * (1 + 1e-9))
 
 
-Load = Traction | Gravity | PrescribedMotion | Grasp | Contact | Foundation
+Load = SurfaceForce | Gravity | PrescribedMotion | Grasp | Contact | Foundation
 
 
-class Schedule(NamedTuple):
+class LoadHistory(NamedTuple):
     """Values of the loads at the times of some steps, for the compiled step."""
 
     gravity: Floats  # (s, 3)
@@ -133,7 +133,7 @@ class Schedule(NamedTuple):
     times: Floats  # (s,) [s]
 
 
-class Places(NamedTuple):
+class LoadSites(NamedTuple):
     """Where loads act, for the compiled step."""
 
     kind: NDArray[np.uint8]  # (n,) FREE, FIXED or DRIVEN
@@ -144,7 +144,7 @@ class Places(NamedTuple):
     pressure_start: NDArray[np.int64]
     pressure_node: NDArray[np.int64]
     pressure_area: Floats  # (k, 3) area vectors [m^2]
-    driven: NDArray[np.int64]
+    prescribed: NDArray[np.int64]
     impulses: Floats  # (driven nodes, 3) [N s] that drive them, added up by the step
     foundation_node: NDArray[np.int64]
     foundation_spring: Floats  # (k,) [N/m]
@@ -152,7 +152,7 @@ class Places(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Drive:
+class PreparedLoads:
     """Loads made ready for a cloud and its support.
 
     Parameters
@@ -166,7 +166,7 @@ class Drive:
     """
 
     loads: tuple[Load, ...]
-    places: Places
+    places: LoadSites
     supports: dict[str, NDArray[np.int64]]
     points: Floats
     contacts: Contacts
@@ -174,7 +174,7 @@ class Drive:
     grasps: tuple[str, ...] = ()
     partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)  # once computed
 
-    def schedule(self, times: Floats) -> Schedule:
+    def schedule(self, times: Floats) -> LoadHistory:
         """Evaluate every load at the given times [s].
 
         Raises
@@ -187,17 +187,17 @@ class Drive:
         for load in self.loads:
             if isinstance(load, Gravity):
                 gravity += _vectors(load.acceleration, times, "the acceleration of Gravity")
-            elif isinstance(load, Traction) and load.pressure is None:
+            elif isinstance(load, SurfaceForce) and load.pressure is None:
                 forces.append(_vectors(load.force, times, f"the force of Traction on {load.group!r}"))
                 moments.append(_vectors(load.moment, times, f"the moment of Traction on {load.group!r}"))
-            elif isinstance(load, Traction):
+            elif isinstance(load, SurfaceForce):
                 of, what = load.pressure, f"the pressure of Traction on {load.group!r}"
                 pressures.append(_shaped([of(t) if callable(of) else of for t in times], (), times, what))
-        motion = np.zeros((len(times), len(self.places.driven), 3))
+        motion = np.zeros((len(times), len(self.places.prescribed), 3))
         holds = np.ones(motion.shape[:2], dtype=np.bool_)
         for load, where in self.motions:
             holds[:, where] = load.holds(times)[:, None]
-            points, of_motion = self.points[self.places.driven[where]], load.displacement
+            points, of_motion = self.points[self.places.prescribed[where]], load.displacement
             what = f"the PrescribedMotion of {load.group!r}"
             last = np.minimum(times, load.until)
             values = [of_motion(points, float(t)) if callable(of_motion) else of_motion for t in last]
@@ -205,7 +205,7 @@ class Drive:
                 motion[:, where] = _shaped(values, (3,), times, what)[:, None]
             else:
                 motion[:, where] = _shaped(values, points.shape, times, what)
-        return Schedule(
+        return LoadHistory(
             gravity,
             np.stack(forces, axis=1) if forces else np.zeros((len(times), 0, 3)),
             np.stack(moments, axis=1) if moments else np.zeros((len(times), 0, 3)),
@@ -237,7 +237,7 @@ class Drive:
         held = self.places.kind != FREE
         for load, where in self.motions:
             if not load.holds(np.array(time)):
-                held[self.places.driven[where]] = False
+                held[self.places.prescribed[where]] = False
         return held
 
     def holding(self, time: float) -> dict[str, NDArray[np.int64]]:
@@ -277,7 +277,7 @@ def _shaped(values: list[Any], shape: tuple[int, ...], times: Floats, what: str)
     return array
 
 
-def _moment_shares(load: Traction, points: Floats, shares: Floats) -> Floats:
+def _moment_shares(load: SurfaceForce, points: Floats, shares: Floats) -> Floats:
     """Forces [N] of nodes at `points` (g, d) [m] for a unit moment [N m] of a load, shape (g, 3, 3).
 
     A_i (c x r_i) with r_i = X_i - centroid and the area A_i has the moment I c, I = sum A_i (|r_i|^2 1 - r_i r_i^T).
@@ -295,13 +295,13 @@ def _moment_shares(load: Traction, points: Floats, shares: Floats) -> Floats:
     return np.asarray(np.einsum("g,gia,ij->gaj", shares, crossed, np.linalg.inv(inertia)))
 
 
-def drive(
+def prepare_loads(
     cloud: Cloud,
     fixed: Sequence[str],
     loads: Sequence[Load],
-    areas_of: Callable[[Traction], Floats] | None = None,
+    areas_of: Callable[[SurfaceForce], Floats] | None = None,
     patches: sparse.csr_array | None = None,
-) -> Drive:
+) -> PreparedLoads:
     """Make loads ready for a cloud whose groups `fixed` are held.
 
     Parameters
@@ -323,7 +323,7 @@ def drive(
     loads = tuple(loads)
     grasps = tuple(load.name for load in loads if isinstance(load, Grasp))
     for load in loads:
-        cloud = load.marked(cloud) if isinstance(load, Grasp) else cloud
+        cloud = load.with_group(cloud) if isinstance(load, Grasp) else cloud
     loads = tuple(
         PrescribedMotion(load.name, load.displacement, load.until) if isinstance(load, Grasp) else load
         for load in loads
@@ -333,12 +333,12 @@ def drive(
     for name in fixed:
         supports[name] = cloud.group(name)
         kind[supports[name]] = FIXED
-    driven: list[NDArray[np.int64]] = []
+    prescribed: list[NDArray[np.int64]] = []
     motions, count = [], 0
     forces: list[tuple[NDArray[np.int64], Floats, Floats]] = []
     pressures: list[tuple[NDArray[np.int64], Floats]] = []
     foundations: list[tuple[NDArray[np.int64], Floats, Floats]] = []
-    held_until = np.where(kind == FIXED, np.inf, -np.inf)
+    prescribed_until = np.where(kind == FIXED, np.inf, -np.inf)
     for load in loads:
         if isinstance(load, PrescribedMotion):
             nodes = cloud.group(load.group)
@@ -347,13 +347,13 @@ def drive(
                 raise InputError(
                     f"PrescribedMotion on group {load.group!r}: its nodes {first_few(held)} are already fixed or driven"
                 )
-            kind[nodes] = DRIVEN
-            held_until[nodes] = load.until * (1 + 1e-9)
+            kind[nodes] = PRESCRIBED
+            prescribed_until[nodes] = load.until * (1 + 1e-9)
             supports[load.group] = nodes
-            driven.append(nodes)
+            prescribed.append(nodes)
             motions.append((load, slice(count, count + len(nodes))))
             count += len(nodes)
-        elif isinstance(load, Traction):
+        elif isinstance(load, SurfaceForce):
             nodes = cloud.group(load.group)
             areas = cloud.area_vectors(load.group) if areas_of is None else areas_of(load)
             shares = np.linalg.norm(areas, axis=1)
@@ -370,13 +370,13 @@ def drive(
                 f"{load!r} is not a load: use Traction, Gravity, PrescribedMotion, Grasp, Contact or Foundation"
             )
     for load in loads:
-        if isinstance(load, Traction) and np.all(kind[cloud.group(load.group)] != FREE):
+        if isinstance(load, SurfaceForce) and np.all(kind[cloud.group(load.group)] != FREE):
             raise InputError(f"Traction on group {load.group!r}: all of it is fixed or driven; load another group")
     if np.all(kind != FREE):
         names = ", ".join(map(repr, supports))
         raise InputError(f"all {len(cloud)} nodes are fixed or driven by {names}: none is left to move")
     empty = np.zeros(0, dtype=np.int64)
-    places = Places(
+    places = LoadSites(
         kind,
         np.cumsum([0, *(len(n) for n, _, _ in forces)]),
         np.concatenate([empty, *(n for n, _, _ in forces)]),
@@ -385,7 +385,7 @@ def drive(
         np.cumsum([0, *(len(n) for n, _ in pressures)]),
         np.concatenate([empty, *(n for n, _ in pressures)]),
         np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),
-        np.concatenate([empty, *driven]),
+        np.concatenate([empty, *prescribed]),
         np.zeros((count, 3)),
         np.concatenate([empty, *(n for n, _, _ in foundations)]),
         np.concatenate([np.zeros(0), *(k for _, k, _ in foundations)]),
@@ -395,5 +395,5 @@ def drive(
     for tool in tools:
         if tool.name in supports:
             raise InputError(f"Contact {tool.name!r}: a support or a driven group has that name; choose another")
-    touching = contacts(tools, cloud, held_until, patches)
-    return Drive(loads, places, supports, cloud.points, touching, tuple(motions), grasps)
+    touching = contacts(tools, cloud, prescribed_until, patches)
+    return PreparedLoads(loads, places, supports, cloud.points, touching, tuple(motions), grasps)

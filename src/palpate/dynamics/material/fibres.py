@@ -13,13 +13,13 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import law_digest, law_njit, named_for
+from palpate.dynamics.compiled.cache import law_digest, law_njit, rename_for
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.faults import InputError
 from palpate.tissue.fibres import LEAST, FibreLaw
 from palpate.tissue.materials import Material
 
-__all__ = ["BARE", "Families", "FibrePoints", "fibre_points", "firm", "laid_out", "placed"]
+__all__ = ["BARE", "Families", "FibrePoints", "always_taut", "fibre_points", "lay_out_fibres", "prepare_fibres"]
 
 Floats = NDArray[np.float64]
 
@@ -45,11 +45,11 @@ class FibrePoints(NamedTuple):
     """
 
     digest: str
-    stressed: Any
-    charged: Any
+    add_stress: Any
+    add_energy: Any
 
 
-def placed(fibres: FibreLaw | None, material: Material, form: str, points: Floats) -> FibreLaw | None:
+def prepare_fibres(fibres: FibreLaw | None, material: Material, form: str, points: Floats) -> FibreLaw | None:
     """Return the fibres of a body with a direction for every node; refuse bodies that cannot have any."""
     if fibres is None:
         return None
@@ -60,14 +60,14 @@ def placed(fibres: FibreLaw | None, material: Material, form: str, points: Float
     return fibres.at(points)
 
 
-def firm(families: Families) -> Families:
+def always_taut(families: Families) -> Families:
     """Return fibres for the search of a stable step: they carry compression, too."""
     coefficients = families.coefficients.copy()
     coefficients[-1:] = 1.0
     return families._replace(coefficients=coefficients)
 
 
-def laid_out(fibres: FibreLaw | None, nodes: NDArray[np.integer[Any]]) -> Families:
+def lay_out_fibres(fibres: FibreLaw | None, nodes: NDArray[np.integer[Any]]) -> Families:
     """Lay out the fibres of nodes (b, LANES), or of none."""
     if fibres is None:
         return Families(np.zeros(0), np.zeros((0, 0, 3, LANES)))
@@ -116,10 +116,10 @@ def fibre_points(fibres: FibreLaw | None) -> FibrePoints:
 def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
     """Compile the points of a law with some number of families."""
     digest = law_digest(__name__, "fibres", law.respond, count, LEAST)
-    respond = register_jitable(named_for(digest, law.respond))
+    respond = register_jitable(rename_for(digest, law.respond))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def stressed(P, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+    def add_stress(P, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
         F, c, C, s, slope = _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
         isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
         S0, S1, S2, S3, S4, S5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -141,7 +141,7 @@ def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
         )
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def charged(W, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+    def add_energy(W, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
         _, _, C, s, _ = _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
         isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
         for f in range(count):
@@ -150,4 +150,4 @@ def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
             W += w
         return W
 
-    return FibrePoints(digest, stressed, charged)
+    return FibrePoints(digest, add_stress, add_energy)

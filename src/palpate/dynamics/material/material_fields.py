@@ -59,7 +59,7 @@ def regions_of(
 
 def spread(regions: Regions, nodes: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
     """Lay the parameters of nodes (b, LANES) out, (b, p + 1, LANES)."""
-    every = np.column_stack([regions.coefficients, regions.firmness])
+    every = np.column_stack([regions.coefficients, regions.modulus_ratio])
     return np.ascontiguousarray(every[nodes].transpose(0, 2, 1))
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_njit
+from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
 from palpate.dynamics.material.principal_stretches import make_principal_stress, principal
 
 __all__ = ["make_principal_point"]
@@ -42,7 +42,7 @@ def make_principal_point(
     stress, density : functions
         Of F - I (nine numbers, row by row) and the coefficients: P, cof(F) and J - 1; and E [J/m^3] and J - 1.
     """
-    energy, first_of, second_of = (inlined(digest, f) for f in (energy_of, law_first, law_second))
+    energy, first_of, second_of = (inline(digest, f) for f in (energy_of, law_first, law_second))
     whole = make_principal_stress(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"})

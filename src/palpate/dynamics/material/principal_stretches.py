@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_njit
+from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 
 __all__ = ["make_principal_response", "make_principal_stress", "principal"]
@@ -89,7 +89,7 @@ def _quotient(x, y, s, t, slope):  # type: ignore[no-untyped-def]
 
 def make_principal_stress(digest: str, law_first: Any) -> Any:
     """Make the compiled shear stress of one point for a law of the stretches, as `solid_energy.make_stress` does."""
-    first_of = inlined(digest, law_first)
+    first_of = inline(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
@@ -174,7 +174,7 @@ def _axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
 
 def _make_slopes(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
     """Make the function that writes s_a, ds_a/dx_b and the quotients of a lane, twelve numbers, into rows 27 to 38."""
-    first_of, second_of = (inlined(digest, f) for f in (law_first, law_second))
+    first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def slopes(v, squares, d, coefficients, lame):  # type: ignore[no-untyped-def]

@@ -26,22 +26,22 @@ from palpate.dynamics.compiled.lanes import LANES
 from palpate.tissue.materials import Material
 
 __all__ = [
-    "Memory",
+    "HistoryVariables",
     "Relaxation",
     "after",
-    "at_ease",
+    "equilibrium_history",
     "even_change",
-    "followed",
-    "forget",
-    "memory",
+    "history",
+    "history_after",
     "overstress",
     "overstress_alone",
     "prepare",
-    "recall",
     "relax_volume",
     "relaxation",
-    "remember",
-    "remembered",
+    "reset_history",
+    "restore_history",
+    "saved_history",
+    "update_history",
 ]
 
 Floats = NDArray[np.float64]
@@ -57,7 +57,7 @@ class Relaxation(NamedTuple):
     times: Floats
 
 
-class Memory(NamedTuple):
+class HistoryVariables(NamedTuple):
     """What relaxing tissue remembers, point by point in blocks of lanes.
 
     Parameters
@@ -110,11 +110,11 @@ def relaxation(material: Material) -> Relaxation:
     return Relaxation(moduli, np.array(series.bulk_shares) * material.bulk_modulus / material.lame, times)
 
 
-def memory(branches: int, blocks: int, volumes: int) -> Memory:
+def history(branches: int, blocks: int, volumes: int) -> HistoryVariables:
     """Allocate the memory of a body at rest that has always been there."""
     if branches == 0:
         blocks = volumes = 0
-    kept = Memory(
+    kept = HistoryVariables(
         np.zeros(2),
         np.zeros((blocks, 6, LANES)),
         np.zeros((blocks, branches, 6, LANES)),
@@ -132,11 +132,11 @@ def memory(branches: int, blocks: int, volumes: int) -> Memory:
     return kept
 
 
-def _kept(of: Memory) -> tuple[Floats, ...]:
+def _kept(of: HistoryVariables) -> tuple[Floats, ...]:
     return of.strain, of.branches, of.dilatation, of.volume
 
 
-def recall(into: Memory, old: tuple[Floats, ...]) -> None:
+def restore_history(into: HistoryVariables, old: tuple[Floats, ...]) -> None:
     """Let a memory go on from what was remembered, or from rest if that is nothing; its losses are counted anew."""
     if not into.branches.size:
         return
@@ -144,23 +144,23 @@ def recall(into: Memory, old: tuple[Floats, ...]) -> None:
         for own, was in zip(_kept(into), old, strict=True):
             own[:] = was
     else:
-        forget(into)
+        reset_history(into)
     into.lost[:] = 0.0
     into.volume_lost[:] = 0.0
 
 
-def followed(
-    of: Memory, old: tuple[Floats, ...], interval: float, evaluate: Callable[[], object]
+def history_after(
+    of: HistoryVariables, old: tuple[Floats, ...], interval: float, evaluate: Callable[[], object]
 ) -> tuple[Floats, ...]:
     """Return what a body remembers in the state that is evaluated, an even change over an interval [s] later."""
-    recall(of, old)
+    restore_history(of, old)
     of.interval[0] = interval
     evaluate()
     of.interval[0] = 0.0
-    return remembered(of)
+    return saved_history(of)
 
 
-def at_ease(of: Memory, evaluate: Callable[[], object]) -> tuple[Floats, ...]:
+def equilibrium_history(of: HistoryVariables, evaluate: Callable[[], object]) -> tuple[Floats, ...]:
     """Return what a body remembers that has long been in the state that is evaluated; nothing if it does not relax."""
     if not of.branches.size:
         return ()
@@ -169,20 +169,20 @@ def at_ease(of: Memory, evaluate: Callable[[], object]) -> tuple[Floats, ...]:
     of.interval[:] = 0.0
     of.branches[:] = 0.0
     of.volume[:] = 0.0
-    return remembered(of)
+    return saved_history(of)
 
 
-def remembered(of: Memory) -> tuple[Floats, ...]:
+def saved_history(of: HistoryVariables) -> tuple[Floats, ...]:
     """Return copies of what a memory must not forget between evaluations; nothing if the body does not relax."""
     return tuple(array.copy() for array in _kept(of)) if of.branches.size else ()
 
 
 @kernel_njit()
-def prepare(relaxation, memory):  # type: ignore[no-untyped-def]
+def prepare(relaxation, history):  # type: ignore[no-untyped-def]
     """Write for every branch what is left of it after the interval, what of an even change is, and what both lose."""
-    interval = memory.interval[0]
+    interval = history.interval[0]
     for k in range(relaxation.times.shape[0]):
-        factors = memory.factors[k]
+        factors = history.factors[k]
         if interval == 0.0:
             factors[0], factors[1], factors[2:] = 1.0, 1.0, 0.0
             continue
@@ -220,51 +220,53 @@ def _isochoric(c):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(forceinline=True)
-def remember(relaxation, memory, b, v, C):  # type: ignore[no-untyped-def]
+def update_history(relaxation, history, b, v, C):  # type: ignore[no-untyped-def]
     """Bring the branches and the strain of one point up to date."""
     for k in range(relaxation.times.shape[0]):
-        factors, lost = memory.factors[k], 0.0
+        factors, lost = history.factors[k], 0.0
         for q in range(6):
-            old, change = memory.branches[b, k, q, v], C[q] - memory.strain[b, q, v]
+            old, change = history.branches[b, k, q, v], C[q] - history.strain[b, q, v]
             lost += (1.0 if q < 3 else 2.0) * _lost(old, change, factors)
-            memory.branches[b, k, q, v] = factors[0] * old + factors[1] * change
-        memory.lost[b, v] += 0.5 * relaxation.moduli[k] * lost
+            history.branches[b, k, q, v] = factors[0] * old + factors[1] * change
+        history.lost[b, v] += 0.5 * relaxation.moduli[k] * lost
     for q in range(6):
-        memory.strain[b, q, v] = C[q]
+        history.strain[b, q, v] = C[q]
 
 
 @kernel_njit(forceinline=True)
-def even_change(memory, b, k, q, v, now):  # type: ignore[no-untyped-def]
+def even_change(history, b, k, q, v, now):  # type: ignore[no-untyped-def]
     """Return component q of a point's branch k when its strain there has changed evenly over the interval."""
-    return memory.factors[k, 0] * memory.branches[b, k, q, v] + memory.factors[k, 1] * (now - memory.strain[b, q, v])
+    return history.factors[k, 0] * history.branches[b, k, q, v] + history.factors[k, 1] * (
+        now - history.strain[b, q, v]
+    )
 
 
 @kernel_njit()
 def after(work, interval):  # type: ignore[no-untyped-def]
     """Let the next evaluation be remembered as that of an interval [s] later; with 0 none is."""
-    work.memory.interval[0] = interval
+    work.history.interval[0] = interval
 
 
 @kernel_njit(fastmath={"contract"})
-def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyped-def]
+def _answer(relaxation, history, cofactor, b, interval):  # type: ignore[no-untyped-def]
     """Write the overstress of the points of one block."""
-    old, kept, stress = memory.branches[b], memory.strain[b], memory.stress[b]
+    old, kept, stress = history.branches[b], history.strain[b], history.stress[b]
     for v in range(LANES):
         c = (cofactor[b, 0, v], cofactor[b, 1, v], cofactor[b, 2, v], cofactor[b, 3, v], cofactor[b, 4, v],
              cofactor[b, 5, v], cofactor[b, 6, v], cofactor[b, 7, v], cofactor[b, 8, v])  # fmt: skip
         F, J, scale, C = _isochoric(c)
         Q0, Q1, Q2, Q3, Q4, Q5, stored = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(relaxation.times.shape[0]):
-            left, new, mu = memory.factors[k, 0], memory.factors[k, 1], relaxation.moduli[k]
+            left, new, mu = history.factors[k, 0], history.factors[k, 1], relaxation.moduli[k]
             A0, A1 = left * old[k, 0, v] + new * (C[0] - kept[0, v]), left * old[k, 1, v] + new * (C[1] - kept[1, v])
             A2, A3 = left * old[k, 2, v] + new * (C[2] - kept[2, v]), left * old[k, 3, v] + new * (C[3] - kept[3, v])
             A4, A5 = left * old[k, 4, v] + new * (C[4] - kept[4, v]), left * old[k, 5, v] + new * (C[5] - kept[5, v])
             Q0, Q1, Q2 = Q0 + mu * A0, Q1 + mu * A1, Q2 + mu * A2
             Q3, Q4, Q5 = Q3 + mu * A3, Q4 + mu * A4, Q5 + mu * A5
             stored += 0.25 * mu * (A0 * A0 + A1 * A1 + A2 * A2 + 2.0 * (A3 * A3 + A4 * A4 + A5 * A5))
-        memory.energy[b, v] = stored
+        history.energy[b, v] = stored
         if interval > 0.0:
-            remember(relaxation, memory, b, v, C)
+            update_history(relaxation, history, b, v, C)
         trace = Q0 * C[0] + Q1 * C[1] + Q2 * C[2] + 2.0 * (Q3 * C[3] + Q4 * C[4] + Q5 * C[5])
         trace /= 3.0 * J
         for i in range(3):
@@ -275,55 +277,55 @@ def _answer(relaxation, memory, cofactor, b, interval):  # type: ignore[no-untyp
 
 
 @kernel_njit()
-def overstress_alone(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
+def overstress_alone(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
     """Do as `overstress` on one thread."""
-    prepare(relaxation, memory)
+    prepare(relaxation, history)
     for b in range(cofactor.shape[0]):
-        _answer(relaxation, memory, cofactor, b, memory.interval[0])
+        _answer(relaxation, history, cofactor, b, history.interval[0])
 
 
 @kernel_njit()
-def forget(memory):  # type: ignore[no-untyped-def]
+def reset_history(history):  # type: ignore[no-untyped-def]
     """Let a memory be that of a body that has always been at rest."""
-    for b in range(memory.strain.shape[0]):
+    for b in range(history.strain.shape[0]):
         for q in range(6):
             for v in range(LANES):
-                memory.strain[b, q, v] = 1.0 if q < 3 else 0.0
-    memory.branches[:] = 0.0
-    memory.dilatation[:] = 0.0
-    memory.volume[:] = 0.0
-    memory.interval[:] = 0.0
+                history.strain[b, q, v] = 1.0 if q < 3 else 0.0
+    history.branches[:] = 0.0
+    history.dilatation[:] = 0.0
+    history.volume[:] = 0.0
+    history.interval[:] = 0.0
 
 
 @kernel_njit(parallel=True)
-def overstress(relaxation, memory, cofactor):  # type: ignore[no-untyped-def]
+def overstress(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
     """Write the overstress of all points into `memory.stress`; remember their strain if the interval is not 0.
 
     `cofactor` is cof F, (b, 9, LANES), row by row.
     """
-    prepare(relaxation, memory)
+    prepare(relaxation, history)
     for b in prange(cofactor.shape[0]):
-        _answer(relaxation, memory, cofactor, b, memory.interval[0])
+        _answer(relaxation, history, cofactor, b, history.interval[0])
 
 
 @kernel_njit()
-def relax_volume(relaxation, memory, values):  # type: ignore[no-untyped-def]
+def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
     """Write values (v,) that the volumetric coefficient multiplies, and what branches add, to `memory.effective`."""
-    interval = memory.interval[0]
+    interval = history.interval[0]
     for i in range(values.shape[0]):
         total, stored, gone = values[i], 0.0, 0.0
-        change = values[i] - memory.dilatation[i]
+        change = values[i] - history.dilatation[i]
         for k in range(relaxation.times.shape[0]):
             share = relaxation.bulk[k]
-            old = memory.volume[i, k]
-            now = memory.factors[k, 0] * old + memory.factors[k, 1] * change
+            old = history.volume[i, k]
+            now = history.factors[k, 0] * old + history.factors[k, 1] * change
             total += share * now
             stored += 0.5 * share * now * now
             if interval > 0.0:
-                gone += share * _lost(old, change, memory.factors[k])
-                memory.volume[i, k] = now
-        memory.effective[i] = total
-        memory.volume_energy[i] = stored
+                gone += share * _lost(old, change, history.factors[k])
+                history.volume[i, k] = now
+        history.effective[i] = total
+        history.volume_energy[i] = stored
         if interval > 0.0:
-            memory.volume_lost[i] += gone
-            memory.dilatation[i] = values[i]
+            history.volume_lost[i] += gone
+            history.dilatation[i] = values[i]

@@ -21,19 +21,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
-from palpate.dynamics.material.relaxation import even_change, remember
+from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
+from palpate.dynamics.material.relaxation import even_change, update_history
 from palpate.dynamics.membrane.principal_moduli import axes
 from palpate.tissue.fibres import FibreLaw
 
-__all__ = ["ALONE", "Beside", "SheetExtras", "beside", "gathered"]
+__all__ = [
+    "NO_ADDITIONAL_STRESS",
+    "AdditionalStress",
+    "AdditionalStressData",
+    "additional_stress",
+    "flatten_additional",
+]
 
 Floats = NDArray[np.float64]
 
 NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
 
 
-class SheetExtras(NamedTuple):
+class AdditionalStressData(NamedTuple):
     """What the functions of `Beside` read and write: of `Families`, of `Relaxation` and of the `Memory` of points."""
 
     coefficients: Floats
@@ -48,15 +54,15 @@ class SheetExtras(NamedTuple):
 
 
 @kernel_njit()
-def gathered(families, relaxation, memory):  # type: ignore[no-untyped-def]
+def flatten_additional(families, relaxation, history):  # type: ignore[no-untyped-def]
     """Gather them in one flat tuple, as threads take it."""
-    return SheetExtras(
+    return AdditionalStressData(
         families.coefficients, families.directions, relaxation.moduli, relaxation.times,
-        memory.interval, memory.strain, memory.branches, memory.factors, memory.lost,
+        history.interval, history.strain, history.branches, history.factors, history.lost,
     )  # fmt: skip
 
 
-class Beside(NamedTuple):
+class AdditionalStress(NamedTuple):
     """What is compiled beside a law.
 
     Parameters
@@ -72,22 +78,22 @@ class Beside(NamedTuple):
     answer: Any
 
 
-ALONE = Beside("", None)
+NO_ADDITIONAL_STRESS = AdditionalStress("", None)
 
 
-def beside(fibres: FibreLaw | None, relaxing: bool, relaxed: bool) -> Beside:
+def additional_stress(fibres: FibreLaw | None, relaxing: bool, relaxed: bool) -> AdditionalStress:
     """Return what stands beside a sheet's law: some fibres, the branches of tissue that relaxes, both or nothing."""
     if fibres is None and not relaxing:
-        return ALONE
+        return NO_ADDITIONAL_STRESS
     kind = (None, 0) if fibres is None else (type(fibres), len(fibres.directions))
     return _compiled(*kind, relaxing, relaxed)
 
 
 @cache
-def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: bool) -> Beside:
+def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: bool) -> AdditionalStress:
     respond_of = _nothing if law is None else law.respond
     digest = law_digest(__name__, "beside a sheet", respond_of, count, relaxing, relaxed)
-    respond = inlined(digest, respond_of)
+    respond = inline(digest, respond_of)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def answer(C00, C11, C01, b, point, v, extras):  # type: ignore[no-untyped-def]
@@ -120,7 +126,7 @@ def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: b
         r = Q2 / (D * D)
         return W, Q0 - r * C11, Q1 - r * C00, Q3 + r * C01
 
-    return Beside(digest, answer)
+    return AdditionalStress(digest, answer)
 
 
 def _nothing(C, a, c):  # type: ignore[no-untyped-def]
@@ -138,5 +144,5 @@ def _overstress(E, point, v, extras):  # type: ignore[no-untyped-def]
         Q0, Q1, Q2, Q3 = Q0 + mu * A0, Q1 + mu * A1, Q2 + mu * A2, Q3 + mu * A3
         stored += 0.25 * mu * (A0 * A0 + A1 * A1 + A2 * A2 + 2.0 * A3 * A3)
     if extras.interval[0] > 0.0:
-        remember(extras, extras, point, v, E)
+        update_history(extras, extras, point, v, E)
     return stored, Q0, Q1, Q2, Q3

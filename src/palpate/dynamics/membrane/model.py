@@ -9,11 +9,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.lanes import Lanes, Weights, lane_table, transposed
-from palpate.dynamics.loads.loads import Drive, Load, Traction, drive
-from palpate.dynamics.material.fibres import laid_out, placed
-from palpate.dynamics.material.relaxation import at_ease, recall, relaxation, remembered
-from palpate.dynamics.membrane.additional_stress import ALONE, Beside, beside
+from palpate.dynamics.compiled.lanes import Lanes, Weights, lane_table, transpose
+from palpate.dynamics.loads.loads import Load, PreparedLoads, SurfaceForce, prepare_loads
+from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
+from palpate.dynamics.material.relaxation import equilibrium_history, relaxation, restore_history, saved_history
+from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, additional_stress
 from palpate.dynamics.membrane.passes import POINTS, RADIUS, SheetBody, sheet, sheet_work
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
@@ -85,7 +85,7 @@ class Membrane(NodalModel):
         prestretch: float = 1.0,
         relaxed: bool = True,
         form: str = "energy",
-        viscosity: float | None = None,
+        stiffness_damping: float | None = None,
         neighbours: int | None = None,
         fibres: FibreLaw | None = None,
     ) -> None:
@@ -97,30 +97,30 @@ class Membrane(NodalModel):
         self.relaxed, self.form, self.conservative = bool(relaxed), form, form == "energy"
         # the mounted boundary vectors are those of the half cell, c = 2, which the energy form has by itself
         self.half_cell = 1.0
-        self.viscosity = 0.0
+        self.stiffness_damping = 0.0
         wished = NEIGHBOURS[form] if neighbours is None else neighbours
         self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=wished)
         self._areas = cloud.volumes / self.prestretch**2
         body, longest = self._body()
         self._compile(
-            sheet(type(material), self.relaxed, form == "strong", self._beside()),
+            sheet(type(material), self.relaxed, form == "strong", self._additional_stress()),
             body,
             sheet_work(
                 len(cloud), len(body.lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS, len(body.relaxation.times)
             ),
             body.lanes,
         )
-        self._at_ease(np.zeros((len(cloud), 3)))
+        self._equilibrium_history(np.zeros((len(cloud), 3)))
         self._taut = resting_frequency(self, TAUT * self._flat(cloud.points))
-        wanted = DAMPING[form] / self._taut if viscosity is None else viscosity
-        used = number_in_range("viscosity", wanted, 0.0, unit="s")
+        wanted = DAMPING[form] / self._taut if stiffness_damping is None else stiffness_damping
+        used = number_in_range("stiffness_damping", wanted, 0.0, unit="s")
         needed = 0.0 if self.conservative else np.nan
         step = stable_step(self._taut, used)
         self._examined(StabilityReport("the taut sheet", None, needed, used, self._taut, step))
 
-    def _beside(self) -> Beside:
+    def _additional_stress(self) -> AdditionalStress:
         """What is compiled beside the law."""
-        return beside(self.fibres, self.material.prony is not None, self.relaxed)
+        return additional_stress(self.fibres, self.material.prony is not None, self.relaxed)
 
     def _body(self) -> tuple[SheetBody, int]:
         """Lay out the stencils; return them with the longest list of neighbours that a pass holds."""
@@ -134,14 +134,14 @@ class Membrane(NodalModel):
             row, second = np.arange(len(cloud), dtype=np.int32), second[row]
             both = np.concatenate([first, second], axis=2)
             own = -both.sum(axis=1)
-            near, weights = transposed(stencils.neighbours, both, self._areas)
+            near, weights = transpose(stencils.neighbours, both, self._areas)
             carriers, (back,) = lane_table(near, row, weights)
         lanes, (first_weights, second_weights) = lane_table(stencils.neighbours, row, first, second)
         body = SheetBody(
             lanes, first_weights, second_weights, carriers, back, own,
             np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
             RADIUS * np.sqrt(self._areas), self.material.coefficients, self.prestretch,
-            relaxation(self.material), laid_out(self.fibres, lanes.nodes),
+            relaxation(self.material), lay_out_fibres(self.fibres, lanes.nodes),
         )  # fmt: skip
         return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(carriers.start).max(initial=0)))
 
@@ -165,27 +165,27 @@ class Membrane(NodalModel):
         self.force(displacements)
         return float(np.sum(self.volumes * self.work.energy))
 
-    def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
-        return at_ease(self.work.memory, lambda: self.force(displacements))
+    def _equilibrium_history(self, displacements: Floats) -> tuple[Floats, ...]:
+        return equilibrium_history(self.work.history, lambda: self.force(displacements))
 
-    def _recall(self, state: State | None) -> None:
-        recall(self.work.memory, () if state is None else state.memory)
+    def _restore_history(self, state: State | None) -> None:
+        restore_history(self.work.history, () if state is None else state.history)
         if state is None:
-            self._at_ease(np.zeros((len(self.cloud), 3)))
+            self._equilibrium_history(np.zeros((len(self.cloud), 3)))
 
-    def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
+    def _saved_history(self) -> tuple[float, tuple[Floats, ...]]:
         if self.material.prony is None:
             return 0.0, ()
-        lost = self.work.memory.lost
+        lost = self.work.history.lost
         by_node = lost.reshape(-1, POINTS, lost.shape[1]).mean(axis=1).ravel()[self.slot]
-        return float(self.volumes @ by_node), remembered(self.work.memory)
+        return float(self.volumes @ by_node), saved_history(self.work.history)
 
     def stress(self, displacements: Floats) -> Floats:
         """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 2), for displacements (n, 3) [m].
 
         With fibres, or in tissue that relaxes, the mean over the six points about the node.
         """
-        if self._beside() == ALONE:
+        if self._additional_stress() == NO_ADDITIONAL_STRESS:
             return self.stress_at(self.deformation_gradient(displacements))
         self.force(displacements)
         return np.array(self.work.flux[:, :6].reshape(-1, 2, 3).transpose(0, 2, 1))
@@ -205,7 +205,7 @@ class Membrane(NodalModel):
         """Return the Cauchy stresses [Pa] along the principal stretches, (n, 2), for displacements (n, 3) [m]."""
         F = self.deformation_gradient(displacements)
         stretches, directions = _principal(F)
-        if self._beside() == ALONE:
+        if self._additional_stress() == NO_ADDITIONAL_STRESS:
             return np.asarray(self._nominal(stretches) * stretches)
         return np.asarray(np.sum((F @ directions) * (self.stress(displacements) @ directions), axis=1))
 
@@ -235,13 +235,13 @@ class Membrane(NodalModel):
         nominal = [2 * (W1 * (a - 1 / (a * D)) + W2 * (a * b**2 + (a - t / a) / D)) for a, b in ((l1, l2), (l2, l1))]
         return np.stack(nominal, axis=-1)
 
-    def drive(self, loads: Sequence[Load]) -> Drive:
-        return drive(self.cloud, self.fixed, loads, partial(load_areas, self.cloud, self.prestretch))
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+        return prepare_loads(self.cloud, self.fixed, loads, partial(load_areas, self.cloud, self.prestretch))
 
-    def stable_step(self, state: State, drive: Drive) -> float:
+    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
         # a slack place has no frequency until it is taut, sooner than the next estimate
-        frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
-        return self._step(max(frequency, self._taut), drive)
+        frequency = self.highest_frequency(state.coordinates, prepared.held(state.time))
+        return self._step(max(frequency, self._taut), prepared)
 
 
 def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres: FibreLaw | None) -> FibreLaw | None:
@@ -260,7 +260,7 @@ def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres:
         raise InputError("a membrane keeps its volume: leave bulk_shares out of its Prony series")
     if material.prony is not None and form != "energy":
         raise InputError("tissue that relaxes (prony=) needs form='energy'")
-    placed_fibres = placed(fibres, material, form, cloud.points)
+    placed_fibres = prepare_fibres(fibres, material, form, cloud.points)
     if placed_fibres is not None and relaxed:
         raise InputError("a sheet with fibres carries compression: give it relaxed=False")
     if placed_fibres is not None and np.abs(placed_fibres.directions[..., 2]).max() > FLAT:
@@ -268,7 +268,7 @@ def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres:
     return placed_fibres
 
 
-def load_areas(cloud: Cloud, prestretch: float, load: Traction) -> Floats:
+def load_areas(cloud: Cloud, prestretch: float, load: SurfaceForce) -> Floats:
     """Return area vectors (k, 3) of a load on a sheet: a pressure acts on the face, a force on an edge, or all over."""
     face = cloud.volumes[cloud.group(load.group), None] / prestretch**2 * [0.0, 0.0, 1.0]
     if load.pressure is not None:

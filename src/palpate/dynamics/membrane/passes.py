@@ -24,12 +24,12 @@ import numpy as np
 from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
+from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
 from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, gather_fluxes, lift_passes
 from palpate.dynamics.material.fibres import Families
-from palpate.dynamics.material.relaxation import Memory, Relaxation, after, memory, prepare
-from palpate.dynamics.membrane.additional_stress import ALONE, Beside, gathered
+from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, after, history, prepare
+from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, flatten_additional
 from palpate.dynamics.membrane.principal_moduli import make_principal_moduli, make_principal_strong
 from palpate.tissue.materials import Material
 
@@ -69,7 +69,7 @@ class SheetWork(NamedTuple):
     cofactor: NDArray[np.float64]  # (b, 9, LANES): the last of every three is the deformed normal's component
     flux: NDArray[np.float64]  # (n, 15) stress and its first moments; in the strong form the force (n, 0:3)
     energy: NDArray[np.float64]  # (n,) [J/m^3]
-    memory: Memory  # of tissue that relaxes: of point q about the nodes of block b at POINTS b + q
+    history: HistoryVariables  # of tissue that relaxes: of point q about the nodes of block b at POINTS b + q
 
 
 def sheet_work(nodes: int, blocks: int, longest: int, threads: int, branches: int = 0) -> SheetWork:
@@ -80,7 +80,7 @@ def sheet_work(nodes: int, blocks: int, longest: int, threads: int, branches: in
         np.zeros((blocks, 9, LANES)),
         np.zeros((nodes, NUMBERS)),
         np.zeros(nodes),
-        memory(branches, POINTS * blocks, 0),
+        history(branches, POINTS * blocks, 0),
     )
 
 
@@ -138,7 +138,7 @@ def make_moduli(
     """
     if variables == "stretches":
         return make_principal_moduli(digest, energy_of, law_first, law_second, relaxed), None
-    energy, first_of, second_of = (inlined(digest, f) for f in (energy_of, law_first, law_second))
+    energy, first_of, second_of = (inline(digest, f) for f in (energy_of, law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
@@ -299,7 +299,9 @@ def _make_answer(digest: str, law: type[Material], relaxed: bool, strong: bool, 
 
 
 @cache
-def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALONE) -> Formulation:
+def sheet(
+    law: type[Material], relaxed: bool, strong: bool, added: AdditionalStress = NO_ADDITIONAL_STRESS
+) -> Formulation:
     """Compile the passes of a membrane.
 
     Parameters
@@ -331,9 +333,9 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
         if more:
-            prepare(body.relaxation, work.memory)
+            prepare(body.relaxation, work.history)
         each(u, body.lanes, body.first, body.second, body.boundary, body.radius, body.coefficients, body.prestretch,
-             gathered(body.families, body.relaxation, work.memory),
+             flatten_additional(body.families, body.relaxation, work.history),
              work.fields, work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
@@ -348,9 +350,9 @@ def sheet(law: type[Material], relaxed: bool, strong: bool, added: Beside = ALON
     @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
         if more:
-            prepare(body.relaxation, work.memory)
+            prepare(body.relaxation, work.history)
         each_column(columns, table, body.lanes, body.boundary, body.radius, body.coefficients, body.prestretch,
-                    gathered(body.families, body.relaxation, work.memory),
+                    flatten_additional(body.families, body.relaxation, work.history),
                     work.derivatives, work.cofactor, work.flux, work.energy)  # fmt: skip
 
     @law_njit(digest, inner=True)

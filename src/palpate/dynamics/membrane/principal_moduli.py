@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_njit
+from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.material.principal_stretches import NEAR
 
@@ -25,7 +25,7 @@ NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress
 
 def make_principal_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> Any:
     """Make the function of C that gives energy, a and g, as `sheet` makes it for a law of the invariants."""
-    energy, first_of = (inlined(digest, f) for f in (energy_of, law_first))
+    energy, first_of = (inline(digest, f) for f in (energy_of, law_first))
     plane, _ = _make_slopes(digest, law_first, law_second)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -55,7 +55,7 @@ def make_principal_moduli(digest: str, energy_of: Any, law_first: Any, law_secon
 
 def _make_slopes(digest: str, law_first: Any, law_second: Any) -> tuple[Any, Any]:
     """Make the functions of a taut state's stretches, and of a wrinkled one's, that give the slopes of its stress."""
-    first_of, second_of = (inlined(digest, f) for f in (law_first, law_second))
+    first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"})
     def plane(l1, l2, coefficients):  # type: ignore[no-untyped-def]

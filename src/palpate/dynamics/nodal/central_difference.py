@@ -81,9 +81,9 @@ def _kick(places, holds, force, surface, gravity, half_cell, volumes, density, k
     for i in range(places.kind.shape[0]):
         if places.kind[i] == FREE:
             work += _kick_node(i, force, surface, gravity, half_cell, volumes, density, kick, velocity)
-    for k in range(places.driven.shape[0]):
+    for k in range(places.prescribed.shape[0]):
         if not holds[k]:
-            i = places.driven[k]
+            i = places.prescribed[k]
             work += _kick_node(i, force, surface, gravity, half_cell, volumes, density, kick, velocity)
     return work * kick
 
@@ -104,16 +104,16 @@ def _viscous_work(force, previous, volumes, u, at):  # type: ignore[no-untyped-d
 
 
 @kernel_njit()
-def _slow_jumps(driven, holds, u, velocity, beta, fastest, at):  # type: ignore[no-untyped-def]
+def _slow_jumps(prescribed, holds, u, velocity, beta, wave_speed, at):  # type: ignore[no-untyped-def]
     """Let no driven node be faster than `fastest` in the viscous forces: those of a jump would grow as 1 / step."""
-    for k in range(driven.shape[0]):
+    for k in range(prescribed.shape[0]):
         if not holds[k]:
             continue
-        i = driven[k]
+        i = prescribed[k]
         speed = np.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
-        if speed > fastest:
+        if speed > wave_speed:
             for c in range(3):
-                at[i, c] = u[i, c] + beta * velocity[i, c] * fastest / speed
+                at[i, c] = u[i, c] + beta * velocity[i, c] * wave_speed / speed
 
 
 @kernel_njit()
@@ -123,10 +123,10 @@ def _drive(places, holds, target, step, kick, u, force, surface, gravity, half_c
     A tool's force is what the node's acceleration needs beyond the other forces on it; those act over the time `kick`.
     """
     work = 0.0
-    for k in range(places.driven.shape[0]):
+    for k in range(places.prescribed.shape[0]):
         if not holds[k]:
             continue
-        i = places.driven[k]
+        i = places.prescribed[k]
         for c in range(3):
             before, after = velocity[i, c], (target[k, c] - u[i, c]) / step
             inertia = density * ((after - before) / step - gravity[c])
@@ -140,9 +140,9 @@ def _drive(places, holds, target, step, kick, u, force, surface, gravity, half_c
 @kernel_njit()
 def _bear(places, holds, kick, force, surface, gravity, half_cell, volumes, density):  # type: ignore[no-untyped-def]
     """Let what drives nodes bear the other forces on them over the time `kick`."""
-    for k in range(places.driven.shape[0]):
+    for k in range(places.prescribed.shape[0]):
         if holds[k]:
-            i = places.driven[k]
+            i = places.prescribed[k]
             for c in range(3):
                 other = force[i, c] + half_cell * surface[i, c] + density * gravity[c]
                 places.impulses[k, c] -= kick * volumes[i] * other
@@ -169,7 +169,7 @@ def full_step(formulation: Formulation) -> Any:
         velocity,
         step,
         beta,
-        fastest,
+        wave_speed,
         body,
         work,
         places,
@@ -191,7 +191,7 @@ def full_step(formulation: Formulation) -> Any:
             for i in range(u.shape[0]):
                 for c in range(3):
                     at[i, c] = u[i, c] + beta * velocity[i, c]
-            _slow_jumps(places.driven, schedule.holds[s], u, velocity, beta, fastest, at)
+            _slow_jumps(places.prescribed, schedule.holds[s], u, velocity, beta, wave_speed, at)
             after(work, step if s > 0 else 0.0)
             force_of(at, body, work, force)
             change = _viscous_work(force, previous, volumes, u, at)
@@ -221,10 +221,10 @@ def full_step(formulation: Formulation) -> Any:
                 if places.kind[i] != FIXED:
                     for c in range(3):
                         u[i, c] += step * velocity[i, c]
-            for k in range(places.driven.shape[0]):
+            for k in range(places.prescribed.shape[0]):
                 if holds[k]:
                     for c in range(3):
-                        u[places.driven[k], c] = target[k, c]
+                        u[places.prescribed[k], c] = target[k, c]
         after(work, 0.0)
         return total, lost, tools
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.tools import surface_nodes
-from palpate.dynamics.loads.loads import FIXED, FREE, Drive, Schedule
-from palpate.dynamics.material.fibres import firm
+from palpate.dynamics.loads.loads import FIXED, FREE, LoadHistory, PreparedLoads
+from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.nodal.central_difference import foundation_force, full_step, surface_force
 from palpate.dynamics.nodal.stability import FrequencyTracker, StabilityReport, stable_step
-from palpate.dynamics.run.contact_state import check_apart, check_pierced, check_way, touched, untouched
+from palpate.dynamics.run.contact_state import check_apart, check_pierced, check_way, contact_after, no_contact
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State, initial_field
 from palpate.dynamics.run.reactions import evaluate, tool_power
 from palpate.faults import number_in_range
@@ -52,26 +52,26 @@ class NodalModel(Model):
     half_cell: float
     held: NDArray[np.bool_]
     stability: StabilityReport
-    fastest: float
+    wave_speed: float
     highest_frequency: FrequencyTracker
     fibres: FibreLaw | None = None
 
     def _compile(self, formulation: Formulation, body: Any, work: Any, lanes: Lanes) -> None:
         """Take the compiled passes with what they read and write; called once the cloud and the supports are known."""
         self.formulation, self.body, self.work = formulation, body, work
-        self._firm = body if self.fibres is None else body._replace(families=firm(body.families))
+        self._firm = body if self.fibres is None else body._replace(families=always_taut(body.families))
         self._internal_force, self._advance = internal_force(formulation), full_step(formulation)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
         self._scratch = tuple(np.zeros((len(self.cloud), 3)) for _ in range(4))
-        self.held = self.drive(()).places.kind != FREE
+        self.fixed_mask = self.prepare(()).places.kind != FREE
         self.highest_frequency = FrequencyTracker(self)
-        self.fastest = np.inf
+        self.wave_speed = np.inf
 
     def _examined(self, report: StabilityReport) -> None:
         """Take what the examination at rest has found."""
-        self.stability, self.viscosity = report, report.used
-        self.fastest = 0.5 * self.cloud.spacing * report.highest_frequency
+        self.stability, self.stiffness_damping = report, report.used
+        self.wave_speed = 0.5 * self.cloud.spacing * report.highest_frequency
 
     @property
     def weights(self) -> Floats:
@@ -84,7 +84,7 @@ class NodalModel(Model):
         self._internal_force(np.ascontiguousarray(displacements, dtype=float), self.body, self.work, result)
         return result
 
-    def firm_force(self, displacements: Floats) -> Floats:
+    def always_taut_force(self, displacements: Floats) -> Floats:
         """Return the internal force density [N/m^3] by which a stable step is found: that of fibres never slack."""
         result = np.zeros((len(self.cloud), 3))
         self._internal_force(np.ascontiguousarray(displacements, dtype=float), self._firm, self.work, result)
@@ -94,118 +94,128 @@ class NodalModel(Model):
         return self.force(displacements)
 
     def state(
-        self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
+        self,
+        prepared: PreparedLoads,
+        displacement: Floats | None = None,
+        velocity: Floats | None = None,
+        time: float = 0.0,
     ) -> State:
         self.highest_frequency.restart()
         fields: list[Floats] = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
             array = initial_field(name, given, len(self.cloud))
-            array[self.held] = 0.0
+            array[self.fixed_mask] = 0.0
             fields.append(array)
-        schedule = drive.schedule(np.array([time]))
+        schedule = prepared.schedule(np.array([time]))
         holds = schedule.holds[0]
-        fields[0][drive.places.driven[holds]] = schedule.motion[0, holds]
-        check_apart(drive, schedule, fields[0], self.cloud.spacing)
-        grasped = len(drive.places.driven) if self.conservative and drive.grasps else 0
-        touch = None
-        if drive.tools or grasped:
-            touch = untouched(len(drive.tools), len(self.cloud), time, held=grasped)
-        return State(fields[0], fields[1], time, memory=self._at_ease(fields[0]), touch=touch)
+        fields[0][prepared.places.prescribed[holds]] = schedule.motion[0, holds]
+        check_apart(prepared, schedule, fields[0], self.cloud.spacing)
+        grasped = len(prepared.places.prescribed) if self.conservative and prepared.grasps else 0
+        contact_state = None
+        if prepared.tools or grasped:
+            contact_state = no_contact(len(prepared.tools), len(self.cloud), time, held=grasped)
+        return State(
+            fields[0], fields[1], time, history=self._equilibrium_history(fields[0]), contact_state=contact_state
+        )
 
-    def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
+    def _equilibrium_history(self, displacements: Floats) -> tuple[Floats, ...]:
         """Memory of a body that has long been where it is; nothing where it does not relax."""
         return ()
 
-    def _recall(self, state: State | None) -> None:
+    def _restore_history(self, state: State | None) -> None:
         """Let evaluations start from what a state remembers, or from rest."""
 
-    def stable_step(self, state: State, drive: Drive) -> float:
-        self._recall(state)
-        frequency = self.highest_frequency(state.coordinates, drive.held(state.time))
-        return self._step(frequency, drive)
+    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
+        self._restore_history(state)
+        frequency = self.highest_frequency(state.coordinates, prepared.held(state.time))
+        return self._step(frequency, prepared)
 
-    def _step(self, frequency: float, drive: Drive) -> float:
+    def _step(self, frequency: float, prepared: PreparedLoads) -> float:
         """Stable step [s] of a body with a highest frequency [rad/s], with its foundations."""
-        places = drive.places
+        places = prepared.places
         if not len(places.foundation_node):
-            return stable_step(frequency, self.viscosity)
+            return stable_step(frequency, self.stiffness_damping)
         response = self.half_cell / (self.volumes[places.foundation_node] * self.material.density)
         count = len(self.cloud)
         squares = np.bincount(places.foundation_node, places.foundation_spring * response, minlength=count).max()
         rates = np.bincount(places.foundation_node, places.foundation_dashpot * response, minlength=count).max()
         highest = float(np.sqrt(frequency**2 + squares))
-        return stable_step(highest, self.viscosity + rates / highest**2)
+        return stable_step(highest, self.stiffness_damping + rates / highest**2)
 
-    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
         number_in_range("step", step, 0.0, open_low=True, unit="s")
         times: Floats = state.time + step * np.arange(steps + 1, dtype=float)
         u, v = state.coordinates.copy(), state.velocities.copy()
         force, previous, surface, at = self._scratch
-        schedule = drive.schedule(times)
-        check_way(drive, schedule, self.cloud.spacing)
-        drive.contacts.total[:], drive.contacts.given[:], drive.places.impulses[:] = 0.0, 0.0, 0.0
+        schedule = prepared.schedule(times)
+        check_way(prepared, schedule, self.cloud.spacing)
+        prepared.contacts.total[:], prepared.contacts.given[:], prepared.places.impulses[:] = 0.0, 0.0, 0.0
         surface[:] = 0.0  # of another run's loads
-        self._recall(state)
-        before = 0.0 if self.conservative else tool_power(self, state, drive)
+        self._restore_history(state)
+        before = 0.0 if self.conservative else tool_power(self, state, prepared)
         work, lost, tools = self._advance(
-            u, v, step, self.viscosity, self.fastest, self.body, self.work, drive.places, drive.contacts, schedule,
+            u, v, step, self.stiffness_damping, self.wave_speed, self.body, self.work, prepared.places, prepared.contacts, schedule,
             self.volumes, self.weights * self.material.density, self.material.density, self.slot, self.half_cell,
             force, previous, surface, at,
         )  # fmt: skip
-        if drive.tools:
-            check_pierced(drive, schedule, u, surface_nodes(self.cloud), self.cloud.spacing)
-        relaxed, memory = self._remembered()
+        if prepared.tools:
+            check_pierced(prepared, schedule, u, surface_nodes(self.cloud), self.cloud.spacing)
+        relaxed, history = self._saved_history()
         dissipated = state.dissipated + lost + relaxed
-        touch = None if state.touch is None else touched(drive, state.touch, 0.5 * step, schedule.holds[-1])
-        new = State(u, v, float(times[-1]), state.external_work + work, dissipated, memory, touch)
+        contact_state = (
+            None
+            if state.contact_state is None
+            else contact_after(prepared, state.contact_state, 0.5 * step, schedule.holds[-1])
+        )
+        new = State(u, v, float(times[-1]), state.external_work + work, dissipated, history, contact_state)
         if not self.conservative:  # trapezium rule for the power of the tools
-            tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
+            tools = 0.5 * step * steps * (before + tool_power(self, new, prepared))
         return replace(new, external_work=new.external_work + tools)
 
-    def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
+    def _saved_history(self) -> tuple[float, tuple[Floats, ...]]:
         """Energy [J] lost to relaxation since the last recall, and what the body remembers now."""
         return 0.0, ()
 
-    def tractions(self, drive: Drive, schedule: Schedule, state: State | None = None) -> Floats:
+    def tractions(self, prepared: PreparedLoads, schedule: LoadHistory, state: State | None = None) -> Floats:
         """Return tractions per nodal volume [N/m^3] at a schedule's first time, on the body as last evaluated.
 
         With a state, those of foundations and of tools that touch the body, too.
         """
         surface = np.zeros((len(self.cloud), 3))
-        surface_force(drive.places, schedule, 0, self.volumes, self.slot, self.work.cofactor, surface)
+        surface_force(prepared.places, schedule, 0, self.volumes, self.slot, self.work.cofactor, surface)
         if state is not None:
-            if len(drive.places.foundation_node):
-                foundation_force(drive.places, state.coordinates, state.velocities, self.volumes, surface)
-            if state.touch is not None:
-                surface += state.touch.forces / self.volumes[:, None]
+            if len(prepared.places.foundation_node):
+                foundation_force(prepared.places, state.coordinates, state.velocities, self.volumes, surface)
+            if state.contact_state is not None:
+                surface += state.contact_state.forces / self.volumes[:, None]
         return surface
 
-    def outputs(self, state: State, drive: Drive) -> Outputs:
-        self._recall(state)
-        return evaluate(self, state, drive)
+    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
+        self._restore_history(state)
+        return evaluate(self, state, prepared)
 
-    def acceleration(self, state: State, drive: Drive) -> Floats:
-        self._recall(state)
-        schedule = drive.schedule(np.array([state.time]))
-        force = self.force(state.coordinates + self.viscosity * state.velocities)
-        force += self.half_cell * self.tractions(drive, schedule, state)
+    def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
+        self._restore_history(state)
+        schedule = prepared.schedule(np.array([state.time]))
+        force = self.force(state.coordinates + self.stiffness_damping * state.velocities)
+        force += self.half_cell * self.tractions(prepared, schedule, state)
         acceleration = force / self.material.density + schedule.gravity[0]
-        acceleration[drive.places.kind == FIXED] = 0.0
-        holds, driven = schedule.holds[0], drive.places.driven
+        acceleration[prepared.places.kind == FIXED] = 0.0
+        holds, prescribed = schedule.holds[0], prepared.places.prescribed
         if holds.any():
-            rates = drive.rates(lambda t: drive.schedule(t).motion, state.time)[1]
-            acceleration[driven[holds]] = rates[holds]
+            rates = prepared.rates(lambda t: prepared.schedule(t).motion, state.time)[1]
+            acceleration[prescribed[holds]] = rates[holds]
         return acceleration
 
-    def external_force(self, state: State, drive: Drive) -> Floats:
-        schedule = drive.schedule(np.array([state.time]))
-        if drive.places.pressure_node.size:
+    def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
+        schedule = prepared.schedule(np.array([state.time]))
+        if prepared.places.pressure_node.size:
             self.force(state.coordinates)  # the body that a pressure follows
-        surface = self.tractions(drive, schedule, state)
+        surface = self.tractions(prepared, schedule, state)
         return surface * self.volumes[:, None] + self.masses[:, None] * schedule.gravity[0]
 
-    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+    def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         return state.coordinates[nodes]
 
-    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         return state.velocities[nodes]

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Drive, Load
+from palpate.dynamics.loads.loads import Load, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
@@ -28,7 +28,7 @@ from palpate.tissue.materials import Material
 __all__ = [
     "FrequencyTracker",
     "StabilityReport",
-    "choose_viscosity",
+    "choose_stiffness_damping",
     "resting_frequency",
     "spectrum",
     "stable_step",
@@ -54,7 +54,7 @@ class ElasticBody(Protocol):
         Of displacements (n, 3) [m] and fixed nodes (n,): the highest frequency [rad/s].
     """
 
-    viscosity: float
+    stiffness_damping: float
     highest_frequency: Any
 
     @property
@@ -62,11 +62,11 @@ class ElasticBody(Protocol):
     @property
     def material(self) -> Material: ...
     @property
-    def held(self) -> NDArray[np.bool_]: ...
+    def fixed_mask(self) -> NDArray[np.bool_]: ...
     def force(self, displacements: Floats) -> Floats: ...
-    def firm_force(self, displacements: Floats) -> Floats: ...
-    def drive(self, loads: Sequence[Load]) -> Drive: ...
-    def advance(self, state: State, drive: Drive, dt: float, steps: int) -> State: ...
+    def always_taut_force(self, displacements: Floats) -> Floats: ...
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads: ...
+    def advance(self, state: State, prepared: PreparedLoads, dt: float, steps: int) -> State: ...
 
 
 @dataclass(frozen=True)
@@ -116,12 +116,12 @@ class StabilityReport:
         return "\n".join(lines)
 
 
-def stable_step(frequency: float, viscosity: float) -> float:
+def stable_step(frequency: float, stiffness_damping: float) -> float:
     """Return the stable step [s] for a highest frequency [rad/s] and a viscosity [s], with the safety factor.
 
     It is 0 where their product is not finite.
     """
-    z = viscosity * frequency
+    z = stiffness_damping * frequency
     if not z * z < np.inf:
         return 0.0
     return float(SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency)
@@ -143,7 +143,7 @@ def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -
     """
     at = np.zeros((len(model.cloud), 3)) if displacements is None else displacements
     with np.errstate(all="ignore"):
-        frequency = model.highest_frequency(at, model.held)
+        frequency = model.highest_frequency(at, model.fixed_mask)
     if not LOWEST <= frequency <= HIGHEST:
         raise InputError(
             f"the highest frequency of the body must be from {LOWEST:g} to {HIGHEST:g} rad/s, got {frequency:.3g}: "
@@ -156,7 +156,7 @@ def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -
 def stiffness(model: ElasticBody, displacements: Floats | None = None) -> Floats:
     """Return the dense tangent -d(acceleration)/du of the free nodes [1/s^2], by central differences."""
     u = np.zeros((len(model.cloud), 3)) if displacements is None else displacements.copy()
-    free = np.flatnonzero(np.repeat(~model.held, 3))
+    free = np.flatnonzero(np.repeat(~model.fixed_mask, 3))
     flat, step = u.reshape(-1), 1e-5 * model.cloud.spacing
     columns = np.empty((len(free), len(free)))
     for column, k in enumerate(free):
@@ -174,7 +174,7 @@ def spectrum(model: ElasticBody, displacements: Floats | None = None) -> NDArray
     return np.linalg.eigvals(stiffness(model, displacements)).astype(complex)
 
 
-def needed_viscosity(eigenvalues: NDArray[np.complex128]) -> float:
+def needed_stiffness_damping(eigenvalues: NDArray[np.complex128]) -> float:
     """Return max 2 |Im w| / |w|^2 [s] over the oscillating eigenvalues w^2."""
     frequency = np.sqrt(eigenvalues)
     moving = np.abs(eigenvalues) > 1e-6 * np.abs(eigenvalues).max()  # rigid motions have w = 0
@@ -197,13 +197,13 @@ class FrequencyTracker:
         """Return the highest frequency [rad/s] at a state with some nodes held."""
         model, vector = self._model, self._vector
         amplitude = 1e-6 * model.cloud.spacing
-        rest, ratio = model.firm_force(displacements), 0.0
+        rest, ratio = model.always_taut_force(displacements), 0.0
         # some noise lets another mode take over when the fastest place of the body moves
         vector = vector / np.abs(vector).max() + 0.03 * self._noise
         for _ in range(self._iterations):
             vector = np.where(held[:, None], 0.0, vector)
             vector *= amplitude / np.abs(vector).max()
-            image = (rest - model.firm_force(displacements + vector)) / model.material.density
+            image = (rest - model.always_taut_force(displacements + vector)) / model.material.density
             image[held] = 0.0
             if not image.any():  # nothing resists, as in a slack sheet
                 self.restart()
@@ -214,7 +214,7 @@ class FrequencyTracker:
         return float(np.sqrt(ratio))
 
 
-def choose_viscosity(model: ElasticBody, viscosity: float | None, neighbours: int) -> StabilityReport:
+def choose_stiffness_damping(model: ElasticBody, stiffness_damping: float | None, neighbours: int) -> StabilityReport:
     """Examine a model at rest and choose its viscosity unless it is given.
 
     Raises
@@ -225,26 +225,30 @@ def choose_viscosity(model: ElasticBody, viscosity: float | None, neighbours: in
         A given viscosity that is negative or not finite, or a highest frequency that double precision does not resolve.
     """
     frequency = resting_frequency(model)
-    if viscosity is not None:
-        given = number_in_range("viscosity", viscosity, 0.0, unit="s")
+    if stiffness_damping is not None:
+        given = number_in_range("stiffness_damping", stiffness_damping, 0.0, unit="s")
         return StabilityReport("given", None, np.nan, given, frequency, stable_step(frequency, given))
     if len(model.cloud) <= DENSE_NODES:
         eigenvalues = spectrum(model)
         worst = float(eigenvalues.real.min())
         if worst < -1e-6 * np.abs(eigenvalues).max():
             raise _undampable(model, neighbours, np.linalg.eig(stiffness(model)))
-        needed = needed_viscosity(eigenvalues)
+        needed = needed_stiffness_damping(eigenvalues)
         used = MARGIN * needed
         return StabilityReport("dense spectrum", worst, needed, used, frequency, stable_step(frequency, used))
-    needed, growth = _viscosity_by_steps(model, neighbours, frequency)
+    needed, growth = _damping_by_steps(model, neighbours, frequency)
     used = MARGIN * needed
     return StabilityReport("step map", None, needed, used, frequency, stable_step(frequency, used), growth)
 
 
-def _undampable(model: ElasticBody, neighbours: int, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]) -> CloudError:
+def _undampable(
+    model: ElasticBody, neighbours: int, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]
+) -> CloudError:
     values, vectors = eigen
     shape = np.abs(vectors[:, np.argmin(values.real)]).reshape(-1, 3)
-    return _cloud_fault(model, neighbours, int(np.flatnonzero(~model.held)[np.argmax(np.linalg.norm(shape, axis=1))]))
+    return _cloud_fault(
+        model, neighbours, int(np.flatnonzero(~model.fixed_mask)[np.argmax(np.linalg.norm(shape, axis=1))])
+    )
 
 
 def _cloud_fault(model: ElasticBody, neighbours: int, node: int) -> CloudError:
@@ -254,18 +258,18 @@ def _cloud_fault(model: ElasticBody, neighbours: int, node: int) -> CloudError:
     )
 
 
-def _viscosity_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> tuple[float, float]:
+def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> tuple[float, float]:
     """Raise beta until a tiny random motion no longer grows; return it and the growth rate left."""
-    drive, needed, rate = model.drive(()), 0.0, 0.0
+    prepared, needed, rate = model.prepare(()), 0.0, 0.0
     for _ in range(ROUNDS):
-        model.viscosity = needed
+        model.stiffness_damping = needed
         step = stable_step(frequency, needed)
         tiny = 1e-9 * model.cloud.spacing * np.random.default_rng(1).standard_normal((len(model.cloud), 3))
-        tiny[model.held] = 0.0
+        tiny[model.fixed_mask] = 0.0
         state, logs = State(tiny, np.zeros_like(tiny)), []
         size = np.linalg.norm(model.force(state.coordinates))
         for _ in range(WINDOWS):
-            state = model.advance(state, drive, step, WINDOW)
+            state = model.advance(state, prepared, step, WINDOW)
             force = model.force(state.coordinates)
             logs.append(np.log(np.linalg.norm(force) / size))
             scale = np.linalg.norm(tiny) / max(float(np.linalg.norm(state.coordinates)), 1e-300)

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.geometry import gaps, patch_places
-from palpate.dynamics.contact.tools import HELD, PLANE
-from palpate.dynamics.loads.loads import Drive, Schedule
-from palpate.dynamics.run.model import Touch
+from palpate.dynamics.contact.tools import BONDED, PLANE
+from palpate.dynamics.loads.loads import LoadHistory, PreparedLoads
+from palpate.dynamics.run.model import ContactState
 from palpate.faults import DivergenceError, InputError, first_few
 
-__all__ = ["check_apart", "check_pierced", "check_way", "touched", "untouched"]
+__all__ = ["check_apart", "check_pierced", "check_way", "contact_after", "no_contact"]
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ SUNK = 0.5  # of the spacing: how far inside a tool a node of the surface may be
 WAY = 0.5  # of a tool's radius: how far it may move in a step
 
 
-def check_apart(drive: Drive, schedule: Schedule, displacements: Floats, spacing: float) -> None:
+def check_apart(prepared: PreparedLoads, schedule: LoadHistory, displacements: Floats, spacing: float) -> None:
     """Refuse tools that have nodes inside them at a schedule's first time.
 
     Raises
@@ -29,15 +29,15 @@ def check_apart(drive: Drive, schedule: Schedule, displacements: Floats, spacing
     InputError
         Names the tool, the nodes and the depth.
     """
-    if not drive.tools:
+    if not prepared.tools:
         return
-    contacts, depth, places = drive.contacts, np.zeros(len(displacements)), np.zeros((len(displacements), 3))
+    contacts, depth, places = prepared.contacts, np.zeros(len(displacements)), np.zeros((len(displacements), 3))
     patch_places(contacts, np.ascontiguousarray(displacements), places)
-    for t, tool in enumerate(drive.tools):
-        if tool.tool.kind == HELD:
+    for t, tool in enumerate(prepared.tools):
+        if tool.tool.kind == BONDED:
             continue
         gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], places, depth)
-        free = schedule.times[0] > contacts.held_until
+        free = schedule.times[0] > contacts.prescribed_until
         if tool.group is not None:  # others may be inside by intention
             free &= np.isin(np.arange(len(free)), contacts.nodes[contacts.start[t] : contacts.start[t + 1]])
         inside = np.flatnonzero(free & (depth < -INSIDE * spacing))
@@ -48,7 +48,7 @@ def check_apart(drive: Drive, schedule: Schedule, displacements: Floats, spacing
             )
 
 
-def check_way(drive: Drive, schedule: Schedule, spacing: float) -> None:
+def check_way(prepared: PreparedLoads, schedule: LoadHistory, spacing: float) -> None:
     """Refuse tools that move so far in one step that they could pass a node.
 
     Raises
@@ -56,7 +56,7 @@ def check_way(drive: Drive, schedule: Schedule, spacing: float) -> None:
     InputError
         Names the tool, the time and the way.
     """
-    for t, tool in enumerate(drive.tools):
+    for t, tool in enumerate(prepared.tools):
         radius, half, _ = tool.tool.sizes
         most = spacing if tool.tool.kind == PLANE else WAY * radius
         poses = schedule.poses[:, t]
@@ -71,7 +71,7 @@ def check_way(drive: Drive, schedule: Schedule, spacing: float) -> None:
 
 
 def check_pierced(
-    drive: Drive, schedule: Schedule, displacements: Floats, surface: NDArray[np.int64], spacing: float
+    prepared: PreparedLoads, schedule: LoadHistory, displacements: Floats, surface: NDArray[np.int64], spacing: float
 ) -> None:
     """Refuse tools that have slipped in between the nodes of the surface by a schedule's last time.
 
@@ -83,15 +83,15 @@ def check_pierced(
     DivergenceError
         Names the tool, the time and a node.
     """
-    contacts, depth = drive.contacts, np.zeros(len(displacements))
-    for t, tool in enumerate(drive.tools):
+    contacts, depth = prepared.contacts, np.zeros(len(displacements))
+    for t, tool in enumerate(prepared.tools):
         if tool.group is not None:
             continue
         own = slice(contacts.start[t], contacts.start[t + 1])
         nodes, sizes = contacts.nodes[own], np.linalg.norm(contacts.pushes[own, :3], axis=1)
         below = ~np.isin(nodes, surface)
         gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], contacts.points + displacements, depth)
-        depth[schedule.times[-1] <= contacts.held_until] = 0.0
+        depth[schedule.times[-1] <= contacts.prescribed_until] = 0.0
         deepest = int(np.argmin(depth))
         through = sizes[below].sum() > PIERCED * sizes.sum()
         if through or depth[deepest] < -SUNK * spacing:
@@ -102,25 +102,25 @@ def check_pierced(
             )
 
 
-def untouched(tools: int, nodes: int, time: float, surface: int = 0, held: int = 0) -> Touch:
+def no_contact(tools: int, nodes: int, time: float, surface: int = 0, held: int = 0) -> ContactState:
     """Return what tools do that do not touch, at a time [s].
 
     `surface` is a reduced model's number of surface nodes, `held` how many nodes are driven where a `Grasp` holds some.
     """
     forces, given, nothing = np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((tools, surface, 3))
-    return Touch(forces, np.zeros((tools, 6)), time, given, nothing, nothing, np.zeros((held, 3)))
+    return ContactState(forces, np.zeros((tools, 6)), time, given, nothing, nothing, np.zeros((held, 3)))
 
 
-def touched(drive: Drive, before: Touch, last: float, holds: NDArray[np.bool_]) -> Touch:
+def contact_after(prepared: PreparedLoads, before: ContactState, last: float, holds: NDArray[np.bool_]) -> ContactState:
     """Return what the tools do after a call of some steps, the last kick of which took a time `last` [s].
 
     In it, `holds` tells which of the driven nodes were held: what tools gave those, the others had to bear.
     """
-    contacts, places, after = drive.contacts, drive.places, before
-    if drive.tools:
+    contacts, places, after = prepared.contacts, prepared.places, before
+    if prepared.tools:
         impulses, given = before.impulses + contacts.total, before.given + contacts.given
         after = before._replace(forces=contacts.impulse / last, impulses=impulses, given=given)
-    if not len(before.held):
+    if not len(before.constraint_impulses):
         return after
-    borne = contacts.given[places.driven] * holds[:, None] if drive.tools else 0.0
-    return after._replace(held=before.held + places.impulses - borne)
+    borne = contacts.given[places.prescribed] * holds[:, None] if prepared.tools else 0.0
+    return after._replace(constraint_impulses=before.constraint_impulses + places.impulses - borne)

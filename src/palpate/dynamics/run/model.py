@@ -10,19 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Drive, Load
+from palpate.dynamics.loads.loads import Load, PreparedLoads
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-__all__ = ["Model", "Nodes", "Outputs", "State", "Touch", "initial_field"]
+__all__ = ["ContactState", "Model", "Nodes", "Outputs", "State", "initial_field"]
 
 Floats = NDArray[np.float64]
 Nodes = NDArray[np.int64] | slice
 
 
-class Touch(NamedTuple):
+class ContactState(NamedTuple):
     """What tools that touch a body do to it."""
 
     forces: Floats  # (n, 3) on the nodes, now [N]
@@ -31,11 +31,13 @@ class Touch(NamedTuple):
     given: Floats  # (n, 3) impulses [N s] on the nodes, since then
     places: Floats  # (tools, k, 3) of a reduced model's surface nodes that are touched [m]; empty in a full one
     pushes: Floats  # (tools, k, 3) forces on them [N]
-    held: Floats  # (driven nodes, 3) impulses [N s] that hold them, since then; empty where no `Grasp` does
+    constraint_impulses: (
+        Floats  # (driven nodes, 3) impulses [N s] that hold them, since then; empty where no `Grasp` does
+    )
 
-    def anew(self, time: float) -> Touch:
+    def anew(self, time: float) -> ContactState:
         """Return this with impulses counted from now, a time [s]."""
-        nothing = {name: np.zeros_like(getattr(self, name)) for name in ("impulses", "given", "held")}
+        nothing = {name: np.zeros_like(getattr(self, name)) for name in ("impulses", "given", "constraint_impulses")}
         return self._replace(since=time, **nothing)
 
 
@@ -50,9 +52,9 @@ class State:
     time : float [s]
     external_work, dissipated : float [J]
         Work of loads and tools, and work lost to viscosity, relaxation, friction and impact, since the run began.
-    memory : tuple of arrays
+    history : tuple of arrays
         What relaxing tissue remembers; empty where it does not relax.
-    touch : Touch, optional
+    contact_state : ContactState, optional
         What tools do that touch the body; None where there are none.
     """
 
@@ -61,8 +63,8 @@ class State:
     time: float = 0.0
     external_work: float = 0.0
     dissipated: float = 0.0
-    memory: tuple[Floats, ...] = ()
-    touch: Touch | None = None
+    history: tuple[Floats, ...] = ()
+    contact_state: ContactState | None = None
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,10 @@ class Outputs:
     kinetic, strain, external, dissipated : float [J]
     moments : mapping of tool name to (3,) array [N m]
         Moment about its origin, on the body, of every tool that touches it, the mean since the last frame.
-    touches : (c, 4) array
+    contact_forces : (c, 4) array
         Nodes that tools have touched or a `Grasp` has held since the last frame, and the mean forces [N] of those
         tools on them.
-    held : (c,) bool array
+    bonded : (c,) bool array
         Which of them a `Grasp` has held.
     """
 
@@ -93,8 +95,8 @@ class Outputs:
     external: float
     dissipated: float
     moments: dict[str, Floats] = field(default_factory=dict)
-    touches: Floats = field(default_factory=lambda: np.zeros((0, 4)))
-    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
 
 def initial_field(name: str, given: Any, count: int) -> Floats:
@@ -130,11 +132,11 @@ class Model(ABC):
         Groups that are held.
     stencils : Stencils
         For derivatives of nodal fields.
-    viscosity : float [s]
+    stiffness_damping : float [s]
         Stiffness-proportional viscosity beta, C = beta K.
     name : str
         ``"full"``, ``"reduced"`` ...
-    fewest : int
+    min_steps_per_frame : int
         Steps between two snapshots of a run at least: a model of few modes is stable long before it is accurate.
     conservative : bool
         Whether the nodal forces are the derivative of an energy of the nodes' displacements: their virtual work is then
@@ -145,30 +147,34 @@ class Model(ABC):
     material: Material
     stencils: Stencils
     fixed: tuple[str, ...]
-    viscosity: float
+    stiffness_damping: float
     name: str
     conservative: bool
-    fewest: int = 20
+    min_steps_per_frame: int = 20
 
     @abstractmethod
     def state(
-        self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
+        self,
+        prepared: PreparedLoads,
+        displacement: Floats | None = None,
+        velocity: Floats | None = None,
+        time: float = 0.0,
     ) -> State:
         """Return the state at a time [s] with given nodal displacements and velocities (equations 7 and 8)."""
 
     @abstractmethod
-    def drive(self, loads: Sequence[Load]) -> Drive:
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         """Make loads ready for this model."""
 
     @abstractmethod
-    def stable_step(self, state: State, drive: Drive) -> float:
+    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
         """Estimate the largest stable time step [s] at a state."""
 
     @abstractmethod
-    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
         """Advance by a number of steps of one length [s]."""
 
-    def sound(self, before: State, after: State) -> bool:
+    def accept_step(self, before: State, after: State) -> bool:
         """Return whether the steps just taken from one state to another may be believed, or finer ones should be tried.
 
         A model whose steps can fail otherwise than by numbers that are not finite says so.
@@ -176,23 +182,23 @@ class Model(ABC):
         return bool(np.isfinite(after.coordinates).all())
 
     @abstractmethod
-    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+    def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes."""
 
     @abstractmethod
-    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
 
     @abstractmethod
-    def outputs(self, state: State, drive: Drive) -> Outputs:
+    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
         """Return what there is to tell about a state."""
 
     @abstractmethod
-    def acceleration(self, state: State, drive: Drive) -> Floats:
+    def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
         """Return the nodal accelerations [m/s^2], shape (n, 3): zero where fixed, the motion's where driven."""
 
     @abstractmethod
-    def external_force(self, state: State, drive: Drive) -> Floats:
+    def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
         """Return the nodal forces [N] of tractions and gravity, shape (n, 3)."""
 
     @abstractmethod

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.dynamics.loads.loads import Drive
+from palpate.dynamics.loads.loads import PreparedLoads
 from palpate.dynamics.run.model import Model, Outputs, State
 
 __all__ = ["evaluate", "partition", "reactions", "tool_power", "touching"]
@@ -32,53 +32,55 @@ def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:
     return np.asarray(inverse / inverse.sum(axis=0))
 
 
-def reactions(model: Model, state: State, drive: Drive) -> dict[str, Floats]:
+def reactions(model: Model, state: State, prepared: PreparedLoads) -> dict[str, Floats]:
     """Return the force [N] of every support and tool on the body, shape (3,) each; zero once a tool has let go."""
-    none = {name: np.zeros(3) for name in drive.supports}
-    supports = drive.holding(state.time)
+    none = {name: np.zeros(3) for name in prepared.supports}
+    supports = prepared.holding(state.time)
     if not supports:
         return none
     names = tuple(supports)
-    if names not in drive.partitions:
-        drive.partitions[names] = partition(model.cloud.points, supports)
-    phi = drive.partitions[names]
-    inertia = model.masses[:, None] * model.acceleration(state, drive) - model.external_force(state, drive)
+    if names not in prepared.partitions:
+        prepared.partitions[names] = partition(model.cloud.points, supports)
+    phi = prepared.partitions[names]
+    inertia = model.masses[:, None] * model.acceleration(state, prepared) - model.external_force(state, prepared)
     forces = phi @ inertia
     if model.conservative:
-        moved = model.displacement(state, drive) + model.viscosity * model.velocity(state, drive)
+        moved = model.displacement(state, prepared) + model.stiffness_damping * model.velocity(state, prepared)
         forces = forces - (phi * model.volumes) @ model.nodal_force(moved)
     elif len(phi) > 1:
-        moved = model.displacement(state, drive) + model.viscosity * model.velocity(state, drive)
+        moved = model.displacement(state, prepared) + model.stiffness_damping * model.velocity(state, prepared)
         slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
         forces = forces + np.einsum("n,nil,ngl->gi", model.volumes, model.stress(moved), slopes)
     return none | dict(zip(supports, forces, strict=True))
 
 
-def tool_power(model: Model, state: State, drive: Drive) -> float:
+def tool_power(model: Model, state: State, prepared: PreparedLoads) -> float:
     """Return the power [W] of the tools on the body: their forces times the mean velocities of their nodes."""
-    if not drive.motions:
+    if not prepared.motions:
         return 0.0
-    forces = reactions(model, state, drive)
-    groups = [motion.group for motion, _ in drive.motions]
-    return float(sum(forces[g] @ model.velocity(state, drive, drive.supports[g]).mean(axis=0) for g in groups))
+    forces = reactions(model, state, prepared)
+    groups = [motion.group for motion, _ in prepared.motions]
+    return float(sum(forces[g] @ model.velocity(state, prepared, prepared.supports[g]).mean(axis=0) for g in groups))
 
 
-def touching(state: State, drive: Drive) -> tuple[dict[str, Floats], dict[str, Floats], Floats, NDArray[np.bool_]]:
+def touching(
+    state: State, prepared: PreparedLoads
+) -> tuple[dict[str, Floats], dict[str, Floats], Floats, NDArray[np.bool_]]:
     """Return the force [N] on the body and the moment [N m] about its origin of every tool that may touch it.
 
     And (c, 4) the nodes touched with the forces [N] on them. All are means over the time since the last frame of a run,
     so that their sum times that time is the momentum given. Forces of a `Grasp` on the nodes that it holds in the
     energy form are among them, without a moment; (c,) tells which nodes these are.
     """
-    if state.touch is None:
+    if state.contact_state is None:
         return {}, {}, np.zeros((0, 4)), np.zeros(0, dtype=np.bool_)
-    touch, names = state.touch, [tool.name for tool in drive.tools]
-    rate = 1.0 / (state.time - touch.since) if state.time > touch.since else 0.0
-    forces = dict(zip(names, rate * touch.impulses[:, :3], strict=True))
-    moments = dict(zip(names, rate * touch.impulses[:, 3:], strict=True))
-    given, holding = rate * touch.given, np.zeros(len(touch.given), dtype=np.bool_)
-    for name, where in drive.grasped().items() if len(touch.held) else ():
-        nodes, own = drive.places.driven[where], rate * touch.held[where]
+    contact_state, names = state.contact_state, [tool.name for tool in prepared.tools]
+    rate = 1.0 / (state.time - contact_state.since) if state.time > contact_state.since else 0.0
+    forces = dict(zip(names, rate * contact_state.impulses[:, :3], strict=True))
+    moments = dict(zip(names, rate * contact_state.impulses[:, 3:], strict=True))
+    given, holding = rate * contact_state.given, np.zeros(len(contact_state.given), dtype=np.bool_)
+    for name, where in prepared.grasped().items() if len(contact_state.constraint_impulses) else ():
+        nodes, own = prepared.places.prescribed[where], rate * contact_state.constraint_impulses[where]
         forces[name] = own.sum(axis=0)
         given[nodes] += own
         holding[nodes] = own.any()
@@ -86,19 +88,19 @@ def touching(state: State, drive: Drive) -> tuple[dict[str, Floats], dict[str, F
     return forces, moments, np.column_stack([nodes, given[nodes]]), holding[nodes]
 
 
-def evaluate(model: Model, state: State, drive: Drive) -> Outputs:
+def evaluate(model: Model, state: State, prepared: PreparedLoads) -> Outputs:
     """Return displacements, velocities, forces and energies at a state."""
-    u, v = model.displacement(state, drive), model.velocity(state, drive)
-    forces, moments, touches, held = touching(state, drive)
+    u, v = model.displacement(state, prepared), model.velocity(state, prepared)
+    forces, moments, contact_forces, held = touching(state, prepared)
     return Outputs(
         u,
         v,
-        reactions(model, state, drive) | forces,
+        reactions(model, state, prepared) | forces,
         float(0.5 * np.sum(model.masses[:, None] * v**2)),
         model.strain_energy(u),
         state.external_work,
         state.dissipated,
         moments,
-        touches,
+        contact_forces,
         held,
     )

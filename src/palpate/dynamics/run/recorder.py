@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.run.journal import Journal
 from palpate.dynamics.run.model import Outputs
-from palpate.dynamics.run.trajectory import NAMED, ROWS, SERIES, Trajectory, stacked
+from palpate.dynamics.run.trajectory import NAMED, ROWS, SERIES, Trajectory, stack
 
 __all__ = ["Recorder"]
 
@@ -40,8 +40,16 @@ class Recorder:
         The file cannot be created or the disk is full; names the file.
     """
 
-    def __init__(self, path: Path | None, model: str, points: Floats, viscosity: float, label: str = "") -> None:
-        self.path, self.model, self.points, self.viscosity, self.label = path, model, points, float(viscosity), label
+    def __init__(
+        self, path: Path | None, model: str, points: Floats, stiffness_damping: float, label: str = ""
+    ) -> None:
+        self.path, self.model, self.points, self.stiffness_damping, self.label = (
+            path,
+            model,
+            points,
+            float(stiffness_damping),
+            label,
+        )
         self.times: list[float] = []
         self.steps: list[int] = []
         self.frames: list[Outputs] = []
@@ -61,15 +69,15 @@ class Recorder:
             return
         with _writing(self.path):
             if len(self.times) == 1:
-                about = {"model": self.model, "label": self.label, "viscosity": self.viscosity}
+                about = {"model": self.model, "label": self.label, "stiffness_damping": self.stiffness_damping}
                 names = {"reactions": list(frame.reactions), "moments": list(frame.moments)}
                 self._journal.add(about | names, {"points": np.asarray(self.points, dtype=float)})
             numbers = {"times": time, "steps": steps} | {n: getattr(frame, n) for n in SERIES if hasattr(frame, n)}
             arrays: dict[str, Any] = {"numbers": [numbers[name] for name in SERIES]}
-            arrays |= {name: getattr(frame, name) for name in (*ROWS, "touches")}
+            arrays |= {name: getattr(frame, name) for name in (*ROWS, "contact_forces")}
             arrays |= {name: np.reshape(list(getattr(frame, name).values()), (-1, 3)) for name in NAMED}
             arrays = {name: np.asarray(values, dtype=float) for name, values in arrays.items()}
-            self._journal.add({}, arrays | {"held": np.asarray(frame.held, dtype=np.bool_)})
+            self._journal.add({}, arrays | {"bonded": np.asarray(frame.bonded, dtype=np.bool_)})
             if len(self.times) == 1:
                 self._journal.rename(self.path)
 
@@ -92,15 +100,15 @@ class Recorder:
             name: {of: np.array([getattr(o, name)[of] for o in frames]) for of in getattr(frames[0], name)}
             if frames else {} for name in NAMED
         }  # fmt: skip
-        rows: dict[str, Any] = {name: stacked([getattr(o, name) for o in frames], (n, 3)) for name in ROWS}
+        rows: dict[str, Any] = {name: stack([getattr(o, name) for o in frames], (n, 3)) for name in ROWS}
         return Trajectory(
             model=self.model, label=self.label, points=points,
             **own, **forces, **rows,
-            touches=np.concatenate(
-                [np.zeros((0, 5)), *(np.insert(o.touches, 0, k, axis=1) for k, o in enumerate(frames))]
+            contact_forces=np.concatenate(
+                [np.zeros((0, 5)), *(np.insert(o.contact_forces, 0, k, axis=1) for k, o in enumerate(frames))]
             ),
-            held=np.concatenate([np.zeros(0, dtype=np.bool_), *(o.held for o in frames)]),
-            wall_seconds=wall_seconds, viscosity=self.viscosity, complete=complete,
+            bonded=np.concatenate([np.zeros(0, dtype=np.bool_), *(o.bonded for o in frames)]),
+            wall_seconds=wall_seconds, stiffness_damping=self.stiffness_damping, complete=complete,
         )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Drive, Load
+from palpate.dynamics.loads.loads import Load, PreparedLoads
 from palpate.dynamics.run.model import Model, Outputs, State
 from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder
@@ -87,27 +87,27 @@ def rollout(
     frames = _frames(model, duration, every, start)
     if step is not None:
         number_in_range("step", step, every / MOST_STEPS, every, unit="s")
-    drive = model.drive(loads)
+    prepared = model.prepare(loads)
     with np.errstate(all="ignore"):  # what is not finite is refused by name
-        state = model.state(drive, displacement, velocity, float(start))
-        outputs = _initial(model, state, drive)
+        state = model.state(prepared, displacement, velocity, float(start))
+        outputs = _initial(model, state, prepared)
     path = None if file is None else Path(file)
-    recorder = Recorder(path, model.name, model.cloud.points, model.viscosity, label)
-    pace = _Pace(step, every / model.fewest)
+    recorder = Recorder(path, model.name, model.cloud.points, model.stiffness_damping, label)
+    pace = _Pace(step, every / model.min_steps_per_frame)
     began, steps = perf_counter(), 0
     try:
         shows = nullcontext(progress) if callable(progress) else progress_bar(model.name, duration, progress)
         with shows as shown, np.errstate(all="ignore"):
             recorder.add(start, 0, outputs)
             for frame in range(1, frames + 1):
-                for time in drive.stops(state.time, start + frame * every):
-                    state, taken, last = _advance_to(model, state, drive, time, pace)
+                for time in prepared.stops(state.time, start + frame * every):
+                    state, taken, last = _advance_to(model, state, prepared, time, pace)
                     steps += taken
-                outputs = model.outputs(state, drive)
-                _check(model, state, drive, outputs, last)
+                outputs = model.outputs(state, prepared)
+                _check(model, state, prepared, outputs, last)
                 recorder.add(state.time, steps, outputs)
-                if state.touch is not None:  # the next frame's means are of its own interval
-                    state = replace(state, touch=state.touch.anew(state.time))
+                if state.contact_state is not None:  # the next frame's means are of its own interval
+                    state = replace(state, contact_state=state.contact_state.anew(state.time))
                 shown(state.time - start, perf_counter() - began)
     except DivergenceError as error:
         error.trajectory = recorder.close(perf_counter() - began, complete=False)
@@ -126,10 +126,10 @@ class _Pace:
     longest: float
     first: float = 0.0
 
-    def wished(self, model: Model, state: State, drive: Drive, share: float) -> float:
+    def wished(self, model: Model, state: State, prepared: PreparedLoads, share: float) -> float:
         if self.fixed is not None:
             return self.fixed
-        stable = min(model.stable_step(state, drive), self.longest)
+        stable = min(model.stable_step(state, prepared), self.longest)
         self.first = self.first or stable
         return share * stable
 
@@ -160,77 +160,85 @@ def machine_memory() -> float:
         return 8e9
 
 
-def _initial(model: Model, state: State, drive: Drive) -> Outputs:
+def _initial(model: Model, state: State, prepared: PreparedLoads) -> Outputs:
     """Return the outputs at the start, or raise `DivergenceError` with a trajectory without frames."""
     try:
-        outputs = model.outputs(state, drive)
-        _check(model, state, drive, outputs, 0.0)
+        outputs = model.outputs(state, prepared)
+        _check(model, state, prepared, outputs, 0.0)
     except DivergenceError as error:
-        error.trajectory = Recorder(None, model.name, model.cloud.points, model.viscosity).close(0.0, complete=False)
+        error.trajectory = Recorder(None, model.name, model.cloud.points, model.stiffness_damping).close(
+            0.0, complete=False
+        )
         raise
     return outputs
 
 
-def _advance_to(model: Model, state: State, drive: Drive, time: float, pace: _Pace) -> tuple[State, int, float]:
+def _advance_to(
+    model: Model, state: State, prepared: PreparedLoads, time: float, pace: _Pace
+) -> tuple[State, int, float]:
     taken, used, share, interval = 0, pace.longest, 1.0, time - state.time
     while time - state.time > 1e-12 * abs(time):
-        wished = pace.wished(model, state, drive, share)
+        wished = pace.wished(model, state, prepared, share)
         if not wished > 0 or (time - state.time) / wished > MOST_STEPS:
-            raise _diverged(model, state, drive, "no step is stable", wished)
+            raise _diverged(model, state, prepared, "no step is stable", wished)
         if wished < RESOLVED * np.spacing(abs(time)):
             raise InputError(f"t = {time:g} s is too far from 0 for steps of {wished:.3g} s: start the run nearer to 0")
         if taken > pace.most(interval):
             what = f"the run crawls: {taken} steps, {CRAWL} times those of the first stable step, {pace.first:.3g} s,"
-            raise _diverged(model, state, drive, what, wished)
+            raise _diverged(model, state, prepared, what, wished)
         left = int(np.ceil((time - state.time) / wished * (1 - 1e-9)))
         step = (time - state.time) / left
         count = min(left, CHUNK)
-        new = model.advance(state, drive, step, count)
-        if pace.fixed is None and share > FINEST and not model.sound(state, new):
+        new = model.advance(state, prepared, step, count)
+        if pace.fixed is None and share > FINEST and not model.accept_step(state, new):
             share /= 2  # the body has stiffened since the step was estimated
             continue
         if not np.isfinite(new.coordinates).all():
-            raise _diverged(model, state, drive, "the state became non-finite", step, new)
+            raise _diverged(model, state, prepared, "the state became non-finite", step, new)
         state, taken, used, share = new, taken + count, step, min(1.0, 2 * share)
     return state, taken, used
 
 
-def _check(model: Model, state: State, drive: Drive, outputs: Outputs, step: float) -> None:
+def _check(model: Model, state: State, prepared: PreparedLoads, outputs: Outputs, step: float) -> None:
     """Refuse what must not be kept: a snapshot that is not finite, or of a body that ran away."""
     size = np.ptp(model.cloud.points, axis=0).max()
     if np.abs(outputs.displacements).max() > RUNAWAY * size:
-        raise _diverged(model, state, drive, f"the body moved more than {RUNAWAY:g} times its size", step)
+        raise _diverged(model, state, prepared, f"the body moved more than {RUNAWAY:g} times its size", step)
     if np.isnan(outputs.strain):
-        raise _diverged(model, state, drive, "the body turned inside out (J <= 0)", step)
+        raise _diverged(model, state, prepared, "the body turned inside out (J <= 0)", step)
     forces = {f"force of {name!r}": force for name, force in outputs.reactions.items()}
     moments = {f"moment of {name!r}": moment for name, moment in outputs.moments.items()}
     energies = {f"{name} energy": getattr(outputs, name) for name in ("kinetic", "strain", "external", "dissipated")}
-    fields = {"displacement": outputs.displacements, "velocity": outputs.velocities, "touches": outputs.touches}
+    fields = {
+        "displacement": outputs.displacements,
+        "velocity": outputs.velocities,
+        "contact_forces": outputs.contact_forces,
+    }
     for name, values in {**fields, **energies, **forces, **moments}.items():
         if not np.isfinite(values).all():
-            raise _diverged(model, state, drive, f"the {name} became non-finite", step)
+            raise _diverged(model, state, prepared, f"the {name} became non-finite", step)
 
 
 def _diverged(
-    model: Model, state: State, drive: Drive, what: str, step: float, after: State | None = None
+    model: Model, state: State, prepared: PreparedLoads, what: str, step: float, after: State | None = None
 ) -> DivergenceError:
     """Return the error of a run at a state; with the state `after` it, name a node that is not finite there."""
-    node, which = _worst(model, state if after is None else after, drive)
+    node, which = _worst(model, state if after is None else after, prepared)
     if node is None:
-        node, which = _worst(model, state, drive)
+        node, which = _worst(model, state, prepared)
     where = "all nodes at once"
     if node is not None:
         where = f"{which} node {node} at {np.array2string(model.cloud.points[node], precision=4)} m"
     return DivergenceError(
-        f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, viscosity {model.viscosity:.3g} s. "
-        f"Try more viscosity (viscosity={2 * max(model.viscosity, 1e-5):.2g}), smaller loads, or a finer spacing"
+        f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, viscosity {model.stiffness_damping:.3g} s. "
+        f"Try more viscosity (stiffness_damping={2 * max(model.stiffness_damping, 1e-5):.2g}), smaller loads, or a finer spacing"
     )
 
 
-def _worst(model: Model, state: State, drive: Drive) -> tuple[int | None, str]:
+def _worst(model: Model, state: State, prepared: PreparedLoads) -> tuple[int | None, str]:
     """Return the first node that is not finite, or else the fastest; none where all are the same."""
-    velocity = model.velocity(state, drive)
-    bad = ~np.isfinite(np.column_stack([model.displacement(state, drive), velocity])).all(axis=1)
+    velocity = model.velocity(state, prepared)
+    bad = ~np.isfinite(np.column_stack([model.displacement(state, prepared), velocity])).all(axis=1)
     if bad.all():
         return None, ""
     if bad.any():

@@ -15,17 +15,17 @@ from palpate.faults import InputError, number_in_range
 from palpate.files import regular_file
 from palpate.sealed import loading, open_sealed, write_sealed
 
-__all__ = ["NAMED", "ROWS", "SERIES", "StoredTrajectory", "Trajectory", "stacked"]
+__all__ = ["NAMED", "ROWS", "SERIES", "StoredTrajectory", "Trajectory", "stack"]
 
 Floats = NDArray[np.float64]
 
-FORMAT, VERSION = "palpate trajectory", 2
+FORMAT, VERSION = "palpate trajectory", 3
 REMEDY = "run the simulation again"
 FARTHEST = 1e30  # [m] of a displacement, so that sums of squares are finite
 SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
 ROWS = ("displacements", "velocities")  # stored frame by frame
 NAMED = ("reactions", "moments")  # (f, 3) arrays by name
-HEADER = ("model", "label", "wall_seconds", "viscosity", "complete")
+HEADER = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
 
 @dataclass(frozen=True)
@@ -49,15 +49,15 @@ class Trajectory:
         Reference positions.
     wall_seconds : float [s]
         Computing time of the run.
-    viscosity : float [s]
+    stiffness_damping : float [s]
     complete : bool
         False if the run stopped before its end.
     moments : mapping of tool name to (f, 3) array [N m]
         Moment about its origin, on the body, of every tool that touches it, the mean since the frame before.
-    touches : (c, 5) array
+    contact_forces : (c, 5) array
         A row for every node that tools touched, or in the energy form a `Grasp` held: frame, node, and the mean force
         [N] of all of these on it since the frame before.
-    held : (c,) bool array
+    bonded : (c,) bool array
         Which rows are of nodes that a `Grasp` held.
     label : str
         What distinguishes the run from others, such as the campaign and the number in it.
@@ -75,11 +75,11 @@ class Trajectory:
     steps: Floats
     points: Floats
     wall_seconds: float = 0.0
-    viscosity: float = 0.0
+    stiffness_damping: float = 0.0
     complete: bool = True
     moments: dict[str, Floats] = field(default_factory=dict)
-    touches: Floats = field(default_factory=lambda: np.zeros((0, 5)))
-    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 5)))
+    bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     label: str = ""
 
     @property
@@ -111,10 +111,10 @@ class Trajectory:
         for name in ("reactions", "moments"):
             first, second = getattr(self, name), getattr(other, name)
             joined[name] = {of: np.concatenate([values, second[of][1:]]) for of, values in first.items()}
-        after = other.touches[:, 0] > 0
-        later = other.touches[after] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
-        joined["touches"] = np.concatenate([self.touches, later])
-        joined["held"] = np.concatenate([self.held, other.held[after]])
+        after = other.contact_forces[:, 0] > 0
+        later = other.contact_forces[after] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
+        joined["contact_forces"] = np.concatenate([self.contact_forces, later])
+        joined["bonded"] = np.concatenate([self.bonded, other.bonded[after]])
         seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
@@ -128,7 +128,7 @@ class Trajectory:
         OSError
             The file cannot be written; a file that was there is unchanged.
         """
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*SERIES, "points", "touches", "held")}
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in (*SERIES, "points", "contact_forces", "bonded")}
         arrays |= {_key(name, of): force for name in NAMED for of, force in getattr(self, name).items()}
         rows = {name: getattr(self, name) for name in ROWS}
         if not len(self.times):
@@ -137,7 +137,7 @@ class Trajectory:
             if not np.isfinite(values).all():
                 raise InputError(f"{name} is not finite: {path} was not written")
         header = {name: getattr(self, name) for name in HEADER}
-        header |= {name: float(header[name]) for name in ("wall_seconds", "viscosity")}
+        header |= {name: float(header[name]) for name in ("wall_seconds", "stiffness_damping")}
         write_sealed(Path(path), FORMAT, VERSION, header | {name: list(getattr(self, name)) for name in NAMED},
                      arrays, rows)  # fmt: skip
 
@@ -167,20 +167,20 @@ class Trajectory:
 def _from_journal(path: Path) -> Trajectory:
     found = [record for _, _, record in records(path)]
     (about, first), frames = found[0], found[1:]
-    points, names = first["points"], {name: listed_names(name, about.get(name)) for name in NAMED}
-    numbers = stacked([arrays["numbers"] for _, arrays in frames], (len(SERIES),))
+    points, names = first["points"], {name: check_names(name, about.get(name)) for name in NAMED}
+    numbers = stack([arrays["numbers"] for _, arrays in frames], (len(SERIES),))
     data = {name: numbers[:, k] for k, name in enumerate(SERIES)} | {"points": points}
-    data |= {name: stacked([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in ROWS}
+    data |= {name: stack([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in ROWS}
     for name, each in names.items():
-        forces = stacked([arrays[name] for _, arrays in frames], (len(each), 3))
+        forces = stack([arrays[name] for _, arrays in frames], (len(each), 3))
         data |= {_key(name, of): forces[:, k] for k, of in enumerate(each)}
-    numbered = [np.insert(arrays["touches"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
-    data["touches"] = np.concatenate([np.zeros((0, 5)), *numbered])
-    data["held"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["held"] for _, arrays in frames)])
+    numbered = [np.insert(arrays["contact_forces"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
+    data["contact_forces"] = np.concatenate([np.zeros((0, 5)), *numbered])
+    data["bonded"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["bonded"] for _, arrays in frames)])
     return _checked(about | names | {"wall_seconds": 0.0, "complete": False}, data)
 
 
-def stacked(values: list[Any], shape: tuple[int, ...]) -> Floats:
+def stack(values: list[Any], shape: tuple[int, ...]) -> Floats:
     """Return equal arrays as one; of no frames, too."""
     return np.stack(values) if values else np.zeros((0, *shape))
 
@@ -201,35 +201,35 @@ def _checked(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     if not isinstance(header["complete"], bool):
         raise InputError(f"complete must be true or false, got {header['complete']!r:.60}")
     numbers: dict[str, Any] = {
-        name: number_in_range(name, header[name], 0.0, unit="s") for name in ("wall_seconds", "viscosity")
+        name: number_in_range(name, header[name], 0.0, unit="s") for name in ("wall_seconds", "stiffness_damping")
     }
-    names = {name: listed_names(name, header[name]) for name in NAMED}
+    names = {name: check_names(name, header[name]) for name in NAMED}
     frames, n = len(data["times"]), len(data["points"])
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(ROWS, (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
     shapes |= {_key(name, of): (frames, 3) for name, each in names.items() for of in each}
-    touches = len(data.get("touches", ()))
+    contact_forces = len(data.get("contact_forces", ()))
     shapes |= {
-        "touches": (touches, 5),
-        "held": (touches,),
+        "contact_forces": (contact_forces, 5),
+        "bonded": (contact_forces,),
         "points": (n, 2 if data["points"].shape[-1:] == (2,) else 3),
     }
     if data.keys() != shapes.keys():
         raise InputError(f"the arrays are {', '.join(sorted(data))}; expected {', '.join(sorted(shapes))}")
     for name, shape in shapes.items():
-        wanted = np.bool_ if name == "held" else np.float64
+        wanted = np.bool_ if name == "bonded" else np.float64
         if data[name].shape != shape or data[name].dtype != wanted or not np.isfinite(data[name]).all():
             raise InputError(f"{name} is not finite, or has shape {data[name].shape}, expected {shape}")
     if np.abs(data["displacements"]).max(initial=0.0) > FARTHEST:
         raise InputError(f"displacements go beyond {FARTHEST:g} m, which no run does")
     if not n or np.any(np.diff(data["times"]) < 0) or np.any(np.diff(data["steps"]) < 0):
         raise InputError("times and steps must not decrease, and there must be points")
-    _check_touches(data["touches"], frames, n)
+    _check_contact_forces(data["contact_forces"], frames, n)
     forces: dict[str, Any] = {name: {of: data[_key(name, of)] for of in each} for name, each in names.items()}
-    arrays = {name: data[name] for name in (*SERIES, *ROWS, "points", "touches", "held")}
+    arrays = {name: data[name] for name in (*SERIES, *ROWS, "points", "contact_forces", "bonded")}
     return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
 
 
-def listed_names(what: str, names: Any) -> list[str]:
+def check_names(what: str, names: Any) -> list[str]:
     """Return names that a file lists, each once."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or len({*names}) < len(names):
         raise InputError(f"{what} must be a list of names, got {names!r:.60}")
@@ -243,10 +243,10 @@ def _key(what: str, of: str) -> str:
     return f"{what}/{of.replace('%', '%25').replace('/', '%2F').replace(chr(0), '%00')}"
 
 
-def _check_touches(touches: Floats, frames: int, nodes: int) -> None:
-    which = touches[:, :2]
+def _check_contact_forces(contact_forces: Floats, frames: int, nodes: int) -> None:
+    which = contact_forces[:, :2]
     if not np.all((which >= 0) & (which < [frames, nodes]) & (which == np.floor(which))):
-        raise InputError(f"touches names a frame outside 0..{frames - 1} or a node outside 0..{nodes - 1}")
+        raise InputError(f"contact_forces names a frame outside 0..{frames - 1} or a node outside 0..{nodes - 1}")
 
 
 class StoredTrajectory:
@@ -265,7 +265,7 @@ class StoredTrajectory:
     times, steps : (f,) arrays [s], [-]
     displacements : Frames
         Takes a number or a slice, as the (f, n, 3) array [m] would. Every frame is verified when it is read.
-    touches, held : (c, 5) and (c,) arrays
+    contact_forces, bonded : (c, 5) and (c,) arrays
         As of `Trajectory`.
 
     Raises
@@ -288,17 +288,17 @@ class StoredTrajectory:
         self.label = str(file.header.get("label", ""))
         self.wall_seconds = number_in_range("wall_seconds", file.header.get("wall_seconds", 0.0), 0.0, unit="s")
         self.points, self.times, self.steps = map(file.read, ("points", "times", "steps"))
-        self.touches, self.held = map(file.read, ("touches", "held"))
+        self.contact_forces, self.bonded = map(file.read, ("contact_forces", "bonded"))
         shape, wanted = file.arrays["displacements"].shape, (len(self.times), len(self.points), 3)
-        if shape != wanted or not len(self.points) or self.touches.shape != (len(self.held), 5):
-            raise InputError(f"displacements have shape {shape}, expected {wanted}; or touches do not fit")
+        if shape != wanted or not len(self.points) or self.contact_forces.shape != (len(self.bonded), 5):
+            raise InputError(f"displacements have shape {shape}, expected {wanted}; or contact_forces do not fit")
         if self.points.ndim != 2 or self.times.ndim != 1 or self.steps.shape != self.times.shape:
             raise InputError("points, times and steps do not fit together")
         if file.arrays["displacements"].type not in ("<f8", "<f4") or np.any(np.diff(self.times) < 0):
             raise InputError("displacements must be of type <f8 or <f4, and times must not decrease")
-        if not all(np.isfinite(each).all() for each in (self.points, self.times, self.steps, self.touches)):
-            raise InputError("points, times, steps or touches are not finite")
-        _check_touches(self.touches, len(self.times), len(self.points))
+        if not all(np.isfinite(each).all() for each in (self.points, self.times, self.steps, self.contact_forces)):
+            raise InputError("points, times, steps or contact_forces are not finite")
+        _check_contact_forces(self.contact_forces, len(self.times), len(self.points))
         self.displacements = Frames(self.path, shape, lambda k: file.row("displacements", k))
 
     def _open_journal(self) -> None:
@@ -306,7 +306,7 @@ class StoredTrajectory:
         places = [(place, chain) for place, chain, _ in records(self.path)][1:]
         self.label, self.wall_seconds = run.label, run.wall_seconds
         self.points, self.times, self.steps = run.points, run.times, run.steps
-        self.touches, self.held = run.touches, run.held
+        self.contact_forces, self.bonded = run.contact_forces, run.bonded
 
         def frame(k: int) -> Floats:
             return read_record(self.path, *places[k])[1]["displacements"]

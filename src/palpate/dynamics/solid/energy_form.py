@@ -26,13 +26,13 @@ import numpy as np
 from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
+from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
 from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
 from palpate.dynamics.material.fibres import BARE, Families, FibrePoints
 from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
 from palpate.dynamics.material.principal_stretches import make_principal_stress
-from palpate.dynamics.material.relaxation import Memory, Relaxation, after, memory, overstress, relax_volume
+from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, after, history, overstress, relax_volume
 from palpate.dynamics.material.small_strain import make_linear_stress
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
@@ -75,7 +75,7 @@ class EnergyWork(NamedTuple):
     slope: NDArray[np.float64]  # (n,) g'(J); none where it is 1
     smooth: NDArray[np.float64]  # (n,) theta
     pressure: NDArray[np.float64]  # (n,) [Pa]
-    memory: Memory  # of tissue that relaxes
+    history: HistoryVariables  # of tissue that relaxes
     scaled: NDArray[np.float64]  # (n,) theta times its stiffness
     least: NDArray[np.float64]  # (1,) the least dilatation of all evaluations in a call of the step
 
@@ -93,7 +93,7 @@ def energy_work(
         np.zeros(0 if volumetric == QUADRATIC else nodes),
         np.zeros(nodes),
         np.zeros(nodes),
-        memory(branches, blocks, nodes),
+        history(branches, blocks, nodes),
         np.zeros(nodes),
         np.zeros(1),
     )
@@ -154,14 +154,14 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
     )
     effective = work.smooth
     if body.relaxation.times.shape[0] > 0:
-        overstress(body.relaxation, work.memory, work.cofactor)
-        relax_volume(body.relaxation, work.memory, work.smooth)
-        effective = work.memory.effective
+        overstress(body.relaxation, work.history, work.cofactor)
+        relax_volume(body.relaxation, work.history, work.smooth)
+        effective = work.history.effective
     if body.stiffness.shape[0] > 0:
         _stiffen(body.stiffness, work.flux, effective, work.scaled)
         effective = work.scaled
     if body.relaxation.times.shape[0] > 0:
-        _add_overstress(body.lanes, work.memory.stress, body.stiffness, work.flux)
+        _add_overstress(body.lanes, work.history.stress, body.stiffness, work.flux)
     smooth_field(body.transposed_smoothing, body.transposed_value, body.smoothing_own, work.fields, work.derivatives,
             effective, work.pressure)  # fmt: skip
     for i in range(work.slope.shape[0]):
@@ -215,7 +215,7 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
         return make_principal_stress(digest, law_first)
     if variables == "small strain":
         return make_linear_stress(digest)
-    first_of = inlined(digest, law_first)
+    first_of = inline(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
@@ -269,8 +269,8 @@ def solid_energy(
     """
     measure_of, curved = volumetric_form(volumetric).measure, volumetric != QUADRATIC
     digest = law_digest(__name__, "solid energy", law.variables, law.first, measure_of, fibres.digest, varied)
-    stress, stressed, at = make_stress(digest, law.first, law.variables), fibres.stressed, parameters_at(varied)
-    measure = inlined(digest, measure_of)
+    stress, add_stress, at = make_stress(digest, law.first, law.variables), fibres.add_stress, parameters_at(varied)
+    measure = inline(digest, measure_of)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def answer(b, nodes, d, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
@@ -279,7 +279,7 @@ def solid_energy(
                 d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
                 at(coefficients, b, v),
             )  # fmt: skip
-            P = stressed(
+            P = add_stress(
                 P, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], b, v, families
             )
             i = nodes[b, v]

@@ -12,15 +12,15 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.lanes import lane_table, transposed
+from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.passes import smooth_field
 from palpate.dynamics.contact.tools import Contact
-from palpate.dynamics.loads.loads import Drive, Load, drive
-from palpate.dynamics.material.fibres import fibre_points, laid_out, placed
+from palpate.dynamics.loads.loads import Load, PreparedLoads, prepare_loads
+from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.material_fields import EVERYWHERE, regions_of, spread
-from palpate.dynamics.material.relaxation import at_ease, recall, relaxation, remembered
+from palpate.dynamics.material.relaxation import equilibrium_history, relaxation, restore_history, saved_history
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.nodal.stability import StabilityReport, choose_viscosity, resting_frequency, stable_step
+from palpate.dynamics.nodal.stability import StabilityReport, choose_stiffness_damping, resting_frequency, stable_step
 from palpate.dynamics.run.model import State
 from palpate.dynamics.solid.energy_form import EnergyBody, energy_work, solid_energy
 from palpate.dynamics.solid.strong_form import Body, solid, workspace
@@ -33,7 +33,7 @@ from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 
-__all__ = ["FullModel"]
+__all__ = ["Solid"]
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ NEIGHBOURS = (42, 50, 63)  # in a stencil by default, and where these do not do
 CRUSHED, MADE = -0.6, 1e-3  # dilatation below which steps are examined; energy that these may make, of what there is
 
 
-class FullModel(NodalModel):
+class Solid(NodalModel):
     """A hyperelastic body, its equations of motion collocated at the nodes.
 
     Parameters
@@ -99,7 +99,7 @@ class FullModel(NodalModel):
         fixed: str | Sequence[str] = (),
         *,
         form: str = "strong",
-        viscosity: float | None = None,
+        stiffness_damping: float | None = None,
         stiffness: Mapping[str, float] | Floats | None = None,
         pressure: str = "split",
         half_cell: float = 3.0,
@@ -108,10 +108,10 @@ class FullModel(NodalModel):
         fibres: FibreLaw | None = None,
     ) -> None:
         if cloud.points.shape[1] != 3:
-            raise InputError("FullModel needs a cloud in space; this one is plane")
+            raise InputError("Solid needs a cloud in space; this one is plane")
         material, self.regions = regions_of(material, cloud)
         if material.incompressible or (self.regions and any(each.incompressible for each in self.regions.materials)):
-            raise InputError("FullModel needs a compressible material: poisson at most 0.499, not 0.5")
+            raise InputError("Solid needs a compressible material: poisson at most 0.499, not 0.5")
         if pressure not in ("split", "direct"):
             raise InputError(f"pressure = {pressure!r}: allowed are 'split' and 'direct'")
         self.cloud = cloud
@@ -126,7 +126,7 @@ class FullModel(NodalModel):
             raise InputError("a stiffness of its own at some nodes needs form='energy'")
         if self.regions is not None and form != "energy":
             raise InputError("other materials in other places need form='energy'")
-        self.fibres = placed(fibres, material, form, cloud.points)
+        self.fibres = prepare_fibres(fibres, material, form, cloud.points)
         self.form, self.pressure, self.conservative = form, pressure, form == "energy"
         # the cloud's boundary vectors are those of the half cell, c = 2, which the energy form has by itself
         self.half_cell = 1.0 if self.conservative else number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
@@ -138,16 +138,21 @@ class FullModel(NodalModel):
             choices = NEIGHBOURS if neighbours is None else (neighbours,)
             self.neighbours, self.stencils, self._volumes, self._lattice = balanced_stencils(cloud, choices)
             self._prepare_energy(smoother)
-            self.viscosity = 0.0
+            self.stiffness_damping = 0.0
             highest = resting_frequency(self)
-            used = number_in_range("viscosity", DAMPING / highest if viscosity is None else viscosity, 0.0, unit="s")
+            used = number_in_range(
+                "stiffness_damping",
+                DAMPING / highest if stiffness_damping is None else stiffness_damping,
+                0.0,
+                unit="s",
+            )
             step = stable_step(highest, used)
             self._examined(StabilityReport("the energy's slope", None, 0.0, used, highest, step))
         else:
             self.neighbours = NEIGHBOURS[0] if neighbours is None else neighbours
             self.stencils = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours)
             self._prepare_strong(smoother)
-            self._examined(choose_viscosity(self, viscosity, self.neighbours))
+            self._examined(choose_stiffness_damping(self, stiffness_damping, self.neighbours))
 
     def _prepare_strong(self, smoother: Stencils) -> None:
         """Lay out the passes of the strong form."""
@@ -175,22 +180,22 @@ class FullModel(NodalModel):
         """Lay out the passes of the energy form."""
         cloud, material = self.cloud, self.material
         row, first, misses = self.stencils.row, self.stencils.first, self.stencils.value
-        lanes, (first_weights, miss_weights) = lane_table(self.stencils.neighbours, row, first, misses)
+        lanes, (first_weights, hourglass_weights) = lane_table(self.stencils.neighbours, row, first, misses)
         both = np.concatenate([first, misses[:, :, None]], axis=2)[row]
-        near, weights = transposed(self.stencils.neighbours, both, self._volumes)
+        near, weights = transpose(self.stencils.neighbours, both, self._volumes)
         everyone = np.arange(len(cloud))
         carriers, (back,) = lane_table(near, everyone, weights)
         smoothing, own = conservative_smoothing(smoother, self._volumes)
         self.smoothing = smoother.neighbours, smoothing
         smooth_lanes, (value,) = lane_table(smoother.neighbours, everyone, smoothing)
-        near, weights = transposed(smoother.neighbours, smoothing[:, :, None], self._volumes)
+        near, weights = transpose(smoother.neighbours, smoothing[:, :, None], self._volumes)
         back_lanes, (back_value,) = lane_table(near, everyone, weights)
         body = EnergyBody(
-            lanes, first_weights, miss_weights, carriers, back, -both.sum(axis=1),
+            lanes, first_weights, hourglass_weights, carriers, back, -both.sum(axis=1),
             smooth_lanes, value, own, back_lanes, back_value,
             material.coefficients if self.regions is None else spread(self.regions, lanes.nodes),
             self.lame, HOURGLASS * material.shear_modulus / cloud.spacing**2,
-            relaxation(material), self._stiffnesses(), laid_out(self.fibres, lanes.nodes),
+            relaxation(material), self._stiffnesses(), lay_out_fibres(self.fibres, lanes.nodes),
         )  # fmt: skip
         families = (lanes, smooth_lanes, back_lanes)
         longest = int(max(*(np.diff(family.start).max() for family in families), 4 * np.diff(carriers.start).max()))
@@ -224,9 +229,9 @@ class FullModel(NodalModel):
         return self.volumes * self._stiffness if len(self._stiffness) else self.volumes
 
     @property
-    def firm_volumes(self) -> Floats:
+    def shear_volumes(self) -> Floats:
         """The same times the nodes' shear modulus over that of `material`, shape (n,)."""
-        return self.elastic_volumes if self.regions is None else self.elastic_volumes * self.regions.firmness
+        return self.elastic_volumes if self.regions is None else self.elastic_volumes * self.regions.modulus_ratio
 
     @property
     def bulk_volumes(self) -> Floats:
@@ -249,7 +254,7 @@ class FullModel(NodalModel):
         """Stiffness (n, 3) of the law, of what stencils miss and of the volume; empty where all are 1 everywhere."""
         if self.regions is None and not len(self._stiffness):
             return np.zeros((0, 3))
-        every = (self.elastic_volumes, self.firm_volumes, self.bulk_volumes)
+        every = (self.elastic_volumes, self.shear_volumes, self.bulk_volumes)
         return np.ascontiguousarray(np.stack(every, axis=1) / self.volumes[:, None])
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
@@ -301,37 +306,37 @@ class FullModel(NodalModel):
         shear = (self.regions or self.material).shear_energy(F)
         if self.fibres is not None:
             shear += self.fibres.energy(F)
-        every = (self.elastic_volumes, self.firm_volumes, self.bulk_volumes)
+        every = (self.elastic_volumes, self.shear_volumes, self.bulk_volumes)
         law, firm, bulk = (volumes / self.volumes for volumes in every)
         misses = np.sum(self.work.flux[:, 9:] ** 2, axis=1) / (2 * self.body.hourglass * firm)
         density = np.asarray(law * shear + bulk * self.lame / 2 * self.work.smooth**2 + misses)
         if self.material.prony is not None:
-            memory = self.work.memory
-            density += firm * memory.energy.ravel()[self.slot] + bulk * self.lame * memory.volume_energy
+            history = self.work.history
+            density += firm * history.energy.ravel()[self.slot] + bulk * self.lame * history.volume_energy
         return density
 
-    def _at_ease(self, displacements: Floats) -> tuple[Floats, ...]:
-        return at_ease(self.work.memory, lambda: self.force(displacements)) if self.conservative else ()
+    def _equilibrium_history(self, displacements: Floats) -> tuple[Floats, ...]:
+        return equilibrium_history(self.work.history, lambda: self.force(displacements)) if self.conservative else ()
 
-    def _recall(self, state: State | None) -> None:
+    def _restore_history(self, state: State | None) -> None:
         if self.conservative:
-            recall(self.work.memory, () if state is None else state.memory)
+            restore_history(self.work.history, () if state is None else state.history)
 
-    def _remembered(self) -> tuple[float, tuple[Floats, ...]]:
+    def _saved_history(self) -> tuple[float, tuple[Floats, ...]]:
         if self.material.prony is None:
             return 0.0, ()
-        memory = self.work.memory
-        shear, volume = memory.lost.ravel()[self.slot], self.lame * memory.volume_lost
-        return float(self.firm_volumes @ shear + self.bulk_volumes @ volume), remembered(memory)
+        history = self.work.history
+        shear, volume = history.lost.ravel()[self.slot], self.lame * history.volume_lost
+        return float(self.shear_volumes @ shear + self.bulk_volumes @ volume), saved_history(history)
 
-    def smoothed(self, values: Floats) -> Floats:
+    def smooth(self, values: Floats) -> Floats:
         """Return nodal values (n,) as the energy form smooths J - 1, or what its form has for it, to theta."""
         body, work, result = self.body, self.work, np.empty(len(self.cloud))
         own = np.ascontiguousarray(values, dtype=float)
         smooth_field(body.smoothing, body.value, body.smoothing_own, work.fields, work.derivatives, own, result)
         return result
 
-    def smoothed_back(self, weights: Floats) -> Floats:
+    def smooth_transposed(self, weights: Floats) -> Floats:
         """Return w' with w'. x = w . smoothed(x) for all x, for each row w of `weights` (k, n)."""
         body, work, result = self.body, self.work, np.empty_like(weights)
         for row, into in zip(weights / self.volumes, result, strict=True):
@@ -346,18 +351,18 @@ class FullModel(NodalModel):
         F = self.deformation_gradient(displacements)
         return self.stress(displacements) @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]
 
-    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
         if self.conservative:
             self.work.least[0] = 0.0
-        return super().advance(state, drive, step, steps)
+        return super().advance(state, prepared, step, steps)
 
-    def sound(self, before: State, after: State) -> bool:
+    def accept_step(self, before: State, after: State) -> bool:
         """Return whether the steps just taken made no energy.
 
         Tissue that is nearly crushed flat is so stiff that steps which were stable before no longer follow it. That
         is examined only in the energy form, and where there was such tissue in these steps.
         """
-        if not super().sound(before, after):
+        if not super().accept_step(before, after):
             return False
         if not self.conservative or self.work.least[0] > CRUSHED:
             return True
@@ -368,12 +373,12 @@ class FullModel(NodalModel):
 
     def _energy(self, state: State) -> float:
         """Kinetic and strain energy [J] of a state."""
-        self._recall(state)
+        self._restore_history(state)
         return float(0.5 * self.masses @ np.sum(state.velocities**2, axis=1)) + self.strain_energy(state.coordinates)
 
-    def drive(self, loads: Sequence[Load]) -> Drive:
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         touched = self.conservative and any(isinstance(load, Contact) for load in loads)
-        return drive(self.cloud, self.fixed, loads, patches=self.patches if touched else None)
+        return prepare_loads(self.cloud, self.fixed, loads, patches=self.patches if touched else None)
 
     @cached_property
     def patches(self) -> sparse.csr_array:

@@ -22,7 +22,7 @@ import numpy as np
 from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inlined, kernel_njit, law_digest, law_njit
+from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
 from palpate.dynamics.compiled.passes import Formulation, combine, lift_passes, smooth_field, weights_address
 from palpate.dynamics.material.principal_stretches import make_principal_response
@@ -119,7 +119,7 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, di
 
     `volume` is the compiled function of J - 1 that returns U'(J) and U''(J) over lame.
     """
-    first_of, second_of = (inlined(digest, f) for f in (law_first, law_second))
+    first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
@@ -237,7 +237,7 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
     make = {
         "invariants": _make_response, "stretches": make_principal_response, "small strain": make_linear_response,
     }[law.variables]  # fmt: skip
-    volume = inlined(digest, pressure_of)
+    volume = inline(digest, pressure_of)
     answer = make(digest, law.first, law.second, volume, direct)
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})

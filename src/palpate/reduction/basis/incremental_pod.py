@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Decomposition", "allowance", "block_size", "decomposed"]
+__all__ = ["Decomposition", "allowance", "block_size", "decompose"]
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def allowance(squares: float, snapshots: int, block: int) -> float:
     return DROPPED**2 * squares / -(-snapshots // block)
 
 
-def decomposed(
+def decompose(
     blocks: Iterable[Floats], image: Callable[[Floats], Floats], allowed: float, least: int = 0
 ) -> Decomposition:
     """Decompose blocks of snapshots one after the other.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.run.reactions import partition
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
 from palpate.reduction.basis.linear_modes import tool_responses
 
@@ -21,7 +21,7 @@ SOLVED = 6000  # nodes up to which equations of the whole body are solved
 RIGID = 1e-3  # of a tool's motion, that lifting columns may miss of it
 
 
-def lifting_columns(body: FullModel | Membrane, tools: Sequence[str]) -> Floats:
+def lifting_columns(body: Solid | Membrane, tools: Sequence[str]) -> Floats:
     """Columns (l, n, 3) that move and turn each tool's nodes rigidly, the body following as it would at rest.
 
     In a large body they fade evenly towards supports and other tools instead: the modes learn the rest. A membrane is
@@ -46,7 +46,7 @@ def lifting_columns(body: FullModel | Membrane, tools: Sequence[str]) -> Floats:
     return tool_responses(body, np.array(columns), tools)
 
 
-def support_fields(body: FullModel | Membrane, tools: Sequence[str]) -> Floats:
+def support_fields(body: Solid | Membrane, tools: Sequence[str]) -> Floats:
     """Test fields (3 g, n, 3) for the forces of the supports: 1 there in each direction, 0 at others and at tools."""
     held = {name: body.cloud.group(name) for name in (*body.fixed, *tools)}
     if not body.fixed:
@@ -60,12 +60,12 @@ class WithoutTools:
 
     Parameters
     ----------
-    body : FullModel or Membrane
+    body : Solid or Membrane
     lifting : (l, n, 3) array
     tools : sequence of str
     """
 
-    def __init__(self, body: FullModel | Membrane, lifting: Floats, tools: Sequence[str]) -> None:
+    def __init__(self, body: Solid | Membrane, lifting: Floats, tools: Sequence[str]) -> None:
         self._lifting, self._least = lifting, RIGID * body.cloud.spacing
         self._nodes = np.unique(np.concatenate([body.cloud.group(name) for name in tools])) if tools else None
         self._missed = self._largest = 0.0

@@ -16,11 +16,11 @@ from scipy.interpolate import RBFInterpolator
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError, integer_in_range
 
 __all__ = [
-    "carried_modes",
+    "interpolated_modes",
     "modal_derivatives",
     "rest_stiffness",
     "stiffness_blocks",
@@ -36,7 +36,7 @@ AMPLITUDE = 0.02  # of the spacing: displacements for second differences
 DENSE = 0.1  # of a stiffness's entries that are not zero, from which on a dense factor is found sooner
 
 
-def rest_stiffness(body: FullModel) -> Any:
+def rest_stiffness(body: Solid) -> Any:
     """Return the stiffness [N/m] at rest of a body in its energy form, sparse, (3 n, 3 n), rows 3 i + c of node i.
 
     Raises
@@ -51,12 +51,12 @@ def rest_stiffness(body: FullModel) -> Any:
     return sparse.bmat(blocks, format="csr")[by_node][:, by_node].tocsc()
 
 
-def stiffness_blocks(body: FullModel, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
+def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
     """Return the stiffness [N/m] at rest between components c <= e of all nodes, by (c, e): sparse (n, n) arrays.
 
     Parameters
     ----------
-    body : FullModel
+    body : Solid
     kind : type
         Of the numbers; single precision halves the memory.
 
@@ -79,7 +79,7 @@ def stiffness_blocks(body: FullModel, kind: type[np.floating[Any]] = np.float64)
     bulk = sparse.diags(own * body.moduli("lame")).astype(kind)
     thetas = [(smooth @ slope).astype(kind) for slope in slopes]
     common = sum(slope.T @ shear @ slope for slope in slopes)
-    common = common + body.body.hourglass * misses.T @ sparse.diags(body.firm_volumes) @ misses
+    common = common + body.body.hourglass * misses.T @ sparse.diags(body.shear_volumes) @ misses
     blocks = {}
     for c in range(3):
         for e in range(c, 3):
@@ -100,9 +100,9 @@ def _operator(near: NDArray[np.int32], weights: Floats) -> Any:
     return (matrix - sparse.diags(np.asarray(matrix.sum(axis=1)).ravel())).tocsr()
 
 
-def _free(body: FullModel, groups: Sequence[str]) -> NDArray[np.int64]:
+def _free(body: Solid, groups: Sequence[str]) -> NDArray[np.int64]:
     """Degrees of freedom that neither supports nor some groups hold."""
-    held = body.held.copy()
+    held = body.fixed_mask.copy()
     for name in groups:
         held[body.cloud.group(name)] = True
     if not held.any():
@@ -119,7 +119,7 @@ class _Statics(NamedTuple):
     solve: Callable[[Floats], Floats]
 
 
-def _statics(body: FullModel, held: Sequence[str]) -> _Statics:
+def _statics(body: Solid, held: Sequence[str]) -> _Statics:
     free, whole = _free(body, held), rest_stiffness(body)
     stiffness = whole[free][:, free].tocsc()
     if stiffness.nnz < DENSE * len(free) ** 2:
@@ -129,12 +129,12 @@ def _statics(body: FullModel, held: Sequence[str]) -> _Statics:
     return _Statics(whole, free, stiffness, lambda forces: cho_solve(factor, forces, check_finite=False))
 
 
-def vibration_modes(body: FullModel, count: int, held: Sequence[str] = ()) -> tuple[Floats, Floats]:
+def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[Floats, Floats]:
     """Find the slowest vibrations of the body at rest.
 
     Parameters
     ----------
-    body : FullModel
+    body : Solid
         In its energy form.
     count : int
     held : sequence of str
@@ -156,7 +156,7 @@ def vibration_modes(body: FullModel, count: int, held: Sequence[str] = ()) -> tu
     return _vibrations(body, _statics(body, held), count)
 
 
-def _vibrations(body: FullModel, statics: _Statics, count: int) -> tuple[Floats, Floats]:
+def _vibrations(body: Solid, statics: _Statics, count: int) -> tuple[Floats, Floats]:
     _, free, stiffness, solve = statics
     inverse = LinearOperator(stiffness.shape, matvec=solve)
     masses = sparse.diags(np.repeat(body.masses, 3)[free])
@@ -170,7 +170,7 @@ def _vibrations(body: FullModel, statics: _Statics, count: int) -> tuple[Floats,
     return fields, np.sqrt(values[order])
 
 
-def carried_modes(coarse: FullModel, body: FullModel, count: int) -> Floats:
+def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
     """Return smooth modes (count, n, 3) of a body, found on a coarser model of it: vibrations, and their derivatives.
 
     About half are derivatives of the slowest vibrations: without them a body is too stiff where it moves far. They are
@@ -200,12 +200,12 @@ def carried_modes(coarse: FullModel, body: FullModel, count: int) -> Floats:
     return np.ascontiguousarray(fields)
 
 
-def tool_responses(body: FullModel, fields: Floats, held: Sequence[str]) -> Floats:
+def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
     """Return static responses at rest (l, n, 3) to fields that are given at the nodes of some held groups.
 
     Parameters
     ----------
-    body : FullModel
+    body : Solid
         In its energy form.
     fields : (l, n, 3) array
         Read at the held groups' nodes only.
@@ -219,7 +219,7 @@ def tool_responses(body: FullModel, fields: Floats, held: Sequence[str]) -> Floa
     return given.reshape(len(fields), -1, 3)
 
 
-def modal_derivatives(body: FullModel, modes: Floats, held: Sequence[str] = ()) -> Floats:
+def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> Floats:
     """Return how the body follows pairs of modes to second order, (k (k + 1) / 2, n, 3), for modes (k, n, 3).
 
     Each is the static response at rest to the second derivative of the internal force along two modes; its largest
@@ -228,9 +228,9 @@ def modal_derivatives(body: FullModel, modes: Floats, held: Sequence[str] = ()) 
     return _derivatives(body, _statics(body, held), modes)
 
 
-def _derivatives(body: FullModel, statics: _Statics, modes: Floats) -> Floats:
+def _derivatives(body: Solid, statics: _Statics, modes: Floats) -> Floats:
     pairs = []
-    body._recall(None)
+    body._restore_history(None)
     shapes = AMPLITUDE * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
     for i, one in enumerate(shapes):
         for two in shapes[i:]:

@@ -1,7 +1,7 @@
 """Proper orthogonal decomposition of snapshots (section 4, equations 22 to 28).
 
 The Hilbert space of the paper is the L2 of the body: (u, v) = sum over the nodes of V_I u_I . v_I, with the nodal
-volumes V_I (`FullModel.weights`). The inner product decides: without the volumes the reduced model is unstable.
+volumes V_I (`Solid.weights`). The inner product decides: without the volumes the reduced model is unstable.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.reduction.basis.incremental_pod import allowance, block_size, decomposed
+from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Run, Snapshots
 
 __all__ = ["Basis", "pod"]
@@ -88,7 +88,7 @@ def pod(
     snapshots : (L, n, 3) array [m], a trajectory or the path of its file, or several
         More than fit into a block of memory are decomposed block by block (`palpate.reduction.basis.incremental_pod`).
     weights : (n,) array [m^3]
-        Of the inner product: nodal volumes, or `FullModel.weights`.
+        Of the inner product: nodal volumes, or `Solid.weights`.
     modes : int, optional
         Number of modes M.
     tolerance : float, optional
@@ -130,7 +130,7 @@ def _decomposed(own: Snapshots, roots: Floats, least: int) -> tuple[Callable[[in
         return lambda count: left[:count], values, 0.0
     weights = (roots**2).reshape(-1, 3)
     squares = sum(float(np.einsum("bnc,bnc,nc->", block, block, weights)) for block in own.blocks(size))
-    found = decomposed(own.blocks(size), lambda u: u * weights, allowance(squares, len(own), size), least)
+    found = decompose(own.blocks(size), lambda u: u * weights, allowance(squares, len(own), size), least)
 
     def shapes(count: int) -> Floats:
         # the products know small directions less well than their span

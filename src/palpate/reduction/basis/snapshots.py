@@ -25,7 +25,7 @@ class _Frames:
     displacements: Floats
     points: None = None
     times: Floats = field(default_factory=lambda: np.zeros(0))
-    touches: Floats = field(default_factory=lambda: np.zeros((0, 5)))
+    contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 5)))
     held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
 
@@ -73,7 +73,7 @@ class Snapshots:
                 raise InputError(
                     f"snapshots of bodies of {self.nodes} and of {part.displacements.shape[1]} nodes do not go together"
                 )
-        self.touched = any(len(run.touches) for run in self.runs)
+        self.touched = any(len(run.contact_forces) for run in self.runs)
         self._ends = np.cumsum(self.lengths)
 
     def __len__(self) -> int:

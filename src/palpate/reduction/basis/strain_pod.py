@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
-from palpate.reduction.basis.incremental_pod import allowance, block_size, decomposed
+from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Snapshots
 
-__all__ = ["joined", "main_modes"]
+__all__ = ["join", "main_modes"]
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ NOISE = 1e-10  # of the largest eigenvalue: below it shapes are not told from no
 
 
 def main_modes(
-    body: FullModel | Membrane,
+    body: Solid | Membrane,
     snapshots: Snapshots | Floats,
     modes: int,
     spare: int = 0,
@@ -56,7 +56,7 @@ def main_modes(
     parts = np.split(scale, range(size, len(own), size))
     scaled = (prepare(u) * part[:, None, None] for u, part in zip(own.blocks(size), parts, strict=True))
     squares = float(np.sum((sizes * scale) ** 2))
-    found = decomposed(scaled, image, allowance(squares, len(own), size), least=modes + spare)
+    found = decompose(scaled, image, allowance(squares, len(own), size), least=modes + spare)
     rank = int(np.sum(found.values**2 > NOISE * found.values[0] ** 2))
     if modes > rank:
         raise InputError(f"modes = {modes}: the {len(own)} snapshots hold only {rank} independent shapes")
@@ -64,7 +64,7 @@ def main_modes(
     return _orthonormal(body, found.shapes(min(modes + spare, rank))), lost
 
 
-def _inner_product(body: FullModel | Membrane) -> Callable[[Floats], Floats]:
+def _inner_product(body: Solid | Membrane) -> Callable[[Floats], Floats]:
     """Return A of the inner product u . A v of fields (b, n, 3): of du/dX, or of a membrane's u, over the volume."""
     if isinstance(body, Membrane):
         return lambda fields: fields * body.volumes[:, None]
@@ -80,20 +80,20 @@ def _sizes(fields: Floats, image: Callable[[Floats], Floats]) -> Floats:
     return np.sqrt(np.maximum(np.einsum("bnc,bnc->b", fields, image(fields)), 0.0))
 
 
-def _orthonormal(body: FullModel | Membrane, fields: Floats) -> Floats:
+def _orthonormal(body: Solid | Membrane, fields: Floats) -> Floats:
     """Fields (m, n, 3) with the same span, orthonormal in the volumes."""
     weights = np.repeat(np.sqrt(body.volumes), 3)
     orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
     return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
 
 
-def joined(body: FullModel | Membrane, modes: Floats | None, enrichment: Floats | None) -> Floats:
+def join(body: Solid | Membrane, modes: Floats | None, enrichment: Floats | None) -> Floats:
     """Modes and enrichment, orthonormal together."""
     if enrichment is None:
         return np.zeros((0, len(body.cloud), 3)) if modes is None else modes
     if enrichment.ndim != 3 or enrichment.shape[1:] != (len(body.cloud), 3) or not np.isfinite(enrichment).all():
         raise InputError(f"enrichment has shape {enrichment.shape}; this body needs (e, {len(body.cloud)}, 3), finite")
-    if np.abs(enrichment[:, body.held]).max(initial=0.0) > 0:
+    if np.abs(enrichment[:, body.fixed_mask]).max(initial=0.0) > 0:
         raise InputError("enrichment moves nodes of the supports")
     sizes = np.linalg.norm(enrichment, axis=2).max(axis=1)[:, None, None]
     return _orthonormal(body, enrichment / sizes if modes is None else np.concatenate([modes, enrichment / sizes]))

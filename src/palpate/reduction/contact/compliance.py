@@ -19,23 +19,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.reduction.contact.interior import Inside, moved_inside, spread
+from palpate.reduction.contact.interior import Interior, interior_displacements, spread
 
 __all__ = [
-    "NO_DENTS",
-    "Compliance",
-    "Dents",
-    "Near",
-    "carried",
-    "compliance",
-    "dents_of",
-    "gathered",
-    "near",
+    "NO_COMPLIANCE",
+    "ActiveCompliance",
+    "ComplianceTable",
+    "SurfaceCompliance",
+    "active_compliance",
+    "carrier_forces",
+    "compliance_table",
+    "contact_displacements",
     "pair",
     "refresh",
-    "softness",
+    "secant_factor",
+    "static_displacements",
 ]
-__all__ += ["stored"]
+__all__ += ["energy_factor"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -43,7 +43,7 @@ Ints = NDArray[np.int64]
 DENSE = 256  # touched nodes up to which what is between them is kept
 
 
-class Dents(NamedTuple):
+class SurfaceCompliance(NamedTuple):
     """The compliance of a body's surface beside its modes.
 
     Parameters
@@ -76,31 +76,31 @@ class Dents(NamedTuple):
     carriers: Ints
     weights: Floats
     flexibility: NDArray[np.float32]
-    close: Ints
-    between: NDArray[np.float32]
+    nearby: Ints
+    near_field: NDArray[np.float32]
     patches: Ints
     shares: Floats
-    hardening: Floats
-    grip: float
-    inside: Inside | None = None
+    stiffening: Floats
+    bonded_scale: float
+    interior: Interior | None = None
 
-    def scaled(self, factor: float) -> Dents:
+    def scaled(self, factor: float) -> SurfaceCompliance:
         """Return this with all compliances of the surface times a factor."""
         return self._replace(
             flexibility=(factor * self.flexibility).astype(np.float32),
-            between=(factor * self.between).astype(np.float32),
-            inside=self.inside and self.inside._replace(factor=factor * self.inside.factor),
+            near_field=(factor * self.near_field).astype(np.float32),
+            interior=self.interior and self.interior._replace(factor=factor * self.interior.factor),
         )  # fmt: skip
 
 
-NO_DENTS = Dents(
+NO_COMPLIANCE = SurfaceCompliance(
     np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)),
     np.zeros((0, 0), dtype=np.float32), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0, 3, 3), dtype=np.float32),
     np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)), np.array([0.0, 1.0]), 1.0,
 )  # fmt: skip
 
 
-class Compliance(NamedTuple):
+class ComplianceTable(NamedTuple):
     """`Dents` for the compiled step: of k patches of surface that tools meet, then of the k nodes that forceps hold."""
 
     carriers: Ints  # (2 k, w)
@@ -108,13 +108,13 @@ class Compliance(NamedTuple):
     flexibility: NDArray[np.float32]  # (3 c, 3 c) [m/N]
     members: Ints  # (2 k, p) nodes of each, as `Dents.nodes` has them
     shares: Floats  # (2 k, p)
-    close: Ints  # (k, q) of nodes, in that order
-    between: NDArray[np.float32]  # (k, q, 3, 3) [m/N]
-    hardening: Floats  # (2,)
-    grip: float
+    nearby: Ints  # (k, q) of nodes, in that order
+    near_field: NDArray[np.float32]  # (k, q, 3, 3) [m/N]
+    stiffening: Floats  # (2,)
+    bonded_scale: float
 
 
-class Near(NamedTuple):
+class ActiveCompliance(NamedTuple):
     """The compliance between the nodes that are touched, kept from step to step."""
 
     matrix: Floats  # (DENSE, DENSE, 3, 3) [m/N], by slots
@@ -126,40 +126,40 @@ class Near(NamedTuple):
     around: Floats  # (3, 3 k) scratch
 
 
-def compliance(dents: Dents, order: Ints) -> Compliance:
+def compliance_table(compliance: SurfaceCompliance, order: Ints) -> ComplianceTable:
     """Lay a compliance out for the step, its nodes in some order."""
-    carriers, weights = _of_patches(dents)
-    more = ((0, 0), (0, carriers.shape[1] - dents.carriers.shape[1]))
-    carriers = np.concatenate([carriers[order], np.pad(dents.carriers, more)[order]])
-    weights = np.concatenate([weights[order], np.pad(dents.weights, more)[order]])
-    alone = ((0, 0), (0, dents.patches.shape[1] - 1))
-    members = np.concatenate([dents.patches[order], np.pad(order[:, None], alone, mode="edge")])
-    shares = np.concatenate([dents.shares[order], np.pad(np.ones((len(order), 1)), alone)])
-    return Compliance(
+    carriers, weights = _of_patches(compliance)
+    more = ((0, 0), (0, carriers.shape[1] - compliance.carriers.shape[1]))
+    carriers = np.concatenate([carriers[order], np.pad(compliance.carriers, more)[order]])
+    weights = np.concatenate([weights[order], np.pad(compliance.weights, more)[order]])
+    alone = ((0, 0), (0, compliance.patches.shape[1] - 1))
+    members = np.concatenate([compliance.patches[order], np.pad(order[:, None], alone, mode="edge")])
+    shares = np.concatenate([compliance.shares[order], np.pad(np.ones((len(order), 1)), alone)])
+    return ComplianceTable(
         np.ascontiguousarray(carriers, dtype=np.int64), np.ascontiguousarray(weights),
-        np.ascontiguousarray(dents.flexibility), np.ascontiguousarray(members, dtype=np.int64),
-        np.ascontiguousarray(shares), np.ascontiguousarray(dents.close, dtype=np.int64),
-        np.ascontiguousarray(dents.between), np.ascontiguousarray(dents.hardening, dtype=float), float(dents.grip),
+        np.ascontiguousarray(compliance.flexibility), np.ascontiguousarray(members, dtype=np.int64),
+        np.ascontiguousarray(shares), np.ascontiguousarray(compliance.nearby, dtype=np.int64),
+        np.ascontiguousarray(compliance.near_field), np.ascontiguousarray(compliance.stiffening, dtype=float), float(compliance.bonded_scale),
     )  # fmt: skip
 
 
-def _of_patches(dents: Dents) -> tuple[Ints, Floats]:
+def _of_patches(compliance: SurfaceCompliance) -> tuple[Ints, Floats]:
     """Return carriers and weights of the patches: those of their nodes, by their shares."""
-    count, width = len(dents.nodes), dents.shares.shape[1] * dents.weights.shape[1]
+    count, width = len(compliance.nodes), compliance.shares.shape[1] * compliance.weights.shape[1]
     return (
-        dents.carriers[dents.patches].reshape(count, width),
-        (dents.shares[:, :, None] * dents.weights[dents.patches]).reshape(count, width),
+        compliance.carriers[compliance.patches].reshape(count, width),
+        (compliance.shares[:, :, None] * compliance.weights[compliance.patches]).reshape(count, width),
     )
 
 
-def near(of: Compliance, tools: int) -> Near:
+def active_compliance(of: ComplianceTable, tools: int) -> ActiveCompliance:
     """Allocate for some tools; nothing is touched."""
     nodes, carried = len(of.members) // 2, len(of.flexibility)
     most = min(nodes, DENSE) if tools else 0
-    return Near(
+    return ActiveCompliance(
         np.zeros((most, most, 3, 3)), np.zeros(most, np.int64), np.full(2 * nodes, -1),
         np.zeros(1, dtype=np.int64), np.zeros((3, 3)), np.zeros((3, carried if tools else 0)),
-        np.zeros((3, 3 * nodes if tools and of.close.size else 0)),
+        np.zeros((3, 3 * nodes if tools and of.nearby.size else 0)),
     )  # fmt: skip
 
 
@@ -174,51 +174,51 @@ def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
             for c in range(3):
                 for d in range(3):
                     block[c, d] += w * compliance.flexibility[p + c, q + d]
-    for a in range(compliance.members.shape[1] if compliance.close.shape[1] else 0):
+    for a in range(compliance.members.shape[1] if compliance.nearby.shape[1] else 0):
         for b in range(compliance.members.shape[1]):
             n, w = compliance.members[i, a], compliance.shares[i, a] * compliance.shares[j, b]
-            for k in range(compliance.close.shape[1] if w != 0.0 else 0):
-                if compliance.close[n, k] == compliance.members[j, b]:
+            for k in range(compliance.nearby.shape[1] if w != 0.0 else 0):
+                if compliance.nearby[n, k] == compliance.members[j, b]:
                     for c in range(3):
                         for d in range(3):
-                            block[c, d] += w * compliance.between[n, k, c, d]
+                            block[c, d] += w * compliance.near_field[n, k, c, d]
 
 
 @kernel_njit()
-def refresh(compliance, near, points, count):  # type: ignore[no-untyped-def]
+def refresh(compliance, active, points, count):  # type: ignore[no-untyped-def]
     """Keep what is between the patches or nodes touched now, points[:count]; keep nothing and return False if too many.
 
     Those that have left stay, as they may soon be back, until there is no room for others.
     """
-    if count > near.node.shape[0]:
-        _forget(near)
+    if count > active.node.shape[0]:
+        _forget(active)
         return False
     fresh = 0
     for e in range(count):
-        fresh += near.slot[points[e]] < 0
-    if near.used[0] + fresh > near.node.shape[0]:
-        _forget(near)
+        fresh += active.slot[points[e]] < 0
+    if active.used[0] + fresh > active.node.shape[0]:
+        _forget(active)
     for e in range(count):
         i = points[e]
-        if near.slot[i] >= 0:
+        if active.slot[i] >= 0:
             continue
-        s = near.used[0]
-        near.slot[i], near.node[s] = s, i
-        near.used[0] = s + 1
-        _row(compliance, i, near.row, near.around)
+        s = active.used[0]
+        active.slot[i], active.node[s] = s, i
+        active.used[0] = s + 1
+        _row(compliance, i, active.row, active.around)
         for t in range(s + 1):
-            _between(compliance, i, near.node[t], near, near.matrix[s, t])
+            _between(compliance, i, active.node[t], active, active.matrix[s, t])
             for c in range(3):
                 for d in range(3):
-                    near.matrix[t, s, d, c] = near.matrix[s, t, c, d]
+                    active.matrix[t, s, d, c] = active.matrix[s, t, c, d]
     return True
 
 
 @kernel_njit()
-def _forget(near):  # type: ignore[no-untyped-def]
-    for s in range(near.used[0]):
-        near.slot[near.node[s]] = -1
-    near.used[0] = 0
+def _forget(active):  # type: ignore[no-untyped-def]
+    for s in range(active.used[0]):
+        active.slot[active.node[s]] = -1
+    active.used[0] = 0
 
 
 @kernel_njit(fastmath={"contract"})
@@ -234,17 +234,17 @@ def _row(compliance, i, row, around):  # type: ignore[no-untyped-def]
                     row[c, q] += w * compliance.flexibility[p + c, q]
     for a in range(compliance.members.shape[1] if around.shape[1] else 0):
         n, w = compliance.members[i, a], compliance.shares[i, a]
-        for k in range(compliance.close.shape[1] if w != 0.0 else 0):
-            q = 3 * compliance.close[n, k]
+        for k in range(compliance.nearby.shape[1] if w != 0.0 else 0):
+            q = 3 * compliance.nearby[n, k]
             for c in range(3):
                 for d in range(3):
-                    around[c, q + d] += w * compliance.between[n, k, c, d]
+                    around[c, q + d] += w * compliance.near_field[n, k, c, d]
 
 
 @kernel_njit(fastmath={"contract"})
-def _between(compliance, i, j, near, block):  # type: ignore[no-untyped-def]
+def _between(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
     """Write how a force on j moves i (3, 3) [m/N], the rows of i known."""
-    row, around = near.row, near.around
+    row, around = active.row, active.around
     for c in range(3):
         for d in range(3):
             value = 0.0
@@ -256,22 +256,24 @@ def _between(compliance, i, j, near, block):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def softness(hardening, force):  # type: ignore[no-untyped-def]
+def secant_factor(stiffening, force):  # type: ignore[no-untyped-def]
     """Return h under a tool's force [N]."""
-    return (1.0 + force / hardening[1]) ** -hardening[0]
+    return (1.0 + force / stiffening[1]) ** -stiffening[0]
 
 
 @kernel_njit()
-def stored(hardening, force):  # type: ignore[no-untyped-def]
+def energy_factor(stiffening, force):  # type: ignore[no-untyped-def]
     """Return the energy of dents over half the product of their forces and depths: 1 where nothing hardens."""
-    gamma, s = hardening[0], 1.0 + force / hardening[1]
+    gamma, s = stiffening[0], 1.0 + force / stiffening[1]
     if gamma == 0.0 or s - 1.0 < 1e-6:
         return 1.0
     done = ((s ** (2.0 - gamma) - 1.0) / (2.0 - gamma) - (s ** (1.0 - gamma) - 1.0) / (1.0 - gamma)) / (s - 1.0) ** 2
     return 2.0 * (1.0 - done * s**gamma)
 
 
-def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool]) -> tuple[Floats, float]:
+def contact_displacements(
+    compliance: SurfaceCompliance, points: Floats, pushes: Floats, constrained_inverse_mass: Sequence[bool]
+) -> tuple[Floats, float]:
     """Return what tools do to a body beside the modes: to its surface, and inside where that is known.
 
     Parameters
@@ -290,41 +292,43 @@ def dents_of(dents: Dents, points: Floats, pushes: Floats, held: Sequence[bool])
     energy : float [J]
     """
     result, energy = np.zeros_like(points), 0.0
-    for push, nodal in zip(pushes, held, strict=True):
+    for push, nodal in zip(pushes, constrained_inverse_mass, strict=True):
         forces = push
         if not nodal:
             forces = np.zeros_like(push)
-            np.add.at(forces, dents.patches, dents.shares[:, :, None] * push[:, None])
+            np.add.at(forces, compliance.patches, compliance.shares[:, :, None] * push[:, None])
         on = np.flatnonzero(forces.any(axis=1))
         if not len(on):
             continue
-        moved = carried(dents, forces[on], on, np.arange(len(forces)))
+        moved = static_displacements(compliance, forces[on], on, np.arange(len(forces)))
         total = float(np.linalg.norm(forces.sum(axis=0)))
-        moved *= dents.grip if nodal else softness(dents.hardening, total)
-        result[dents.nodes] += moved
-        if dents.inside is not None:
-            own = gathered(dents, forces[on], on)
-            result[dents.inside.nodes] += moved_inside(dents.inside, own, spread(dents.flexibility, own))
-        share = 1.0 if nodal else stored(dents.hardening, total)
+        moved *= compliance.bonded_scale if nodal else secant_factor(compliance.stiffening, total)
+        result[compliance.nodes] += moved
+        if compliance.interior is not None:
+            own = carrier_forces(compliance, forces[on], on)
+            result[compliance.interior.nodes] += interior_displacements(
+                compliance.interior, own, spread(compliance.flexibility, own)
+            )
+        share = 1.0 if nodal else energy_factor(compliance.stiffening, total)
         energy += 0.5 * share * float(np.sum(forces[on] * moved[on]))
     return result, energy
 
 
-def carried(dents: Dents, forces: Floats, on: Ints, there: Ints) -> Floats:
+def static_displacements(compliance: SurfaceCompliance, forces: Floats, on: Ints, there: Ints) -> Floats:
     """Return the displacements (t, 3) [m] of some nodes by statics, for forces (j, 3) [N] on others."""
-    if not dents.flexibility.size:
+    if not compliance.flexibility.size:
         return np.zeros((len(there), 3))
-    spreading = spread(dents.flexibility, gathered(dents, forces, on))
-    moved = np.einsum("tw,twc->tc", dents.weights[there], spreading[dents.carriers[there]])
-    if dents.close.size:  # as it is symmetric, a node's row also tells how its force moves the others
-        nearby = np.zeros((len(dents.nodes), 3))
-        np.add.at(nearby, dents.close[on], np.einsum("jqdc,jd->jqc", dents.between[on], forces))
+    spreading = spread(compliance.flexibility, carrier_forces(compliance, forces, on))
+    moved = np.einsum("tw,twc->tc", compliance.weights[there], spreading[compliance.carriers[there]])
+    if compliance.nearby.size:  # as it is symmetric, a node's row also tells how its force moves the others
+        nearby = np.zeros((len(compliance.nodes), 3))
+        np.add.at(nearby, compliance.nearby[on], np.einsum("jqdc,jd->jqc", compliance.near_field[on], forces))
         moved += nearby[there]
     return np.asarray(moved)
 
 
-def gathered(dents: Dents, forces: Floats, on: Ints) -> Floats:
+def carrier_forces(compliance: SurfaceCompliance, forces: Floats, on: Ints) -> Floats:
     """Return the forces (c, 3) [N] on the carriers for forces (j, 3) [N] on some nodes."""
-    result = np.zeros((len(dents.flexibility) // 3, 3))
-    np.add.at(result, dents.carriers[on], dents.weights[on][:, :, None] * forces[:, None])
+    result = np.zeros((len(compliance.flexibility) // 3, 3))
+    np.add.at(result, compliance.carriers[on], compliance.weights[on][:, :, None] * forces[:, None])
     return result

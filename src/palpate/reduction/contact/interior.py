@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["Inside", "inside", "moved_inside", "spread"]
+__all__ = ["Interior", "interior", "interior_displacements", "spread"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,7 +27,7 @@ FLAT = 1e-3  # of the weights: keeps a fit from slopes that its sources do not k
 DIGITS = 11  # binary ones that are kept of the flexibility: more would double the model's file
 
 
-class Inside(NamedTuple):
+class Interior(NamedTuple):
     """How a body's nodes inside follow forces on its surface, beside its modes.
 
     Parameters
@@ -52,7 +52,7 @@ class Inside(NamedTuple):
     factor: float = 1.0
 
 
-def inside(coarse: Cloud, those: Ints, carriers: Ints, rows: Floats, fine: Cloud, nodes: Ints) -> Inside:
+def interior(coarse: Cloud, those: Ints, carriers: Ints, rows: Floats, fine: Cloud, nodes: Ints) -> Interior:
     """Lay out how the nodes inside a body follow.
 
     Parameters
@@ -75,7 +75,7 @@ def inside(coarse: Cloud, those: Ints, carriers: Ints, rows: Floats, fine: Cloud
         sources, shares = _followed(fine.points[nodes], known, coarse.spacing)
     fraction, exponent = np.frexp(rows.T)
     kept = np.ldexp(np.round(fraction * 2**DIGITS), exponent - DIGITS)
-    return Inside(nodes, np.ascontiguousarray(kept, dtype=np.float32), sources, shares)
+    return Interior(nodes, np.ascontiguousarray(kept, dtype=np.float32), sources, shares)
 
 
 def _followed(points: Floats, known: Floats, spacing: float) -> tuple[Ints, Floats]:
@@ -90,7 +90,7 @@ def _followed(points: Floats, known: Floats, spacing: float) -> tuple[Ints, Floa
     return sources, weights * np.einsum("iwp,ip->iw", basis, level)
 
 
-def moved_inside(of: Inside, forces: Floats, surface: Floats) -> Floats:
+def interior_displacements(of: Interior, forces: Floats, surface: Floats) -> Floats:
     """Return what a tool does to the nodes inside beside the modes, shape (i, 3) [m].
 
     Parameters

@@ -17,10 +17,10 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh
 from scipy.spatial import cKDTree
 
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.reduction.basis.linear_modes import stiffness_blocks
 
-__all__ = ["close_compliance", "made_positive"]
+__all__ = ["add_own_compliance", "near_field_compliance"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,14 +30,14 @@ FALLING = 0.5  # of the reach, from where on the difference is faded out
 TOLERANCE, SPARE = 1e-3, 0.05  # of the lowest compliance
 
 
-def close_compliance(
-    fine: FullModel, nodes: Ints, coarse: FullModel, those: Ints, places: Ints, weights: Floats
+def near_field_compliance(
+    fine: Solid, nodes: Ints, coarse: Solid, those: Ints, places: Ints, weights: Floats
 ) -> tuple[Ints, NDArray[np.float32]]:
     """Return what a coarser model misses of the compliance between close surface nodes at rest.
 
     Parameters
     ----------
-    fine, coarse : FullModel
+    fine, coarse : Solid
         Of one body, in the energy form.
     nodes, those : (k,), (c,) int arrays
         Surface nodes of either; none of them held.
@@ -84,8 +84,8 @@ def close_compliance(
 class _Piece:
     """A body of which pieces are cut out."""
 
-    def __init__(self, body: FullModel) -> None:
-        self.tree, self.free = cKDTree(body.cloud.points), ~body.held
+    def __init__(self, body: Solid) -> None:
+        self.tree, self.free = cKDTree(body.cloud.points), ~body.fixed_mask
         self.blocks = stiffness_blocks(body, np.float32)
 
     def compliance(self, middle: Floats, radius: float, moved: Ints, pushed: Ints) -> Floats:
@@ -142,34 +142,34 @@ def _by_row(rows: Ints, columns: Ints, blocks: Floats, count: int) -> tuple[Ints
     rows, columns = rows[there], columns[there]
     number = np.bincount(rows, minlength=count)
     place = np.arange(len(rows)) - np.repeat(np.cumsum(number) - number, number)
-    close = np.repeat(np.arange(count)[:, None], number.max(), axis=1)
-    between = np.zeros((*close.shape, 3, 3), dtype=np.float32)
-    close[rows, place], between[rows, place] = columns, mean
-    return close, between
+    nearby = np.repeat(np.arange(count)[:, None], number.max(), axis=1)
+    near_field = np.zeros((*nearby.shape, 3, 3), dtype=np.float32)
+    nearby[rows, place], near_field[rows, place] = columns, mean
+    return nearby, near_field
 
 
-def made_positive(
-    flexibility: Floats, carriers: Ints, weights: Floats, close: Ints, between: NDArray[np.float32]
+def add_own_compliance(
+    flexibility: Floats, carriers: Ints, weights: Floats, nearby: Ints, near_field: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Return `between` with so much more of the nodes' own compliance that no forces pull the surface towards them.
 
     Parameters are those of `palpate.reduction.contact.compliance.Dents`.
     """
-    count, size = len(close), len(flexibility) // 3
+    count, size = len(nearby), len(flexibility) // 3
     pairs = (weights.ravel(), (np.repeat(np.arange(count), weights.shape[1]), carriers.ravel()))
     spread = sparse.csr_array(pairs, (count, size))
 
     def moved(forces: Floats) -> Floats:
         force = forces.reshape(count, 3)
         far = spread @ (flexibility @ (spread.T @ force).ravel()).reshape(size, 3)
-        return np.asarray(far + np.einsum("kqcd,kqd->kc", between, force[close])).ravel()
+        return np.asarray(far + np.einsum("kqcd,kqd->kc", near_field, force[nearby])).ravel()
 
     start = np.random.default_rng(0).standard_normal(3 * count)
     whole = LinearOperator((3 * count, 3 * count), matvec=moved, dtype=float)
     lowest = float(eigsh(whole, k=1, which="SA", tol=TOLERANCE, v0=start, return_eigenvectors=False)[0])
     if lowest > 0:
-        return between
-    itself = (close == np.arange(count)[:, None]).argmax(axis=1)
-    raised = between.copy()
+        return near_field
+    itself = (nearby == np.arange(count)[:, None]).argmax(axis=1)
+    raised = near_field.copy()
     raised[np.arange(count), itself] -= (1 + SPARE) * lowest * np.eye(3, dtype=np.float32)
     return raised

@@ -17,7 +17,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.linear_modes import rest_stiffness
@@ -34,14 +34,12 @@ WIDTH = 0.6  # of the coarse spacing: where a carrier's weight has fallen to 1/e
 ASIDE = 0.05  # least weight of a carrier whose normal points elsewhere
 
 
-def residual_flexibility(
-    body: FullModel, nodes: Ints, points: Floats, columns: Floats, also: Ints | None = None
-) -> Floats:
+def residual_flexibility(body: Solid, nodes: Ints, points: Floats, columns: Floats, also: Ints | None = None) -> Floats:
     """Return what modes leave of the compliance of surface nodes at rest, rows 3 i + c of node i.
 
     Parameters
     ----------
-    body : FullModel
+    body : Solid
         In its energy form, of at most 5,000 nodes.
     nodes : (k,) int array
         None of them held.
@@ -68,14 +66,14 @@ def residual_flexibility(
             f"statics of {count} nodes: at most {SOLVED} are solved; give reduce a coarser model of the same body "
             "(coarse=)"
         )
-    if not body.held.any():
+    if not body.fixed_mask.any():
         raise InputError("a body without supports has no static response: give it fixed=")
     if points is not body.cloud.points:
         flat = columns.transpose(1, 0, 2).reshape(len(points), -1)
         flat = RBFInterpolator(points, flat, neighbors=min(NEAR, len(points)))(body.cloud.points)
         columns = flat.reshape(count, -1, 3).transpose(1, 0, 2)
-    inside = np.setdiff1d(np.flatnonzero(~body.held), nodes)
-    free = (3 * np.concatenate([inside, nodes])[:, None] + np.arange(3)).ravel()
+    interior = np.setdiff1d(np.flatnonzero(~body.fixed_mask), nodes)
+    free = (3 * np.concatenate([interior, nodes])[:, None] + np.arange(3)).ravel()
     stiffness = rest_stiffness(body)[free][:, free]
     modes = columns.reshape(len(columns), -1)[:, free]
     modal = modes @ (stiffness @ modes.T)
@@ -88,9 +86,9 @@ def residual_flexibility(
     if also is None or not len(also):
         return np.asarray(rest)
     # of a factor's first rows L and the last ones B below them, the inner nodes follow the others by -L^-T B^T
-    first = slice(3 * len(inside))
-    follow = solve_triangular(factor[first, first], factor[3 * len(inside) :, first].T @ whole, lower=True, trans="T")
-    rows = (3 * np.searchsorted(inside, also)[:, None] + np.arange(3)).ravel()
+    first = slice(3 * len(interior))
+    follow = solve_triangular(factor[first, first], factor[3 * len(interior) :, first].T @ whole, lower=True, trans="T")
+    rows = (3 * np.searchsorted(interior, also)[:, None] + np.arange(3)).ravel()
     return np.concatenate([rest, -follow[rows] - modes[:, rows].T @ np.linalg.solve(modal, own)])
 
 

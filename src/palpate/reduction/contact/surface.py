@@ -9,10 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Forceps
-from palpate.dynamics.loads.loads import Drive
-from palpate.reduction.contact.compliance import Compliance, Dents, Near, compliance, near
+from palpate.dynamics.loads.loads import PreparedLoads
+from palpate.reduction.contact.compliance import (
+    ActiveCompliance,
+    ComplianceTable,
+    SurfaceCompliance,
+    active_compliance,
+    compliance_table,
+)
 
-__all__ = ["Skin", "Tools", "Touch", "skin", "tools_of", "touched"]
+__all__ = ["ContactScratch", "ContactSurface", "RigidTools", "contact_scratch", "contact_surface", "rigid_tools"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -20,7 +26,7 @@ Ints = NDArray[np.int64]
 CLUSTER = 32  # surface nodes in a cluster, about
 
 
-class Skin(NamedTuple):
+class ContactSurface(NamedTuple):
     """The part of a reduced body that tools touch."""
 
     nodes: Ints  # (k,) surface nodes, by cluster
@@ -29,10 +35,10 @@ class Skin(NamedTuple):
     start: Ints  # (c + 1,) of the clusters
     leader: Ints  # (c,) a node in the middle of each
     extent: Floats  # (c,) how far from it others are at rest [m]
-    compliance: Compliance
+    compliance: ComplianceTable
 
 
-class Tools(NamedTuple):
+class RigidTools(NamedTuple):
     """Rigid tools, and what they do."""
 
     kind: Ints  # (t,) of their shapes
@@ -46,7 +52,7 @@ class Tools(NamedTuple):
     way: Floats  # (2, 3, 4) in real time: a tool's frames before and after a period
 
 
-class Touch(NamedTuple):
+class ContactScratch(NamedTuple):
     """What one step hands to the next, and scratch."""
 
     force: Floats  # (t, k, 3) [N]
@@ -61,22 +67,22 @@ class Touch(NamedTuple):
     push: Floats  # (e, 3) [N]
     wide: Floats  # (3,)
     soft: Floats  # (t,) what hardening leaves of the compliance
-    near: Near
+    active: ActiveCompliance
     numbers: Ints  # (3,) pairs now, sweeps of the last step, steps whose sweeps did not end
 
 
-def skin(dents: Dents, points: Floats, columns: Floats) -> Skin:
+def contact_surface(compliance: SurfaceCompliance, points: Floats, columns: Floats) -> ContactSurface:
     """Lay out the surface of a body with nodes at points (n, 3) and columns (m, n, 3), in clusters."""
-    order, start = _clusters(points[dents.nodes], CLUSTER)
-    nodes = dents.nodes[order]
-    points, columns, laid = points[nodes], columns[:, nodes], compliance(dents, order)
+    order, start = _clusters(points[compliance.nodes], CLUSTER)
+    nodes = compliance.nodes[order]
+    points, columns, laid = points[nodes], columns[:, nodes], compliance_table(compliance, order)
     leader, extent = [], []
     for begin, end in pairwise(start):
         own_points = points[begin:end]
         middle = int(np.argmin(np.linalg.norm(own_points - own_points.mean(axis=0), axis=1)))
         leader.append(begin + middle)
         extent.append(np.linalg.norm(own_points - own_points[middle], axis=1).max())
-    return Skin(
+    return ContactSurface(
         nodes, np.ascontiguousarray(points), np.ascontiguousarray(columns.transpose(1, 2, 0), dtype=np.float32),
         start, np.array(leader, dtype=np.int64), np.array(extent, dtype=float), laid,
     )  # fmt: skip
@@ -96,26 +102,26 @@ def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
     return np.concatenate(done), np.cumsum([len(part) for part in done], dtype=np.int64)
 
 
-def tools_of(drive: Drive | None, of: Skin) -> Tools:
+def rigid_tools(prepared: PreparedLoads | None, of: ContactSurface) -> RigidTools:
     """Make the tools of a drive ready; None for no tool."""
     kind, sizes, friction, origins = np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
-    if drive is not None:
-        kind, sizes, friction = drive.contacts.kind, drive.contacts.sizes, drive.contacts.friction
-        shapes = [load.tool for load in drive.tools]
+    if prepared is not None:
+        kind, sizes, friction = prepared.contacts.kind, prepared.contacts.sizes, prepared.contacts.friction
+        shapes = [load.tool for load in prepared.tools]
         origins = np.array([s.point if isinstance(s, Forceps) else np.zeros(3) for s in shapes]).reshape(-1, 3)
-    return Tools(
+    return RigidTools(
         kind, sizes, friction, origins, np.zeros((len(kind), 2, 3, 4)), np.zeros(of.columns.shape[2]),
         np.zeros((len(kind), 6)), np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
     )  # fmt: skip
 
 
-def touched(of: Skin, tools: int) -> Touch:
+def contact_scratch(of: ContactSurface, tools: int) -> ContactScratch:
     """Allocate for a number of tools; none touches."""
     most, by_tool = tools * len(of.nodes), (tools, len(of.nodes), 3)
     modal, now, before, push = np.zeros((4, most, 3))
-    kept = near(of.compliance, tools)
+    kept = active_compliance(of.compliance, tools)
     node, point, tool = np.zeros((3, most), dtype=np.int64)
-    return Touch(
+    return ContactScratch(
         np.zeros(by_tool), np.zeros(by_tool), np.ones((tools, len(of.leader)), dtype=np.bool_), node, point, tool,
         modal, now, before, push, np.zeros(3), np.ones(tools), kept, np.zeros(3, dtype=np.int64),
     )  # fmt: skip

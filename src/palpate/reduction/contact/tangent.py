@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap
-from palpate.dynamics.contact.tools import HELD
+from palpate.dynamics.contact.tools import BONDED
 from palpate.reduction.contact.compliance import refresh
 
 __all__ = ["ContactSystem", "contact_stiffness", "contact_system"]
@@ -74,11 +74,11 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
     began. They are zero where nothing is touched, or more patches than are kept (`palpate.reduction.contact.compliance`), and
     stay as they were where the modes' tangent is not positive definite.
     """
-    touch, system = data.touch, data.system
+    contact_state, system = data.contact_state, data.system
     numbers, pressed = system.numbers, False
-    for e in range(touch.numbers[0]):
+    for e in range(contact_state.numbers[0]):
         for d in range(3):
-            pressed = pressed or touch.push[e, d] != 0.0
+            pressed = pressed or contact_state.push[e, d] != 0.0
     if not pressed:
         out[:] = 0.0
         numbers[:] = 0
@@ -91,7 +91,7 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
     table = system.table[: size * (size + SIDES)].reshape(size, size + SIDES)
     while numbers[2] < size and spent < PART:
         left = size - numbers[2]
-        if not _eliminate(system, touch.near, table, numbers[2], min(PANEL, left)):
+        if not _eliminate(system, contact_state.active, table, numbers[2], min(PANEL, left)):
             numbers[:] = 0
             return
         numbers[2] += min(PANEL, left)
@@ -115,12 +115,12 @@ def _tell(gram, pull, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(fastmath={"contract"})
-def _eliminate(system, near, table, first, rows):  # type: ignore[no-untyped-def]
+def _eliminate(system, active, table, first, rows):  # type: ignore[no-untyped-def]
     """Eliminate a few unknowns; return False where that cannot be."""
     size, forces, gram = table.shape[0], system.numbers[0], system.gram
     end = size + SIDES
     for k in range(first, min(first + rows, forces)):
-        if not _between(system, near, table, k):
+        if not _between(system, active, table, k):
             return False
     for k in range(first, first + rows):
         pivot = table[k, k]
@@ -145,15 +145,15 @@ def _eliminate(system, near, table, first, rows):  # type: ignore[no-untyped-def
 
 
 @kernel_njit(fastmath={"contract"})
-def _between(system, near, table, k):  # type: ignore[no-untyped-def]
+def _between(system, active, table, k):  # type: ignore[no-untyped-def]
     """Add to a row what forces move its patch by beside the modes; return False where that is not known any more."""
-    s, h, direction = near.slot[system.point[k]], system.pull[3], system.direction
+    s, h, direction = active.slot[system.point[k]], system.pull[3], system.direction
     x, y, z = h * direction[k, 0], h * direction[k, 1], h * direction[k, 2]
     for j in range(k, system.numbers[0]):
-        r = near.slot[system.point[j]]
+        r = active.slot[system.point[j]]
         if s < 0 or r < 0:
             return False
-        block = near.matrix[s, r]
+        block = active.matrix[s, r]
         for d in range(3):
             table[k, j] += (block[0, d] * x + block[1, d] * y + block[2, d] * z) * direction[j, d]
     for m in range(system.swift.shape[0]):
@@ -166,24 +166,29 @@ def _between(system, near, table, k):  # type: ignore[no-untyped-def]
 @kernel_njit()
 def _begin(data):  # type: ignore[no-untyped-def]
     """Set the equations up, but for what stands between patches; return False where there is no room for them."""
-    touch, system, modes, compliance = data.touch, data.system, data.modes, data.skin.compliance
-    count, numbers, pull = touch.numbers[0], system.numbers, system.pull
-    if not refresh(compliance, touch.near, touch.point, count):
+    contact_state, system, modes, compliance = (
+        data.contact_state,
+        data.system,
+        data.modes,
+        data.contact_surface.compliance,
+    )
+    count, numbers, pull = contact_state.numbers[0], system.numbers, system.pull
+    if not refresh(compliance, contact_state.active, contact_state.point, count):
         return False
     pull[:] = 0.0
     for e in range(count):
         for d in range(3):
-            pull[d] += touch.push[e, d]
+            pull[d] += contact_state.push[e, d]
     whole = np.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
     for d in range(3):
         pull[d] /= max(whole, 1e-300)
-    pull[3] = touch.soft[0]
+    pull[3] = contact_state.soft[0]
     rows = 0
     for e in range(count):
         rows = _directions(data, e, rows)
     numbers[0], numbers[1], numbers[2] = rows, rows + modes, 0
-    size, softening = rows + modes, -compliance.hardening[0] / (compliance.hardening[1] + whole)
-    if data.tools.kind[0] == HELD:  # pulls do not harden
+    size, softening = rows + modes, -compliance.stiffening[0] / (compliance.stiffening[1] + whole)
+    if data.tools.kind[0] == BONDED:  # pulls do not harden
         softening = 0.0
     table = system.table[: size * (size + SIDES)].reshape(size, size + SIDES)
     for k in range(size):
@@ -195,10 +200,10 @@ def _begin(data):  # type: ignore[no-untyped-def]
         table[k, k], system.swift[:, k] = system.spring[k], 0.0
         for d in range(3):
             for m in range(modes if direction[d] != 0.0 else 0):
-                table[k, rows + m] += direction[d] * data.skin.columns[touch.node[e], d, m]
-                system.swift[m, k] += data.follow[3] * direction[d] * system.columns[touch.node[e], d, m]
+                table[k, rows + m] += direction[d] * data.contact_surface.columns[contact_state.node[e], d, m]
+                system.swift[m, k] += data.follow[3] * direction[d] * system.columns[contact_state.node[e], d, m]
             table[k, size + d] = direction[d]
-            table[k, size + 3] += softening * direction[d] * (touch.now[e, d] - touch.modal[e, d])
+            table[k, size + 3] += softening * direction[d] * (contact_state.now[e, d] - contact_state.modal[e, d])
     for m in range(modes):
         for k in range(m, modes):
             table[rows + m, rows + k] = -0.5 * (data.tangent[m, k] + data.tangent[k, m])
@@ -208,39 +213,39 @@ def _begin(data):  # type: ignore[no-untyped-def]
 @kernel_njit()
 def _directions(data, e, rows):  # type: ignore[no-untyped-def]
     """List the directions along which the force on a touched patch can change; return how many rows there are now."""
-    touch, tools, system = data.touch, data.tools, data.system
-    t, push, place = touch.tool[e], touch.push[e], touch.now[e]
+    contact_state, tools, system = data.contact_state, data.tools, data.system
+    t, push, place = contact_state.tool[e], contact_state.push[e], contact_state.now[e]
     kind, sizes, frame = tools.kind[t], tools.sizes[t], tools.frames[t, 1]
-    if kind == HELD:
-        return _all_three(touch, system, e, rows)
+    if kind == BONDED:
+        return _all_three(contact_state, system, e, rows)
     _, nx, ny, nz = gap(kind, sizes, frame, place[0], place[1], place[2])
     normal = push[0] * nx + push[1] * ny + push[2] * nz
     along = np.sqrt(max(push[0] ** 2 + push[1] ** 2 + push[2] ** 2 - normal * normal, 0.0))
     if normal <= 0.0:
         return rows
     if along < STICKING * tools.friction[t] * normal:
-        return _all_three(touch, system, e, rows)
-    rows = _row(touch, system, e, rows, nx, ny, nz, 0.0)
-    s = touch.near.slot[touch.point[e]]
-    own = touch.near.matrix[s, s]
-    own_compliance = touch.soft[t] * (own[0, 0] + own[1, 1] + own[2, 2]) / 3.0
+        return _all_three(contact_state, system, e, rows)
+    rows = _row(contact_state, system, e, rows, nx, ny, nz, 0.0)
+    s = contact_state.active.slot[contact_state.point[e]]
+    own = contact_state.active.matrix[s, s]
+    own_compliance = contact_state.soft[t] * (own[0, 0] + own[1, 1] + own[2, 2]) / 3.0
     for curvature, x, y, z in _curved(kind, sizes, frame, place, nx, ny, nz):
         if normal * curvature * own_compliance > FLAT:
-            rows = _row(touch, system, e, rows, x, y, z, -1.0 / (normal * curvature))
+            rows = _row(contact_state, system, e, rows, x, y, z, -1.0 / (normal * curvature))
     return rows
 
 
 @kernel_njit()
-def _all_three(touch, system, e, rows):  # type: ignore[no-untyped-def]
-    rows = _row(touch, system, e, rows, 1.0, 0.0, 0.0, 0.0)
-    rows = _row(touch, system, e, rows, 0.0, 1.0, 0.0, 0.0)
-    return _row(touch, system, e, rows, 0.0, 0.0, 1.0, 0.0)
+def _all_three(contact_state, system, e, rows):  # type: ignore[no-untyped-def]
+    rows = _row(contact_state, system, e, rows, 1.0, 0.0, 0.0, 0.0)
+    rows = _row(contact_state, system, e, rows, 0.0, 1.0, 0.0, 0.0)
+    return _row(contact_state, system, e, rows, 0.0, 0.0, 1.0, 0.0)
 
 
 @kernel_njit()
-def _row(touch, system, e, rows, x, y, z, spring):  # type: ignore[no-untyped-def]
+def _row(contact_state, system, e, rows, x, y, z, spring):  # type: ignore[no-untyped-def]
     system.direction[rows, 0], system.direction[rows, 1], system.direction[rows, 2] = x, y, z
-    system.entry[rows], system.point[rows], system.spring[rows] = e, touch.point[e], spring
+    system.entry[rows], system.point[rows], system.spring[rows] = e, contact_state.point[e], spring
     return rows + 1
 
 

@@ -8,20 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Forceps
-from palpate.dynamics.loads.loads import Drive
-from palpate.dynamics.run.contact_state import check_apart, check_way, untouched
-from palpate.dynamics.run.model import Touch as TouchState
+from palpate.dynamics.loads.loads import PreparedLoads
+from palpate.dynamics.run.contact_state import check_apart, check_way, no_contact
+from palpate.dynamics.run.model import ContactState
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.reduction.contact.compliance import Dents, dents_of
-from palpate.reduction.contact.surface import Skin, Tools, Touch, tools_of, touched
+from palpate.reduction.contact.compliance import SurfaceCompliance, contact_displacements
+from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools, contact_scratch, rigid_tools
 
-__all__ = ["Handling", "dented", "held_nodes", "touch_of"]
+__all__ = ["ContactTools", "bonded_nodes", "contact_at_frame", "tool_displacements"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-class Handling:
+class ContactTools:
     """The tools of a drive on a reduced model's surface.
 
     Parameters
@@ -30,71 +30,79 @@ class Handling:
     drive : Drive
     """
 
-    def __init__(self, of: Skin, drive: Drive) -> None:
-        self.skin, self.drive = of, drive
-        self.tools: Tools = tools_of(drive, of)
-        self.touch: Touch = touched(of, len(drive.tools))
+    def __init__(self, of: ContactSurface, prepared: PreparedLoads) -> None:
+        self.contact_surface, self.prepared = of, prepared
+        self.tools: RigidTools = rigid_tools(prepared, of)
+        self.contact_state: ContactScratch = contact_scratch(of, len(prepared.tools))
 
-    def begun(self, displacements: Callable[[], Floats], time: float, spacing: float) -> TouchState | None:
+    def begun(self, displacements: Callable[[], Floats], time: float, spacing: float) -> ContactState | None:
         """Return what tools do at the start of a run: nothing; refuse those inside the body."""
-        if not self.drive.tools:
+        if not self.prepared.tools:
             return None
-        schedule = self.drive.schedule(np.array([time]))
+        schedule = self.prepared.schedule(np.array([time]))
         moved = displacements()
-        check_apart(self.drive, schedule, moved, spacing)
-        return untouched(len(self.drive.tools), len(moved), time, len(self.skin.nodes))
+        check_apart(self.prepared, schedule, moved, spacing)
+        return no_contact(len(self.prepared.tools), len(moved), time, len(self.contact_surface.nodes))
 
-    def poses(self, times: Floats, before: TouchState | None, spacing: float) -> Floats:
+    def poses(self, times: Floats, before: ContactState | None, spacing: float) -> Floats:
         """Return the tools' poses (s, t, 7) at the times of some steps, ready to go on from what they did before."""
         if before is None:
             return np.zeros((0, 0, 7))
-        schedule = self.drive.schedule(times)
-        check_way(self.drive, schedule, spacing)
-        self.touch.force[:], self.touch.place[:], self.touch.busy[:] = before.pushes, before.places, True
+        schedule = self.prepared.schedule(times)
+        check_way(self.prepared, schedule, spacing)
+        self.contact_state.force[:], self.contact_state.place[:], self.contact_state.busy[:] = (
+            before.pushes,
+            before.places,
+            True,
+        )
         self.tools.impulses[:], self.tools.given[:] = 0.0, 0.0
-        for t, tool in enumerate(self.drive.tools):
+        for t, tool in enumerate(self.prepared.tools):
             if isinstance(tool.tool, Forceps):
                 schedule.poses[times > tool.tool.until * (1 + 1e-9), t] = np.nan
         return schedule.poses
 
-    def after(self, before: TouchState | None) -> TouchState | None:
+    def after(self, before: ContactState | None) -> ContactState | None:
         """Return what the tools have done after some steps."""
         if before is None:
             return None
-        forces, given, nodes = np.zeros_like(before.forces), before.given.copy(), self.skin.nodes
-        forces[nodes] = self.touch.force.sum(axis=0)
+        forces, given, nodes = np.zeros_like(before.forces), before.given.copy(), self.contact_surface.nodes
+        forces[nodes] = self.contact_state.force.sum(axis=0)
         given[nodes] += self.tools.given
-        return TouchState(
+        return ContactState(
             forces, before.impulses + self.tools.impulses, before.since, given,
-            self.touch.place.copy(), self.touch.force.copy(), before.held,
+            self.contact_state.place.copy(), self.contact_state.force.copy(), before.constraint_impulses,
         )  # fmt: skip
 
 
-def dented(
-    dents: Dents | None, points: Floats, of: Skin, touch: TouchState | None, drive: Drive
+def tool_displacements(
+    compliance: SurfaceCompliance | None,
+    points: Floats,
+    of: ContactSurface,
+    contact_state: ContactState | None,
+    prepared: PreparedLoads,
 ) -> tuple[Floats, float]:
     """Return displacements (n, 3) [m] and energy [J] that tools add to those of a reduced model's modes."""
-    if touch is None or dents is None:
+    if contact_state is None or compliance is None:
         return np.zeros((len(points), 3)), 0.0
-    pushes = np.zeros((len(touch.pushes), len(points), 3))
-    pushes[:, of.nodes] = touch.pushes
-    held = [isinstance(tool.tool, Forceps) for tool in drive.tools]
-    return dents_of(dents, points, pushes[:, dents.nodes], held)
+    pushes = np.zeros((len(contact_state.pushes), len(points), 3))
+    pushes[:, of.nodes] = contact_state.pushes
+    bonded = [isinstance(tool.tool, Forceps) for tool in prepared.tools]
+    return contact_displacements(compliance, points, pushes[:, compliance.nodes], bonded)
 
 
-def held_nodes(of: Skin, touch: TouchState | None, drive: Drive) -> Ints:
+def bonded_nodes(of: ContactSurface, contact_state: ContactState | None, prepared: PreparedLoads) -> Ints:
     """Return the nodes that forceps hold."""
-    if touch is None:
+    if contact_state is None:
         return of.nodes[:0]
-    forceps = np.array([isinstance(tool.tool, Forceps) for tool in drive.tools], dtype=bool)
-    return np.asarray(of.nodes[touch.pushes[forceps].any(axis=(0, 2))])
+    forceps = np.array([isinstance(tool.tool, Forceps) for tool in prepared.tools], dtype=bool)
+    return np.asarray(of.nodes[contact_state.pushes[forceps].any(axis=(0, 2))])
 
 
-def touch_of(run: Trajectory, frame: int, nodes: int) -> TouchState | None:
+def contact_at_frame(run: Trajectory, frame: int, nodes: int) -> ContactState | None:
     """Return the mean forces of tools in a frame of a run since the frame before; None where they do nothing."""
-    rows = run.touches[run.touches[:, 0] == frame]
+    rows = run.contact_forces[run.contact_forces[:, 0] == frame]
     if not len(rows):
         return None
-    touch = untouched(0, nodes, float(run.times[frame]))
-    touch.forces[rows[:, 1].astype(int)] = rows[:, 2:]
-    return touch
+    contact_state = no_contact(0, nodes, float(run.times[frame]))
+    contact_state.forces[rows[:, 1].astype(int)] = rows[:, 2:]
+    return contact_state

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import DRIVEN, Drive, Load
+from palpate.dynamics.loads.loads import PRESCRIBED, Load, PreparedLoads
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State
@@ -18,7 +18,7 @@ from palpate.faults import InputError
 from palpate.reduction.basis.pod import Basis, pod
 from palpate.reduction.galerkin.step import reduced_step
 
-__all__ = ["ProjectedModel", "project"]
+__all__ = ["GalerkinModel", "galerkin"]
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
 UNTRAINED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
-class ProjectedModel(Model):
+class GalerkinModel(Model):
     """A full model whose displacements are modes times few coordinates, U = Q A (30), and lifted tool motions.
 
     The equations are those of the full model at every node, multiplied by Q^T in the inner product of the basis (32).
@@ -54,7 +54,7 @@ class ProjectedModel(Model):
         self.full, self.basis = full, basis
         self.cloud, self.material, self.fixed = full.cloud, full.material, full.fixed
         self.conservative = full.conservative
-        self.viscosity, self.stencils = full.viscosity, full.stencils
+        self.stiffness_damping, self.stencils = full.stiffness_damping, full.stencils
         n, count = len(full.cloud), len(basis)
         self.lifting = np.zeros((0, n, 3)) if lifting is None else np.asarray(lifting, dtype=float)
         self.columns = np.ascontiguousarray(np.concatenate([basis.modes, self.lifting]))
@@ -84,39 +84,39 @@ class ProjectedModel(Model):
         )  # fmt: skip
         return self._result / self.material.density
 
-    def drive(self, loads: Sequence[Load]) -> Drive:
-        drive = self.full.drive(loads)
-        if drive.tools or len(drive.places.foundation_node):
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+        prepared = self.full.prepare(loads)
+        if prepared.tools or len(prepared.places.foundation_node):
             raise InputError("a projected model knows no Contact and no Foundation: run the full model with them")
-        if len(drive.places.driven) and not len(self.lifting):
+        if len(prepared.places.prescribed) and not len(self.lifting):
             raise InputError(
                 "this reduced model was trained without a prescribed motion; train it with one on "
-                + ", ".join(repr(m.group) for m, _ in drive.motions)
+                + ", ".join(repr(m.group) for m, _ in prepared.motions)
             )
-        if len(self.lifting) and not len(drive.places.driven):
+        if len(self.lifting) and not len(prepared.places.prescribed):
             raise InputError("this reduced model was trained with a prescribed motion: give it one, or train without")
-        if len({m.until for m, _ in drive.motions}) > 1:
+        if len({m.until for m, _ in prepared.motions}) > 1:
             raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
         modes = np.abs(self.basis.modes)
-        for motion, where in drive.motions:
-            if modes[:, drive.places.driven[where]].max() > UNTRAINED * modes.max():
+        for motion, where in prepared.motions:
+            if modes[:, prepared.places.prescribed[where]].max() > UNTRAINED * modes.max():
                 raise InputError(
                     f"this reduced model was not trained with group {motion.group!r} driven; train with it"
                 )
-        return drive
+        return prepared
 
     @staticmethod
-    def _holds(drive: Drive, times: Floats) -> NDArray[np.bool_]:
+    def _holds(prepared: PreparedLoads, times: Floats) -> NDArray[np.bool_]:
         """Whether the tools hold the body at some times, shape (t,)."""
-        return drive.motions[0][0].holds(times) if drive.motions else np.ones(len(times), dtype=np.bool_)
+        return prepared.motions[0][0].holds(times) if prepared.motions else np.ones(len(times), dtype=np.bool_)
 
-    def _lifted(self, drive: Drive, times: Floats) -> Floats:
+    def _lifted(self, prepared: PreparedLoads, times: Floats) -> Floats:
         """Coordinates (t, l) of the lifting columns at some times."""
         if not len(self.lifting):
             return np.zeros((len(times), 0))
-        nodes = np.flatnonzero(drive.places.kind == DRIVEN)
-        order = np.argsort(drive.places.driven)
-        motion = drive.schedule(times).motion[:, order].reshape(len(times), -1)
+        nodes = np.flatnonzero(prepared.places.kind == PRESCRIBED)
+        order = np.argsort(prepared.places.prescribed)
+        motion = prepared.schedule(times).motion[:, order].reshape(len(times), -1)
         span = self.lifting[:, nodes].reshape(len(self.lifting), -1)
         coordinates, *_ = np.linalg.lstsq(span.T, motion.T, rcond=None)
         missed = np.abs(coordinates.T @ span - motion).max()
@@ -128,14 +128,18 @@ class ProjectedModel(Model):
         return np.asarray(coordinates.T)
 
     def state(
-        self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
+        self,
+        prepared: PreparedLoads,
+        displacement: Floats | None = None,
+        velocity: Floats | None = None,
+        time: float = 0.0,
     ) -> State:
         self._tangent_at, self._reach = None, 0.0
-        nodal = self.full.state(drive, displacement, velocity, time)
+        nodal = self.full.state(prepared, displacement, velocity, time)
         fields = np.stack([nodal.coordinates, nodal.velocities])
-        if self._holds(drive, np.array([time]))[0]:
-            lifted = self._lifted(drive, np.array([time]))[0]
-            rates = drive.rates(lambda times: self._lifted(drive, times), time)[0]
+        if self._holds(prepared, np.array([time]))[0]:
+            lifted = self._lifted(prepared, np.array([time]))[0]
+            rates = prepared.rates(lambda times: self._lifted(prepared, times), time)[0]
             known = np.stack([lifted, rates])
             coordinates = np.hstack([self.basis.project(fields - np.tensordot(known, self.lifting, 1)), known])
         else:
@@ -143,16 +147,16 @@ class ProjectedModel(Model):
             coordinates = np.linalg.solve(self.mass, (weighted @ self.columns.reshape(len(self.mass), -1).T).T).T
         return State(coordinates[0], coordinates[1], time)
 
-    def stable_step(self, state: State, drive: Drive) -> float:
-        held = bool(self._holds(drive, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])  # from now on
+    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
+        held = bool(self._holds(prepared, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])  # from now on
         if self.implicit and held:
             return np.inf
         if self.implicit:  # nodes that a tool has let go move faster than any tangent can follow
-            return stable_step(self.full.stability.highest_frequency, self.viscosity)
+            return stable_step(self.full.stability.highest_frequency, self.stiffness_damping)
         self._follow(state)
         moving = slice(len(self.basis) if held else None)
         tangent = np.linalg.solve(self.mass[moving, moving], self._tangent[moving, moving])
-        return stable_step(float(np.sqrt(np.abs(np.linalg.eigvals(tangent)).max())), self.viscosity)
+        return stable_step(float(np.sqrt(np.abs(np.linalg.eigvals(tangent)).max())), self.stiffness_damping)
 
     def _follow(self, state: State) -> None:
         """Take the tangent anew when the state has moved far enough from where it was taken."""
@@ -166,7 +170,7 @@ class ProjectedModel(Model):
         matrix, held = self.mass, slice(len(self.basis))
         if self.implicit:
             self._follow(state)
-            matrix = self.mass + step * (0.5 * step + self.viscosity) * self._tangent
+            matrix = self.mass + step * (0.5 * step + self.stiffness_damping) * self._tangent
         return np.linalg.inv(matrix[held, held]), np.linalg.inv(matrix)
 
     def stiffness(self, columns: Floats) -> Floats:
@@ -185,51 +189,53 @@ class ProjectedModel(Model):
         count = len(self.basis)
         return np.linalg.eigvals(self.stiffness(columns)[:count, :count]).astype(complex)
 
-    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
         full = self.full
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         a, v = state.coordinates.copy(), state.velocities.copy()
         self._surface[:] = 0.0  # of another run's loads
-        before = 0.0 if self.conservative else tool_power(self, state, drive)
+        before = 0.0 if self.conservative else tool_power(self, state, prepared)
         work, lost, tools = self._advance(
-            a, v, self._lifted(drive, times), self._holds(drive, times[1:-1]), step, self.viscosity,
-            full.fastest / self._sizes[len(self.basis) :], self._table,
-            self.columns, self.test, self.mass, full.body, full.work, drive.places, drive.schedule(times[1:-1]),
+            a, v, self._lifted(prepared, times), self._holds(prepared, times[1:-1]), step, self.stiffness_damping,
+            full.wave_speed / self._sizes[len(self.basis) :], self._table,
+            self.columns, self.test, self.mass, full.body, full.work, prepared.places, prepared.schedule(times[1:-1]),
             self._gravity_test, self._gravity_work, *self._responses(state, step), self.volumes,
             self.material.density, full.half_cell, full.slot, self._force, self._partial,
             self._surface, self._columns, self._result, self._previous, self._rates, self._power,
         )  # fmt: skip
         new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated + lost)
         if not self.conservative:  # trapezium rule for the power of the tools
-            tools = 0.5 * step * steps * (before + tool_power(self, new, drive))
+            tools = 0.5 * step * steps * (before + tool_power(self, new, prepared))
         return replace(new, external_work=new.external_work + tools)
 
-    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+    def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes, lifted only there."""
         return np.tensordot(state.coordinates, self.columns[:, nodes], 1)
 
-    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
         return np.tensordot(state.velocities, self.columns[:, nodes], 1)
 
-    def outputs(self, state: State, drive: Drive) -> Outputs:
-        return evaluate(self, state, drive)
+    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
+        return evaluate(self, state, prepared)
 
-    def acceleration(self, state: State, drive: Drive) -> Floats:
-        schedule, count = drive.schedule(np.array([state.time])), len(self.basis)
-        rates = self.force(state.coordinates + self.viscosity * state.velocities).copy()
-        tractions = self.full.tractions(drive, schedule).reshape(-1)
+    def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
+        schedule, count = prepared.schedule(np.array([state.time])), len(self.basis)
+        rates = self.force(state.coordinates + self.stiffness_damping * state.velocities).copy()
+        tractions = self.full.tractions(prepared, schedule).reshape(-1)
         rates += self.full.half_cell * (self.test @ tractions) / self.material.density
         rates += self._gravity_test @ schedule.gravity[0]
-        if self._holds(drive, np.array([state.time]))[0]:
-            curvature = drive.rates(lambda times: self._lifted(drive, times), state.time)[1]
+        if self._holds(prepared, np.array([state.time]))[0]:
+            curvature = prepared.rates(lambda times: self._lifted(prepared, times), state.time)[1]
             rates = np.concatenate([rates[:count] - self.mass[:count, count:] @ curvature, curvature])
         else:
             rates = np.linalg.solve(self.mass, rates)
         return np.tensordot(rates, self.columns, 1)
 
-    def external_force(self, state: State, drive: Drive) -> Floats:
-        return self.full.external_force(State(self.displacement(state, drive), state.velocities, state.time), drive)
+    def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
+        return self.full.external_force(
+            State(self.displacement(state, prepared), state.velocities, state.time), prepared
+        )
 
     def nodal_force(self, displacements: Floats) -> Floats:
         return self.full.nodal_force(displacements)
@@ -248,16 +254,16 @@ class ProjectedModel(Model):
         return self.full.volumes
 
 
-def project(
+def galerkin(
     full: NodalModel,
     trajectories: Trajectory | Sequence[Trajectory],
     *,
     modes: int | None = None,
     tolerance: float | None = None,
-    driven: str | Sequence[str] = (),
+    prescribed: str | Sequence[str] = (),
     lifting: str = "fitted",
     relative: bool = False,
-) -> ProjectedModel:
+) -> GalerkinModel:
     """Train a model that projects a full one's equations at every node on modes, as the paper does.
 
     Parameters
@@ -280,7 +286,7 @@ def project(
 
     Returns
     -------
-    ProjectedModel
+    GalerkinModel
 
     Raises
     ------
@@ -288,36 +294,40 @@ def project(
         No trajectory, or one of another body; more modes than snapshots; an unknown group or one that never moved; an
         unknown lifting, or one without driven groups.
     """
-    driven = (driven,) if isinstance(driven, str) else tuple(driven)
+    prescribed = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
     if not runs:
         raise InputError("project needs at least one trajectory to learn from")
     if full.material.prony is not None:
-        raise InputError("a projected model does not remember what relaxing tissue (prony) needs: use palpate.reduce")
+        raise InputError(
+            "a projected model does not remember what relaxing tissue (prony) needs: use palpate.hyper_reduce"
+        )
     for run in runs:
         if run.points.shape != full.cloud.points.shape or not np.allclose(run.points, full.cloud.points):
             raise InputError("a trajectory belongs to another cloud than the model")
     snapshots = np.concatenate([run.displacements for run in runs])
     if lifting not in ("fitted", "local"):
         raise InputError(f"lifting = {lifting!r}: allowed are 'fitted' and 'local'")
-    if lifting == "local" and not driven:
-        raise InputError("lifting = 'local' needs the driven groups: give driven=")
+    if lifting == "local" and not prescribed:
+        raise InputError("lifting = 'local' needs the driven groups: give prescribed=")
     sizes = np.sqrt(np.sum(snapshots**2, axis=2) @ full.weights)
     columns = None
-    if driven:
-        columns, snapshots = _lifting_columns(full, snapshots, driven, lifting == "local")
+    if prescribed:
+        columns, snapshots = _lifting_columns(full, snapshots, prescribed, lifting == "local")
     if relative and sizes.max() > 0:
         snapshots = snapshots / np.maximum(sizes, SMALLEST * sizes.max())[:, None, None]
-    return ProjectedModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance), columns)
+    return GalerkinModel(full, pod(snapshots, full.weights, modes=modes, tolerance=tolerance), columns)
 
 
-def _lifting_columns(full: NodalModel, snapshots: Floats, driven: Sequence[str], local: bool) -> tuple[Floats, Floats]:
+def _lifting_columns(
+    full: NodalModel, snapshots: Floats, prescribed: Sequence[str], local: bool
+) -> tuple[Floats, Floats]:
     """Columns (l, n, 3) that carry the driven nodes' motions, and what they leave of the snapshots."""
-    nodes = np.unique(np.concatenate([full.cloud.group(name) for name in driven]))
+    nodes = np.unique(np.concatenate([full.cloud.group(name) for name in prescribed]))
     motion = snapshots[:, nodes].reshape(len(snapshots), -1)
     u, values, _ = np.linalg.svd(motion, full_matrices=False)
     if values[0] == 0:
-        raise InputError(f"the driven groups {', '.join(map(repr, driven))} never move in the trajectories")
+        raise InputError(f"the driven groups {', '.join(map(repr, prescribed))} never move in the trajectories")
     coordinates = u[:, values > 1e-6 * values[0]]  # orthonormal histories: regression is a product
     lifting = np.tensordot(coordinates.T, snapshots, 1)
     if local:

@@ -76,7 +76,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
         holds,
         step,
         beta,
-        fastest,
+        wave_speed,
         table,
         modes,
         test,
@@ -113,8 +113,8 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
             for m in range(count):
                 columns[m] = a[m] + beta * velocity[m]
             for j in range(first, count):
-                if holds[s] and abs(velocity[j]) > fastest[j - first]:  # a jump, as in the full model
-                    columns[j] = a[j] + beta * np.sign(velocity[j]) * fastest[j - first]
+                if holds[s] and abs(velocity[j]) > wave_speed[j - first]:  # a jump, as in the full model
+                    columns[j] = a[j] + beta * np.sign(velocity[j]) * wave_speed[j - first]
             projected_force(columns, table, test, body, work, volumes, partial, force, result)
             for m in range(count):
                 if s > 0:

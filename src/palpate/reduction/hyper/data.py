@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.meshfree.cloud import Cloud
-from palpate.reduction.contact.compliance import NO_DENTS, Dents
-from palpate.reduction.contact.surface import Skin, skin
+from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance
+from palpate.reduction.contact.surface import ContactSurface, contact_surface
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import Kinematics
-from palpate.reduction.hyper.sampled_energy import Samples, samples
+from palpate.reduction.hyper.sampled_energy import IntegrationPoints, integration_points
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 from palpate.tissue.regions import Regions
 
-__all__ = ["ReducedParts"]
+__all__ = ["ReducedData"]
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ReducedParts:
+class ReducedData:
     """What a reduced model is made of, and what its file holds.
 
     Parameters
@@ -80,38 +80,42 @@ class ReducedParts:
     cloud: Cloud
     material: Material
     fixed: tuple[str, ...]
-    driven: tuple[str, ...]
+    prescribed: tuple[str, ...]
     volumes: Floats
     stiffness: Floats
-    viscosity: float
-    fastest: float
-    columns: Floats
+    stiffness_damping: float
+    wave_speed: float
+    basis_vectors: Floats
     modes: int
     lifted: int
     cubature: Cubature
     gradients: Floats
     constant: Floats
     trained: Floats
-    reach: float
-    witnesses: int = 0
-    leeway: float = 1.0
+    distance_scale: float
+    residual_fields: int = 0
+    residual_scale: float = 1.0
     report: dict[str, Any] = field(default_factory=dict)
     kinematics: Kinematics = field(default_factory=Kinematics)
-    slack: float = 0.0
+    taut_frequency: float = 0.0
     fibres: FibreLaw | None = None
-    dents: Dents | None = None
+    compliance: SurfaceCompliance | None = None
     regions: Regions | None = None
 
     @property
-    def surface(self) -> Skin:
+    def surface(self) -> ContactSurface:
         """The surface that tools touch; empty for a model without contact."""
-        return skin(self.dents or NO_DENTS, self.cloud.points, self.columns[: self.modes + self.lifted])
+        return contact_surface(
+            self.compliance or NO_COMPLIANCE, self.cloud.points, self.basis_vectors[: self.modes + self.lifted]
+        )
 
-    def samples(self, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool) -> Samples:
+    def integration_points(
+        self, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool
+    ) -> IntegrationPoints:
         """Lay the samples of some columns out."""
         rule = self.cubature
         law = coefficients if self.regions is None else self.regions.at(rule.nodes)
-        return samples(
+        return integration_points(
             np.ascontiguousarray(self.gradients[:, which]), rule.weights, rule.pressure,
             self.constant[np.ix_(which, which)], law, np.float32 if single else np.float64,
             relaxation(self.material), self.fibres and self.fibres.of(rule.nodes),

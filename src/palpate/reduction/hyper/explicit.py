@@ -19,14 +19,14 @@ from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.dynamics.contact.geometry import rotation
 from palpate.reduction.contact.gauss_seidel import settle
 from palpate.reduction.hyper.foundation import draw_back
-from palpate.reduction.hyper.material_point import PointLaw
+from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import sampled_energy
 
 __all__ = ["explicit_step"]
 
 
 @cache
-def explicit_step(law: PointLaw, single: bool) -> Any:
+def explicit_step(law: MaterialPoint, single: bool) -> Any:
     """Compile the explicit step of sampled models of a law.
 
     Parameters
@@ -45,18 +45,18 @@ def explicit_step(law: PointLaw, single: bool) -> Any:
         holds,
         step,
         beta,
-        fastest,
+        wave_speed,
         loads,
         mass,
         held_response,
         free_response,
-        samples,
+        integration_points,
         scratch,
         springs,
         keep,
         poses,
-        skin,
-        touch,
+        contact_surface,
+        contact_state,
         tooling,
     ):
         """Advance by one step less than there are loads; return the works [J] of loads, viscosity and tools.
@@ -76,25 +76,25 @@ def explicit_step(law: PointLaw, single: bool) -> Any:
             for m in range(count):
                 at[m] = a[m] + beta * v[m]
             for j in range(first, count):
-                if holds[s] and abs(v[j]) > fastest[j - first]:  # a jump, as in the full model
-                    at[j] = a[j] + beta * np.sign(v[j]) * fastest[j - first]
-            scratch.memory.interval[0] = step if s > 0 else 0.0
-            force(at, samples, scratch, result)
+                if holds[s] and abs(v[j]) > wave_speed[j - first]:  # a jump, as in the full model
+                    at[j] = a[j] + beta * np.sign(v[j]) * wave_speed[j - first]
+            scratch.history.interval[0] = step if s > 0 else 0.0
+            force(at, integration_points, scratch, result)
             draw_back(springs, a, v, loads[s])
             for m in range(count):
                 if s > 0:
                     lost += (at[m] - a[m]) * (previous[m] - result[m])
                 previous[m] = result[m]
             kick = 0.5 * step if s in (0, steps) else step
-            held = holds[min(s + 1, steps)]
-            moving = first if held else count  # coordinates that obey the equations of motion
+            constrained_inverse_mass = holds[min(s + 1, steps)]
+            moving = first if constrained_inverse_mass else count  # coordinates that obey the equations of motion
             for m in range(count):
                 rate[m] = result[m] + loads[s, m]
-                if held:
+                if constrained_inverse_mass:
                     for j in range(first, count):
                         bend = lifting[s + 2, j - first] - 2 * lifting[s + 1, j - first] + lifting[s, j - first]
                         rate[m] -= mass[m, j] * bend / step**2
-            response = held_response if held else free_response
+            response = held_response if constrained_inverse_mass else free_response
             for m in range(moving):
                 value = 0.0
                 for k in range(moving):
@@ -110,7 +110,7 @@ def explicit_step(law: PointLaw, single: bool) -> Any:
                     rotation(poses[s + 1, t], tooling.frames[t, 1])
                 for m in range(count):
                     at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
-                works = settle(skin, touch, tooling, at, v, step)
+                works = settle(contact_surface, contact_state, tooling, at, v, step)
                 total, lost = total + works[0], lost + works[1]
                 for m in range(moving):
                     value = 0.0
@@ -128,7 +128,7 @@ def explicit_step(law: PointLaw, single: bool) -> Any:
             if s < steps:
                 for m in range(moving):
                     a[m] += step * v[m]
-        scratch.memory.interval[0] = 0.0
+        scratch.history.interval[0] = 0.0
         return total, lost, tools
 
     return explicit

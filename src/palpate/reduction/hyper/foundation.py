@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.loads.loads import Places
+from palpate.dynamics.loads.loads import LoadSites
 
 __all__ = ["Springs", "draw_back", "springs_of"]
 
@@ -35,7 +35,7 @@ class Springs(NamedTuple):
         return Springs(stiffness, damping, self.square, self.rate)
 
 
-def springs_of(places: Places, columns: Floats, mass: Floats) -> Springs:
+def springs_of(places: LoadSites, columns: Floats, mass: Floats) -> Springs:
     """Project the foundations of some loads.
 
     Parameters

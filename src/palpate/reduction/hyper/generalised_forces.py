@@ -7,38 +7,38 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Drive, Places
+from palpate.dynamics.loads.loads import LoadSites, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.foundation import Springs, springs_of
 
-__all__ = ["ColumnLoads", "column_loads", "load_forces", "load_work", "pose_map"]
+__all__ = ["GeneralisedForces", "generalised_forces", "load_forces", "load_work", "pose_map"]
 
 Floats = NDArray[np.float64]
 
 
-class ColumnLoads(NamedTuple):
+class GeneralisedForces(NamedTuple):
     """What the loads of a drive do on the columns."""
 
-    drive: Drive
+    prepared: PreparedLoads
     work: Floats  # (6 g + 3, c), see `load_work`
     springs: Springs  # on all columns
     own: Springs  # on the coordinates
 
     def at(self, times: Floats) -> Floats:
         """Return the generalised forces (t, c) of tractions and gravity at some times."""
-        schedule, count = self.drive.schedule(times), len(times)
+        schedule, count = self.prepared.schedule(times), len(times)
         values = (schedule.force.reshape(count, -1), schedule.moment.reshape(count, -1), schedule.gravity)
         return np.asarray(np.hstack(values) @ self.work)
 
 
-def column_loads(drive: Drive, columns: Floats, masses: Floats, mass: Floats) -> ColumnLoads:
+def generalised_forces(prepared: PreparedLoads, columns: Floats, masses: Floats, mass: Floats) -> GeneralisedForces:
     """Work out what the loads of a drive do on columns (c, n, 3), the first of which have a mass matrix (m, m)."""
-    springs = springs_of(drive.places, columns, mass)
-    work = load_work(drive.places, columns, masses)
-    return ColumnLoads(drive, work, springs, springs.of(np.arange(len(mass))))
+    springs = springs_of(prepared.places, columns, mass)
+    work = load_work(prepared.places, columns, masses)
+    return GeneralisedForces(prepared, work, springs, springs.of(np.arange(len(mass))))
 
 
-def load_work(places: Places, columns: Floats, masses: Floats) -> Floats:
+def load_work(places: LoadSites, columns: Floats, masses: Floats) -> Floats:
     """Work of unit forces and moments of the force groups, and of unit gravity, on columns (m, n, 3): (6 g + 3, m)."""
     forces, moments = [], []
     for g in range(len(places.force_start) - 1):
@@ -49,9 +49,9 @@ def load_work(places: Places, columns: Floats, masses: Floats) -> Floats:
     return np.concatenate([*forces, *moments, np.einsum("n,mnc->cm", masses, columns)])
 
 
-def load_forces(drive: Drive, masses: Floats, columns: Floats, state: State) -> Floats:
+def load_forces(prepared: PreparedLoads, masses: Floats, columns: Floats, state: State) -> Floats:
     """Forces [N] of tractions, gravity and springs on the nodes in a state of a reduced model, shape (n, 3)."""
-    places, schedule = drive.places, drive.schedule(np.array([state.time]))
+    places, schedule = prepared.places, prepared.schedule(np.array([state.time]))
     result = np.asarray(masses[:, None] * schedule.gravity[0])
     for g in range(len(places.force_start) - 1):
         own = slice(places.force_start[g], places.force_start[g + 1])

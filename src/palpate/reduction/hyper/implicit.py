@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.reduction.hyper.foundation import draw_back
-from palpate.reduction.hyper.material_point import PointLaw
+from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import sampled_energy
 
 __all__ = ["Newton", "cholesky_factor", "cholesky_solve", "implicit_step", "newton"]
@@ -87,7 +87,7 @@ def cholesky_solve(factor, count, vector):  # type: ignore[no-untyped-def]
 
 
 @cache
-def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
+def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     """Compile the implicit step of sampled models of a law.
 
     Parameters
@@ -103,15 +103,15 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
     force, _ = sampled_energy(law, single)
 
     @law_njit(digest, fastmath={"contract"})
-    def tangent(a, sizes, samples, scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]
+    def tangent(a, sizes, integration_points, scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]
         """Write -df/da of the first `count` coordinates, by differences of displacements of `sizes` [unit of a]."""
         moved, ahead, behind = vectors[0], vectors[1], vectors[2]
         for m in range(count):
             moved[:] = a
             moved[m] = a[m] + sizes[m]
-            force(moved, samples, scratch, ahead)
+            force(moved, integration_points, scratch, ahead)
             moved[m] = a[m] - sizes[m]
-            force(moved, samples, scratch, behind)
+            force(moved, integration_points, scratch, behind)
             for k in range(count):
                 matrix[k, m] = (behind[k] - ahead[k]) / (2.0 * sizes[m])
 
@@ -132,12 +132,12 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
         draw_back(springs, at, w, load)
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def refactor(a, step, beta, mass, sizes, samples, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
+    def refactor(a, step, beta, mass, sizes, integration_points, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
         """Take the tangent anew and factorise 2 m / dt + (dt / 2 + beta) K; where that is indefinite, its mass part.
 
         Springs add dt / 2 of their stiffness, and their damping, to both.
         """
-        tangent(a, sizes, samples, scratch, keep.vectors, moving, keep.factor)
+        tangent(a, sizes, integration_points, scratch, keep.vectors, moving, keep.factor)
         for i in range(moving):
             for k in range(moving):
                 keep.factor[i, k] = 2.0 * mass[i, k] / step + (0.5 * step + beta) * keep.factor[i, k]
@@ -152,28 +152,28 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
         keep.kept[0], keep.kept[1] = step, moving
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def mean_force(a, w, step, beta, at, samples, scratch, other, result):  # type: ignore[no-untyped-def]
+    def mean_force(a, w, step, beta, at, integration_points, scratch, other, result):  # type: ignore[no-untyped-def]
         """Write the mean of the force over a step with the mean velocities w."""
         for j in range(a.shape[0]):
             at[j] = a[j] + (POINTS[0] * step + beta) * w[j]
-        force(at, samples, scratch, other)
+        force(at, integration_points, scratch, other)
         for j in range(a.shape[0]):
             at[j] = a[j] + (POINTS[1] * step + beta) * w[j]
-        force(at, samples, scratch, result)
+        force(at, integration_points, scratch, result)
         for j in range(a.shape[0]):
             result[j] = 0.5 * (result[j] + other[j])
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def solve(a, v, step, beta, given, mass, sizes, tolerance, samples, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
+    def solve(a, v, step, beta, given, mass, sizes, tolerance, integration_points, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
         """Find the mean velocities w of one implicit step; those from `moving` on are given, and their rates."""
         w, at, result, rate = keep.vectors[3], keep.vectors[4], keep.vectors[5], keep.vectors[6]
         change, load = keep.vectors[7], keep.vectors[9]
         count = a.shape[0]
         if keep.kept[0] != step or keep.kept[1] != moving:
-            refactor(a, step, beta, mass, sizes, samples, scratch, springs, keep, moving)
+            refactor(a, step, beta, mass, sizes, integration_points, scratch, springs, keep, moving)
         for iteration in range(MOST):
             loaded(a, w, step, given, springs, at, load)
-            mean_force(a, w, step, beta, at, samples, scratch, change, result)
+            mean_force(a, w, step, beta, at, integration_points, scratch, change, result)
             for m in range(moving):
                 rate[m] = 2.0 * (w[m] - v[m]) / step
             for m in range(moving):
@@ -193,12 +193,12 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 return False
             for r in range(len(REFRESH)):
                 if iteration == REFRESH[r]:
-                    refactor(at, step, beta, mass, sizes, samples, scratch, springs, keep, moving)
+                    refactor(at, step, beta, mass, sizes, integration_points, scratch, springs, keep, moving)
         return False
 
     @law_njit(digest, fastmath={"contract"})
     def implicit(  # type: ignore[no-untyped-def]
-        a, v, lifting, holds, step, beta, loads, mass, sizes, tolerance, samples, scratch, springs, keep
+        a, v, lifting, holds, step, beta, loads, mass, sizes, tolerance, integration_points, scratch, springs, keep
     ):
         """Advance by as many steps as there are loads; return the works [J] of loads, viscosity, tools, and the steps.
 
@@ -217,14 +217,16 @@ def implicit_step(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 c = lifting[:, j - first]
                 w[j] = (c[s + 2] - c[s + 1]) / step
                 rate[j] = (c[s + 3] - c[s + 2] - c[s + 1] + c[s]) / (2.0 * step * step)
-            if not solve(a, v, step, beta, loads[s], mass, sizes, tolerance, samples, scratch, springs, keep, moving):
+            if not solve(
+                a, v, step, beta, loads[s], mass, sizes, tolerance, integration_points, scratch, springs, keep, moving
+            ):
                 keep.counts[2] += 1
                 keep.kept[0] = 0.0
                 return total, lost, tools, s
             for m in range(moving):
                 rate[m] = 2.0 * (w[m] - v[m]) / step
             loaded(a, w, step, loads[s], springs, at, load)
-            mean_force(a, w, step, 0.0, at, samples, scratch, keep.vectors[7], elastic)
+            mean_force(a, w, step, 0.0, at, integration_points, scratch, keep.vectors[7], elastic)
             for j in range(count):
                 total += step * load[j] * w[j]
                 lost += step * w[j] * (elastic[j] - result[j])

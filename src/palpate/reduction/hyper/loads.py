@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
-from palpate.dynamics.loads.loads import DRIVEN, Drive, Load, drive
+from palpate.dynamics.loads.loads import PRESCRIBED, Load, PreparedLoads, prepare_loads
 from palpate.dynamics.membrane.model import load_areas
 from palpate.faults import InputError
-from palpate.reduction.hyper.data import ReducedParts
+from palpate.reduction.hyper.data import ReducedData
 
-__all__ = ["lifted", "ready_drive"]
+__all__ = ["lifting_coordinates", "prepare_reduced_loads"]
 
 Floats = NDArray[np.float64]
 
 MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
-def ready_drive(parts: ReducedParts, loads: Sequence[Load], *, implicit: bool) -> Drive:
+def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit: bool) -> PreparedLoads:
     """Make loads ready for a reduced model, stepped explicitly or not.
 
     Raises
@@ -29,28 +29,28 @@ def ready_drive(parts: ReducedParts, loads: Sequence[Load], *, implicit: bool) -
     InputError
         Loads that it does not know, or was not trained with.
     """
-    about = parts.kinematics
+    about = data.kinematics
     loads = [
-        _forceps(parts, load) if isinstance(load, Grasp) and load.name not in parts.driven else load for load in loads
+        _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load for load in loads
     ]
-    areas = partial(load_areas, parts.cloud, about.prestretch) if about.sheet else None
-    ready = drive(parts.cloud, parts.fixed, loads, areas)
+    areas = partial(load_areas, data.cloud, about.prestretch) if about.sheet else None
+    ready = prepare_loads(data.cloud, data.fixed, loads, areas)
     if len(ready.places.pressure_node):
-        raise InputError("a reduced model knows no follower pressures yet: use palpate.project for them")
-    if ready.tools and (parts.driven or about.sheet):
+        raise InputError("a reduced model knows no follower pressures yet: use palpate.galerkin for them")
+    if ready.tools and (data.prescribed or about.sheet):
         raise InputError(
             "tools do not touch reduced membranes, nor reduced models that tools hold (driven): run the full model"
         )
-    if ready.tools and (parts.dents is None or implicit):
+    if ready.tools and (data.compliance is None or implicit):
         raise InputError(
             "tools touch a reduced model that is stepped explicitly and was trained on runs in which they do: "
             "train it with a Contact, and leave its step out"
         )
-    held = {motion.group for motion, _ in ready.motions}
-    if held != set(parts.driven):
-        wanted = ", ".join(map(repr, parts.driven)) or "no group"
+    constrained_inverse_mass = {motion.group for motion, _ in ready.motions}
+    if constrained_inverse_mass != set(data.prescribed):
+        wanted = ", ".join(map(repr, data.prescribed)) or "no group"
         raise InputError(
-            f"this reduced model was trained with {wanted} driven, not with {sorted(held) or 'none'}: "
+            f"this reduced model was trained with {wanted} driven, not with {sorted(constrained_inverse_mass) or 'none'}: "
             "give it those motions, or train it with these"
         )
     if len({motion.until for motion, _ in ready.motions}) > 1:
@@ -58,18 +58,20 @@ def ready_drive(parts: ReducedParts, loads: Sequence[Load], *, implicit: bool) -
     return ready
 
 
-def _forceps(parts: ReducedParts, grasp: Grasp) -> Contact:
+def _forceps(data: ReducedData, grasp: Grasp) -> Contact:
     """Return a grasp as the tool that it is on the surface of a reduced model."""
-    if grasp.name in parts.cloud.groups:
+    if grasp.name in data.cloud.groups:
         raise InputError(f"Grasp {grasp.name!r}: {grasp.name!r} is a group of the body; give the grasp another name")
-    held = np.concatenate([np.zeros(0, dtype=np.int64), *(parts.cloud.group(name) for name in parts.fixed)])
-    nodes = grasp.marked(parts.cloud).group(grasp.name)
-    if np.isin(nodes, held).any():
+    constrained_inverse_mass = np.concatenate(
+        [np.zeros(0, dtype=np.int64), *(data.cloud.group(name) for name in data.fixed)]
+    )
+    nodes = grasp.with_group(data.cloud).group(grasp.name)
+    if np.isin(nodes, constrained_inverse_mass).any():
         raise InputError(f"Grasp {grasp.name!r}: some nodes within {grasp.radius:g} m of it are fixed; hold others")
     return Contact(Forceps(grasp.radius, grasp.point, grasp.until), grasp.motion, name=grasp.name)
 
 
-def lifted(parts: ReducedParts, ready: Drive, times: Floats) -> Floats:
+def lifting_coordinates(data: ReducedData, ready: PreparedLoads, times: Floats) -> Floats:
     """Return the coordinates (t, l) of the lifting columns at some times.
 
     Raises
@@ -77,15 +79,15 @@ def lifted(parts: ReducedParts, ready: Drive, times: Floats) -> Floats:
     InputError
         A motion that is not a rigid tool's.
     """
-    if not parts.lifted:
+    if not data.lifted:
         return np.zeros((len(times), 0))
-    order = np.argsort(ready.places.driven)
+    order = np.argsort(ready.places.prescribed)
     motion = ready.schedule(times).motion[:, order].reshape(len(times), -1)
-    nodes = np.flatnonzero(ready.places.kind == DRIVEN)
-    span = parts.columns[parts.modes : parts.modes + parts.lifted, nodes].reshape(parts.lifted, -1)
+    nodes = np.flatnonzero(ready.places.kind == PRESCRIBED)
+    span = data.basis_vectors[data.modes : data.modes + data.lifted, nodes].reshape(data.lifted, -1)
     coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
     missed = np.abs(coordinates @ span - motion).max()
-    if missed > MISSED * max(float(np.abs(motion).max()), 1e-3 * parts.cloud.spacing):
+    if missed > MISSED * max(float(np.abs(motion).max()), 1e-3 * data.cloud.spacing):
         raise InputError(
             f"the prescribed motion is not one this reduced model knows: {missed:.3g} m of it is missed at "
             f"t = {times[0]:.4g} s; it can only be moved and turned as a rigid tool"

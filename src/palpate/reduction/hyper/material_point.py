@@ -16,7 +16,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from palpate.dynamics.compiled.cache import inlined, law_digest, law_njit
+from palpate.dynamics.compiled.cache import inline, law_digest, law_njit
 from palpate.dynamics.material.fibres import BARE, FibrePoints, fibre_points
 from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
 from palpate.dynamics.material.principal_point import make_principal_point
@@ -27,7 +27,7 @@ from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
-__all__ = ["Kinematics", "PointLaw", "measured", "point_law"]
+__all__ = ["Kinematics", "MaterialPoint", "material_point", "volume_measure"]
 
 CRUSHED = 0.1  # of a sample's volume
 
@@ -52,7 +52,7 @@ class Kinematics:
 
 
 @dataclass(frozen=True)
-class PointLaw:
+class MaterialPoint:
     """Compiled functions of a point.
 
     Parameters
@@ -85,9 +85,9 @@ class PointLaw:
         return parameters_at(self.varied)
 
 
-def point_law(
+def material_point(
     material: Material, kinematics: Kinematics, fibres: FibreLaw | None = None, varied: bool = False
-) -> tuple[PointLaw, tuple[float, ...]]:
+) -> tuple[MaterialPoint, tuple[float, ...]]:
     """Return the compiled law of a body's points, and its coefficients; or of points whose parameters differ."""
     compiled, coefficients = _bare_law(material, kinematics)
     if varied:
@@ -99,7 +99,7 @@ def point_law(
     return replace(compiled, digest=law_digest(__name__, compiled.digest, added.digest), fibres=added), coefficients
 
 
-def _bare_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tuple[float, ...]]:
+def _bare_law(material: Material, kinematics: Kinematics) -> tuple[MaterialPoint, tuple[float, ...]]:
     law = type(material) if kinematics.sheet else material.law
     if kinematics.sheet:
         compiled = _sheet_point(law, kinematics.relaxed)
@@ -110,7 +110,7 @@ def _bare_law(material: Material, kinematics: Kinematics) -> tuple[PointLaw, tup
     return _held(make(law.energy, law.first, law.second), material.volumetric), material.coefficients
 
 
-def measured(material: Material, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def volume_measure(material: Material, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return g and g' of many points' x = J - 1, as `PointLaw.measure` has them."""
     if material.volumetric == QUADRATIC:
         return x, np.ones_like(x)
@@ -119,13 +119,13 @@ def measured(material: Material, x: NDArray[np.float64]) -> tuple[NDArray[np.flo
 
 
 @cache
-def _held(law: PointLaw, volumetric: str) -> PointLaw:
+def _held(law: MaterialPoint, volumetric: str) -> MaterialPoint:
     """Give a law the measure of its volume."""
     if volumetric == QUADRATIC:
         return law
     measure_of = volumetric_form(volumetric).measure
     digest = law_digest(__name__, law.digest, measure_of)
-    whole = inlined(digest, measure_of)
+    whole = inline(digest, measure_of)
 
     @law_njit(digest, cached=False)
     def measure(x):  # type: ignore[no-untyped-def]
@@ -136,10 +136,10 @@ def _held(law: PointLaw, volumetric: str) -> PointLaw:
 
 
 @cache
-def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
+def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint:
     """Compile the points of a solid; where one is crushed or inside out, W_s goes on as a parabola in J."""
     digest = law_digest(__name__, "solid point", energy_of, first_of, second_of)
-    energy_density, slopes, bends = (inlined(digest, f) for f in (energy_of, first_of, second_of))
+    energy_density, slopes, bends = (inline(digest, f) for f in (energy_of, first_of, second_of))
 
     @register_jitable
     def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
@@ -168,18 +168,18 @@ def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
             W += (slope + 0.5 * rise * (J - CRUSHED)) * (J - CRUSHED)
         return W, J - 1.0
 
-    return PointLaw(digest, make_stress(digest, extended), density)
+    return MaterialPoint(digest, make_stress(digest, extended), density)
 
 
 @cache
-def _stretched_point(energy_of: Any, first_of: Any, second_of: Any) -> PointLaw:
+def _stretched_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint:
     """Compile the points of a solid whose law is one of the principal stretches."""
     digest = law_digest(__name__, "stretched point", energy_of, first_of, second_of)
-    return PointLaw(digest, *make_principal_point(digest, energy_of, first_of, second_of, CRUSHED))
+    return MaterialPoint(digest, *make_principal_point(digest, energy_of, first_of, second_of, CRUSHED))
 
 
 @cache
-def _sheet_point(law: type[Material], relaxed: bool) -> PointLaw:
+def _sheet_point(law: type[Material], relaxed: bool) -> MaterialPoint:
     """Compile the points of a membrane; the first coefficient is the prestretch."""
     digest = law_digest(__name__, "sheet point", law.variables, law.energy, law.first, law.second, relaxed)
     moduli, _ = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
@@ -205,4 +205,4 @@ def _sheet_point(law: type[Material], relaxed: bool) -> PointLaw:
         W, _, _ = moduli(C00, C11, F00 * F01 + F10 * F11 + F20 * F21, coefficients[1:])
         return W, 0.0
 
-    return PointLaw(digest, stress, density)
+    return MaterialPoint(digest, stress, density)

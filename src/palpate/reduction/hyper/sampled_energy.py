@@ -25,21 +25,21 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, column_sums, column_work
-from palpate.dynamics.material.fibres import Families, laid_out
+from palpate.dynamics.material.fibres import Families, lay_out_fibres
 from palpate.dynamics.material.material_fields import spread
-from palpate.dynamics.material.relaxation import Memory, Relaxation, memory, overstress_alone, relax_volume
-from palpate.reduction.hyper.material_point import PointLaw
+from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, history, overstress_alone, relax_volume
+from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.regions import Regions
 
-__all__ = ["Samples", "Scratch", "firm_weights", "sampled_energy", "samples", "scratch"]
+__all__ = ["IntegrationPoints", "Scratch", "integration_points", "sampled_energy", "scratch", "shear_weights"]
 
 Floats = NDArray[np.float64]
 
 EASY = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # tissue that does not relax
 
 
-class Samples(NamedTuple):
+class IntegrationPoints(NamedTuple):
     """What the force is computed from.
 
     Parameters
@@ -79,10 +79,10 @@ class Scratch(NamedTuple):
     moments: Floats  # (k,)
     partial: Floats  # (m, LANES)
     spare: Floats  # (m,)
-    memory: Memory  # of tissue that relaxes: of the samples, and of the moments
+    history: HistoryVariables  # of tissue that relaxes: of the samples, and of the moments
 
 
-def samples(
+def integration_points(
     gradients: Floats,
     weights: Floats,
     pressure: Floats,
@@ -91,7 +91,7 @@ def samples(
     dtype: Any = np.float32,
     relaxation: Relaxation = EASY,
     fibres: FibreLaw | None = None,
-) -> Samples:
+) -> IntegrationPoints:
     """Lay samples out in blocks.
 
     Parameters
@@ -120,20 +120,20 @@ def samples(
     table = np.ascontiguousarray(lanes(gradients), dtype=dtype)
     places = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
     own = spread(law, places) if isinstance(law, Regions) else law
-    return Samples(
+    return IntegrationPoints(
         table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), own, relaxation,
-        laid_out(fibres, places),
+        lay_out_fibres(fibres, places),
     )  # fmt: skip
 
 
-def scratch(of: Samples, remembered: Memory | None = None) -> Scratch:
+def scratch(of: IntegrationPoints, saved_history: HistoryVariables | None = None) -> Scratch:
     """Allocate for some samples, with a memory of their own or another one's."""
     blocks, columns, _, _ = of.table.shape
     two = np.zeros((2, blocks, 9, LANES))
     return Scratch(
         two[0], two[1], np.zeros((blocks, LANES)), np.ones((blocks, LANES)), np.zeros(of.pressure.shape[1]),
         np.zeros((columns, LANES)), np.zeros(columns),
-        memory(len(of.relaxation.times), blocks, of.pressure.shape[1]) if remembered is None else remembered,
+        history(len(of.relaxation.times), blocks, of.pressure.shape[1]) if saved_history is None else saved_history,
     )  # fmt: skip
 
 
@@ -174,25 +174,25 @@ def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
         force[m] = -total
 
 
-def firm_weights(of: Samples) -> Floats:
+def shear_weights(of: IntegrationPoints) -> Floats:
     """Return the weights [m^3] of the samples times their firmness, with which branches of a Prony series count."""
     return of.weights if isinstance(of.coefficients, tuple) else of.weights * of.coefficients[:, -1]
 
 
 @kernel_njit()
-def _in_branches(weights, memory):  # type: ignore[no-untyped-def]
+def _in_branches(weights, history):  # type: ignore[no-untyped-def]
     """Energy [J] stored in the branches of relaxing tissue, as last evaluated."""
     total = 0.0
     for b in range(weights.shape[0]):
         for lane in range(LANES):
-            total += weights[b, lane] * memory.energy[b, lane]
-    for k in range(memory.volume_energy.shape[0]):
-        total += memory.volume_energy[k]
+            total += weights[b, lane] * history.energy[b, lane]
+    for k in range(history.volume_energy.shape[0]):
+        total += history.volume_energy[k]
     return total
 
 
 @cache
-def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
+def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     """Compile force and energy of sampled bodies.
 
     Parameters
@@ -210,7 +210,7 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
     digest = law_digest(__name__, "sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
     measure_of, curved = law.measure, law.measure is not None
-    stressed, charged, at, varied = law.fibres.stressed, law.fibres.charged, law.at, law.varied
+    add_stress, add_energy, at, varied = law.fibres.add_stress, law.fibres.add_energy, law.at, law.varied
 
     @law_njit(digest)
     def measure(scratch):  # type: ignore[no-untyped-def]
@@ -221,29 +221,29 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
                     scratch.dilatation[b, v], scratch.slope[b, v] = measure_of(scratch.dilatation[b, v])
 
     @law_njit(digest)
-    def relax(samples, scratch):  # type: ignore[no-untyped-def]
+    def relax(integration_points, scratch):  # type: ignore[no-untyped-def]
         """Add the overstresses to the stresses, and bring the moments' branches up to date."""
-        overstress_alone(samples.relaxation, scratch.memory, scratch.cofactor)
+        overstress_alone(integration_points.relaxation, scratch.history, scratch.cofactor)
         for b in range(scratch.stress.shape[0]):
             for q in range(9):
                 for v in range(LANES):
-                    firm = samples.coefficients[b, varied, v] if varied else 1.0
-                    scratch.stress[b, q, v] += firm * scratch.memory.stress[b, q, v]
-        relax_volume(samples.relaxation, scratch.memory, scratch.moments)
+                    firm = integration_points.coefficients[b, varied, v] if varied else 1.0
+                    scratch.stress[b, q, v] += firm * scratch.history.stress[b, q, v]
+        relax_volume(integration_points.relaxation, scratch.history, scratch.moments)
 
     @law_njit(digest, fastmath={"contract"})
-    def force(columns, samples, scratch, result):  # type: ignore[no-untyped-def]
-        for b in range(samples.table.shape[0]):
+    def force(columns, integration_points, scratch, result):  # type: ignore[no-untyped-def]
+        for b in range(integration_points.table.shape[0]):
             P, c = scratch.stress[b], scratch.cofactor[b]
-            sums(samples.table[b].ctypes.data, columns.ctypes.data, P.ctypes.data, columns.shape[0])
+            sums(integration_points.table[b].ctypes.data, columns.ctypes.data, P.ctypes.data, columns.shape[0])
             for v in range(LANES):
                 stress, cofactor, volume = stress_of(
                     P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
-                    at(samples.coefficients, b, v),
+                    at(integration_points.coefficients, b, v),
                 )  # fmt: skip
-                stress = stressed(
+                stress = add_stress(
                     stress, P[0, v], P[1, v], P[2, v], P[3, v], P[4, v], P[5, v], P[6, v], P[7, v], P[8, v],
-                    b, v, samples.families,
+                    b, v, integration_points.families,
                 )  # fmt: skip
                 P[0, v], P[1, v], P[2, v] = stress[0], stress[1], stress[2]
                 P[3, v], P[4, v], P[5, v] = stress[3], stress[4], stress[5]
@@ -253,48 +253,50 @@ def sampled_energy(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 c[6, v], c[7, v], c[8, v] = cofactor[6], cofactor[7], cofactor[8]
                 scratch.dilatation[b, v] = volume
         measure(scratch)
-        _moments(samples.pressure, scratch.dilatation, scratch.moments)
+        _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
         effective = scratch.moments
-        if samples.relaxation.times.shape[0] > 0:
-            relax(samples, scratch)
-            effective = scratch.memory.effective
-        _add_pressure(samples.weights, samples.pressure, effective, scratch.stress, scratch.cofactor,
+        if integration_points.relaxation.times.shape[0] > 0:
+            relax(integration_points, scratch)
+            effective = scratch.history.effective
+        _add_pressure(integration_points.weights, integration_points.pressure, effective, scratch.stress, scratch.cofactor,
                       scratch.dilatation, scratch.slope, curved)  # fmt: skip
         scratch.partial[:] = 0.0
-        for b in range(samples.table.shape[0]):
-            work(samples.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
+        for b in range(integration_points.table.shape[0]):
+            work(integration_points.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
                  columns.shape[0])  # fmt: skip
-        _collect(scratch.partial, samples.constant, columns, result)
+        _collect(scratch.partial, integration_points.constant, columns, result)
 
     @law_njit(digest)
-    def energy(columns, samples, scratch):  # type: ignore[no-untyped-def]
+    def energy(columns, integration_points, scratch):  # type: ignore[no-untyped-def]
         total = 0.0
-        for b in range(samples.table.shape[0]):
+        for b in range(integration_points.table.shape[0]):
             d = scratch.stress[b]
-            sums(samples.table[b].ctypes.data, columns.ctypes.data, d.ctypes.data, columns.shape[0])
+            sums(integration_points.table[b].ctypes.data, columns.ctypes.data, d.ctypes.data, columns.shape[0])
             for v in range(LANES):
                 density, scratch.dilatation[b, v] = density_of(
                     d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
-                    at(samples.coefficients, b, v),
+                    at(integration_points.coefficients, b, v),
                 )  # fmt: skip
-                density = charged(
+                density = add_energy(
                     density, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
-                    b, v, samples.families,
+                    b, v, integration_points.families,
                 )  # fmt: skip
-                total += samples.weights[b, v] * density
+                total += integration_points.weights[b, v] * density
         measure(scratch)
-        _moments(samples.pressure, scratch.dilatation, scratch.moments)
+        _moments(integration_points.pressure, scratch.dilatation, scratch.moments)
         for k in range(scratch.moments.shape[0]):
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
-        if samples.relaxation.times.shape[0] > 0:
-            force(columns, samples, scratch, scratch.spare)
+        if integration_points.relaxation.times.shape[0] > 0:
+            force(columns, integration_points, scratch, scratch.spare)
             if varied:
-                total += _in_branches(samples.weights * samples.coefficients[:, varied], scratch.memory)
+                total += _in_branches(
+                    integration_points.weights * integration_points.coefficients[:, varied], scratch.history
+                )
             else:
-                total += _in_branches(samples.weights, scratch.memory)
+                total += _in_branches(integration_points.weights, scratch.history)
         for m in range(columns.shape[0]):
             for k in range(columns.shape[0]):
-                total += 0.5 * columns[m] * samples.constant[m, k] * columns[k]
+                total += 0.5 * columns[m] * integration_points.constant[m, k] * columns[k]
         return total
 
     return force, energy

@@ -11,7 +11,7 @@ import scipy.linalg
 
 from palpate.dynamics.run.rollout import machine_memory
 from palpate.faults import InputError
-from palpate.reduction.lti.projection_methods import factorised
+from palpate.reduction.lti.projection_methods import factorise
 from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["Budget", "Estimate", "dense_lyapunov", "sparse_lyapunov"]
@@ -83,7 +83,7 @@ def _dense_seconds() -> float:
 def sparse_lyapunov(system: LinearSystem) -> Estimate:
     """Estimate two low-rank alternating-direction iterations, from one sparse factorisation that is made and timed."""
     start = perf_counter()
-    factors = factorised(system, 1j * float(np.sqrt(_middle(system))))
+    factors = factorise(system, 1j * float(np.sqrt(_middle(system))))
     seconds = perf_counter() - start
     numbers = factors.L.nnz + factors.U.nnz
     columns = 2 * STEPS * max(system.input.shape[1], system.output.shape[0])

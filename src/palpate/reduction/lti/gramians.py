@@ -18,7 +18,7 @@ from palpate.reduction.lti.budget import Budget, sparse_lyapunov
 from palpate.reduction.lti.state_space import FirstOrder
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["balanced_in_low_rank", "dense_solver", "residual"]
+__all__ = ["balance_in_low_rank", "dense_solver", "residual"]
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def dense_solver() -> Any:
     return ScipyLyapunovSolverLR()
 
 
-def balanced_in_low_rank(
+def balance_in_low_rank(
     system: LinearSystem,
     modes: int,
     scales: tuple[Floats, Floats],

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from palpate.faults import InputError, integer_in_range
 
-__all__ = ["Realisation", "balanced", "hankel_norm", "lyapunov_factor", "nearest_fields"]
+__all__ = ["Realisation", "balance", "hankel_norm", "lyapunov_factor", "nearest_fields"]
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def lyapunov_factor(a: Floats, b: Floats) -> Floats:
     return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
 
 
-def balanced(system: Realisation) -> tuple[Realisation, Floats, Floats]:
+def balance(system: Realisation) -> tuple[Realisation, Floats, Floats]:
     """Return a balanced realisation, as large as rounding allows, its Hankel singular values, and T: x = T z."""
     controlled, observed = lyapunov_factor(system.A, system.B), lyapunov_factor(system.A.T, system.C.T)
     left, values, right = np.linalg.svd(observed.T @ controlled)

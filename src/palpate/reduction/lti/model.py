@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.loads.loads import FREE, Drive, Gravity, Load, Traction
+from palpate.dynamics.loads.loads import FREE, Gravity, Load, PreparedLoads, SurfaceForce
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State
 from palpate.dynamics.run.reactions import evaluate
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder, held_over
+from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder, first_order_hold
 from palpate.reduction.lti.system import LinearSystem, force_inputs
 
 __all__ = ["LinearModel"]
@@ -33,13 +33,13 @@ TINY = 1e-4  # of the spacing: displacements by whose stresses the linear ones a
 class _Inputs:
     """What a drive's loads are to the inputs of the system."""
 
-    drive: Drive
+    prepared: PreparedLoads
     forces: tuple[tuple[int, slice], ...]  # force groups of the schedule, and their inputs
     gravity: slice | None
 
     def at(self, times: Floats, count: int) -> Floats:
         """Return the inputs (t, count) that are no tool's at some times [s]."""
-        schedule, values = self.drive.schedule(times), np.zeros((len(times), count))
+        schedule, values = self.prepared.schedule(times), np.zeros((len(times), count))
         for group, own in self.forces:
             values[:, own] += schedule.force[:, group]
         if self.gravity is not None:
@@ -68,7 +68,7 @@ class LinearModel(Model):
     """
 
     name = "linear"
-    fewest = 20
+    min_steps_per_frame = 20
 
     def __init__(self, system: LinearSystem, reduced: Reduced, report: Mapping[str, Any] | None = None) -> None:
         if system.at.any():
@@ -76,12 +76,16 @@ class LinearModel(Model):
         self.system, self.reduced, self.report = system, reduced, dict(report or {})
         full = system.model
         self.full, self.cloud, self.material, self.fixed = full, full.cloud, full.material, full.fixed
-        self.conservative, self.viscosity, self.stencils = full.conservative, full.viscosity, full.stencils
+        self.conservative, self.stiffness_damping, self.stencils = (
+            full.conservative,
+            full.stiffness_damping,
+            full.stencils,
+        )
         self.count, self.lifted = len(reduced.fields), len(system.lifting)
         self.columns = np.concatenate([reduced.fields, system.lifting])
         self.A, self.B, self.C, self.D = (np.ascontiguousarray(matrix) for matrix in reduced.state_space())
         flat = self.columns.reshape(len(self.columns), -1)
-        self._lost = full.viscosity * (flat @ (system.whole @ flat.T))
+        self._lost = full.stiffness_damping * (flat @ (system.whole @ flat.T))
         self._moved = self._force_columns() @ flat.T  # what coordinates move along the forces
         self._steps: dict[float, tuple[Floats, ...]] = {}
         self._ready: _Inputs | None = None
@@ -102,7 +106,7 @@ class LinearModel(Model):
 
     # loads
 
-    def drive(self, loads: Sequence[Load]) -> Drive:
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         """Make loads ready.
 
         Raises
@@ -110,11 +114,11 @@ class LinearModel(Model):
         InputError
             Loads that the system was not made with.
         """
-        ready = self.full.drive(loads)
-        known = {load.group for load in self.system.loads if isinstance(load, Traction)}
+        ready = self.full.prepare(loads)
+        known = {load.group for load in self.system.loads if isinstance(load, SurfaceForce)}
         weight = any(isinstance(load, Gravity) for load in self.system.loads)
         for load in ready.loads:
-            if isinstance(load, Traction) and (
+            if isinstance(load, SurfaceForce) and (
                 load.force is None or load.moment is not None or load.group not in known
             ):
                 raise InputError(
@@ -127,7 +131,7 @@ class LinearModel(Model):
                 "a linear model knows no Contact and no Foundation: linear bodies are neither touched nor tied"
             )
         names = {name: nodes for name, nodes in ready.supports.items() if name not in self.fixed}
-        own = self.full.drive(self.system.loads)
+        own = self.full.prepare(self.system.loads)
         wanted = {name: nodes for name, nodes in own.supports.items() if name not in self.fixed}
         same = names.keys() == wanted.keys() and all(np.array_equal(names[name], wanted[name]) for name in wanted)
         if not same or any(motion.until < np.inf for motion, _ in ready.motions):
@@ -137,19 +141,19 @@ class LinearModel(Model):
             )
         return ready
 
-    def _inputs(self, drive: Drive) -> _Inputs:
-        if self._ready is None or self._ready.drive is not drive:
+    def _inputs(self, prepared: PreparedLoads) -> _Inputs:
+        if self._ready is None or self._ready.prepared is not prepared:
             of, place, gravity = {}, 0, None
             for load in self.system.loads:
-                if isinstance(load, Traction):
+                if isinstance(load, SurfaceForce):
                     of[load.group], place = slice(place, place + 3), place + 3
                 elif isinstance(load, Gravity):
                     gravity, place = slice(place, place + 3), place + 3
-            groups = [load.group for load in drive.loads if isinstance(load, Traction)]
-            self._ready = _Inputs(drive, tuple((g, of[name]) for g, name in enumerate(groups)), gravity)
+            groups = [load.group for load in prepared.loads if isinstance(load, SurfaceForce)]
+            self._ready = _Inputs(prepared, tuple((g, of[name]) for g, name in enumerate(groups)), gravity)
         return self._ready
 
-    def tool_coordinates(self, drive: Drive, times: Floats) -> Floats:
+    def tool_coordinates(self, prepared: PreparedLoads, times: Floats) -> Floats:
         """Return the coordinates (t, l) of the tools at some times [s]: translations [m], small rotations [rad].
 
         Raises
@@ -159,9 +163,9 @@ class LinearModel(Model):
         """
         if not self.lifted:
             return np.zeros((len(times), 0))
-        driven = drive.places.driven
-        motion = drive.schedule(times).motion.reshape(len(times), -1)
-        span = self.system.lifting[:, driven].reshape(self.lifted, -1)
+        prescribed = prepared.places.prescribed
+        motion = prepared.schedule(times).motion.reshape(len(times), -1)
+        span = self.system.lifting[:, prescribed].reshape(self.lifted, -1)
         coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
         missed = np.abs(coordinates @ span - motion).max()
         if missed > MISSED * max(float(np.abs(motion).max()), 1e-3 * self.cloud.spacing):
@@ -173,27 +177,31 @@ class LinearModel(Model):
     # stepping
 
     def state(
-        self, drive: Drive, displacement: Floats | None = None, velocity: Floats | None = None, time: float = 0.0
+        self,
+        prepared: PreparedLoads,
+        displacement: Floats | None = None,
+        velocity: Floats | None = None,
+        time: float = 0.0,
     ) -> State:
-        nodal = self.full.state(drive, displacement, velocity, time)
+        nodal = self.full.state(prepared, displacement, velocity, time)
         now = np.array([time])
-        tools = self.tool_coordinates(drive, now)[0]
-        rates = drive.rates(lambda times: self.tool_coordinates(drive, times), time)[0] if self.lifted else tools
+        tools = self.tool_coordinates(prepared, now)[0]
+        rates = prepared.rates(lambda times: self.tool_coordinates(prepared, times), time)[0] if self.lifted else tools
         own: Floats = np.zeros((2, self.count))
         if isinstance(self.reduced, FirstOrder):
             if any(given is not None and np.any(given) for given in (displacement, velocity)):
                 raise InputError("a first-order linear model starts at rest: its states are not displacements")
-            own[1] = self.B[:, : self.system.forces] @ self._inputs(drive).at(now, self.system.forces)[0]
+            own[1] = self.B[:, : self.system.forces] @ self._inputs(prepared).at(now, self.system.forces)[0]
         else:
             begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
             begun -= np.stack([tools, rates]) @ self.system.lifts
-            begun[:, np.repeat(drive.places.kind != FREE, 3)] = 0.0
+            begun[:, np.repeat(prepared.places.kind != FREE, 3)] = 0.0
             flat = self.reduced.fields.reshape(self.count, -1)
             weighted = flat * np.repeat(self.full.weights * self.material.density, 3)
             own = np.asarray(np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T, dtype=float)
         return State(np.concatenate([own[0], tools]), np.concatenate([own[1], rates]), time)
 
-    def stable_step(self, state: State, drive: Drive) -> float:
+    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
         """Return infinity: the step is exact, however long; a run takes `fewest` steps between two snapshots."""
         return np.inf
 
@@ -203,7 +211,7 @@ class LinearModel(Model):
             if len(self._steps) > 16:
                 self._steps.clear()
             forces = self.system.forces
-            own = held_over(self.A, self.B[:, :forces], step)
+            own = first_order_hold(self.A, self.B[:, :forces], step)
             self._steps[step] = tuple(np.ascontiguousarray(m) for m in (*own, self.B[:, forces:]))
         return self._steps[step]
 
@@ -213,11 +221,11 @@ class LinearModel(Model):
             return np.concatenate([state.coordinates[: self.count], state.velocities[: self.count]])
         return state.coordinates[: self.count].copy()
 
-    def advance(self, state: State, drive: Drive, step: float, steps: int) -> State:
+    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
         number_in_range("step", step, 0.0, open_low=True, unit="s")
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
-        f = np.ascontiguousarray(self._inputs(drive).at(times[1:-1], self.system.forces))
-        g = np.ascontiguousarray(self.tool_coordinates(drive, times))
+        f = np.ascontiguousarray(self._inputs(prepared).at(times[1:-1], self.system.forces))
+        g = np.ascontiguousarray(self.tool_coordinates(prepared, times))
         kicks = np.ascontiguousarray((g[2:] - 2 * g[1:-1] + g[:-2]) / step)
         x = self._packed(state)
         history = np.zeros((steps + 1, len(x)))
@@ -249,7 +257,7 @@ class LinearModel(Model):
     def _force_columns(self) -> Floats:
         """Nodal forces (forces, 3 n) of the inputs that are no tool's, on held nodes, too."""
         model = self.full
-        return force_inputs(model, model.drive(self.system.loads), np.repeat(model.masses, 3))[0]
+        return force_inputs(model, model.prepare(self.system.loads), np.repeat(model.masses, 3))[0]
 
     def _tool_forces(self, x: Floats, f: Floats, g: Floats, speeds: Floats, bends: Floats) -> Floats:
         """Forces (t, l) [N], [N m] of the tools on the body, conjugate to their coordinates."""
@@ -259,46 +267,48 @@ class LinearModel(Model):
             x @ self.C[own].T + inputs @ self.D[own].T + g @ system.static[own].T + speeds @ system.static_rate[own].T
         )
 
-    def responses(self, state: State, drive: Drive) -> Floats:
+    def responses(self, state: State, prepared: PreparedLoads) -> Floats:
         """Return the outputs y (q,) of the system at a state, as `LinearSystem.outputs` names them."""
-        f = self._inputs(drive).at(np.array([state.time]), self.system.forces)[0]
-        bends = self._bends(state, drive)
+        f = self._inputs(prepared).at(np.array([state.time]), self.system.forces)[0]
+        bends = self._bends(state, prepared)
         g, rates = state.coordinates[self.count :], state.velocities[self.count :]
         y = self.C @ self._packed(state) + self.D @ np.concatenate([f, bends])
         return np.asarray(y + self.system.static @ g + self.system.static_rate @ rates)
 
-    def _bends(self, state: State, drive: Drive) -> Floats:
+    def _bends(self, state: State, prepared: PreparedLoads) -> Floats:
         """Accelerations (l,) of the tools."""
         if not self.lifted:
             return np.zeros(0)
-        return drive.rates(lambda times: self.tool_coordinates(drive, times), state.time)[1]
+        return prepared.rates(lambda times: self.tool_coordinates(prepared, times), state.time)[1]
 
     # what a state means
 
-    def displacement(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+    def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes, rebuilt only there."""
         return np.tensordot(state.coordinates, self.columns[:, nodes], 1)
 
-    def velocity(self, state: State, drive: Drive, nodes: Nodes = slice(None)) -> Floats:
+    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
         return np.tensordot(state.velocities, self.columns[:, nodes], 1)
 
-    def outputs(self, state: State, drive: Drive) -> Outputs:
-        return evaluate(self, state, drive)
+    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
+        return evaluate(self, state, prepared)
 
-    def acceleration(self, state: State, drive: Drive) -> Floats:
-        inputs, forces = self._inputs(drive), self.system.forces
-        bends = self._bends(state, drive)
+    def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
+        inputs, forces = self._inputs(prepared), self.system.forces
+        bends = self._bends(state, prepared)
         if isinstance(self.reduced, SecondOrder):
             f = np.concatenate([inputs.at(np.array([state.time]), forces)[0], bends])
             own = (self.A @ self._packed(state) + self.B @ f)[self.count :]
         else:
-            slope = drive.rates(lambda times: inputs.at(times, forces), state.time)[0]
+            slope = prepared.rates(lambda times: inputs.at(times, forces), state.time)[0]
             own = self.A @ state.velocities[: self.count] + self.B[:, :forces] @ slope
         return np.tensordot(np.concatenate([own, bends]), self.columns, 1)
 
-    def external_force(self, state: State, drive: Drive) -> Floats:
-        return self.full.external_force(State(self.displacement(state, drive), state.velocities, state.time), drive)
+    def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
+        return self.full.external_force(
+            State(self.displacement(state, prepared), state.velocities, state.time), prepared
+        )
 
     def nodal_force(self, displacements: Floats) -> Floats:
         pushed = -(self.system.whole @ displacements.ravel()).reshape(-1, 3)

@@ -20,7 +20,7 @@ from palpate.reduction.basis.pod import pod
 from palpate.reduction.lti.state_space import SecondOrder
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["Columns", "condensed", "eigenvectors", "modal", "moments", "projected", "proper"]
+__all__ = ["Columns", "condense", "eigenvectors", "modal", "moments", "project", "proper"]
 
 Floats = NDArray[np.float64]
 Columns = tuple[Floats, Floats]
@@ -29,7 +29,7 @@ TWINS, SPARE = 1e-5, 12  # relative distance of squares of frequencies that coun
 DEFLATED = 1e-10  # of its size before: what is left of a column that the others span already
 
 
-def projected(system: LinearSystem, columns: Floats, test: Floats | None = None) -> SecondOrder:
+def project(system: LinearSystem, columns: Floats, test: Floats | None = None) -> SecondOrder:
     """Project a system on columns V (d, k), with test columns W (d, k), by default the same."""
     w = columns if test is None else test
     return SecondOrder(
@@ -39,7 +39,7 @@ def projected(system: LinearSystem, columns: Floats, test: Floats | None = None)
     )  # fmt: skip
 
 
-def factorised(system: LinearSystem, s: complex = 0.0) -> Any:
+def factorise(system: LinearSystem, s: complex = 0.0) -> Any:
     """Return the sparse factors of s^2 M + s D + K, in real numbers where s is.
 
     Raises
@@ -62,7 +62,7 @@ def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex12
     of a body of symmetric shape in its strong form, there are more.
     """
     integer_in_range("modes", count, 1, system.order - 2)
-    solver, order = factorised(system), system.stiffness.shape
+    solver, order = factorise(system), system.stiffness.shape
     start = np.random.default_rng(0).standard_normal(system.order)
     ask = min(count + SPARE, system.order - 2)
     try:
@@ -117,10 +117,10 @@ def modal(system: LinearSystem, modes: int) -> SecondOrder:
 
 def _balanced(system: LinearSystem, right: Floats, left: Floats) -> SecondOrder:
     """Project with test columns such that the reduced mass is 1."""
-    return projected(system, right, left @ np.linalg.inv((left.T @ (system.mass @ right)).T))
+    return project(system, right, left @ np.linalg.inv((left.T @ (system.mass @ right)).T))
 
 
-def condensed(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
+def condense(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
     """Project on many slow modes and the static responses to the inputs that they leave: a smaller system to balance.
 
     The modes keep their poles, and the static responses the transfer function at s = 0. Returns also V and W (d, k).
@@ -128,15 +128,15 @@ def condensed(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
     """
     _, right, left = eigenvectors(system, modes)
     left = left @ np.linalg.inv((left.T @ (system.mass @ right)).T)
-    static = factorised(system).solve(system.input.toarray())
+    static = factorise(system).solve(system.input.toarray())
     static = static - right @ (left.T @ (system.mass @ static))
     more = _orthonormal(system, static, np.zeros((system.order, 0)))
     other = more if system.symmetric else more - left @ (right.T @ (system.mass @ more))
     wide, test = np.hstack([right, more]), np.hstack([left, other])
-    reduced = projected(system, wide, test)
+    reduced = project(system, wide, test)
     if not system.symmetric and reduced.poles().real.max() >= 0:
         wide, test = right, left
-        reduced = projected(system, wide, test)
+        reduced = project(system, wide, test)
     return reduced, (wide, test)
 
 
@@ -158,7 +158,7 @@ def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)
     points = [complex(s) for s in points]
     if not points or any(s.real < 0 for s in points):
         raise InputError(f"points = {points}: needed are points s with real parts of at least 0")
-    solvers = [factorised(system, s) for s in points]
+    solvers = [factorise(system, s) for s in points]
     basis, nothing = np.zeros((system.order, 0)), np.zeros((system.order, 0))
     known = [nothing.astype(complex if s.imag != 0 else float) for s in points]
     fresh = [solver.solve(_typed(system.input.toarray(), s)) for solver, s in zip(solvers, points, strict=True)]
@@ -172,7 +172,7 @@ def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)
             basis = np.hstack([basis, _orthonormal(system, parts, basis)])
         if basis.shape[1] == before:
             raise InputError(f"modes = {modes}: these inputs and points give only {before} independent columns")
-    return projected(system, np.ascontiguousarray(basis[:, :modes]))
+    return project(system, np.ascontiguousarray(basis[:, :modes]))
 
 
 def _typed(block: Any, s: complex) -> Any:
@@ -196,4 +196,4 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
 def proper(system: LinearSystem, snapshots: Floats, modes: int) -> SecondOrder:
     """Decompose displacements (t, n, 3) [m] of the linearised body (POD), without its tools' fields, and project."""
     basis = pod(snapshots, system.model.weights, modes=modes)
-    return projected(system, np.ascontiguousarray(basis.modes.reshape(len(basis), -1)[:, system.dofs].T))
+    return project(system, np.ascontiguousarray(basis.modes.reshape(len(basis), -1)[:, system.dofs].T))

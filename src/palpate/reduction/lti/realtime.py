@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.loads.loads import DRIVEN
+from palpate.dynamics.loads.loads import PRESCRIBED
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
-from palpate.reduction.lti.state_space import SecondOrder, held_over
+from palpate.reduction.lti.state_space import SecondOrder, first_order_hold
 
-__all__ = ["LinearData", "LinearRealtime", "linear_realtime", "reach"]
+__all__ = ["LinearData", "LinearRealtime", "linear_range", "linear_realtime"]
 
 Floats = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class LinearData(NamedTuple):
     inertia: Floats
     mass: Floats
     elastic: Floats
-    reach: Floats
+    linear_range: Floats
     scratch: Floats
     vectors: Floats
 
@@ -111,9 +111,9 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
     mean_force = np.array(np.linalg.solve(model.A.T, model.C[own].T).T, dtype=float, order="C")
     data = LinearData(
         count, isinstance(model.reduced, SecondOrder), model.A * sizes / sizes[:, None], sizes,
-        np.ascontiguousarray(held_over(model.A, model.B[:, :0], period)[0]), np.array([period]), model.B.copy(),
+        np.ascontiguousarray(first_order_hold(model.A, model.B[:, :0], period)[0]), np.array([period]), model.B.copy(),
         mean_force, system.static[own].copy(), system.static_rate[own].copy(),
-        model.D[own].copy(), (flat * weight) @ flat.T, flat @ (system.whole @ flat.T), reach(model),
+        model.D[own].copy(), (flat * weight) @ flat.T, flat @ (system.whole @ flat.T), linear_range(model),
         np.zeros((4, states, states)), np.zeros((3, max(states, count + lifted))),
     )  # fmt: skip
     return LinearRealtime(advance, stiffness, data, np.zeros(count + lifted), _tool_map(system.inputs))
@@ -134,16 +134,16 @@ def _tool_map(inputs: tuple[str, ...]) -> Floats:
     return np.array(rows)
 
 
-def reach(model: LinearModel) -> Floats:
+def linear_range(model: LinearModel) -> Floats:
     """Return how far tool coordinates go before the force on the tool bends by a tenth, (l,), [m] or [rad].
 
     By the nonlinear forces of the tool's static fields L: a measure of how far the body's answer is linear, not of an
     error.
     """
     system, full, found = model.system, model.full, []
-    driven = np.repeat(full.drive(system.loads).places.kind == DRIVEN, 3)
+    prescribed = np.repeat(full.prepare(system.loads).places.kind == PRESCRIBED, 3)
     for field in system.lifting:
-        rigid = np.where(driven, field.ravel(), 0.0)
+        rigid = np.where(prescribed, field.ravel(), 0.0)
         straight = float(rigid @ (system.whole @ field.ravel()))
 
         def bent(size: float, field: Floats = field, rigid: Floats = rigid, straight: float = straight) -> bool:
@@ -256,7 +256,7 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
             v[i] = value
     for j in range(m - count):
         q[count + j] = target[j]
-        report[1] = max(report[1], abs(target[j]) / data.reach[j])
+        report[1] = max(report[1], abs(target[j]) / data.linear_range[j])
     report[2] = 1.0
     for i in range(m):
         for j in range(m):

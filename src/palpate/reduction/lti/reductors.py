@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from palpate.dynamics.loads.loads import Load
 from palpate.faults import InputError, integer_in_range
 from palpate.reduction.lti.budget import Budget, dense_lyapunov
-from palpate.reduction.lti.gramians import balanced_in_low_rank, dense_solver
-from palpate.reduction.lti.hankel import Realisation, balanced, hankel_norm, nearest_fields
+from palpate.reduction.lti.gramians import balance_in_low_rank, dense_solver
+from palpate.reduction.lti.hankel import Realisation, balance, hankel_norm, nearest_fields
 from palpate.reduction.lti.model import LinearModel
-from palpate.reduction.lti.projection_methods import condensed, modal, moments, projected, proper
+from palpate.reduction.lti.projection_methods import condense, modal, moments, project, proper
 from palpate.reduction.lti.pymor_bridge import need_pymor
 from palpate.reduction.lti.simulate import linear_run
 from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder
@@ -147,7 +147,7 @@ class Reduction:
         if method == "balanced":
             return self._balanced(modes)
         if method == "balanced-low-rank":
-            return balanced_in_low_rank(system, modes, self.scales, self.budget, self._timed)
+            return balance_in_low_rank(system, modes, self.scales, self.budget, self._timed)
         return self._second_order(method, modes)
 
     def _shared(self, method: str) -> float:
@@ -182,14 +182,14 @@ class Reduction:
         """The dense body that is balanced: condensed, or the whole one."""
         system = self.system
         if self.condense and self.condense < system.order - 2:
-            return self._timed("condensed", lambda: condensed(system, self.condense)[0])
+            return self._timed("condensed", lambda: condense(system, self.condense)[0])
         estimate = dense_lyapunov(2 * system.order)
         self.budget.check(
             estimate, f"dense Lyapunov equations of order {2 * system.order}",
             f"Give condense={CONDENSED} to balance that many of the slowest modes instead, or a coarser cloud",
         )  # fmt: skip
         roots = 1.0 / np.sqrt(system.mass.diagonal())
-        return self._timed("condensed", lambda: projected(system, np.diag(roots)))
+        return self._timed("condensed", lambda: project(system, np.diag(roots)))
 
     @cached_property
     def scales(self) -> tuple[Floats, Floats]:
@@ -238,7 +238,7 @@ class Reduction:
     @cached_property
     def realisation(self) -> tuple[Realisation, Floats, Floats]:
         """Balanced realisation of the scaled body, its Hankel singular values, and T (2 m, n): x = T z."""
-        return self._timed("hankel", lambda: balanced(Realisation(*self.scaled.state_space())))
+        return self._timed("hankel", lambda: balance(Realisation(*self.scaled.state_space())))
 
     @property
     def hankel_singular_values(self) -> Floats:

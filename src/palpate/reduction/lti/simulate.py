@@ -11,7 +11,7 @@ from scipy.sparse.linalg import splu
 from palpate.dynamics.loads.loads import Load
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
-from palpate.reduction.lti.projection_methods import projected
+from palpate.reduction.lti.projection_methods import project
 from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["input_sizes", "linear_run"]
@@ -21,12 +21,12 @@ Floats = NDArray[np.float64]
 
 def input_sizes(system: LinearSystem, loads: Sequence[Load], duration: float, samples: int = 2000) -> Floats:
     """Return the largest size (p,) of every input in a run: forces [N], gravity, and accelerations of tools."""
-    guide = LinearModel(system, projected(system, np.ones((system.order, 1))))
-    drive, step = guide.drive(loads), duration / samples
+    guide = LinearModel(system, project(system, np.ones((system.order, 1))))
+    prepared, step = guide.prepare(loads), duration / samples
     times: Floats = step * np.arange(-1.0, samples + 2)
-    g = guide.tool_coordinates(drive, times)
+    g = guide.tool_coordinates(prepared, times)
     bends = np.abs(g[2:] - 2 * g[1:-1] + g[:-2]).max(axis=0) / step**2
-    return np.concatenate([np.abs(guide._inputs(drive).at(times[1:-1], system.forces)).max(axis=0), bends])
+    return np.concatenate([np.abs(guide._inputs(prepared).at(times[1:-1], system.forces)).max(axis=0), bends])
 
 
 def linear_run(
@@ -61,12 +61,12 @@ def linear_run(
     if not loads:
         raise InputError("a linear run from rest needs a load, or nothing moves")
     # any reduced model knows what loads are to the inputs; one of a single column is the cheapest
-    guide = LinearModel(system, projected(system, np.ones((system.order, 1))))
-    drive = guide.drive(loads)
+    guide = LinearModel(system, project(system, np.ones((system.order, 1))))
+    prepared = guide.prepare(loads)
     frames, step = round(duration / every), every / steps
     times: Floats = step * np.arange(-1.0, frames * steps + 2)
-    f = guide._inputs(drive).at(times[1:-1], system.forces)
-    g = guide.tool_coordinates(drive, times)
+    f = guide._inputs(prepared).at(times[1:-1], system.forces)
+    g = guide.tool_coordinates(prepared, times)
     kicks = (g[2:] - 2 * g[1:-1] + g[:-2]) / step
     pushed = f @ system.input.toarray()[:, : system.forces].T
     lift = system.lifts[:, system.dofs]

@@ -106,7 +106,7 @@ class FirstOrder:
 Reduced = SecondOrder | FirstOrder
 
 
-def held_over(a: Floats, b: Floats, step: float) -> tuple[Floats, Floats, Floats]:
+def first_order_hold(a: Floats, b: Floats, step: float) -> tuple[Floats, Floats, Floats]:
     """Return E, G0, G1 of the exact step x1 = E x0 + G0 f0 + G1 f1 for inputs that go evenly from f0 to f1.
 
     From the exponential of one matrix (Van Loan, IEEE Trans. Autom. Control 23, 1978).

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
 __all__ = ["coupling", "independent_groups", "nodal_stiffness"]
@@ -40,16 +40,16 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
         The state; rest by default. There the energy form's is assembled from its stencils, otherwise differences are
         taken, accurate to about 1e-9 of the largest entry.
     """
-    plain = isinstance(model, FullModel) and model.conservative and model.fibres is None
+    plain = isinstance(model, Solid) and model.conservative and model.fibres is None
     if displacements is None and plain:
-        assert isinstance(model, FullModel)
+        assert isinstance(model, Solid)
         return rest_stiffness(model)
     u = np.zeros((len(model.cloud), 3)) if displacements is None else np.array(displacements, dtype=float)
-    n, reach, delta = len(u), coupling(model), STEP * model.cloud.spacing
+    n, linear_range, delta = len(u), coupling(model), STEP * model.cloud.spacing
     rows, columns, values = [], [], []
-    model._recall(None)
-    for group in independent_groups(reach):
-        inside = reach[:, group].tocoo()
+    model._restore_history(None)
+    for group in independent_groups(linear_range):
+        inside = linear_range[:, group].tocoo()
         node, moved = inside.row, group[inside.col]
         for c in range(3):
             u[group, c] += delta

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from palpate.dynamics.contact.tools import Grasp
-from palpate.dynamics.loads.loads import FREE, Drive, Gravity, Load, PrescribedMotion, Traction
+from palpate.dynamics.loads.loads import FREE, Gravity, Load, PreparedLoads, PrescribedMotion, SurfaceForce
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import State
 from palpate.faults import InputError
@@ -157,9 +157,9 @@ def linearise(
     Parameters
     ----------
     model : NodalModel
-        `FullModel` or `Membrane`.
+        `Solid` or `Membrane`.
     loads : sequence of loads
-        What the inputs are: a `Traction` of a force gives three, in the directions of the axes, `Gravity` too, and a
+        What the inputs are: a `SurfaceForce` of a force gives three, in the directions of the axes, `Gravity` too, and a
         tool that moves nodes (`PrescribedMotion`, `Grasp`) six, three translations and three rotations about the mean
         place of its nodes. When they act and how strongly is not part of the system.
     outputs : sequence of str
@@ -175,7 +175,7 @@ def linearise(
         tissue that relaxes.
     """
     if not isinstance(model, NodalModel):
-        raise InputError(f"linearise needs a FullModel or a Membrane, not a {type(model).__name__}")
+        raise InputError(f"linearise needs a Solid or a Membrane, not a {type(model).__name__}")
     if model.material.prony is not None:
         raise InputError("tissue that relaxes (prony=) remembers: M, D and K alone do not describe it")
     loads = tuple(loads)
@@ -185,21 +185,21 @@ def linearise(
     at = np.zeros((len(model.cloud), 3)) if displaced is None else np.array(displaced, dtype=float)
     if at.shape != (len(model.cloud), 3) or not np.isfinite(at).all():
         raise InputError(f"state: displacements must be finite, of shape {(len(model.cloud), 3)}, not {at.shape}")
-    drive = model.drive(loads)
+    prepared = model.prepare(loads)
     whole = nodal_stiffness(model, at if at.any() else None)
-    free = np.flatnonzero(np.repeat(drive.places.kind == FREE, 3))
+    free = np.flatnonzero(np.repeat(prepared.places.kind == FREE, 3))
     weight = np.repeat(model.weights * model.material.density, 3)
     stiffness = whole[free][:, free].tocsc()
-    rigid, tools = _rigid_motions(model, drive)
+    rigid, tools = _rigid_motions(model, prepared)
     lifting = _continued(whole, free, stiffness, rigid)
-    forces, names = force_inputs(model, drive, weight)
+    forces, names = force_inputs(model, prepared, weight)
     pushed = np.concatenate([forces[:, free], -weight[free] * lifting[:, free]]).T
     system = LinearSystem(
-        model, loads, at, free, sparse.diags(weight[free]).tocsc(), (model.viscosity * stiffness).tocsc(), stiffness,
-        sparse.csc_matrix(pushed), *_outputs(model, drive, outputs, whole, free, (forces, rigid, lifting), weight),
+        model, loads, at, free, sparse.diags(weight[free]).tocsc(), (model.stiffness_damping * stiffness).tocsc(), stiffness,
+        sparse.csc_matrix(pushed), *_outputs(model, prepared, outputs, whole, free, (forces, rigid, lifting), weight),
         (*names, *(f"acceleration of {tool}" for tool in tools)), _output_names(model, outputs, tools),
         lifting.reshape(len(lifting), len(model.cloud), 3),
-        *_statics(model, drive, outputs, whole, (rigid, lifting)), whole,
+        *_statics(model, prepared, outputs, whole, (rigid, lifting)), whole,
     )  # fmt: skip
     return system
 
@@ -212,7 +212,7 @@ def _check_input(load: Load, model: NodalModel) -> None:
         return
     if isinstance(load, Gravity):
         return
-    if not isinstance(load, Traction):
+    if not isinstance(load, SurfaceForce):
         raise InputError(
             f"{type(load).__name__} is no input of a linear system: Traction, Gravity, PrescribedMotion, Grasp are"
         )
@@ -220,11 +220,11 @@ def _check_input(load: Load, model: NodalModel) -> None:
         raise InputError(f"Traction on {load.group!r}: an input of a linear system is a force, no moment or pressure")
 
 
-def _rigid_motions(model: NodalModel, drive: Drive) -> tuple[Floats, list[str]]:
+def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, list[str]]:
     """Unit translations and rotations of the tools' nodes (l, 3 n), and what they are."""
     points, columns, names = model.cloud.points, [], []
-    for motion, where in drive.motions:
-        nodes = drive.places.driven[where]
+    for motion, where in prepared.motions:
+        nodes = prepared.places.prescribed[where]
         arms = np.pad(points[nodes] - points[nodes].mean(axis=0), ((0, 0), (0, 3 - points.shape[1])))
         for kind in ("translation", "rotation"):
             for c in range(3):
@@ -251,14 +251,14 @@ def _continued(whole: Any, free: NDArray[np.int64], stiffness: Any, rigid: Float
     return fields
 
 
-def force_inputs(model: NodalModel, drive: Drive, weight: Floats) -> tuple[Floats, list[str]]:
+def force_inputs(model: NodalModel, prepared: PreparedLoads, weight: Floats) -> tuple[Floats, list[str]]:
     """Nodal forces (p, 3 n) of unit total forces and accelerations, and what they are, in the order of the loads."""
-    places, n, columns, names, g = drive.places, len(model.cloud), [], [], 0
-    for load in drive.loads:
+    places, n, columns, names, g = prepared.places, len(model.cloud), [], [], 0
+    for load in prepared.loads:
         if isinstance(load, Gravity):
             columns += [weight * np.tile(np.eye(3)[c], n) for c in range(3)]
             names += [f"gravity {AXES[c]}" for c in range(3)]
-        elif isinstance(load, Traction):
+        elif isinstance(load, SurfaceForce):
             own = slice(places.force_start[g], places.force_start[g + 1])
             for c in range(3):
                 column = np.zeros(3 * n)
@@ -277,25 +277,25 @@ def _output_names(model: NodalModel, outputs: Sequence[str], tools: Sequence[str
     return (*names, *(f"force of {tool}" for tool in tools))
 
 
-def _rows(model: NodalModel, drive: Drive, group: str) -> Any:
+def _rows(model: NodalModel, prepared: PreparedLoads, group: str) -> Any:
     """Mean of the displacements of a group, (3, 3 n)."""
-    nodes = drive.supports[group] if group in drive.supports else model.cloud.group(group)
+    nodes = prepared.supports[group] if group in prepared.supports else model.cloud.group(group)
     n = len(model.cloud)
     places = np.repeat(np.arange(3), len(nodes)), np.concatenate([3 * nodes + c for c in range(3)])
     return sparse.csr_matrix((np.full(3 * len(nodes), 1.0 / len(nodes)), places), (3, 3 * n))
 
 
 def _outputs(
-    model: NodalModel, drive: Drive, outputs: Sequence[str], whole: Any, free: NDArray[np.int64],
+    model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], whole: Any, free: NDArray[np.int64],
     inputs: tuple[Floats, Floats, Floats], weight: Floats,
 ) -> tuple[Any, Any, Floats]:  # fmt: skip
     """Return Cp, Cv (q, d) and Df (q, p)."""
     forces, rigid, lifting = inputs
-    width, beta = len(forces) + len(lifting), model.viscosity
+    width, beta = len(forces) + len(lifting), model.stiffness_damping
     positions, rates, through = [], [], []
     for group in outputs:
         if group not in model.fixed:
-            positions.append(_rows(model, drive, group)[:, free])
+            positions.append(_rows(model, prepared, group)[:, free])
             rates.append(sparse.csr_matrix((3, len(free))))
             through.append(np.zeros((3, width)))
             continue
@@ -339,7 +339,7 @@ def _support_force(
 
 
 def _statics(
-    model: NodalModel, drive: Drive, outputs: Sequence[str], whole: Any, tools: tuple[Floats, Floats]
+    model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], whole: Any, tools: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Return S and S' (q, l): what outputs follow the tools' coordinates and their rates at once."""
     rigid, lifting = tools
@@ -349,11 +349,11 @@ def _statics(
             nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
             total = sparse.csr_matrix(np.tile(np.eye(3), len(model.cloud)))[:, nodes]
             statics.append(np.asarray(total @ (whole.tocsr()[nodes] @ lifting.T)))
-            rates.append(model.viscosity * statics[-1])
+            rates.append(model.stiffness_damping * statics[-1])
         else:
-            statics.append(np.asarray(_rows(model, drive, group) @ lifting.T))
+            statics.append(np.asarray(_rows(model, prepared, group) @ lifting.T))
             rates.append(np.zeros((3, len(lifting))))
     if len(rigid):
         statics.append(np.asarray(rigid @ (whole @ lifting.T)))
-        rates.append(model.viscosity * statics[-1])
+        rates.append(model.stiffness_damping * statics[-1])
     return np.concatenate(statics), np.concatenate(rates)

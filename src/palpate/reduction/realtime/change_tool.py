@@ -14,12 +14,12 @@ from palpate.dynamics.contact.tools import CAPSULE, Forceps, Tool
 from palpate.reduction.realtime.model import RealtimeModel
 from palpate.reduction.realtime.period import PeriodData
 
-__all__ = ["retool"]
+__all__ = ["change_tool"]
 
 Floats = NDArray[np.float64]
 
 
-def retool(model: RealtimeModel, tool: Tool | None, pose: Floats, friction: float = 0.0) -> None:
+def change_tool(model: RealtimeModel, tool: Tool | None, pose: Floats, friction: float = 0.0) -> None:
     """Give a body in real time another tool; what the last one did to it ends.
 
     Parameters
@@ -34,13 +34,13 @@ def retool(model: RealtimeModel, tool: Tool | None, pose: Floats, friction: floa
         Coulomb's coefficient.
     """
     data: PeriodData = model.data
-    tools, touch = data.tools, data.touch
+    tools, contact_state = data.tools, data.contact_state
     tools.kind[0] = CAPSULE if tool is None else tool.kind
     tools.sizes[0] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # all the world is outside of it
     tools.friction[0] = friction
     if isinstance(tool, Forceps):
         tools.origins[0] = tool.point
-    touch.force[:], touch.place[:], touch.busy[:], touch.numbers[0] = 0.0, 0.0, True, 0
+    contact_state.force[:], contact_state.place[:], contact_state.busy[:], contact_state.numbers[0] = 0.0, 0.0, True, 0
     data.home[:] = pose[:3]
     for frame in tools.frames[0]:
         rotation(pose, frame)

@@ -13,7 +13,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.faults import InputError
-from palpate.reduction.contact.compliance import carried, softness
+from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["SCALARS", "Surface"]
@@ -43,35 +43,37 @@ class Surface:
     """
 
     def __init__(self, model: ReducedModel) -> None:
-        cloud, parts = model.cloud, model.parts
+        cloud, data = model.cloud, model.data
         self.model = model
         self.nodes, triangles = np.unique(cloud.triangles, return_inverse=True)
         self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)
         flat = cloud.points[self.nodes]
         self.rest = np.zeros((len(self.nodes), 3), dtype=np.float32)
         self.rest[:, : flat.shape[1]] = flat
-        columns = parts.columns[: model.count, self.nodes].reshape(model.count, -1)
+        columns = data.basis_vectors[: model.count, self.nodes].reshape(model.count, -1)
         self._columns = np.ascontiguousarray(columns.T, dtype=np.float32)
         self._gradients: Singles | None = None
-        self._dents = parts.dents
-        if parts.dents is None:
+        self._contact_displacements = data.compliance
+        if data.compliance is None:
             return
-        skin, dents = model._skin, parts.dents
+        contact_surface, compliance = model._contact_surface, data.compliance
         place = np.full(len(cloud), -1)
-        place[dents.nodes] = np.arange(len(dents.nodes))
-        self._touched = place[skin.nodes]  # of the skin's nodes, in those of the compliance
+        place[compliance.nodes] = np.arange(len(compliance.nodes))
+        self._touched = place[contact_surface.nodes]  # of the skin's nodes, in those of the compliance
         place[:] = -1
         place[self.nodes] = np.arange(len(self.nodes))
-        self._vertex = place[dents.nodes]
+        self._vertex = place[compliance.nodes]
         self._drawn = self._vertex >= 0
-        rows = np.repeat(np.arange(len(dents.nodes)), dents.patches.shape[1])
-        shares = dents.shares.ravel().astype(np.float32), (rows, dents.patches.ravel())
-        own = dents.patches.shape[1] == 1 and np.array_equal(dents.patches[:, 0], np.arange(len(dents.nodes)))
+        rows = np.repeat(np.arange(len(compliance.nodes)), compliance.patches.shape[1])
+        shares = compliance.shares.ravel().astype(np.float32), (rows, compliance.patches.ravel())
+        own = compliance.patches.shape[1] == 1 and np.array_equal(
+            compliance.patches[:, 0], np.arange(len(compliance.nodes))
+        )
         self._patches = (
-            None if own or not self._drawn.all() else sparse.csr_array(shares, shape=(len(dents.nodes),) * 2)
+            None if own or not self._drawn.all() else sparse.csr_array(shares, shape=(len(compliance.nodes),) * 2)
         )
 
-    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, held: bool = False) -> Singles:
+    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
         """Return the displacements (n, 3) [m] of the vertices.
 
         Parameters
@@ -85,39 +87,43 @@ class Surface:
             Whether a tool holds nodes; else the displacements are those of `met`.
         """
         moved = (self._columns @ coordinates.astype(np.float32)).reshape(-1, 3)
-        if len(nodes) and self._dents is not None:
-            moved[self._vertex[self._drawn]] += self._dent(nodes, forces, held)[self._drawn]
-        return moved if held else self.met(moved)
+        if len(nodes) and self._contact_displacements is not None:
+            moved[self._vertex[self._drawn]] += self._contact_displacement(nodes, forces, bonded)[self._drawn]
+        return moved if bonded else self.met(moved)
 
     def met(self, moved: Singles) -> Singles:
         """Return the displacements (n, 3) [m] of the surface that tools meet for those of the vertices."""
-        if self._dents is None or self._patches is None:
+        if self._contact_displacements is None or self._patches is None:
             return moved
         result = moved.copy()
         result[self._vertex] = self._patches @ moved[self._vertex]
         return result
 
-    def _dent(self, nodes: Ints, forces: Floats, held: bool) -> Floats:
+    def _contact_displacement(self, nodes: Ints, forces: Floats, bonded: bool) -> Floats:
         """Return what forces do beside the modes (k, 3) [m], as `palpate.reduction.contact.compliance.dents_of`."""
-        dents = self._dents
-        assert dents is not None
-        touched, own = self._touched[nodes], np.zeros((len(dents.nodes), 3))
-        if held:
+        compliance = self._contact_displacements
+        assert compliance is not None
+        touched, own = self._touched[nodes], np.zeros((len(compliance.nodes), 3))
+        if bonded:
             np.add.at(own, touched, forces)
         else:
-            np.add.at(own, dents.patches[touched], dents.shares[touched][:, :, None] * forces[:, None])
+            np.add.at(own, compliance.patches[touched], compliance.shares[touched][:, :, None] * forces[:, None])
         on = np.flatnonzero(own.any(axis=1))
         if not len(on):
             return np.zeros_like(own)
-        soft = dents.grip if held else softness(dents.hardening, float(np.linalg.norm(forces.sum(axis=0))))
-        return np.asarray(soft * carried(dents, own[on], on, np.arange(len(own))))
+        soft = (
+            compliance.bonded_scale
+            if bonded
+            else secant_factor(compliance.stiffening, float(np.linalg.norm(forces.sum(axis=0))))
+        )
+        return np.asarray(soft * static_displacements(compliance, own[on], on, np.arange(len(own))))
 
     # scalars
 
     @property
     def scalars(self) -> tuple[str, ...]:
         """Names of what can be told of every vertex: of a membrane its displacement alone."""
-        return SCALARS[:1] if self.model.parts.kinematics.sheet else SCALARS
+        return SCALARS[:1] if self.model.data.kinematics.sheet else SCALARS
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
         """Return a number for every vertex.
@@ -150,18 +156,18 @@ class Surface:
         """Return the Cauchy stress (n, 3, 3) [Pa] at the vertices, of a solid."""
         if self._gradients is None:
             self._gradients = self._differentiated()
-        parts = self.model.parts
+        data = self.model.data
         F = (self._gradients @ coordinates.astype(np.float32)).reshape(-1, 3, 3) + np.eye(3)
-        law = parts.material if parts.regions is None else parts.regions.at(self.nodes)
+        law = data.material if data.regions is None else data.regions.at(self.nodes)
         stress = law.stress(F)
-        if parts.fibres is not None:
-            stress = stress + parts.fibres.of(self.nodes).stress(F)
-        stress = parts.stiffness[self.nodes, None, None] * stress
+        if data.fibres is not None:
+            stress = stress + data.fibres.of(self.nodes).stress(F)
+        stress = data.stiffness[self.nodes, None, None] * stress
         return np.asarray(stress @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None])
 
     def _differentiated(self) -> Singles:
         """Return the derivatives of the columns at the vertices (9 n, m) by the model's stencils."""
         result = np.empty((9 * len(self.nodes), self.model.count), dtype=np.float32)
         for m in range(self.model.count):
-            result[:, m] = self.model.stencils.gradient(self.model.parts.columns[m])[self.nodes].reshape(-1)
+            result[:, m] = self.model.stencils.gradient(self.model.data.basis_vectors[m])[self.nodes].reshape(-1)
         return result

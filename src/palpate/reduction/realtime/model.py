@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.dynamics.loads.loads import drive
+from palpate.dynamics.loads.loads import prepare_loads
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.contact.surface import tools_of, touched
+from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
-from palpate.reduction.contact.tools import Handling
+from palpate.reduction.contact.tools import ContactTools
 from palpate.reduction.hyper.foundation import Springs, springs_of
 from palpate.reduction.hyper.implicit import newton
 from palpate.reduction.hyper.model import ReducedModel
@@ -98,43 +98,53 @@ def realtime_model(
                 "linearise the body with one PrescribedMotion or Grasp"
             )
         return linear_realtime(model, period)
-    parts, count = model.parts, model.count
-    handling = None if contact is None else Handling(model._skin, model.drive([contact]))
-    if contact is None and len(parts.driven) != 1:
+    parts, count = model.data, model.count
+    handling = None if contact is None else ContactTools(model._contact_surface, model.prepare([contact]))
+    if contact is None and len(parts.prescribed) != 1:
         raise InputError(
-            f"the engine moves one tool, and this model knows {len(parts.driven)}: train it with driven='GROUP', "
+            f"the engine moves one tool, and this model knows {len(parts.prescribed)}: train it with prescribed='GROUP', "
             "or give it a tool to touch it with"
         )
-    home, tools, touch = np.zeros(3), tools_of(None, model._skin), touched(model._skin, 0)
+    home, tools, contact_state = (
+        np.zeros(3),
+        rigid_tools(None, model._contact_surface),
+        contact_scratch(model._contact_surface, 0),
+    )
     if handling is not None:
         handling.begun(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
-        home, tools, touch = handling.drive.schedule(np.zeros(1)).poses[0, 0, :3], handling.tools, handling.touch
+        home, tools, contact_state = (
+            handling.prepared.schedule(np.zeros(1)).poses[0, 0, :3],
+            handling.tools,
+            handling.contact_state,
+        )
     root = np.linalg.cholesky(model.mass / model.masses.sum()).T
-    which = np.r_[:count, len(parts.columns) - parts.witnesses : len(parts.columns)]
+    which = np.r_[:count, len(parts.basis_vectors) - parts.residual_fields : len(parts.basis_vectors)]
     watched = model.sampled(which)
     number_in_range("step", model.step or longest, longest / MOST_SUBSTEPS, unit="s")
     frequency, steps = model._highest(np.zeros(count)), int(np.ceil(longest / (model.step or longest)))
-    own, vectors = scratch(model._samples), np.zeros((8, count))
+    own, vectors = scratch(model._integration_points), np.zeros((8, count))
     vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
     springs = _springs(model, foundations).of(which)
     tangent = model.stiffness(np.zeros(count))
     if springs.stiffness.size:
         tangent += springs.stiffness[:count]
     modes = slice(parts.modes)
-    system = contact_system(model._skin.columns[:, :, modes], model.mass[modes, modes], len(touch.near.node))
+    system = contact_system(
+        model._contact_surface.columns[:, :, modes], model.mass[modes, modes], len(contact_state.active.node)
+    )
     data = PeriodData(
-        parts.modes, model.viscosity, model.step or 0.0, model.tolerance, model.mass, model._held,
-        model._differences, model._samples, own, newton(count),
-        np.ascontiguousarray(parts.trained @ root.T), root, parts.reach, np.inf if contact else parts.leeway,
-        watched, scratch(watched, own.memory),
+        parts.modes, model.stiffness_damping, model.step or 0.0, model.tolerance, model.mass, model._constrained_inverse_mass,
+        model._differences, model._integration_points, own, newton(count),
+        np.ascontiguousarray(parts.trained @ root.T), root, parts.distance_scale, np.inf if contact else parts.residual_scale,
+        watched, scratch(watched, own.history),
         model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
         tangent, np.zeros((count, count)), np.array([frequency, frequency, 0.0, 0.0]),
         np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
-        model._skin, touch, tools, home, system, springs,
+        model._contact_surface, contact_state, tools, home, system, springs,
     )  # fmt: skip
     advance, stiffness = period_functions(model._law, model.single)
     if contact is None:
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.driven[0]))
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.prescribed[0]))
     return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12))
 
 
@@ -145,4 +155,4 @@ def _springs(model: ReducedModel, foundations: Sequence[Foundation]) -> Springs:
             raise InputError(
                 f"foundations: {load!r} is no Foundation: in real time a body knows springs and one tool, no other load"
             )
-    return springs_of(drive(model.cloud, model.fixed, foundations).places, model.parts.columns, model.mass)
+    return springs_of(prepare_loads(model.cloud, model.fixed, foundations).places, model.data.basis_vectors, model.mass)

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import law_digest, law_njit
-from palpate.dynamics.material.relaxation import forget
-from palpate.reduction.contact.gauss_seidel import aim, dent_energy, press
-from palpate.reduction.contact.surface import Skin, Tools, Touch
+from palpate.dynamics.material.relaxation import reset_history
+from palpate.reduction.contact.gauss_seidel import aim, compliance_energy, press
+from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem
 from palpate.reduction.hyper.foundation import Springs, draw_back
 from palpate.reduction.hyper.implicit import Newton, cholesky_factor, cholesky_solve, implicit_step
-from palpate.reduction.hyper.material_point import PointLaw
-from palpate.reduction.hyper.sampled_energy import Samples, Scratch, sampled_energy
+from palpate.reduction.hyper.material_point import MaterialPoint
+from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
 
 __all__ = ["PeriodData", "period_functions"]
 
@@ -77,36 +77,36 @@ class PeriodData(NamedTuple):
     step: float
     tolerance: float
     mass: Floats
-    held: Floats
+    constrained_inverse_mass: Floats
     differences: Floats
-    samples: Samples
+    integration_points: IntegrationPoints
     scratch: Scratch
     newton: Newton
     trained: Floats
     root: Floats
-    reach: float
-    leeway: float
-    watched: Samples
+    distance_scale: float
+    residual_scale: float
+    watched: IntegrationPoints
     watch: Scratch
-    witness_mass: Floats
+    residual_mass: Floats
     wide: Floats
     vectors: Floats
     tangent: Floats
-    condensed: Floats
+    condense: Floats
     follow: Floats
     path: Floats
     holds: NDArray[np.bool_]
     nothing: Floats
-    skin: Skin
-    touch: Touch
-    tools: Tools
+    contact_surface: ContactSurface
+    contact_state: ContactScratch
+    tools: RigidTools
     home: Floats
     system: ContactSystem
     springs: Springs
 
 
 @cache
-def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
+def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     """Compile the period of a law.
 
     Returns
@@ -136,13 +136,13 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for m in range(modes):
             shape[m] /= largest
             moved[m] += shape[m]
-        force(q, data.samples, data.scratch, behind)
-        force(moved, data.samples, data.scratch, ahead)
+        force(q, data.integration_points, data.scratch, behind)
+        force(moved, data.integration_points, data.scratch, ahead)
         size, grown = 0.0, 0.0
         for m in range(modes):
             value = 0.0
             for k in range(modes):
-                value += data.held[m, k] * (behind[k] - ahead[k])
+                value += data.constrained_inverse_mass[m, k] * (behind[k] - ahead[k])
             moved[m] = value
         for m in range(modes):
             image, given = 0.0, 0.0
@@ -160,7 +160,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for m in range(count):
             moved[m] = q[m]
         moved[column] += data.differences[column]
-        force(moved, data.samples, data.scratch, ahead)
+        force(moved, data.integration_points, data.scratch, ahead)
         for m in range(count):
             data.tangent[m, column] = (behind[m] - ahead[m]) / data.differences[column]
             if data.springs.stiffness.shape[0] > 0:
@@ -180,15 +180,15 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for s in range(steps):
             for m in range(count):
                 at[m] = q[m] + data.beta * v[m]
-            clock = data.scratch.memory.interval
+            clock = data.scratch.history.interval
             clock[0] = clock[1]
-            force(at, data.samples, data.scratch, result)
+            force(at, data.integration_points, data.scratch, result)
             draw_back(data.springs, q, v, result)
             clock[0], clock[1] = 0.0, step
             for m in range(modes):
                 value = 0.0
                 for k in range(modes):
-                    value += data.held[m, k] * result[k]
+                    value += data.constrained_inverse_mass[m, k] * result[k]
                 rate[m] = value
                 v[m] += step * value
             for j in range(modes, count):
@@ -197,7 +197,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
                     value += data.mass[j, m] * rate[m]
                 report[8 + j - modes] += value / steps
             if data.tools.kind.shape[0] > 0:
-                press(data.skin, data.touch, data.tools, q, v, data.held, at, step, period,
+                press(data.contact_surface, data.contact_state, data.tools, q, v, data.constrained_inverse_mass, at, step, period,
                       (s + 1.0) / steps, report)  # fmt: skip
             for m in range(modes):
                 q[m] += step * v[m]
@@ -217,7 +217,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for s in range(steps):
             _, _, _, taken = average(
                 q, v, lifting[s : s + 4], holds[s : s + 1], step, data.beta, loads[s : s + 1], data.mass,
-                data.differences, data.tolerance, data.samples, data.scratch, data.springs, data.newton,
+                data.differences, data.tolerance, data.integration_points, data.scratch, data.springs, data.newton,
             )  # fmt: skip
             if taken < 1:
                 return -1
@@ -243,10 +243,10 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
                 apart = place[m] - data.trained[t, m]
                 square += apart * apart
             nearest = min(nearest, square)
-        return np.sqrt(nearest) / data.reach
+        return np.sqrt(nearest) / data.distance_scale
 
     @law_njit(digest, fastmath={"contract"})
-    def imbalance(data, q, v):  # type: ignore[no-untyped-def]
+    def residual_norm(data, q, v):  # type: ignore[no-untyped-def]
         """What the forces on the witnesses miss of balance, over the leeway."""
         at, result, rate, count, total = data.wide[0], data.wide[1], data.vectors[1], q.shape[0], 0.0
         for m in range(count):
@@ -256,14 +256,14 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for m in range(data.modes):
             value = 0.0
             for k in range(data.modes):
-                value += data.held[m, k] * result[k]
+                value += data.constrained_inverse_mass[m, k] * result[k]
             rate[m] = value
-        for j in range(data.witness_mass.shape[0]):
+        for j in range(data.residual_mass.shape[0]):
             left = -result[count + j]
             for m in range(data.modes):
-                left += data.witness_mass[j, m] * rate[m]
+                left += data.residual_mass[j, m] * rate[m]
             total += left * left
-        return np.sqrt(total) / data.leeway
+        return np.sqrt(total) / data.residual_scale
 
     @law_njit(digest, fastmath={"contract"})
     def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
@@ -274,8 +274,8 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         before[:] = v
         still = not q.any() and not v.any()
         if still:  # at rest: begun, or begun again
-            forget(data.scratch.memory)
-            data.touch.force[:] = 0.0
+            reset_history(data.scratch.history)
+            data.contact_state.force[:] = 0.0
             data.system.numbers[:] = 0
         follow(data, q)
         change = data.vectors[4]  # of the velocities, at the start of the period
@@ -286,7 +286,7 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
             value = 0.0
             for k in range(modes):
                 for j in range(modes, count):
-                    value -= data.held[m, k] * data.mass[k, j] * change[j]
+                    value -= data.constrained_inverse_mass[m, k] * data.mass[k, j] * change[j]
             change[m] = value
         for m in range(count):
             v[m] += change[m]
@@ -312,11 +312,13 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         for j in range(modes, count):  # rounding
             q[j] = target[j - modes]
             v[j] = speeds[j]
-        report[1], report[2] = max(distance(data, q), imbalance(data, q, v)), taken
+        report[1], report[2] = max(distance(data, q), residual_norm(data, q, v)), taken
         for m in range(count):
             for k in range(count):
                 report[3] += 0.5 * v[m] * data.mass[m, k] * v[k]
-        report[4] = energy(q, data.samples, data.scratch) + dent_energy(data.skin, data.touch)
+        report[4] = energy(q, data.integration_points, data.scratch) + compliance_energy(
+            data.contact_surface, data.contact_state
+        )
         if not np.isfinite(report[4]):
             q[:] = kept
             v[:] = before
@@ -327,14 +329,14 @@ def period_functions(law: PointLaw, single: bool) -> tuple[Any, Any]:
         modes, count = data.modes, q.shape[0]
         for m in range(count):
             for k in range(count):
-                data.condensed[m, k] = 0.5 * (data.tangent[m, k] + data.tangent[k, m])
-        firm = cholesky_factor(data.condensed, modes)
+                data.condense[m, k] = 0.5 * (data.tangent[m, k] + data.tangent[k, m])
+        firm = cholesky_factor(data.condense, modes)
         column = data.vectors[1]
         for j in range(count - modes):
             for m in range(modes):
                 column[m] = 0.5 * (data.tangent[m, modes + j] + data.tangent[modes + j, m]) if firm else 0.0
             if firm:
-                cholesky_solve(data.condensed, modes, column)
+                cholesky_solve(data.condense, modes, column)
             for i in range(count - modes):
                 value = 0.5 * (data.tangent[modes + i, modes + j] + data.tangent[modes + j, modes + i])
                 for m in range(modes):

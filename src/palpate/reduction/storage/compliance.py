@@ -8,25 +8,25 @@ from typing import Any
 import numpy as np
 
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.contact.compliance import Dents
-from palpate.reduction.contact.interior import Inside
+from palpate.reduction.contact.compliance import SurfaceCompliance
+from palpate.reduction.contact.interior import Interior
 
-__all__ = ["DENTS", "WITHIN", "stored_dents"]
+__all__ = ["COMPLIANCE", "INTERIOR", "read_compliance"]
 
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 
-DENTS = ("nodes", "carriers", "weights", "flexibility", "close", "between", "patches", "shares", "hardening")
+COMPLIANCE = ("nodes", "carriers", "weights", "flexibility", "nearby", "near_field", "patches", "shares", "stiffening")
 # where the nodes inside follow dents: type, and shape in sizes that all datasets of the file share
-WITHIN: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "inside/nodes": ("<i8", ("followers",)),
-    "inside/flexibility": ("<f4", ("carriers", "moved")),
-    "inside/sources": ("<i8", ("followers", "followed")),
-    "inside/shares": ("<f8", ("followers", "followed")),
-    "inside/factor": ("<f8", (1,)),
+INTERIOR: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "interior/nodes": ("<i8", ("followers",)),
+    "interior/flexibility": ("<f4", ("carriers", "moved")),
+    "interior/sources": ("<i8", ("followers", "followed")),
+    "interior/shares": ("<f8", ("followers", "followed")),
+    "interior/factor": ("<f8", (1,)),
 }
 
 
-def stored_dents(arrays: Arrays, grip: float) -> Dents | None:
+def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | None:
     """Make the compliance of the surface; none where no nodes may be touched.
 
     Raises
@@ -34,34 +34,36 @@ def stored_dents(arrays: Arrays, grip: float) -> Dents | None:
     InputError
         What no compliance has.
     """
-    known: dict[str, Any] = {name: arrays[f"dents/{name}"] for name in DENTS}
-    dents = Dents(**known, grip=grip)
-    if not len(dents.nodes):
+    known: dict[str, Any] = {name: arrays[f"compliance/{name}"] for name in COMPLIANCE}
+    compliance = SurfaceCompliance(**known, bonded_scale=bonded_scale)
+    if not len(compliance.nodes):
         return None
-    if len(np.unique(dents.nodes)) < len(dents.nodes):
-        raise InputError("array dents/nodes names a node twice")
-    diagonal = np.diagonal(dents.flexibility)
+    if len(np.unique(compliance.nodes)) < len(compliance.nodes):
+        raise InputError("array compliance/nodes names a node twice")
+    diagonal = np.diagonal(compliance.flexibility)
     if not (np.all(diagonal >= 0) and diagonal.sum() > 0):
-        raise InputError("array dents/flexibility holds no positive compliance")
-    if not np.all((dents.carriers >= 0) & (3 * dents.carriers + 2 < len(diagonal))):
-        raise InputError(f"array dents/carriers names rows outside the {len(diagonal)} of dents/flexibility")
-    for name in ("patches", "close"):
-        if not np.all((arrays[f"dents/{name}"] >= 0) & (arrays[f"dents/{name}"] < len(dents.nodes))):
-            raise InputError(f"array dents/{name} names rows outside the {len(dents.nodes)} of dents/nodes")
-    if not (dents.hardening[0] >= 0 and dents.hardening[1] > 0):
-        raise InputError("array dents/hardening holds no exponent of at least 0 and positive force")
-    inside = _inside(arrays, dents) if "inside/nodes" in arrays else None
-    single = {name: getattr(dents, name).astype(np.float32) for name in ("flexibility", "between")}
-    return dents._replace(**single, inside=inside)
+        raise InputError("array compliance/flexibility holds no positive compliance")
+    if not np.all((compliance.carriers >= 0) & (3 * compliance.carriers + 2 < len(diagonal))):
+        raise InputError(f"array compliance/carriers names rows outside the {len(diagonal)} of compliance/flexibility")
+    for name in ("patches", "nearby"):
+        if not np.all((arrays[f"compliance/{name}"] >= 0) & (arrays[f"compliance/{name}"] < len(compliance.nodes))):
+            raise InputError(
+                f"array compliance/{name} names rows outside the {len(compliance.nodes)} of compliance/nodes"
+            )
+    if not (compliance.stiffening[0] >= 0 and compliance.stiffening[1] > 0):
+        raise InputError("array compliance/stiffening holds no exponent of at least 0 and positive force")
+    interior = _interior(arrays, compliance) if "interior/nodes" in arrays else None
+    single = {name: getattr(compliance, name).astype(np.float32) for name in ("flexibility", "near_field")}
+    return compliance._replace(**single, interior=interior)
 
 
-def _inside(arrays: Arrays, dents: Dents) -> Inside:
-    nodes, flexibility, sources, shares, factor = (arrays[name] for name in WITHIN)
+def _interior(arrays: Arrays, compliance: SurfaceCompliance) -> Interior:
+    nodes, flexibility, sources, shares, factor = (arrays[name] for name in INTERIOR)
     count, more = divmod(flexibility.shape[1], 3)
     if more:
-        raise InputError(f"array inside/flexibility holds {3 * count + more} columns, not 3 a node")
-    carriers = len(dents.flexibility) // 3
+        raise InputError(f"array interior/flexibility holds {3 * count + more} columns, not 3 a node")
+    carriers = len(compliance.flexibility) // 3
     if not np.all((sources >= 0) & (sources < count + carriers)):
-        raise InputError(f"array inside/sources names more than {count} nodes inside and {carriers} carriers")
-    whole = number_in_range("inside/factor", float(factor[0]), 0.0, open_low=True)
-    return Inside(nodes, flexibility.astype(np.float32), sources, shares, whole)
+        raise InputError(f"array interior/sources names more than {count} nodes inside and {carriers} carriers")
+    whole = number_in_range("interior/factor", float(factor[0]), 0.0, open_low=True)
+    return Interior(nodes, flexibility.astype(np.float32), sources, shares, whole)

@@ -19,14 +19,14 @@ from palpate.tissue.prony import Prony
 from palpate.tissue.regions import Regions
 from palpate.tissue.volumetric import QUADRATIC
 
-__all__ = ["described", "described_fibres", "described_regions", "fibres_of", "material_of", "regions_of"]
+__all__ = ["describe_fibres", "describe_material", "describe_regions", "fibres_of", "material_of", "regions_of"]
 
 KINDS = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
 FIBRES: dict[str, type[FibreLaw]] = {"Fibres": Fibres, "Guccione": Guccione}
 OWN = "Hyperelastic"
 
 
-def described(material: Material) -> dict[str, str]:
+def describe_material(material: Material) -> dict[str, str]:
     """Return the attributes that describe a material: ``material``, ``parameters``, ``expression`` and ``prony``.
 
     Raises
@@ -103,11 +103,11 @@ def _number(name: str, said: Any) -> float:
     return number_in_range(name, said)
 
 
-def described_regions(regions: Regions | None) -> str:
+def describe_regions(regions: Regions | None) -> str:
     """Return the attribute that describes the materials of a body: the parameters of each; none if there is one."""
     if regions is None:
         return "[]"
-    return json.dumps([json.loads(described(material)["parameters"]) for material in regions.materials])
+    return json.dumps([json.loads(describe_material(material)["parameters"]) for material in regions.materials])
 
 
 def regions_of(said: Any, which: NDArray[np.int64], material: Material) -> Regions | None:
@@ -124,7 +124,7 @@ def regions_of(said: Any, which: NDArray[np.int64], material: Material) -> Regio
         return None
     if len(said) > len(which):
         raise InputError(f"attribute regions has {len(said)} materials for {len(which)} nodes: allowed is one for each")
-    about = described(material)
+    about = describe_material(material)
     prony = json.loads(about["prony"])
     made = [material_of(about["material"], each, about["expression"], prony) for each in said]
     if made[0] != material or not np.all((which >= 0) & (which < len(made))):
@@ -132,7 +132,7 @@ def regions_of(said: Any, which: NDArray[np.int64], material: Material) -> Regio
     return Regions(tuple(made), which)
 
 
-def described_fibres(fibres: FibreLaw | None) -> str:
+def describe_fibres(fibres: FibreLaw | None) -> str:
     """Return the attribute that describes fibres but for their directions; an empty mapping for none.
 
     Raises

@@ -1,6 +1,6 @@
 """One file for a reduced model: a sealed HDF5 file (`palpate.sealed`) that holds data only.
 
-Arrays have the names they have in `ReducedParts` (``cloud/points``, ``cubature/weights`` ...); what is short is in the
+Arrays have the names they have in `ReducedData` (``cloud/points``, ``cubature/weights`` ...); what is short is in the
 header. Columns are kept in single precision: they say where the body is and how heavy its motions are, while forces
 come from the gradients, which are kept as they are.
 """
@@ -17,15 +17,15 @@ import numpy as np
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import json_of, plain, shortened
 from palpate.meshfree.cloud import Cloud
-from palpate.reduction.contact.compliance import NO_DENTS
+from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import Kinematics
-from palpate.reduction.hyper.model import ReducedModel, ReducedParts
-from palpate.reduction.storage.compliance import DENTS, WITHIN, stored_dents
+from palpate.reduction.hyper.model import ReducedData, ReducedModel
+from palpate.reduction.storage.compliance import COMPLIANCE, INTERIOR, read_compliance
 from palpate.reduction.storage.material import (
-    described,
-    described_fibres,
-    described_regions,
+    describe_fibres,
+    describe_material,
+    describe_regions,
     fibres_of,
     material_of,
     regions_of,
@@ -37,7 +37,7 @@ __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_r
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION = "palpate reduced model", 8
+FORMAT, VERSION = "palpate reduced model", 9
 REMEDY = "copy the file again, or train the model again"
 LONGEST_NAME = 200  # characters of a scene's name
 LARGEST = 1e30  # of all numbers of a file, in SI units
@@ -54,23 +54,23 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "cloud/triangles": ("<i8", ("triangles", 3)),
     "volumes": ("<f8", ("nodes",)),
     "stiffness": ("<f8", ("nodes",)),
-    "columns": ("<f4", ("columns", "nodes", 3)),
-    "cubature/nodes": ("<i8", ("samples",)),
-    "cubature/weights": ("<f8", ("samples",)),
-    "cubature/pressure": ("<f8", ("moments", "samples")),
-    "gradients": ("<f8", ("samples", "columns", 9)),
-    "constant": ("<f8", ("columns", "columns")),
+    "basis_vectors": ("<f4", ("basis_vectors", "nodes", 3)),
+    "cubature/nodes": ("<i8", ("integration_points",)),
+    "cubature/weights": ("<f8", ("integration_points",)),
+    "cubature/pressure": ("<f8", ("moments", "integration_points")),
+    "gradients": ("<f8", ("integration_points", "basis_vectors", 9)),
+    "constant": ("<f8", ("basis_vectors", "basis_vectors")),
     "trained": ("<f8", ("states", "coordinates")),
     "fibres/directions": ("<f8", ("families", "nodes", 3)),
-    "dents/nodes": ("<i8", ("touched",)),
-    "dents/carriers": ("<i8", ("touched", "carried")),
-    "dents/weights": ("<f8", ("touched", "carried")),
-    "dents/flexibility": ("<f4", ("carriers", "carriers")),
-    "dents/close": ("<i8", ("touched", "close")),
-    "dents/between": ("<f4", ("touched", "close", 3, 3)),
-    "dents/patches": ("<i8", ("touched", "patched")),
-    "dents/shares": ("<f8", ("touched", "patched")),
-    "dents/hardening": ("<f8", (2,)),
+    "compliance/nodes": ("<i8", ("touched",)),
+    "compliance/carriers": ("<i8", ("touched", "carried")),
+    "compliance/weights": ("<f8", ("touched", "carried")),
+    "compliance/flexibility": ("<f4", ("carriers", "carriers")),
+    "compliance/nearby": ("<i8", ("touched", "nearby")),
+    "compliance/near_field": ("<f4", ("touched", "nearby", 3, 3)),
+    "compliance/patches": ("<i8", ("touched", "patched")),
+    "compliance/shares": ("<f8", ("touched", "patched")),
+    "compliance/stiffening": ("<f8", (2,)),
 }
 PLACED: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "regions": ("<i8", ("nodes",))
@@ -80,15 +80,15 @@ NODES = (
     "cloud/group_nodes",
     "cloud/triangles",
     "cubature/nodes",
-    "dents/nodes",
-    "inside/nodes",
+    "compliance/nodes",
+    "interior/nodes",
 )  # hold numbers of nodes
 ATTRIBUTES = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
-    "groups": list, "spacing": float, "fixed": list, "driven": list,
-    "viscosity": float, "fastest": float, "modes": int, "lifted": int, "residual": float, "reach": float, "report": str,
-    "sheet": bool, "prestretch": float, "relaxed": bool, "slack": float,
-    "witnesses": int, "leeway": float, "dents_grip": float, "step": float, "single": bool,
+    "groups": list, "spacing": float, "fixed": list, "prescribed": list,
+    "stiffness_damping": float, "wave_speed": float, "modes": int, "lifted": int, "residual": float, "distance_scale": float, "report": str,
+    "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
+    "residual_fields": int, "residual_scale": float, "bonded_scale": float, "step": float, "single": bool,
 }  # fmt: skip
 
 
@@ -139,58 +139,58 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
     InputError
         A model that `model_of` would refuse.
     """
-    parts, rule = model.parts, {"step": float(model.step or 0.0), "single": bool(model.single)}
-    header, arrays = _header(parts) | rule, _arrays(parts)
+    data, rule = model.data, {"step": float(model.step or 0.0), "single": bool(model.single)}
+    header, arrays = _header(data) | rule, _arrays(data)
     _check_header(header)
     _rule(header)
-    if _parts(header, _fitting(header, arrays)).material != parts.material:
-        raise InputError(f"the file would not give {parts.material} back")
+    if _data(header, _fitting(header, arrays)).material != data.material:
+        raise InputError(f"the file would not give {data.material} back")
     return header, arrays
 
 
-def _header(parts: ReducedParts) -> Header:
+def _header(data: ReducedData) -> Header:
     return {
-        **described(parts.material),
-        "fibres": described_fibres(parts.fibres),
-        "regions": described_regions(parts.regions),
-        "groups": list(parts.cloud.groups),
-        "spacing": float(parts.cloud.spacing),
-        "fixed": list(parts.fixed),
-        "driven": list(parts.driven),
-        "viscosity": float(parts.viscosity),
-        "fastest": float(parts.fastest),
-        "modes": int(parts.modes),
-        "lifted": int(parts.lifted),
-        "residual": float(parts.cubature.residual),
-        "reach": float(parts.reach),
-        "witnesses": int(parts.witnesses),
-        "leeway": float(parts.leeway),
-        "sheet": parts.kinematics.sheet,
-        "prestretch": float(parts.kinematics.prestretch),
-        "relaxed": parts.kinematics.relaxed,
-        "slack": float(parts.slack),
-        "dents_grip": float((parts.dents or NO_DENTS).grip),
-        "report": json.dumps(plain(parts.report)),
+        **describe_material(data.material),
+        "fibres": describe_fibres(data.fibres),
+        "regions": describe_regions(data.regions),
+        "groups": list(data.cloud.groups),
+        "spacing": float(data.cloud.spacing),
+        "fixed": list(data.fixed),
+        "prescribed": list(data.prescribed),
+        "stiffness_damping": float(data.stiffness_damping),
+        "wave_speed": float(data.wave_speed),
+        "modes": int(data.modes),
+        "lifted": int(data.lifted),
+        "residual": float(data.cubature.residual),
+        "distance_scale": float(data.distance_scale),
+        "residual_fields": int(data.residual_fields),
+        "residual_scale": float(data.residual_scale),
+        "sheet": data.kinematics.sheet,
+        "prestretch": float(data.kinematics.prestretch),
+        "relaxed": data.kinematics.relaxed,
+        "taut_frequency": float(data.taut_frequency),
+        "bonded_scale": float((data.compliance or NO_COMPLIANCE).bonded_scale),
+        "report": json.dumps(plain(data.report)),
     }
 
 
-def _arrays(parts: ReducedParts) -> Arrays:
-    groups = list(parts.cloud.groups.values())
-    dents = parts.dents or NO_DENTS
+def _arrays(data: ReducedData) -> Arrays:
+    groups = list(data.cloud.groups.values())
+    compliance = data.compliance or NO_COMPLIANCE
     listed: dict[str, Any] = {
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
-        "regions": None if parts.regions is None else parts.regions.which,
-        "fibres/directions": np.zeros((0, len(parts.cloud), 3)) if parts.fibres is None else parts.fibres.directions,
-        **{f"dents/{name}": getattr(dents, name) for name in DENTS},
+        "regions": None if data.regions is None else data.regions.which,
+        "fibres/directions": np.zeros((0, len(data.cloud), 3)) if data.fibres is None else data.fibres.directions,
+        **{f"compliance/{name}": getattr(compliance, name) for name in COMPLIANCE},
     }
-    layout = LAYOUT if parts.regions is None else LAYOUT | PLACED
-    if dents.inside is not None:
-        layout = layout | WITHIN
-        listed |= {f"inside/{name}": array for name, array in dents.inside._asdict().items()}
-        listed["inside/factor"] = [dents.inside.factor]
+    layout = LAYOUT if data.regions is None else LAYOUT | PLACED
+    if compliance.interior is not None:
+        layout = layout | INTERIOR
+        listed |= {f"interior/{name}": array for name, array in compliance.interior._asdict().items()}
+        listed["interior/factor"] = [compliance.interior.factor]
     return {
-        name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(parts), dtype=dtype)
+        name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(data), dtype=dtype)
         for name, (dtype, _) in layout.items()
     }
 
@@ -207,18 +207,18 @@ def model_of(header: Header, file: SealedFile, prefix: str = "") -> ReducedModel
         What no reduced model can hold.
     """
     _check_header(header)
-    layout = _layout(header, f"{prefix}inside/nodes" in file.arrays)
+    layout = _layout(header, f"{prefix}interior/nodes" in file.arrays)
     own = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
     if own != layout.keys():
         odd = sorted(own ^ layout.keys())[0]
         raise InputError(f"array {shortened(odd)} is {'missing' if odd in layout else 'not one of a model'}")
     arrays = {name: file.read(prefix + name) for name in layout}
-    return ReducedModel(_parts(header, _fitting(header, arrays)), **_rule(header))
+    return ReducedModel(_data(header, _fitting(header, arrays)), **_rule(header))
 
 
-def _layout(header: Header, inside: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
+def _layout(header: Header, interior: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
     layout = LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED
-    return layout | WITHIN if inside else layout
+    return layout | INTERIOR if interior else layout
 
 
 def _check_header(header: Header) -> None:
@@ -240,9 +240,11 @@ def _fitting(header: Header, arrays: Arrays) -> Arrays:
         "space": 2 if header["sheet"] else 3,
         "groups": len(header["groups"]),
         "coordinates": coordinates,
-        "columns": coordinates + 3 * len(header["fixed"]) + integer_in_range("witnesses", header["witnesses"], 0),
+        "basis_vectors": coordinates
+        + 3 * len(header["fixed"])
+        + integer_in_range("residual_fields", header["residual_fields"], 0),
     }
-    for name, (dtype, shape) in _layout(header, "inside/nodes" in arrays).items():
+    for name, (dtype, shape) in _layout(header, "interior/nodes" in arrays).items():
         data = arrays[name]
         expected = tuple(sizes.get(size, size) for size in shape)
         fits = len(expected) == data.ndim and all(
@@ -255,7 +257,7 @@ def _fitting(header: Header, arrays: Arrays) -> Arrays:
     return arrays
 
 
-def _parts(header: Header, arrays: Arrays) -> ReducedParts:
+def _data(header: Header, arrays: Arrays) -> ReducedData:
     """Make the parts of a model, refusing values that no model has."""
     _check_values(arrays)
     own: dict[str, Any] = {n: a.astype(int if a.dtype.kind == "i" else float) for n, a in arrays.items()}
@@ -266,7 +268,7 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         own["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), own["cloud/triangles"],
         number_in_range("spacing", header["spacing"], 0.0, open_low=True, unit="m"),
     )  # fmt: skip
-    for name in (*header["fixed"], *header["driven"]):
+    for name in (*header["fixed"], *header["prescribed"]):
         cloud.group(name)
     residual = number_in_range("residual", header["residual"], 0.0)
     material = material_of(
@@ -276,38 +278,38 @@ def _parts(header: Header, arrays: Arrays) -> ReducedParts:
         _mapping("prony", header["prony"]),
     )
     regions = regions_of(_json("regions", header["regions"]), own.get("regions", np.zeros(0, dtype=int)), material)
-    return ReducedParts(
+    return ReducedData(
         cloud=cloud,
         material=material,
         regions=regions,
         fixed=tuple(header["fixed"]),
-        driven=tuple(header["driven"]),
+        prescribed=tuple(header["prescribed"]),
         volumes=own["volumes"],
         stiffness=own["stiffness"],
-        viscosity=number_in_range("viscosity", header["viscosity"], 0.0, unit="s"),
-        fastest=number_in_range("fastest", header["fastest"], 0.0, unit="m/s"),
-        columns=own["columns"],
+        stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
+        wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
+        basis_vectors=own["basis_vectors"],
         modes=header["modes"],
         lifted=header["lifted"],
         cubature=Cubature(own["cubature/nodes"], own["cubature/weights"], own["cubature/pressure"], residual),
         gradients=own["gradients"],
         constant=own["constant"],
         trained=own["trained"],
-        reach=number_in_range("reach", header["reach"], 0.0, open_low=True, unit="m"),
-        witnesses=header["witnesses"],
-        leeway=number_in_range("leeway", header["leeway"], 0.0, open_low=True, unit="m"),
+        distance_scale=number_in_range("distance_scale", header["distance_scale"], 0.0, open_low=True, unit="m"),
+        residual_fields=header["residual_fields"],
+        residual_scale=number_in_range("residual_scale", header["residual_scale"], 0.0, open_low=True, unit="m"),
         report=_report(_mapping("report", header["report"])),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
         ),
-        slack=number_in_range("slack", header["slack"], 0.0, unit="rad/s"),
+        taut_frequency=number_in_range("taut_frequency", header["taut_frequency"], 0.0, unit="rad/s"),
         fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
-        dents=stored_dents(own, number_in_range("dents_grip", header["dents_grip"], 0.0, open_low=True)),
+        compliance=read_compliance(own, number_in_range("bonded_scale", header["bonded_scale"], 0.0, open_low=True)),
     )
 
 
 def _report(report: dict[str, Any]) -> dict[str, Any]:
-    """Return a report, whose entries that palpate itself reads must be what `reduce` and `palpate train` write."""
+    """Return a report, whose entries that palpate itself reads must be what `hyper_reduce` and `palpate train` write."""
     held_out, scene = report.get("held_out", {"mean": {}}), report.get("scene")
     mean = held_out.get("mean") if isinstance(held_out, dict) else None
     if not isinstance(mean, dict) or not all(value is None or type(value) in (int, float) for value in mean.values()):

@@ -15,11 +15,11 @@ from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.reduction.basis.snapshots import Run
-from palpate.reduction.contact.compliance import Dents, softness
+from palpate.reduction.contact.compliance import SurfaceCompliance, secant_factor
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.fit_compliance import fitted_hardening
+from palpate.reduction.training.fit_compliance import fit_stiffening
 
-__all__ = ["Trial", "measured"]
+__all__ = ["Trial", "calibrate_contact"]
 
 Floats = NDArray[np.float64]
 Trial = tuple[Sequence[Load], Run]
@@ -29,7 +29,7 @@ LEAST_FORCE = 0.1  # of a run's largest: frames by which it is corrected
 FORCE_SPREAD = 0.02  # of the force: frames that err by more count by their sign rather than their size
 
 
-def measured(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[ReducedModel, dict[str, Any]]:
+def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[ReducedModel, dict[str, Any]]:
     """Scale the compliance of the surface, its hardening and its grip, until tools' forces are those of full runs.
 
     It is learnt from displacements under known forces. A step asks the other way round, and forces that it finds lean
@@ -55,22 +55,22 @@ def measured(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[ReducedMod
     InputError
         No tool touches the body in one of the runs, or none touches the reduced one.
     """
-    dents, whole, ratios = model.parts.dents, 1.0, []
-    assert dents is not None
+    compliance, whole, ratios = model.data.compliance, 1.0, []
+    assert compliance is not None
     for number in range(FORCE_PASSES + 1):
-        model = ReducedModel(replace(model.parts, dents=dents))
+        model = ReducedModel(replace(model.data, compliance=compliance))
         found = [_force_sizes(model, *trial) for trial in repeated]
         ratios.append(float(np.median([mine.sum() / theirs.sum() for mine, theirs in found])))
         if number < FORCE_PASSES:
             held = np.array([any(isinstance(load, Grasp) for load in loads) for loads, _ in repeated])
-            grip, factor, hardening = dents.grip, 1.0, dents.hardening
+            bonded_scale, factor, stiffening = compliance.bonded_scale, 1.0, compliance.stiffening
             if held.any():
-                grip *= _scale([sizes for sizes, own in zip(found, held, strict=True) if own])
+                bonded_scale *= _scale([sizes for sizes, own in zip(found, held, strict=True) if own])
             if not held.all():
                 presses = [sizes for sizes, own in zip(found, held, strict=True) if not own]
-                factor, hardening = _correction(dents, np.concatenate(presses, axis=1))
+                factor, stiffening = _correction(compliance, np.concatenate(presses, axis=1))
             whole *= factor
-            dents = dents.scaled(factor)._replace(hardening=hardening, grip=grip / factor)
+            compliance = compliance.scaled(factor)._replace(stiffening=stiffening, bonded_scale=bonded_scale / factor)
     return model, {"force_factor": whole, "force_ratios": ratios}
 
 
@@ -80,21 +80,21 @@ def _scale(sizes: Sequence[Floats]) -> float:
     return float(np.exp(FORCE_STEP * np.median(np.log(mine / theirs))))
 
 
-def _correction(dents: Dents, sizes: Floats) -> tuple[float, Floats]:
+def _correction(compliance: SurfaceCompliance, sizes: Floats) -> tuple[float, Floats]:
     """Return a factor on a compliance, and its hardening (2,), by forces (2, t) [N] of it and of runs.
 
     By most frames: a run that errs far more than the others, where a tool meets an edge, moves it little.
     """
     mine, theirs = sizes
-    wanted = softness(dents.hardening, theirs) * (mine / theirs) ** FORCE_STEP
-    return fitted_hardening(theirs, wanted, np.ones(len(theirs)), FORCE_SPREAD)
+    wanted = secant_factor(compliance.stiffening, theirs) * (mine / theirs) ** FORCE_STEP
+    return fit_stiffening(theirs, wanted, np.ones(len(theirs)), FORCE_SPREAD)
 
 
 def _force_sizes(model: ReducedModel, loads: Sequence[Load], kept: Run) -> Floats:
     """Return the sizes (2, t) [N] of the force on tools, and of that of the full run, where that is not small."""
     run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
     names = [load.name for load in loads if isinstance(load, Contact | Grasp)]
-    if not names or not len(run.touches):
+    if not names or not len(run.contact_forces):
         raise InputError("repeated: no tool touches the body in one of these runs; give others")
     every = float(run.times[1] - run.times[0])
     own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)

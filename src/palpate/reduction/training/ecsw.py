@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.membrane.passes import COSINE, SINE
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.hyper.cubature import Cubature, non_negative, sketch, slopes_fit
-from palpate.reduction.hyper.material_point import measured
+from palpate.reduction.hyper.material_point import volume_measure
 from palpate.tissue.materials import Material
 
-__all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiated", "pressure_moments"]
+__all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiate", "pressure_moments"]
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ class Fields:
         return Fields(self.columns[which], self.gradients[:, which], constant, self.nodes, self.volumes)
 
 
-def differentiated(body: FullModel | Membrane, columns: Floats) -> Fields:
+def differentiate(body: Solid | Membrane, columns: Floats) -> Fields:
     """Differentiate columns (m, n, 3) at all points."""
     if isinstance(body, Membrane):
         return _on_sheet(body, columns)
@@ -73,7 +73,7 @@ def differentiated(body: FullModel | Membrane, columns: Floats) -> Fields:
     gradients, misses = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
     for m, by_node in enumerate(_by_node(body, columns, 12)):
         gradients[:, m] = by_node[:, :9]
-        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.firm_volumes), 3)
+        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.shear_volumes), 3)
     constant = np.asarray(misses @ misses.T, dtype=float) * body.body.hourglass
     return Fields(columns, gradients, constant, np.arange(n), body.elastic_volumes)
 
@@ -98,7 +98,7 @@ def _precision(points: int, count: int) -> Any:
     return np.float64 if points * count < 2_000_000 else np.float32
 
 
-def _by_node(body: FullModel | Membrane, columns: Floats, numbers: int) -> Iterator[Floats]:
+def _by_node(body: Solid | Membrane, columns: Floats, numbers: int) -> Iterator[Floats]:
     """Yield what the formulation differentiates of every column, (n, numbers)."""
     blocks, lanes = body.body.lanes.nodes.shape
     table = np.zeros((blocks, 1, numbers, lanes))
@@ -108,14 +108,14 @@ def _by_node(body: FullModel | Membrane, columns: Floats, numbers: int) -> Itera
 
 
 def choose_samples(
-    body: FullModel | Membrane, fields: Fields, modes: int, states: Floats, mass: Floats, share: float, moments: Floats,
+    body: Solid | Membrane, fields: Fields, modes: int, states: Floats, mass: Floats, share: float, moments: Floats,
     seed: int,
 ) -> tuple[NDArray[np.int64], Cubature]:  # fmt: skip
     """Choose points, weights, and the coefficients of the moments; return the points' places in the fields, too.
 
     Parameters
     ----------
-    body : FullModel or Membrane
+    body : Solid or Membrane
     fields : Fields
         Of modes, lifting columns and the supports' test fields.
     modes : int
@@ -144,7 +144,7 @@ def choose_samples(
 
 
 def _rows(
-    body: FullModel | Membrane, fields: Fields, modes: int, states: Floats, root: Floats, generator: np.random.Generator
+    body: Solid | Membrane, fields: Fields, modes: int, states: Floats, root: Floats, generator: np.random.Generator
 ) -> Floats:
     """Return what every point adds to the forces at all states, (r, p): in the compliance norm, and as tools feel them.
 
@@ -175,7 +175,7 @@ def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Float
     return F, cofactor, np.sum(F[:, 0] * cofactor[:, 0], axis=1)
 
 
-def _shear_work(body: FullModel | Membrane, fields: Fields, state: Floats) -> Floats:
+def _shear_work(body: Solid | Membrane, fields: Fields, state: Floats) -> Floats:
     """Work of every point's shear stress, times its volume, on all columns, shape (columns, p)."""
     gradients = fields.gradients
     F, _, _ = deformation(gradients[:, : len(state)], state)
@@ -188,7 +188,7 @@ def _shear_work(body: FullModel | Membrane, fields: Fields, state: Floats) -> Fl
     return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
 
 
-def pressure_moments(body: FullModel | Membrane, snapshots: Snapshots, pressures: int) -> Floats:
+def pressure_moments(body: Solid | Membrane, snapshots: Snapshots, pressures: int) -> Floats:
     """Coefficients (k, n) of all nodes' J - 1, or g(J), in the moments: those of the main shapes of the pressures."""
     if isinstance(body, Membrane):  # its thickness follows: it has no pressure
         return np.zeros((0, len(body.cloud)))
@@ -201,14 +201,14 @@ def pressure_moments(body: FullModel | Membrane, snapshots: Snapshots, pressures
     smooth /= np.sqrt(np.maximum(sizes, SMALLEST * sizes.max()))[:, None]
     _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
     kept = min(pressures, int(np.sum(values > 1e-10 * values[0])))
-    return np.asarray(np.sqrt(body.lame) * body.smoothed_back(shapes[:kept] * roots))
+    return np.asarray(np.sqrt(body.lame) * body.smooth_transposed(shapes[:kept] * roots))
 
 
-def compliance_root(body: FullModel | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
+def compliance_root(body: Solid | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
     """Return R with R^T R the compliance of the body at rest in the coordinates; of a membrane, when it is taut."""
     stiffness, own = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
     shear, second = np.full(len(body.cloud), body.material.shear_modulus), np.zeros(len(body.cloud))
-    if isinstance(body, FullModel):
+    if isinstance(body, Solid):
         shear = body.moduli("shear_modulus")
         second = body.moduli("shear_share") - 2 / 3 * shear
     for start in range(0, len(own), BLOCK):
@@ -234,7 +234,7 @@ def _pressure(
     sampled, whole, stiff = [], [], np.linalg.inv(root).T
     for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPES)]):
         _, cofactor, J = deformation(gradients, state)
-        volume, rise = measured(material, J - 1)
+        volume, rise = volume_measure(material, J - 1)
         cofactor *= rise[:, None, None]
         slope = np.matmul(gradients, cofactor.reshape(-1, 9, 1).astype(gradients.dtype))[:, :, 0] @ root.T
         value = volume[:, None] / max(float(np.linalg.norm(stiff @ state)), 1e-300)

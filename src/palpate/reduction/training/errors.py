@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 
-__all__ = ["Errors", "TouchErrors", "errors", "touch_errors"]
+__all__ = ["ContactErrors", "Errors", "contact_errors", "relative_errors"]
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Errors(_Named):
     reaction: float
 
 
-def errors(full: Trajectory, other: Trajectory) -> Errors:
+def relative_errors(full: Trajectory, other: Trajectory) -> Errors:
     """Compare a run with a reference at the same times.
 
     Raises
@@ -73,7 +73,7 @@ def errors(full: Trajectory, other: Trajectory) -> Errors:
 
 
 @dataclass(frozen=True)
-class TouchErrors(_Named):
+class ContactErrors(_Named):
     """What tools and the surface they touch miss of a reference, in frames with at least a tenth of the largest force.
 
     Parameters
@@ -91,9 +91,9 @@ class TouchErrors(_Named):
     farthest_95: float
 
 
-def touch_errors(
+def contact_errors(
     full: Trajectory, other: Trajectory, tools: Sequence[str], nodes: NDArray[np.int64]
-) -> TouchErrors | None:
+) -> ContactErrors | None:
     """Compare what tools do in a run with a reference at the same times.
 
     Parameters
@@ -117,9 +117,9 @@ def touch_errors(
     if not pressed.any():
         return None
     force, surface = np.concatenate(missed), full.displacements[:, nodes]
-    reach = np.linalg.norm(surface, axis=2).max()
-    apart = np.linalg.norm(other.displacements[:, nodes] - surface, axis=2)[pressed] / reach
-    return TouchErrors(
+    distance_scale = np.linalg.norm(surface, axis=2).max()
+    apart = np.linalg.norm(other.displacements[:, nodes] - surface, axis=2)[pressed] / distance_scale
+    return ContactErrors(
         force=float(np.median(force)),
         force_95=float(np.quantile(force, 0.95)),
         surface_95=float(np.quantile(apart, 0.95)),

@@ -15,23 +15,23 @@ from palpate.dynamics.loads.loads import Load
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
-from palpate.dynamics.solid.model import FullModel
+from palpate.dynamics.solid.model import Solid
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.lifting import WithoutTools, lifting_columns, support_fields
 from palpate.reduction.basis.snapshots import Run, Snapshots
-from palpate.reduction.basis.strain_pod import joined, main_modes
+from palpate.reduction.basis.strain_pod import join, main_modes
 from palpate.reduction.hyper.error_indicator import nearest
 from palpate.reduction.hyper.material_point import Kinematics
-from palpate.reduction.hyper.model import ReducedModel, ReducedParts
-from palpate.reduction.training.calibrate_contact import Trial, measured
-from palpate.reduction.training.calibrate_indicator import calibrated, tried_frames
-from palpate.reduction.training.ecsw import Fields, choose_samples, differentiated, pressure_moments
-from palpate.reduction.training.errors import Errors, TouchErrors, errors, touch_errors
-from palpate.reduction.training.fit_compliance import fitted_dents
-from palpate.reduction.training.residual_fields import WITNESSES, apart, usual_imbalance, witnessed
+from palpate.reduction.hyper.model import ReducedData, ReducedModel
+from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
+from palpate.reduction.training.calibrate_indicator import calibrate_indicator, indicator_frames
+from palpate.reduction.training.ecsw import Fields, choose_samples, differentiate, pressure_moments
+from palpate.reduction.training.errors import ContactErrors, Errors, contact_errors, relative_errors
+from palpate.reduction.training.fit_compliance import fit_compliance
+from palpate.reduction.training.residual_fields import RESIDUAL_FIELDS, apart, scale_residual_fields, typical_residual
 
-__all__ = ["Trial", "reduce"]
+__all__ = ["Trial", "hyper_reduce"]
 
 Floats = NDArray[np.float64]
 
@@ -42,18 +42,18 @@ HELD_SHARE = 0.95
 TAUT = 16  # training states whose highest frequency a membrane is stepped by
 
 
-def reduce(
-    full: FullModel | Membrane,
+def hyper_reduce(
+    full: Solid | Membrane,
     trajectories: Run | Sequence[Run],
     *,
     modes: int | None = None,
     tolerance: float | None = None,
-    driven: str | Sequence[str] = (),
+    prescribed: str | Sequence[str] = (),
     held_out: Sequence[Trial] = (),
     enrichment: Floats | None = None,
     cubature: float = 1e-3,
     pressures: int | None = None,
-    coarse: FullModel | None = None,
+    coarse: Solid | None = None,
     repeated: Sequence[Trial] = (),
     seed: int = 0,
 ) -> ReducedModel:
@@ -61,7 +61,7 @@ def reduce(
 
     Parameters
     ----------
-    full : FullModel or Membrane
+    full : Solid or Membrane
         In its energy form the reduced model is a part of the same energy. A strong form is reduced by way of the energy
         form of the same body, and keeps the difference of the two, which shrinks with the spacing.
     trajectories : Trajectory or path, or several
@@ -86,7 +86,7 @@ def reduce(
     pressures : int, optional
         Number of pressure modes; by default a quarter of the modes, which errs least on motions not trained on. For
         one trained motion and few modes, as many as modes are better.
-    coarse : FullModel, optional
+    coarse : Solid, optional
         A coarser model of the same body, of at most 5,000 nodes, whose statics tell how its surface gives way under
         tools that touch it in the runs; by default the body itself, if it has no more nodes than that.
     repeated : sequence of (loads, trajectory or path)
@@ -108,8 +108,8 @@ def reduce(
     """
     if (modes is None) == (tolerance is None):
         raise InputError("give either modes or tolerance")
-    if not isinstance(full, FullModel | Membrane):
-        raise InputError(f"reduce needs a FullModel or a Membrane, not a {type(full).__name__}")
+    if not isinstance(full, Solid | Membrane):
+        raise InputError(f"reduce needs a Solid or a Membrane, not a {type(full).__name__}")
     if isinstance(full, Membrane) and (full.fibres is not None or full.material.prony is not None):
         raise InputError("a sampled membrane has no fibres and does not relax: reduce one without fibres= and prony=")
     snapshots = Snapshots(trajectories)
@@ -118,7 +118,7 @@ def reduce(
         _check(full, [run.points if isinstance(run, Trajectory) else StoredTrajectory(run).points])
     share = number_in_range("cubature", cubature, 0.0, 1.0)
     body = full if full.conservative else _energy_form(full)
-    tools = (driven,) if isinstance(driven, str) else tuple(driven)
+    tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
     wish = _Wish(tools, held_out, enrichment, share, pressures, seed, coarse, repeated)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
@@ -144,7 +144,7 @@ def reduce(
 
 @dataclass(frozen=True)
 class _Wish:
-    """What is asked of `reduce` for any size."""
+    """What is asked of `hyper_reduce` for any size."""
 
     tools: tuple[str, ...]
     held_out: Sequence[Trial]
@@ -152,47 +152,52 @@ class _Wish:
     cubature: float
     pressures: int | None
     seed: int
-    coarse: FullModel | None
+    coarse: Solid | None
     repeated: Sequence[Trial]
 
 
-def _check(full: FullModel | Membrane, points: Sequence[Floats]) -> None:
+def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
     for own in points:
         if own.shape != full.cloud.points.shape or not np.allclose(own, full.cloud.points):
             raise InputError("a trajectory belongs to another cloud than the model")
 
 
-def _energy_form(full: FullModel | Membrane) -> FullModel | Membrane:
+def _energy_form(full: Solid | Membrane) -> Solid | Membrane:
     if isinstance(full, Membrane):
         return Membrane(
             full.cloud, full.material, full.thickness, full.fixed,
-            prestretch=full.prestretch, relaxed=full.relaxed, viscosity=full.viscosity,
+            prestretch=full.prestretch, relaxed=full.relaxed, stiffness_damping=full.stiffness_damping,
         )  # fmt: skip
-    return FullModel(
-        full.cloud, full.material, full.fixed, form="energy", viscosity=full.viscosity, neighbours=full.neighbours
+    return Solid(
+        full.cloud,
+        full.material,
+        full.fixed,
+        form="energy",
+        stiffness_damping=full.stiffness_damping,
+        neighbours=full.neighbours,
     )
 
 
 def _trained(
-    full: FullModel | Membrane, body: FullModel | Membrane, snapshots: Snapshots, size: int, wish: _Wish
+    full: Solid | Membrane, body: Solid | Membrane, snapshots: Snapshots, size: int, wish: _Wish
 ) -> ReducedModel:
     """Train a model of a given size."""
     start = perf_counter()
     columns = _columns(body, snapshots, size, wish)
     states, missed = _states(body, columns, snapshots)
-    model = ReducedModel(_parts(full, body, snapshots, columns, states, wish))
+    model = ReducedModel(_data(full, body, snapshots, columns, states, wish))
     if isinstance(body, Membrane):
-        trained = model.parts.trained
+        trained = model.data.trained
         taut = max(model._highest(state) for state in trained[:: max(1, len(trained) // TAUT)])
-        model = ReducedModel(replace(model.parts, slack=taut))
-    rule = model.parts.cubature
+        model = ReducedModel(replace(model.data, taut_frequency=taut))
+    rule = model.data.cubature
     report: dict[str, Any] = {
         "modes": columns.modes,
         "lifting_columns": columns.count - columns.modes,
         "nodes_full": len(body.cloud),
         "nodes": len(rule.nodes),
         "pressure_modes": len(rule.pressure),
-        "witnesses": columns.witnesses,
+        "residual_fields": columns.residual_fields,
         "cubature": wish.cubature,
         "cubature_residual": rule.residual,
         "projection_error": missed,
@@ -203,13 +208,13 @@ def _trained(
         "seed": wish.seed,
         "training_seconds": perf_counter() - start,
     }
-    if snapshots.touched and not wish.tools and isinstance(body, FullModel):
-        dents, report["dents_explained"] = fitted_dents(model, body, snapshots, wish.coarse or body)
-        model = ReducedModel(replace(model.parts, dents=dents))
+    if snapshots.touched and not wish.tools and isinstance(body, Solid):
+        compliance, report["compliance_explained"] = fit_compliance(model, body, snapshots, wish.coarse or body)
+        model = ReducedModel(replace(model.data, compliance=compliance))
         if wish.repeated:
-            model, found = measured(model, wish.repeated)
+            model, found = calibrate_contact(model, wish.repeated)
             report |= found
-    model.parts.report.update(report)
+    model.data.report.update(report)
     return _tried(model, wish.held_out) if wish.held_out else model
 
 
@@ -220,27 +225,27 @@ class _Columns:
     fields: Fields
     modes: int
     count: int
-    witnesses: int
+    residual_fields: int
     mass: Floats  # of the coordinates
     lost: float  # when the modes were found
 
 
-def _columns(body: FullModel | Membrane, snapshots: Snapshots, size: int, wish: _Wish) -> _Columns:
+def _columns(body: Solid | Membrane, snapshots: Snapshots, size: int, wish: _Wish) -> _Columns:
     lifting, supports = lifting_columns(body, wish.tools), support_fields(body, wish.tools)
     rest = WithoutTools(body, lifting, wish.tools)
-    found, lost = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else WITNESSES, rest)
+    found, lost = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else RESIDUAL_FIELDS, rest)
     rest.check()
-    shapes = joined(body, found[:size] if size else None, wish.enrichment)
+    shapes = join(body, found[:size] if size else None, wish.enrichment)
     watched = apart(body, shapes, found[size:])
     # as single precision keeps them in the file, so that the model that is loaded is the model that was trained
     columns = np.concatenate([shapes, lifting, supports, watched]).astype(np.float32).astype(float)
     count = len(shapes) + len(lifting)
     flat = columns[:count].reshape(count, -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
-    return _Columns(differentiated(body, columns), len(shapes), count, len(watched), mass, lost)
+    return _Columns(differentiate(body, columns), len(shapes), count, len(watched), mass, lost)
 
 
-def _states(body: FullModel | Membrane, columns: _Columns, snapshots: Snapshots) -> tuple[Floats, float]:
+def _states(body: Solid | Membrane, columns: _Columns, snapshots: Snapshots) -> tuple[Floats, float]:
     """Coordinates (t, m + l) of all snapshots, and the share of them that the columns miss."""
     flat = columns.fields.columns[: columns.count].reshape(columns.count, -1)
     weighted, states, missed, whole = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
@@ -254,35 +259,37 @@ def _states(body: FullModel | Membrane, columns: _Columns, snapshots: Snapshots)
     return np.concatenate(states), float(np.sqrt(missed / whole))
 
 
-def _parts(
-    full: FullModel | Membrane, body: FullModel | Membrane, snapshots: Snapshots, columns: _Columns, states: Floats,
+def _data(
+    full: Solid | Membrane, body: Solid | Membrane, snapshots: Snapshots, columns: _Columns, states: Floats,
     wish: _Wish,
-) -> ReducedParts:  # fmt: skip
+) -> ReducedData:  # fmt: skip
     """Choose the samples, and put all together."""
     fields, modes, count, mass = columns.fields, columns.modes, columns.count, columns.mass
     chosen = states[snapshots.spread(STATES)]
     moments = pressure_moments(body, snapshots, wish.pressures or max(1, modes // PRESSURES))
-    bare = fields.of(slice(len(fields.columns) - columns.witnesses))
+    bare = fields.of(slice(len(fields.columns) - columns.residual_fields))
     places, rule = choose_samples(body, bare, modes, chosen, mass, wish.cubature, moments, wish.seed)
-    fields, gradients = witnessed(body, fields, (modes, count, columns.witnesses), chosen, rule, places, moments)
-    parts = ReducedParts(
-        body.cloud, body.material, body.fixed, wish.tools, body.volumes, _stiffness(body), full.viscosity, full.fastest,
+    fields, gradients = scale_residual_fields(
+        body, fields, (modes, count, columns.residual_fields), chosen, rule, places, moments
+    )
+    data = ReducedData(
+        body.cloud, body.material, body.fixed, wish.tools, body.volumes, _stiffness(body), full.stiffness_damping, full.wave_speed,
         fields.columns, modes, count - modes, rule, gradients, fields.constant, chosen,
-        _reach(chosen, mass / body.masses.sum(), snapshots),
-        columns.witnesses, kinematics=_kinematics(body), fibres=body.fibres,
-        regions=body.regions if isinstance(body, FullModel) else None,
+        _distance_scale(chosen, mass / body.masses.sum(), snapshots),
+        columns.residual_fields, kinematics=_kinematics(body), fibres=body.fibres,
+        regions=body.regions if isinstance(body, Solid) else None,
     )  # fmt: skip
-    if not columns.witnesses:
-        return parts
+    if not columns.residual_fields:
+        return data
     some = snapshots.each(snapshots.spread(STATES))
-    return replace(parts, leeway=usual_imbalance(ReducedModel(parts), body, some))
+    return replace(data, residual_scale=typical_residual(ReducedModel(data), body, some))
 
 
-def _stiffness(body: FullModel | Membrane) -> Floats:
+def _stiffness(body: Solid | Membrane) -> Floats:
     return np.ones(len(body.cloud)) if isinstance(body, Membrane) else body.elastic_volumes / body.volumes
 
 
-def _kinematics(body: FullModel | Membrane) -> Kinematics:
+def _kinematics(body: Solid | Membrane) -> Kinematics:
     if isinstance(body, Membrane):
         return Kinematics(True, body.prestretch, body.relaxed)
     return Kinematics()
@@ -297,26 +304,26 @@ def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         entry: dict[str, Any] = {"failed": False}
         try:
             own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
-            entry |= errors(run, own).as_dict() | _touched(model, loads, run, own)
-            frames.append(tried_frames(model, loads, own, run))
+            entry |= relative_errors(run, own).as_dict() | _touched(model, loads, run, own)
+            frames.append(indicator_frames(model, loads, own, run))
         except DivergenceError as error:
             entry = {"failed": True, "reason": str(error)}
         found.append(entry)
     touched = [entry for entry in found if entry["failed"] or "force" in entry]
-    model.parts.report["held_out"] = {"runs": found, **_over_runs(found, list(Errors.__annotations__))}
+    model.data.report["held_out"] = {"runs": found, **_over_runs(found, list(Errors.__annotations__))}
     if any(not entry["failed"] for entry in touched):
-        model.parts.report["held_out"]["touch"] = _over_runs(touched, list(TouchErrors.__annotations__))
+        model.data.report["held_out"]["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
     if not frames:
         return model
-    reach, leeway, table = calibrated(frames, HELD_SHARE)
-    model.parts.report["held_out"]["trust"] = table
-    return ReducedModel(replace(model.parts, reach=reach, leeway=leeway))
+    distance_scale, residual_scale, table = calibrate_indicator(frames, HELD_SHARE)
+    model.data.report["held_out"]["trust"] = table
+    return ReducedModel(replace(model.data, distance_scale=distance_scale, residual_scale=residual_scale))
 
 
 def _touched(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:
     """Return the errors by name of what tools do; none where no tool touches the body."""
     tools = [load.name for load in loads if isinstance(load, Contact | Grasp)]
-    found = touch_errors(run, own, tools, model.parts.dents.nodes) if model.parts.dents is not None else None
+    found = contact_errors(run, own, tools, model.data.compliance.nodes) if model.data.compliance is not None else None
     return found.as_dict() if found is not None else {}
 
 
@@ -330,7 +337,7 @@ def _over_runs(found: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[st
     }
 
 
-def _reach(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float:
+def _distance_scale(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float:
     """Distance that most training states keep to those of other runs; with one run, to their neighbours in time."""
     runs = len(snapshots.lengths)
     owner = np.repeat(np.arange(runs), snapshots.lengths)[snapshots.spread(STATES)]

@@ -16,7 +16,7 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["quickest"]
+__all__ = ["select_time_step"]
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ FINER = 10  # steps of the reference in one explicit step
 FRAMES = 100  # of the motion, unless told otherwise
 
 
-def quickest(
+def select_time_step(
     model: ReducedModel,
     loads: Sequence[Load] = (),
     *,
@@ -86,7 +86,7 @@ def quickest(
     step = _chosen(table, wanted)
     report = {"tolerance": wanted, "reference_step": finest, "step": step, "rules": table}
     return ReducedModel(
-        replace(model.parts, report={**model.report, "stepping": report}), step=step, single=model.single
+        replace(model.data, report={**model.report, "stepping": report}), step=step, single=model.single
     )
 
 
