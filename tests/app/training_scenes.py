@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 
-from palpate.dynamics.loads.loads import PrescribedMotion
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.solid.model import Solid
 from palpate.meshfree.cloud import box
 from palpate.scenes.scene import TrainingScene

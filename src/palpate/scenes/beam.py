@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from palpate.dynamics.loads.loads import SurfaceForce
+from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import box

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from palpate.dynamics.loads.loads import Load, PrescribedMotion
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import Cloud, box

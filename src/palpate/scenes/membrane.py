@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from palpate.dynamics.loads.loads import PrescribedMotion
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.sheets import disc

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.dynamics.loads.loads import Load, SurfaceForce
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.faults import InputError, integer_in_range
 from palpate.scenes.beam import DURATION
 

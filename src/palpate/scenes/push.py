@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load, PrescribedMotion
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import number_in_range
 from palpate.meshfree.sheets import disc

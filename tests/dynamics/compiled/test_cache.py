@@ -16,7 +16,7 @@ import pytest
 import palpate
 import palpate as pt
 from palpate.dynamics.compiled.cache import KeyedFile, kernel_sources, law_digest
-from palpate.dynamics.loads.loads import FIXED
+from palpate.dynamics.loads.prepared import FIXED
 
 SECOND_PROCESS = """
 import sys
@@ -157,8 +157,8 @@ def test_a_change_of_one_form_leaves_the_other_forms_compiled_code():
 def test_a_constant_of_a_module_without_kernels_counts_by_its_value():
     importlib.import_module("palpate.dynamics.nodal.central_difference")
     sources = kernel_sources("palpate.dynamics.nodal.central_difference")
-    assert sources["palpate.dynamics.loads.loads:FIXED"] == repr(FIXED)
-    assert "palpate.dynamics.loads.loads" not in sources
+    assert sources["palpate.dynamics.loads.prepared:FIXED"] == repr(FIXED)
+    assert "palpate.dynamics.loads.prepared" not in sources
 
 
 def test_functions_that_only_numba_caches_call_compiled_functions_of_their_own_file_alone():

@@ -128,9 +128,8 @@ def test_matrix_market_reads_what_was_written(tool_system, tmp_path):
 @pytest.mark.parametrize(
     ("load", "message"),
     [
-        (pt.Contact(pt.Sphere(0.01), (0.0, 0.0, 0.1)), "Contact is no input"),
-        (pt.SurfaceForce("x+", pressure=10.0), "no moment or pressure"),
-        (pt.SurfaceForce("x+", moment=(1.0, 0.0, 0.0)), "no moment or pressure"),
+        (pt.Contact(pt.Sphere(0.01), (0.0, 0.0, 0.1)), "got a Contact"),
+        (pt.SurfaceForce("x+", pressure=10.0), "got a pressure"),
         (pt.PrescribedMotion("tip", MOTION), "form='energy'"),
     ],
 )

@@ -12,8 +12,8 @@ import pytest
 import palpate as pt
 from palpate.reduction.storage.material import (
     describe_fibres,
-    describe_regions,
     describe_material,
+    describe_regions,
     fibres_of,
     material_of,
     regions_of,

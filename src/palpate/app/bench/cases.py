@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
 from palpate.app.console import Console
-from palpate.dynamics.loads.loads import Load, SurfaceForce
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory

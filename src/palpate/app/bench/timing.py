@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.loads.loads import PreparedLoads
+from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.model import ReducedModel
 

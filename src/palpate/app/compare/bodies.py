@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load, PrescribedMotion, SurfaceForce
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.dynamics.solid.model import Solid

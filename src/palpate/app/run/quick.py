@@ -6,7 +6,7 @@ from collections.abc import Callable
 from time import perf_counter
 
 from palpate.app.console import Console, count_nodes
-from palpate.dynamics.loads.loads import Load
+from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.hyper.model import ReducedModel

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from palpate.app.view.recording import LONGEST, Recording
 from palpate.app.view.snapshot import Snapshot
 from palpate.dynamics.contact.tools import Capsule, Contact, Grasp, Sphere
-from palpate.dynamics.loads.loads import Load, PrescribedMotion
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.lanes import Lanes, Weights, lane_table, transpose
-from palpate.dynamics.loads.loads import Load, PreparedLoads, SurfaceForce, prepare_loads
+from palpate.dynamics.loads.dead_load import DeadLoad
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, prepare_loads
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.relaxation import equilibrium_history, relaxation, restore_history, saved_history
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, additional_stress
@@ -268,10 +269,10 @@ def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres:
     return placed_fibres
 
 
-def load_areas(cloud: Cloud, prestretch: float, load: SurfaceForce) -> Floats:
+def load_areas(cloud: Cloud, prestretch: float, load: DeadLoad) -> Floats:
     """Return area vectors (k, 3) of a load on a sheet: a pressure acts on the face, a force on an edge, or all over."""
     face = cloud.volumes[cloud.group(load.group), None] / prestretch**2 * [0.0, 0.0, 1.0]
-    if load.pressure is not None:
+    if is_pressure(load):
         return face
     try:
         return cloud.area_vectors(load.group)

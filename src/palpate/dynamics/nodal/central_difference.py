@@ -20,7 +20,7 @@ from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.impulses import push
-from palpate.dynamics.loads.loads import FIXED, FREE
+from palpate.dynamics.loads.prepared import FIXED, FREE
 
 __all__ = ["foundation_force", "full_step", "surface_force"]
 
@@ -28,20 +28,20 @@ __all__ = ["foundation_force", "full_step", "surface_force"]
 @kernel_njit()
 def surface_force(places, schedule, s, volumes, slot, cofactor, surface):  # type: ignore[no-untyped-def]
     """Write the tractions of step s, as force per nodal volume [N/m^3], at the loaded nodes of `surface`."""
-    for k in range(places.force_node.shape[0]):
-        surface[places.force_node[k]] = 0.0
+    for k in range(places.dead_node.shape[0]):
+        surface[places.dead_node[k]] = 0.0
     for k in range(places.pressure_node.shape[0]):
         surface[places.pressure_node[k]] = 0.0
     for k in range(places.foundation_node.shape[0]):
         surface[places.foundation_node[k]] = 0.0
-    for g in range(places.force_start.shape[0] - 1):
-        for k in range(places.force_start[g], places.force_start[g + 1]):
-            i = places.force_node[k]
+    for g in range(places.dead_start.shape[0] - 1):
+        for k in range(places.dead_start[g], places.dead_start[g + 1]):
+            i = places.dead_node[k]
             for c in range(3):
-                share = places.force_share[k] * schedule.force[s, g, c]
-                for d in range(3):
-                    share += places.moment_share[k, c, d] * schedule.moment[s, g, d]
-                surface[i, c] += share / volumes[i]
+                force = 0.0
+                for a in range(places.dead_pattern.shape[1]):
+                    force += places.dead_pattern[k, a, c] * schedule.amplitudes[s, g, a]
+                surface[i, c] += force / volumes[i]
     for g in range(places.pressure_start.shape[0] - 1):
         for k in range(places.pressure_start[g], places.pressure_start[g + 1]):
             i = places.pressure_node[k]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.tools import surface_nodes
-from palpate.dynamics.loads.loads import FIXED, FREE, LoadHistory, PreparedLoads
+from palpate.dynamics.loads.prepared import FIXED, FREE, LoadHistory, PreparedLoads
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.nodal.central_difference import foundation_force, full_step, surface_force
 from palpate.dynamics.nodal.stability import FrequencyTracker, StabilityReport, stable_step

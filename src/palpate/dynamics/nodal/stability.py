@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load, PreparedLoads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.contact.geometry import gaps, patch_places
 from palpate.dynamics.contact.tools import BONDED, PLANE
-from palpate.dynamics.loads.loads import LoadHistory, PreparedLoads
+from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads
 from palpate.dynamics.run.model import ContactState
 from palpate.faults import DivergenceError, InputError, first_few
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load, PreparedLoads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palpate.dynamics.loads.loads import PreparedLoads
+from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import Model, Outputs, State
 
 __all__ = ["evaluate", "partition", "reactions", "tool_power", "touching"]

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load, PreparedLoads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.run.model import Model, Outputs, State
 from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder

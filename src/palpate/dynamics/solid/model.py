@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.passes import smooth_field
 from palpate.dynamics.contact.tools import Contact
-from palpate.dynamics.loads.loads import Load, PreparedLoads, prepare_loads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, prepare_loads
 from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.material_fields import EVERYWHERE, regions_of, spread
 from palpate.dynamics.material.relaxation import equilibrium_history, relaxation, restore_history, saved_history

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Forceps
-from palpate.dynamics.loads.loads import PreparedLoads
+from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.reduction.contact.compliance import (
     ActiveCompliance,
     ComplianceTable,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Forceps
-from palpate.dynamics.loads.loads import PreparedLoads
+from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.contact_state import check_apart, check_way, no_contact
 from palpate.dynamics.run.model import ContactState
 from palpate.dynamics.run.trajectory import Trajectory

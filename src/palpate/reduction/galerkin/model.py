@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import PRESCRIBED, Load, PreparedLoads
+from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State

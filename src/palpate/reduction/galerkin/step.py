@@ -30,7 +30,7 @@ def _project(test, force, result):  # type: ignore[no-untyped-def]
 @kernel_njit()
 def _tractions(places, surface, modes, test, volumes, half_cell, result, power):  # type: ignore[no-untyped-def]
     """Add the tractions to the projected force, and the power of their parts on each coordinate to `power`."""
-    for nodes in (places.force_node, places.pressure_node):
+    for nodes in (places.dead_node, places.pressure_node):
         for k in range(nodes.shape[0]):
             i = nodes[k]
             for c in range(3):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.loads.loads import LoadSites
+from palpate.dynamics.loads.prepared import LoadSites
 
 __all__ = ["Springs", "draw_back", "springs_of"]
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import LoadSites, PreparedLoads
+from palpate.dynamics.loads.prepared import LoadSites, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.foundation import Springs, springs_of
 
@@ -20,14 +20,14 @@ class GeneralisedForces(NamedTuple):
     """What the loads of a drive do on the columns."""
 
     prepared: PreparedLoads
-    work: Floats  # (6 g + 3, c), see `load_work`
+    work: Floats  # (g a + 3, c), see `load_work`
     springs: Springs  # on all columns
     own: Springs  # on the coordinates
 
     def at(self, times: Floats) -> Floats:
         """Return the generalised forces (t, c) of tractions and gravity at some times."""
         schedule, count = self.prepared.schedule(times), len(times)
-        values = (schedule.force.reshape(count, -1), schedule.moment.reshape(count, -1), schedule.gravity)
+        values = (schedule.amplitudes.reshape(count, -1), schedule.gravity)
         return np.asarray(np.hstack(values) @ self.work)
 
 
@@ -39,24 +39,22 @@ def generalised_forces(prepared: PreparedLoads, columns: Floats, masses: Floats,
 
 
 def load_work(places: LoadSites, columns: Floats, masses: Floats) -> Floats:
-    """Work of unit forces and moments of the force groups, and of unit gravity, on columns (m, n, 3): (6 g + 3, m)."""
-    forces, moments = [], []
-    for g in range(len(places.force_start) - 1):
-        own = slice(places.force_start[g], places.force_start[g + 1])
-        at = columns[:, places.force_node[own]]
-        forces.append(np.einsum("k,mkc->cm", places.force_share[own], at))
-        moments.append(np.einsum("kcd,mkc->dm", places.moment_share[own], at))
-    return np.concatenate([*forces, *moments, np.einsum("n,mnc->cm", masses, columns)])
+    """Return the work of unit amplitudes of the g dead loads, and of unit gravity, on columns (m, n, 3): (g a + 3, m)."""
+    works = []
+    for g in range(len(places.dead_start) - 1):
+        own = slice(places.dead_start[g], places.dead_start[g + 1])
+        works.append(np.einsum("kac,mkc->am", places.dead_pattern[own], columns[:, places.dead_node[own]]))
+    return np.concatenate([*works, np.einsum("n,mnc->cm", masses, columns)])
 
 
 def load_forces(prepared: PreparedLoads, masses: Floats, columns: Floats, state: State) -> Floats:
     """Forces [N] of tractions, gravity and springs on the nodes in a state of a reduced model, shape (n, 3)."""
     places, schedule = prepared.places, prepared.schedule(np.array([state.time]))
     result = np.asarray(masses[:, None] * schedule.gravity[0])
-    for g in range(len(places.force_start) - 1):
-        own = slice(places.force_start[g], places.force_start[g + 1])
-        share = places.force_share[own, None] * schedule.force[0, g] + places.moment_share[own] @ schedule.moment[0, g]
-        np.add.at(result, places.force_node[own], share)
+    for g in range(len(places.dead_start) - 1):
+        own = slice(places.dead_start[g], places.dead_start[g + 1])
+        forces = np.einsum("kac,a->kc", places.dead_pattern[own], schedule.amplitudes[0, g])
+        np.add.at(result, places.dead_node[own], forces)
     at = columns[: len(state.coordinates), places.foundation_node]
     moved, speed = np.tensordot(state.coordinates, at, 1), np.tensordot(state.velocities, at, 1)
     drawn = places.foundation_spring[:, None] * moved + places.foundation_dashpot[:, None] * speed

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
-from palpate.dynamics.loads.loads import PRESCRIBED, Load, PreparedLoads, prepare_loads
+from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, prepare_loads
 from palpate.dynamics.membrane.model import load_areas
 from palpate.faults import InputError
 from palpate.reduction.hyper.data import ReducedData

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load, PreparedLoads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.material.relaxation import equilibrium_history, restore_history, saved_history
 from palpate.dynamics.nodal.stability import stable_step

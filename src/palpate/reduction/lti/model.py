@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.loads.loads import FREE, Gravity, Load, PreparedLoads, SurfaceForce
+from palpate.dynamics.loads.body_force import Gravity
+from palpate.dynamics.loads.dead_load import DeadLoad
+from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, is_pressure
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State
 from palpate.dynamics.run.reactions import evaluate
 from palpate.faults import InputError, number_in_range
@@ -41,10 +43,15 @@ class _Inputs:
         """Return the inputs (t, count) that are no tool's at some times [s]."""
         schedule, values = self.prepared.schedule(times), np.zeros((len(times), count))
         for group, own in self.forces:
-            values[:, own] += schedule.force[:, group]
+            values[:, own] += schedule.amplitudes[:, group, : own.stop - own.start]
         if self.gravity is not None:
             values[:, self.gravity] += schedule.gravity
         return values
+
+
+def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
+    """Return kind, group and amplitudes of a load, by which it is an input of a linear system."""
+    return type(load).__name__, load.group, load.labels
 
 
 class LinearModel(Model):
@@ -115,15 +122,12 @@ class LinearModel(Model):
             Loads that the system was not made with.
         """
         ready = self.full.prepare(loads)
-        known = {load.group for load in self.system.loads if isinstance(load, SurfaceForce)}
+        known = {_input(load) for load in self.system.loads if isinstance(load, DeadLoad)}
         weight = any(isinstance(load, Gravity) for load in self.system.loads)
         for load in ready.loads:
-            if isinstance(load, SurfaceForce) and (
-                load.force is None or load.moment is not None or load.group not in known
-            ):
-                raise InputError(
-                    f"this linear model was made for forces on {sorted(known) or 'no group'}, not {load!r}"
-                )
+            if isinstance(load, DeadLoad) and (is_pressure(load) or _input(load) not in known):
+                listed = ", ".join(f"{name} on {group!r}" for name, group, _ in sorted(known)) or "no dead load"
+                raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
             if isinstance(load, Gravity) and not weight:
                 raise InputError("this linear model was made without Gravity: linearise with it")
         if len(ready.places.foundation_node) or ready.tools:
@@ -145,12 +149,13 @@ class LinearModel(Model):
         if self._ready is None or self._ready.prepared is not prepared:
             of, place, gravity = {}, 0, None
             for load in self.system.loads:
-                if isinstance(load, SurfaceForce):
-                    of[load.group], place = slice(place, place + 3), place + 3
+                if isinstance(load, DeadLoad):
+                    of[_input(load)] = slice(place, place + len(load.labels))
+                    place += len(load.labels)
                 elif isinstance(load, Gravity):
                     gravity, place = slice(place, place + 3), place + 3
-            groups = [load.group for load in prepared.loads if isinstance(load, SurfaceForce)]
-            self._ready = _Inputs(prepared, tuple((g, of[name]) for g, name in enumerate(groups)), gravity)
+            inputs = tuple((g, of[_input(load)]) for g, load in enumerate(prepared.dead))
+            self._ready = _Inputs(prepared, inputs, gravity)
         return self._ready
 
     def tool_coordinates(self, prepared: PreparedLoads, times: Floats) -> Floats:

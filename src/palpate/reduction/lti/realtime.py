@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.loads.loads import PRESCRIBED
+from palpate.dynamics.loads.prepared import PRESCRIBED
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.state_space import SecondOrder, first_order_hold

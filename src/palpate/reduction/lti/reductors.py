@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load
+from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError, integer_in_range
 from palpate.reduction.lti.budget import Budget, dense_lyapunov
 from palpate.reduction.lti.gramians import balance_in_low_rank, dense_solver

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from palpate.dynamics.loads.loads import Load
+from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.projection_methods import project

@@ -30,7 +30,10 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from palpate.dynamics.contact.tools import Grasp
-from palpate.dynamics.loads.loads import FREE, Gravity, Load, PreparedLoads, PrescribedMotion, SurfaceForce
+from palpate.dynamics.loads.body_force import Gravity
+from palpate.dynamics.loads.dead_load import DeadLoad
+from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, is_pressure
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import State
 from palpate.faults import InputError
@@ -210,14 +213,12 @@ def _check_input(load: Load, model: NodalModel) -> None:
         if not model.conservative:
             raise InputError("a tool that moves nodes of a linearised body needs form='energy': see docs/linear.md")
         return
-    if isinstance(load, Gravity):
-        return
-    if not isinstance(load, SurfaceForce):
+    if is_pressure(load) or not isinstance(load, DeadLoad | Gravity):
+        name = "pressure" if is_pressure(load) else type(load).__name__
         raise InputError(
-            f"{type(load).__name__} is no input of a linear system: Traction, Gravity, PrescribedMotion, Grasp are"
+            f"loads of a linear system must be forces, moments, Gravity, PrescribedMotion or Grasp, got a {name}; "
+            "leave it out, or run the nonlinear body"
         )
-    if load.force is None or load.moment is not None:
-        raise InputError(f"Traction on {load.group!r}: an input of a linear system is a force, no moment or pressure")
 
 
 def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, list[str]]:
@@ -252,19 +253,19 @@ def _continued(whole: Any, free: NDArray[np.int64], stiffness: Any, rigid: Float
 
 
 def force_inputs(model: NodalModel, prepared: PreparedLoads, weight: Floats) -> tuple[Floats, list[str]]:
-    """Nodal forces (p, 3 n) of unit total forces and accelerations, and what they are, in the order of the loads."""
+    """Return nodal forces (p, 3 n) of unit amplitudes and accelerations, and their names, in the order of the loads."""
     places, n, columns, names, g = prepared.places, len(model.cloud), [], [], 0
     for load in prepared.loads:
         if isinstance(load, Gravity):
             columns += [weight * np.tile(np.eye(3)[c], n) for c in range(3)]
             names += [f"gravity {AXES[c]}" for c in range(3)]
-        elif isinstance(load, SurfaceForce):
-            own = slice(places.force_start[g], places.force_start[g + 1])
-            for c in range(3):
-                column = np.zeros(3 * n)
-                np.add.at(column, 3 * places.force_node[own] + c, places.force_share[own])
-                columns.append(column)
-            names += [f"force {AXES[c]} on {load.group}" for c in range(3)]
+        elif isinstance(load, DeadLoad):
+            own = slice(places.dead_start[g], places.dead_start[g + 1])
+            for a in range(len(load.labels)):
+                column = np.zeros((n, 3))
+                np.add.at(column, places.dead_node[own], places.dead_pattern[own, a])
+                columns.append(column.ravel())
+            names += [f"{label} on {load.group}" for label in load.labels]
             g += 1
     return np.array(columns).reshape(-1, 3 * n), names
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.dynamics.loads.loads import prepare_loads
+from palpate.dynamics.loads.prepared import prepare_loads
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system

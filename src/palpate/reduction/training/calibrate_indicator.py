@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.loads import Load
+from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.material.relaxation import equilibrium_history, history_after
 from palpate.dynamics.run.model import State
 from palpate.dynamics.run.trajectory import Trajectory

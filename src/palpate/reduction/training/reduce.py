@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Contact, Grasp
-from palpate.dynamics.loads.loads import Load
+from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory

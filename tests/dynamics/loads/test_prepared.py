@@ -17,36 +17,39 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
     [
         (lambda: pt.SurfaceForce("top", force=(1, 0, 0)), "unknown group 'top'"),
         (lambda: pt.PrescribedMotion("top", (0, 0, 0)), "unknown group 'top'"),
-        (lambda: pt.SurfaceForce("x-", force=(1, 0, 0)), "'x-': .* fixed or driven"),
+        (lambda: pt.SurfaceForce("x-", force=(1, 0, 0)), "got 'x-', which is all fixed or prescribed"),
         (lambda: pt.PrescribedMotion("x-", (0, 0, 0)), "group 'x-': its nodes 0, 1, .* already fixed or driven"),
         (lambda: pt.PrescribedMotion("y-", (0, 0, 0)), "group 'y-'.*already fixed or driven"),
-        (lambda: pt.SurfaceForce("x+"), "'x+'.*give either force .* or pressure"),
-        (lambda: pt.SurfaceForce("x+", force=(1, 0, 0), pressure=1.0), "'x+'.*give either force .* or pressure"),
-        (lambda: pt.SurfaceForce("x+", moment=(1, 0, 0), pressure=1.0), "'x+'.*moment .* or both, or pressure"),
-        (lambda: pt.SurfaceForce("x+", moment=(1, 0)), "moment of Traction on 'x+' must be "),
-        (lambda: pt.SurfaceForce("x+", moment=2.0), "moment of Traction on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+"), "'x+' must have a force .* or a pressure"),
+        (lambda: pt.SurfaceForce("x+", force=(1, 0, 0), pressure=1.0), "'x+' must have a force .* or a pressure"),
+        (
+            lambda: pt.SurfaceForce("x+", moment=(1, 0, 0), pressure=1.0),
+            "'x+' must have .* moment .* or both, or a pressure",
+        ),
+        (lambda: pt.SurfaceForce("x+", moment=(1, 0)), "moment of SurfaceForce on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+", moment=2.0), "moment of SurfaceForce on 'x+' must be "),
         (
             lambda: pt.SurfaceForce("x+", force=(1, 0, 0), moment=lambda t: (np.inf, 0, 0)),
-            r"moment of Traction on 'x\+' is not finite at t = 0",
+            r"moment of SurfaceForce on 'x\+' must be finite, got .* at t = 0",
         ),
-        (lambda: pt.SurfaceForce("x+", force=(1, 0)), "force of Traction on 'x+' must be "),
-        (lambda: pt.SurfaceForce("x+", force="strong"), "force of Traction on 'x+' must be "),
-        (lambda: pt.SurfaceForce("x+", force=lambda t: (1, 0)), "force of Traction on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+", force=(1, 0)), "force of SurfaceForce on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+", force="strong"), "force of SurfaceForce on 'x+' must be "),
+        (lambda: pt.SurfaceForce("x+", force=lambda t: (1, 0)), "force of SurfaceForce on 'x+' must be "),
         (
             lambda: pt.SurfaceForce("x+", force=lambda t: (np.nan, 0, 0)),
-            r"force of Traction on 'x\+' is not finite at t = 0",
+            r"force of SurfaceForce on 'x\+' must be finite, got .* at t = 0",
         ),
         (
             lambda: pt.SurfaceForce("x+", force=lambda t: (1 / (t < 1e-4) if t < 1e-4 else np.inf, 0, 0)),
-            "not finite at t = ",
+            "must be finite, got .* at t = ",
         ),
-        (lambda: pt.SurfaceForce("x+", pressure=lambda t: np.inf), r"pressure of Traction on 'x\+' is not finite"),
-        (lambda: pt.SurfaceForce("x+", pressure=np.nan), r"pressure of Traction on 'x\+' is not finite"),
+        (lambda: pt.SurfaceForce("x+", pressure=lambda t: np.inf), r"pressure of SurfaceForce on 'x\+' must be finite"),
+        (lambda: pt.SurfaceForce("x+", pressure=np.nan), r"pressure of SurfaceForce on 'x\+' must be finite"),
         (lambda: pt.Gravity((0, 0)), "acceleration of Gravity must be "),
-        (lambda: pt.Gravity((0, 0, np.inf)), "acceleration of Gravity is not finite"),
-        (lambda: pt.PrescribedMotion("tip", (np.nan, 0, 0)), "PrescribedMotion of 'tip' is not finite"),
-        (lambda: pt.PrescribedMotion("tip", lambda p, t: p * np.nan), "PrescribedMotion of 'tip' is not finite"),
-        (lambda: "push", "'push' is not a load: use Traction, Gravity, PrescribedMotion, "),
+        (lambda: pt.Gravity((0, 0, np.inf)), "acceleration of Gravity must be finite"),
+        (lambda: pt.PrescribedMotion("tip", (np.nan, 0, 0)), "PrescribedMotion of 'tip' must be finite"),
+        (lambda: pt.PrescribedMotion("tip", lambda p, t: p * np.nan), "PrescribedMotion of 'tip' must be finite"),
+        (lambda: "push", "loads must be of SurfaceForce, Gravity, PrescribedMotion, .* got 'push'"),
     ],
 )
 def test_a_load_that_cannot_be_is_refused_by_name(held, load, message):
@@ -74,9 +77,9 @@ def test_two_motions_of_one_node_are_refused(held):
         pt.rollout(held, [pt.PrescribedMotion("x+", (0, 0, 0)), MOVE], duration=1e-3, every=5e-4)
 
 
-def test_a_traction_on_a_driven_group_is_refused(held):
+def test_a_surface_force_on_a_prescribed_group_is_refused(held):
     loads = [pt.SurfaceForce("x+", force=(1, 0, 0)), pt.PrescribedMotion("x+", (0, 0, 0))]
-    with pytest.raises(pt.InputError, match="fixed or driven; load another group"):
+    with pytest.raises(pt.InputError, match="all fixed or prescribed; load another group"):
         pt.rollout(held, loads, duration=1e-3, every=5e-4)
 
 
@@ -130,7 +133,7 @@ def test_a_force_and_a_moment_of_one_traction_and_of_two_are_the_same(held):
 def test_a_moment_on_nodes_in_one_line_is_refused_by_name(bar, tissue, group):
     cloud = replace(bar, groups={**bar.groups, "line": np.sort(bar.group("x+")[group])})
     model = pt.Solid(cloud, tissue, stiffness_damping=0.0)
-    with pytest.raises(pt.InputError, match=r"moment of Traction on 'line'.*one line or at one point"):
+    with pytest.raises(pt.InputError, match=r"SurfaceForce 'line' must be a face .*one line or at one point"):
         model.prepare([pt.SurfaceForce("line", force=(1, 0, 0), moment=(1, 0, 0))])
     model.prepare([pt.SurfaceForce("line", force=(1, 0, 0))])
 
@@ -144,7 +147,7 @@ def test_a_moment_on_a_sheet_acts_on_its_face_and_not_on_its_edge():
     arms = np.pad(cloud.points, ((0, 0), (0, 1)))
     np.testing.assert_allclose(force.sum(axis=0), 0, atol=1e-12 * np.abs(force).sum())
     np.testing.assert_allclose(np.cross(arms, force).sum(axis=0), (1.0, 2.0, 3.0), rtol=1e-12)
-    with pytest.raises(pt.InputError, match=r"moment of Traction on 'edge1'.*one line"):
+    with pytest.raises(pt.InputError, match=r"SurfaceForce 'edge1' must be a face .*one line"):
         model.prepare([pt.SurfaceForce("edge1", moment=(0.0, 0.0, 1.0))])
 
 

@@ -1,0 +1,92 @@
+"""Forces, moments and pressures on a face of a body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
+from palpate.dynamics.loads.values import Vector, vectors_at
+from palpate.faults import InputError
+from palpate.meshfree.cloud import Cloud
+
+__all__ = ["SurfaceForce"]
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class SurfaceForce(DeadLoad):
+    """A force, a moment or a pressure on the face that a group of nodes makes up (equation 4).
+
+    Give a force, a moment or both, or a pressure.
+
+    Parameters
+    ----------
+    group : str
+        Nodes of one face of the body.
+    force : (3,) sequence, or function of time [s] that returns one, optional [N]
+        Total force, spread evenly over the face's reference area, fixed in direction.
+    moment : (3,) sequence, or function of time [s] that returns one, optional [N m]
+        Total moment about the centroid of the face's reference area. Its traction, c x (X - centroid) with one c for
+        the face, is fixed in direction too and sums to no force.
+    pressure : float, or function of time [s], optional [Pa]
+        Pressure on the deformed face: it follows the face as it moves and turns, and pushes against its normal. On a
+        membrane the normal is +z and the face is that of the group's nodes; a force is spread over the flat edge that
+        the group makes up, or else over its nodes' areas.
+
+    Raises
+    ------
+    InputError
+        Neither a force, a moment nor a pressure, or a pressure together with one of them.
+    """
+
+    group: str
+    force: Vector | None = None
+    moment: Vector | None = None
+    pressure: float | Callable[[float], float] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.force is None and self.moment is None) == (self.pressure is None):
+            raise InputError(
+                f"SurfaceForce on {self.group!r} must have a force [N], a moment [N m] or both, or a pressure [Pa]"
+            )
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        given = [name for name in ("force", "moment") if getattr(self, name) is not None]
+        return tuple(f"{name} {axis}" for name in given for axis in AXES)
+
+    def pattern(self, cloud: Cloud, areas: Floats) -> ForcePattern:
+        nodes, shares = cloud.group(self.group), np.linalg.norm(areas, axis=1)
+        shares /= shares.sum()
+        forces = []
+        if self.force is not None:
+            forces.append(shares[:, None, None] * np.eye(3))
+        if self.moment is not None:
+            forces.append(self._moment_pattern(cloud.points[nodes], shares))
+        return ForcePattern(nodes, np.concatenate(forces, axis=1))
+
+    def amplitudes(self, times: Floats) -> Floats:
+        given = [(name, getattr(self, name)) for name in ("force", "moment") if getattr(self, name) is not None]
+        values = [vectors_at(value, times, f"{name} of SurfaceForce on {self.group!r}") for name, value in given]
+        return np.hstack(values)
+
+    def _moment_pattern(self, points: Floats, shares: Floats) -> Floats:
+        """Return forces [N] of nodes at `points` (g, d) [m] for unit moments [N m], shape (g, 3, 3).
+
+        A_i (c x r_i) with r_i = X_i - centroid and the area A_i has the moment I c, I = sum A_i (|r_i|^2 1 - r_i r_i^T).
+        """
+        arms = np.pad(points - shares @ points, ((0, 0), (0, 3 - points.shape[1])))
+        crossed = np.cross(np.eye(3), arms[:, None])  # (g, 3, 3), row c is e_c x r_i
+        inertia = np.einsum("g,gia,gja->ij", shares, crossed, crossed)
+        smallest, _, largest = np.linalg.eigvalsh(inertia)
+        if smallest <= 1e-9 * largest:
+            raise InputError(
+                f"group of SurfaceForce {self.group!r} must be a face for a moment; its nodes are on one line or at one "
+                "point"
+            )
+        return np.asarray(np.einsum("g,gia,ij->gja", shares, crossed, np.linalg.inv(inertia)))

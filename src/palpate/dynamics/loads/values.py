@@ -1,0 +1,55 @@
+"""Values of loads at the times of some steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.faults import InputError, brief
+
+__all__ = ["Vector", "arrays_at", "scalars_at", "vectors_at"]
+
+Vector = Sequence[float] | Callable[[float], Sequence[float]]
+
+
+def vectors_at(value: Vector | None, times: Floats, name: str) -> Floats:
+    """Return the values (t, 3) of a vector at some times [s]; zero for None.
+
+    Parameters
+    ----------
+    value : (3,) sequence, or function of time [s] that returns one, or None
+    times : (t,) array [s]
+    name : str
+        Of the value, for errors.
+
+    Raises
+    ------
+    InputError
+        A value of another shape, or not finite.
+    """
+    if value is None:
+        return np.zeros((len(times), 3))
+    return arrays_at([value(float(t)) if callable(value) else value for t in times], (3,), times, name)
+
+
+def scalars_at(value: float | Callable[[float], float], times: Floats, name: str) -> Floats:
+    """Return the values (t,) of a number, or of a function of time [s]; raise as `vectors_at` does."""
+    return arrays_at([value(float(t)) if callable(value) else value for t in times], (), times, name)
+
+
+def arrays_at(values: list[Any], shape: tuple[int, ...], times: Floats, name: str) -> Floats:
+    """Stack values over times, shape (t, *shape); raise as `vectors_at` does."""
+    try:
+        array = np.array(values, dtype=float)
+    except (ValueError, TypeError, OverflowError):
+        array = np.zeros(0)
+    if array.shape != (len(times), *shape):
+        wanted = {(): "a number", (3,): "three numbers"}.get(shape, f"an array of shape {shape}")
+        raise InputError(f"{name} must be {wanted}, got {brief(values[0])}")
+    bad = np.flatnonzero(~np.isfinite(array.reshape(len(times), -1)).all(axis=1))
+    if bad.size:
+        raise InputError(f"{name} must be finite, got {brief(values[bad[0]])} at t = {times[bad[0]]:g} s")
+    return array
