@@ -33,7 +33,7 @@ class Snapshot(Period):
         Force on the hand: through the virtual coupling, if there is one.
     nodes, forces : (e,) int array, (e, 3) array [N]
         Touched places in the model's skin, and forces on them, for the model's own moduli.
-    firmness : float
+    modulus_ratio : float
         Moduli over the model's own.
     tool : str
         One of `TOOLS`.

@@ -126,7 +126,7 @@ def law_digest(module: str, *what: object) -> str:
 
 
 def _text(item: object) -> str:
-    """Return the sources of a function and of the functions and constants that it uses, or the repr of another value."""
+    """Return the sources of a function and of all that it uses, or the repr of another value."""
     if not inspect.isfunction(item):
         return repr(item)
     found: dict[object, str] = {}

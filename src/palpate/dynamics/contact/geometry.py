@@ -199,7 +199,7 @@ def contacts(
     ----------
     loads : sequence of Contact
     cloud : Cloud
-    held_until : (n,) array [s]
+    prescribed_until : (n,) array [s]
         When tools that hold nodes let go.
     patches : csr_array, optional
         (n, n) weights of the nodes in the displacements of the patches that tools touch; by default the nodes.

@@ -258,7 +258,8 @@ def prepare_loads(
             foundations.append((nodes, load.stiffness * areas, load.damping * areas))
         elif not isinstance(load, Gravity | Contact):
             raise InputError(
-                f"loads must be of SurfaceForce, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got {load!r:.200}"
+                "loads must be of SurfaceForce, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got "
+                f"{load!r:.200}"
             )
     for load in loads:
         if isinstance(load, DeadLoad) and np.all(kind[cloud.group(load.group)] != FREE):

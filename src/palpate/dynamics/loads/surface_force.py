@@ -78,7 +78,8 @@ class SurfaceForce(DeadLoad):
     def _moment_pattern(self, points: Floats, shares: Floats) -> Floats:
         """Return forces [N] of nodes at `points` (g, d) [m] for unit moments [N m], shape (g, 3, 3).
 
-        A_i (c x r_i) with r_i = X_i - centroid and the area A_i has the moment I c, I = sum A_i (|r_i|^2 1 - r_i r_i^T).
+        With r_i = X_i - centroid and areas A_i, the forces A_i (c x r_i) have the moment I c,
+        I = sum A_i (|r_i|^2 1 - r_i r_i^T).
         """
         arms = np.pad(points - shares @ points, ((0, 0), (0, 3 - points.shape[1])))
         crossed = np.cross(np.eye(3), arms[:, None])  # (g, 3, 3), row c is e_c x r_i
@@ -86,7 +87,7 @@ class SurfaceForce(DeadLoad):
         smallest, _, largest = np.linalg.eigvalsh(inertia)
         if smallest <= 1e-9 * largest:
             raise InputError(
-                f"group of SurfaceForce {self.group!r} must be a face for a moment; its nodes are on one line or at one "
-                "point"
+                f"group of SurfaceForce {self.group!r} must be a face for a moment; its nodes are on one line "
+                "or at one point"
             )
         return np.asarray(np.einsum("g,gia,ij->gja", shares, crossed, np.linalg.inv(inertia)))

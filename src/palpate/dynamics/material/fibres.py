@@ -38,9 +38,9 @@ class FibrePoints(NamedTuple):
     ----------
     digest : str
         Of what they are made from; empty without fibres.
-    stressed : function
+    add_stress : function
         ``stressed(P, d0, ..., d8, b, v, families)`` returns P, nine numbers, with the stress of the fibres.
-    charged : function
+    add_energy : function
         ``charged(W, d0, ..., d8, b, v, families)`` returns W with their energy.
     """
 

@@ -40,7 +40,7 @@ NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress
 
 
 class AdditionalStressData(NamedTuple):
-    """What the functions of `Beside` read and write: of `Families`, of `Relaxation` and of the `Memory` of points."""
+    """Arrays that the functions of `AdditionalStress` read and write: of fibres, relaxation and history variables."""
 
     coefficients: Floats
     directions: Floats

@@ -56,7 +56,7 @@ class Membrane(NodalModel):
     form : str
         ``"energy"``: nodal forces are the derivative of a nodally summed energy, stable in every state of tension.
         ``"strong"``: the equations of motion are collocated; a slack or wrinkling sheet is not stable then.
-    viscosity : float, optional [s]
+    stiffness_damping : float, optional [s]
         Stiffness-proportional viscosity beta of C = beta K in (29). By default 0.1 over the highest frequency, so that
         waves as short as the spacing lose a tenth of their amplitude in a third of a period; 0.5 over it in the
         strong form.

@@ -154,7 +154,8 @@ class NodalModel(Model):
         self._restore_history(state)
         before = 0.0 if self.conservative else tool_power(self, state, prepared)
         work, lost, tools = self._advance(
-            u, v, step, self.stiffness_damping, self.wave_speed, self.body, self.work, prepared.places, prepared.contacts, schedule,
+            u, v, step, self.stiffness_damping, self.wave_speed, self.body, self.work, prepared.places,
+            prepared.contacts, schedule,
             self.volumes, self.weights * self.material.density, self.material.density, self.slot, self.half_cell,
             force, previous, surface, at,
         )  # fmt: skip

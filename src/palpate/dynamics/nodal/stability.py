@@ -49,7 +49,7 @@ class ElasticBody(Protocol):
 
     Parameters
     ----------
-    viscosity : float [s]
+    stiffness_damping : float [s]
     highest_frequency : function
         Of displacements (n, 3) [m] and fixed nodes (n,): the highest frequency [rad/s].
     """

@@ -30,7 +30,7 @@ class Recorder:
     path : path or None
     model : str
     points : (n, d) array [m]
-    viscosity : float [s]
+    stiffness_damping : float [s]
     label : str
         See `Trajectory`.
 

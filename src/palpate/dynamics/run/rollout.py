@@ -230,8 +230,9 @@ def _diverged(
     if node is not None:
         where = f"{which} node {node} at {np.array2string(model.cloud.points[node], precision=4)} m"
     return DivergenceError(
-        f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, viscosity {model.stiffness_damping:.3g} s. "
-        f"Try more viscosity (stiffness_damping={2 * max(model.stiffness_damping, 1e-5):.2g}), smaller loads, or a finer spacing"
+        f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, stiffness damping {model.stiffness_damping:.3g} s. "
+        f"Try more damping (stiffness_damping={2 * max(model.stiffness_damping, 1e-5):.2g}), smaller loads, or a finer "
+        "spacing"
     )
 
 

@@ -57,13 +57,13 @@ class Solid(NodalModel):
         nodes.
     fixed : str or sequence of str
         Groups that are held (equation 5); none leaves the body free.
-    viscosity : float, optional [s]
-        Stiffness-proportional viscosity beta of C = beta K in (29). By default it is chosen from the spectrum of the
+    stiffness_damping : float, optional [s]
+        Rayleigh stiffness damping beta of C = beta K in (29). By default it is chosen from the spectrum of the
         linearised body: see `palpate.dynamics.nodal.stability`.
     form : str
         ``"strong"``: the equations of motion are collocated at the nodes, as the paper does. ``"energy"``: the nodal
-        forces are the slope of an energy summed over nodes (`palpate.dynamics.solid.energy_form`): nothing makes energy, no
-        viscosity is needed, and bending is truer; a sampled reduced model is a part of the same sum.
+        forces are the derivative of an energy summed over nodes (`palpate.dynamics.solid.energy_form`). It conserves
+        energy, needs no damping, and bends more accurately; hyper-reduction samples the same sum.
     stiffness : mapping of str to float, or (n,) array, optional
         Of the energy form: how many times stiffer than the law the tissue of some groups, or of every node, is (a
         tumour in a liver).
