@@ -28,6 +28,8 @@ demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	$(BIN)/palpate reproduce beam --out $(OUT)
 	@echo "The report, the figures and the files for ParaView are in $(abspath $(OUT)):"
 	@ls -1 $(OUT)
+	@echo "Next, a liver to press on a page in the browser; its first start trains a model, in some minutes:"
+	@echo "  $(BIN)/palpate view liver"
 
 test: $(VENV)/.installed-test ## run the tests
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -48,7 +50,7 @@ clean: ## remove results, builds and caches, but not .venv
 	rm -rf out build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
 	find src tests validation benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
-$(VENV)/.installed-demo: EXTRAS :=
+$(VENV)/.installed-demo: EXTRAS := [film,view]
 $(VENV)/.installed-test: EXTRAS := [test]
 $(VENV)/.installed-dev: EXTRAS := [dev]
 $(VENV)/.installed-%: pyproject.toml $(PAGE) | $(BIN)/python

@@ -1,4 +1,4 @@
-"""Bundles the page when the package is built: by Node from the machine, else from PyPI."""
+"""Bundles the page when the package is built, by Node from the machine or from PyPI, and adds the documentation."""
 
 from __future__ import annotations
 
@@ -24,6 +24,9 @@ class PageBuildHook(BuildHookInterface):
         return [] if self._current() or _own_node() else [NODE]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        if self.target_name == "wheel" and version != "editable":  # `palpate --help` names the pages there
+            pages = Path(self.root, "docs").glob("*.md")
+            build_data["force_include"].update({str(page): f"palpate/docs/{page.name}" for page in pages})
         if self._current():
             return
         page = Path(self.root, "page")

@@ -26,16 +26,16 @@ def materials(poisson: float) -> dict[str, Any]:
     from palpate.tissue.catalogue import LAWS
 
     given = {"density": 1000.0, "poisson": poisson}
-    made = {law.name: getattr(pt, law.name)(**law.example, **given) for law in LAWS}
+    made = {law.name: getattr(pt.materials, law.name)(**law.example, **given) for law in LAWS}
     own = {"C1": 5e3, "C2": 1e3, "C3": 200.0}
     text = "C1*(I1 - 3 - 2*log(J)) + C2*(I1 - 3 - 2*log(J))**2 + C3*(I1 - 3 - 2*log(J))**3"
-    made["Hyperelastic, as Yeoh"] = pt.Hyperelastic(text, **own, **given)
+    made["Hyperelastic, as Yeoh"] = pt.materials.Hyperelastic(text, **own, **given)
     if poisson == 0.5:
         del made["LinearElastic"]
     else:
-        series = pt.Prony(shares=(0.3, 0.2, 0.1), times=(0.01, 0.1, 1.0))
-        made["Prony, three branches"] = pt.NeoHookean(C1=5e3, prony=series, **given)
-    return {**made, "NeoHookean again": pt.NeoHookean(C1=5e3, **given)}
+        series = pt.materials.Prony(shares=(0.3, 0.2, 0.1), times=(0.01, 0.1, 1.0))
+        made["Prony, three branches"] = pt.materials.NeoHookean(C1=5e3, prony=series, **given)
+    return {**made, "NeoHookean again": pt.materials.NeoHookean(C1=5e3, **given)}
 
 
 def fibres() -> dict[str, Any]:
@@ -44,9 +44,9 @@ def fibres() -> dict[str, Any]:
 
     hgo, along = {"k1": 20e3, "k2": 2.0, "dispersion": 0.1}, (1.0, 0.0, 0.0)
     return {
-        "Fibres, one family": pt.Fibres(**hgo, directions=along),
-        "Fibres, two families": pt.Fibres(**hgo, directions=(along, (0.6, 0.8, 0.0))),
-        "Guccione": pt.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=along),
+        "Fibres, one family": pt.materials.Fibres(**hgo, directions=along),
+        "Fibres, two families": pt.materials.Fibres(**hgo, directions=(along, (0.6, 0.8, 0.0))),
+        "Guccione": pt.materials.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=along),
     }
 
 
@@ -56,11 +56,11 @@ def regions() -> dict[str, tuple[Any, Any]]:
 
     given = {"density": 1000.0, "poisson": 0.45}
     return {
-        "NeoHookean, two regions": (pt.NeoHookean(C1=5e3, **given), pt.NeoHookean(C1=9e3, **given)),
-        "Gent, two regions": (pt.Gent(mu=10e3, Jm=3.0, **given), pt.Gent(mu=20e3, Jm=1.5, **given)),
+        "NeoHookean, two regions": (pt.materials.NeoHookean(C1=5e3, **given), pt.materials.NeoHookean(C1=9e3, **given)),
+        "Gent, two regions": (pt.materials.Gent(mu=10e3, Jm=3.0, **given), pt.materials.Gent(mu=20e3, Jm=1.5, **given)),
         "Ogden, two regions": (
-            pt.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), **given),
-            pt.Ogden(C=(600.0, 300.0), alpha=(3.0, -5.0), **given),
+            pt.materials.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), **given),
+            pt.materials.Ogden(C=(600.0, 300.0), alpha=(3.0, -5.0), **given),
         ),
     }
 

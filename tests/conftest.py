@@ -18,7 +18,7 @@ def jittered_points():
 
 @pytest.fixture(scope="session")
 def tissue():
-    return pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45)
+    return pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45)
 
 
 @pytest.fixture(scope="session")

@@ -49,9 +49,9 @@ TEXT = "C1*(I1bar - 3) + C2*(exp(b*(I1bar - 3)) - 1)"
 Stress = Callable[[np.ndarray], np.ndarray]
 
 
-def law_of(name: str, poisson: float) -> pt.Material:
+def law_of(name: str, poisson: float) -> pt.materials.Material:
     if name == "Hyperelastic":
-        return pt.Hyperelastic(TEXT, C1=4e3, C2=1e3, b=2.0, density=1000.0, poisson=poisson)
+        return pt.materials.Hyperelastic(TEXT, C1=4e3, C2=1e3, b=2.0, density=1000.0, poisson=poisson)
     found = next(law for law in LAWS if law.name == name)
     return found.kind(**found.example, density=1000.0, poisson=poisson)
 
@@ -104,7 +104,7 @@ def gauss(start: float, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
     return start + (1 - start) * (s + 1) / 2, w * (1 - start) / 2
 
 
-def torsion_reference(law: pt.Material) -> tuple[Any, dict[str, float], dict[str, float]]:
+def torsion_reference(law: pt.materials.Material) -> tuple[Any, dict[str, float], dict[str, float]]:
     """The radius over a, and moment [N m] and axial force [N]: of the law, and were it incompressible."""
     psi, stress, start = TWIST, printed(law).stress, 1e-4
 
@@ -127,7 +127,7 @@ def torsion_reference(law: pt.Material) -> tuple[Any, dict[str, float], dict[str
     return radius, both[0], both[1]
 
 
-def sphere_reference(law: pt.Material) -> tuple[Any, dict[str, float], dict[str, float]]:
+def sphere_reference(law: pt.materials.Material) -> tuple[Any, dict[str, float], dict[str, float]]:
     """The radius over the outer one, and the pressure [Pa]: of the law, and were it incompressible."""
     stress, start = printed(law).stress, INNER / OUTER
 
@@ -226,7 +226,7 @@ def shell(layers: int) -> pt.Cloud:
 # the full model
 
 
-def torsion(law: pt.Material, rings: int, radius: Any) -> dict[str, float]:
+def torsion(law: pt.materials.Material, rings: int, radius: Any) -> dict[str, float]:
     """Moment and axial force of the twisted cylinder, `radius` the exact one by which its ends move."""
     cloud = cylinder(rings)
     X = cloud.points
@@ -248,7 +248,7 @@ def torsion(law: pt.Material, rings: int, radius: Any) -> dict[str, float]:
     }
 
 
-def sphere(law: pt.Material, layers: int, radius: Any) -> dict[str, float]:
+def sphere(law: pt.materials.Material, layers: int, radius: Any) -> dict[str, float]:
     """Pressure of the octant of the sphere."""
     cloud = shell(layers)
     X, inner = cloud.points, cloud.group("inner")

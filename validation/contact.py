@@ -28,7 +28,7 @@ from palpate.dynamics.contact.impulses import push
 HERE = Path(__file__).parent
 OUTPUT = HERE.parent / "docs" / "validation" / "contact.json"
 PICTURE = HERE.parent / "docs" / "images" / "contact.png"
-LAW = pt.MooneyRivlin(C1=2667.0, C2=667.0, density=1000.0, poisson=0.45)
+LAW = pt.materials.MooneyRivlin(C1=2667.0, C2=667.0, density=1000.0, poisson=0.45)
 SHEAR, POISSON = LAW.shear_modulus, 0.45
 YOUNG = 2 * SHEAR * (1 + POISSON)
 WIDTH, DEPTH, RADIUS, PUNCH, ROUNDING = 0.06, 0.03, 0.02, 0.01, 0.0005
@@ -76,11 +76,11 @@ def pressed(tool: str, spacing: float, form: str, shift: float = 0.0, filled: bo
     """Forces on a block of nodes, and their noise; `shift` is the tool's place across the lattice, in spacings."""
     stiffness_damping = None if form == "energy" else 0.018 * spacing
     model = pt.Solid(block(spacing, filled), LAW, "z-", form=form, stiffness_damping=stiffness_damping)
-    shape, start = (pt.Sphere(RADIUS), RADIUS) if tool == "ball" else (pt.Punch(PUNCH, ROUNDING), 0.0)
+    shape, start = (pt.tools.Sphere(RADIUS), RADIUS) if tool == "ball" else (pt.tools.Punch(PUNCH, ROUNDING), 0.0)
     deepest = max(DEPTHS[tool])
     middle = WIDTH / 2 + shift * spacing
     way = lambda t: (middle, middle, DEPTH + start - deepest * min(t / TIME, 1.0))  # noqa: E731
-    run = pt.rollout(model, [pt.Contact(shape, way)], duration=TIME, every=EVERY, progress=False)
+    run = pt.rollout(model, [pt.tools.Contact(shape, way)], duration=TIME, every=EVERY, progress=False)
     force = -run.reactions["tool"][1:, 2]  # means over intervals
     depths = deepest * (run.times[1:] - EVERY / 2) / TIME
     smooth = np.convolve(force, np.ones(SMOOTH) / SMOOTH, "valid")
@@ -105,7 +105,7 @@ def overhead(spacing: float = 0.0018, rounds: int = 12) -> list[dict]:
     """Time that a ball pressed into the top adds to a step, and that of the step without it, both as medians."""
     model = pt.Solid(pt.box((WIDTH, WIDTH, DEPTH), spacing), LAW, "z-", form="energy")
     prepared, free = (
-        model.prepare([pt.Contact(pt.Sphere(RADIUS), (WIDTH / 2, WIDTH / 2, DEPTH + RADIUS))]),
+        model.prepare([pt.tools.Contact(pt.tools.Sphere(RADIUS), (WIDTH / 2, WIDTH / 2, DEPTH + RADIUS))]),
         model.prepare(()),
     )
     schedule, zero, state = prepared.schedule(np.array([0.0, 1e-4])), np.zeros((len(model.cloud), 3)), model.state(free)

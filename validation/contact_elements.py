@@ -21,7 +21,7 @@ class Block:
     Parameters
     ----------
     radius, depth : float [m]
-    law : palpate.MooneyRivlin
+    law : palpate.materials.MooneyRivlin
     fine : float [m]
         Size of the elements below the tool, out to `reach`; they grow from there.
     reach : float [m]

@@ -24,7 +24,7 @@ SIZE = (0.1, 0.02, 0.02)
 
 
 def body(spacing: float, poisson: float, form: str, pressure: str) -> pt.Solid:
-    law = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
+    law = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
     options = {"pressure": pressure} if form == "strong" else {}
     return pt.Solid(pt.box(SIZE, spacing), law, "x-", form=form, stiffness_damping=0.0, **options)
 

@@ -235,7 +235,7 @@ def _add(digest: Any, value: Any) -> None:
             _add(digest, value[name])
     elif isinstance(value, pt.ReducedModel):
         _add(digest, list(storage.contents(value)))
-    elif isinstance(value, pt.LinearModel):
+    elif isinstance(value, pt.lti.LinearModel):
         _add(digest, value.reduced)
         _add(digest, value.report)
     elif hasattr(value, "__dataclass_fields__"):
@@ -251,7 +251,7 @@ def _add(digest: Any, value: Any) -> None:
 @cache
 def bar() -> Any:
     """Return a small body in the energy form."""
-    tissue = pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45)
+    tissue = pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45)
     cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
     return pt.Solid(cloud, tissue, fixed="x-", form="energy", stiffness_damping=1e-4)
 
@@ -264,7 +264,7 @@ def push(time: float) -> Any:
 @cache
 def pressed() -> Any:
     """Return a run of the bar under a ball."""
-    return pt.rollout(bar(), [pt.Contact(pt.Sphere(0.008), push)], duration=0.02, every=0.002)
+    return pt.rollout(bar(), [pt.tools.Contact(pt.tools.Sphere(0.008), push)], duration=0.02, every=0.002)
 
 
 @cache
@@ -296,8 +296,8 @@ def reduced_kind(folder: Path) -> Trial:
 def linear_kind(folder: Path) -> Trial:
     """Return trials of the file of a linear model."""
     pull = pt.SurfaceForce("x+", force=lambda t: (1e-3 * t, 0.0, 0.0))
-    system = pt.linearise(bar(), [pull], ["x+"])
-    pt.save(pt.reduce_linear(system, "modal", 4), folder / "sound.lti")
+    system = pt.lti.linearise(bar(), [pull], ["x+"])
+    pt.save(pt.lti.reduce_linear(system, "modal", 4), folder / "sound.lti")
 
     def use(found: Any) -> None:
         assert np.isfinite(found.poles).all()
@@ -463,7 +463,7 @@ def material_kind(folder: Path) -> Trial:
             text = str(rng.choice(["exp(", "(", "-", "9**", "sqrt("])) * int(rng.integers(1, 1500)) + "I1"
             text += ")" * text.count("(")
         parameters = {name: 1e3 for name in ("C1", "C2") if name in text}
-        pt.Hyperelastic(text, density=1000.0, poisson=0.45, stable=None, **parameters)
+        pt.materials.Hyperelastic(text, density=1000.0, poisson=0.45, stable=None, **parameters)
         return "accepted"
 
     return trial
@@ -500,7 +500,7 @@ def curve_kind(folder: Path) -> Trial:
             at = int(rng.integers(len(data) + 1))
             data = data[:at] + str(rng.choice(bits)).encode() * int(rng.choice([1, 2, 1000])) + data[at:]
         (folder / "curve.csv").write_bytes(data)
-        for curve in pt.read_measurements(folder / "curve.csv"):
+        for curve in pt.io.read_measurements(folder / "curve.csv"):
             assert np.isfinite(curve.deformation).all()
             assert np.isfinite(curve.stress).all()
         return "accepted"
@@ -546,13 +546,13 @@ def surface_kind(suffix: str) -> Callable[[Path], Trial]:
             pyvista.PolyData(np.asarray(ball.vertices), faces).save(path)
         else:
             ball.export(path)
-        data, sound = path.read_bytes(), pt.read_surface(path, units="m")
+        data, sound = path.read_bytes(), pt.io.read_surface(path, units="m")
 
         def trial(rng: Rng, folder: Path) -> str:
             changed = folder / f"changed.{suffix}"
             changed.write_bytes(damaged(rng, data))
-            found = pt.read_surface(changed, units="m", mend=bool(rng.integers(2)))
-            pt.check_surface(found)
+            found = pt.io.read_surface(changed, units="m", mend=bool(rng.integers(2)))
+            pt.io.check_surface(found)
             same = np.array_equal(found.vertices, sound.vertices) and np.array_equal(found.triangles, sound.triangles)
             return "equal" if same else "accepted"  # surfaces of others have no checksum
 

@@ -138,9 +138,9 @@ def _solid(draw: _Draw) -> pt.Solid:
     density = draw(1000.0)
     compressible: dict[str, float] = {"poisson": draw(0.45)} if draw.rng.random() < 0.8 else {"bulk": draw(1e5)}
     if draw.rng.random() < 0.5:
-        material: Any = pt.NeoHookean(C1=draw(5e3), density=density, **compressible)
+        material: Any = pt.materials.NeoHookean(C1=draw(5e3), density=density, **compressible)
     else:
-        material = pt.MooneyRivlin(C1=draw(8e3), C2=draw(2e3), density=density, **compressible)
+        material = pt.materials.MooneyRivlin(C1=draw(8e3), C2=draw(2e3), density=density, **compressible)
     form = draw.one_of("strong", "energy")
     given: dict[str, Any] = {"stiffness_damping": draw(6e-5)} if draw.rng.random() < 0.7 else {}
     if form == "energy" and draw.rng.random() < 0.1:
@@ -152,7 +152,7 @@ def _sheet(draw: _Draw) -> pt.Membrane:
     cloud = pt.disc(draw(0.1), draw(0.025))
     if len(cloud) > 1000:
         raise pt.InputError("too many nodes for a trial")
-    material = pt.NeoHookean(C1=draw(1e5), density=draw(1000.0), poisson=0.5)
+    material = pt.materials.NeoHookean(C1=draw(1e5), density=draw(1000.0), poisson=0.5)
     given = {"stiffness_damping": draw(1e-5)} if draw.rng.random() < 0.3 else {}
     return pt.Membrane(cloud, material, draw(1e-4), "rim", prestretch=draw(1.1), **given)
 
@@ -173,11 +173,11 @@ def _loads(draw: _Draw, plane: bool) -> list[Any]:
     elif kind == "contact":
         height = 0.012 if plane else SIZE + 0.012
         place = (0.0, 0.0, height) if plane else (SIZE / 2, SIZE / 2, height)
-        tool = draw.one_of(pt.Sphere, lambda r: pt.Capsule(r, draw(0.01)), pt.Punch)(draw(0.01))
-        loads.append(pt.Contact(tool, (draw.vector(*place), draw.vector(0.0, 0.0, 0.1)), friction=draw(0.2)))
+        tool = draw.one_of(pt.tools.Sphere, lambda r: pt.tools.Capsule(r, draw(0.01)), pt.tools.Punch)(draw(0.01))
+        loads.append(pt.tools.Contact(tool, (draw.vector(*place), draw.vector(0.0, 0.0, 0.1)), friction=draw(0.2)))
     elif kind == "grasp":
         turned = ((*centre, 0.0)[:3], draw.vector(0.0, 0.0, 0.1))
-        loads.append(pt.Grasp(draw.vector(*centre), draw(0.03 if plane else 0.006), turned, until=draw(1e-3)))
+        loads.append(pt.tools.Grasp(draw.vector(*centre), draw(0.03 if plane else 0.006), turned, until=draw(1e-3)))
     return loads
 
 

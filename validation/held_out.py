@@ -45,7 +45,7 @@ NAMES = ("displacement", "velocity", "energy", "reaction")
 
 def body() -> pt.Solid:
     """Return the paper's beam in its energy form."""
-    tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
+    tissue = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
     return pt.Solid(pt.box((0.2, 0.02, 0.02), 0.005), tissue, "x-", form="energy")
 
 

@@ -45,8 +45,8 @@ CENTRE = np.array([SIZE[0], SIZE[1] / 2, SIZE[2] / 2])
 REFUSED = (pt.InputError, pt.CloudError, RuntimeError, ValueError)
 
 
-def tissue(poisson: float, volumetric: str = "quadratic") -> pt.NeoHookean:
-    return pt.NeoHookean(C1=1400.0, density=1000, poisson=poisson, volumetric=volumetric)
+def tissue(poisson: float, volumetric: str = "quadratic") -> pt.materials.NeoHookean:
+    return pt.materials.NeoHookean(C1=1400.0, density=1000, poisson=poisson, volumetric=volumetric)
 
 
 def turned(axis: int, angle: float):
@@ -207,7 +207,7 @@ def put(kind: str, key: dict, found: dict) -> None:
     print(*key.values(), short, flush=True)
 
 
-def element_answer(case: str, law: pt.NeoHookean, cells: tuple[int, int, int]) -> tuple[float, list, list]:
+def element_answer(case: str, law: pt.materials.NeoHookean, cells: tuple[int, int, int]) -> tuple[float, list, list]:
     """Answer of the elements, and their pressures [Pa] and where [m]."""
     import incompressible_elements as elements
 

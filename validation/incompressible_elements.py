@@ -32,7 +32,7 @@ def quadratic(mesh: fem.Mesh) -> fem.Mesh:
 class ThreeFields:
     """A body of a neo-Hookean law on a mesh of 27-node hexahedra."""
 
-    def __init__(self, mesh: fem.Mesh, law: pt.NeoHookean) -> None:
+    def __init__(self, mesh: fem.Mesh, law: pt.materials.NeoHookean) -> None:
         pressure, lame = volumetric_form(law.volumetric).pressure, law.lame
         self.field = fem.FieldsMixed(fem.RegionTriQuadraticHexahedron(mesh), n=3)
         umat = fem.NearlyIncompressible(
@@ -68,7 +68,7 @@ class ThreeFields:
         return middles, np.asarray(self.field[1].values).reshape(len(middles), -1).mean(axis=1)
 
 
-def moved_end(law: pt.NeoHookean, size, cells, motion, steps: int) -> tuple[ThreeFields, np.ndarray]:
+def moved_end(law: pt.materials.NeoHookean, size, cells, motion, steps: int) -> tuple[ThreeFields, np.ndarray]:
     """A block with a clamped end, its other end moved; `motion(points, share)` is its displacement [m]."""
     body = ThreeFields(quadratic(hexahedra(size, cells)), law)
     end, held = np.isclose(body.points[:, 0], size[0]), np.zeros(body.points.shape, dtype=bool)
@@ -80,7 +80,9 @@ def moved_end(law: pt.NeoHookean, size, cells, motion, steps: int) -> tuple[Thre
     return body, end
 
 
-def cook(law: pt.NeoHookean, size, cells, taper, traction: float, steps: int) -> tuple[ThreeFields, np.ndarray]:
+def cook(
+    law: pt.materials.NeoHookean, size, cells, taper, traction: float, steps: int
+) -> tuple[ThreeFields, np.ndarray]:
     """Cook's slab in plane strain under a shear traction [Pa] on its right end."""
     flat = hexahedra(size, cells)
     flat.points[:] = taper(flat.points)

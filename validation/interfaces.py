@@ -28,8 +28,8 @@ from palpate.reduction.basis.linear_modes import rest_stiffness
 OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "interfaces.json"
 LENGTH, ACROSS = 0.08, 4  # cells across: the lattice is even in all directions
 TISSUE = {"density": 1000.0, "poisson": 0.0}
-SOFT = pt.Gent(mu=8e3, Jm=3.0, density=1000.0, poisson=0.3)
-FIRM = pt.Gent(mu=20e3, Jm=0.5, density=1000.0, poisson=0.4)
+SOFT = pt.materials.Gent(mu=8e3, Jm=3.0, density=1000.0, poisson=0.3)
+FIRM = pt.materials.Gent(mu=20e3, Jm=0.5, density=1000.0, poisson=0.4)
 STRETCH = 1.5  # of the softer half of a large pull
 
 
@@ -63,8 +63,8 @@ def middle(cells: int) -> float:
 
 def small(cells: int, ratio: float, kind: str) -> float:
     """Error of the stretch of a bar whose further half is stiffer, told by `kind`."""
-    cloud, law, stress = bar(cells), pt.NeoHookean(C1=5e3, **TISSUE), 1.0
-    stiff = pt.NeoHookean(C1=5e3 * ratio, **TISSUE)
+    cloud, law, stress = bar(cells), pt.materials.NeoHookean(C1=5e3, **TISSUE), 1.0
+    stiff = pt.materials.NeoHookean(C1=5e3 * ratio, **TISSUE)
     if kind == "materials":
         model = pt.Solid(cloud, {"": law, "far": stiff}, "x-", form="energy")
     else:
@@ -77,12 +77,12 @@ def small(cells: int, ratio: float, kind: str) -> float:
     return tip(model, u) / (stress / 2e4 * (place + (LENGTH - place) / ratio)) - 1
 
 
-def pull(material: pt.Material, stretch: float) -> float:
+def pull(material: pt.materials.Material, stretch: float) -> float:
     """Stress P11 [Pa] of tissue whose sides are held."""
     return float(material.stress(np.diag([stretch, 1.0, 1.0]))[0, 0])
 
 
-def large(cells: int, first: pt.Material, second: pt.Material) -> float:
+def large(cells: int, first: pt.materials.Material, second: pt.materials.Material) -> float:
     """Error of the stretch of a bar of two materials, its sides held."""
     cloud, stress = bar(cells), pull(SOFT, STRETCH)
     model = pt.Solid(cloud, {"": first, "far": second}, "x-", form="energy")

@@ -39,8 +39,8 @@ Writer = tuple[str, Callable[[Path, int], None], Callable[[Path], Any]]
 def writers() -> dict[str, Writer]:
     """Return, by name, the file's name, a function that writes one of two contents, and one that loads it."""
     run, body, seen = pressed(), model(), recording()
-    system = pt.linearise(bar(), [pt.SurfaceForce("x+", force=lambda t: (t, 0.0, 0.0))], ["x+"])
-    linear = [pt.reduce_linear(system, "modal", k) for k in (3, 4)]
+    system = pt.lti.linearise(bar(), [pt.SurfaceForce("x+", force=lambda t: (t, 0.0, 0.0))], ["x+"])
+    linear = [pt.lti.reduce_linear(system, "modal", k) for k in (3, 4)]
     runs = [run, replace(run, model="other")]
     bodies = [body, body.with_step(1e-4)]
     records = [seen, replace(seen, title="Other")]
@@ -83,7 +83,7 @@ def writers() -> dict[str, Writer]:
         ),
         "black box": ("box.h5", black_box, some_hdf5),
         "ParaView": ("body.vtkhdf", paraview, some_hdf5),
-        "MATLAB": ("system.mat", lambda path, k: pt.save_matlab(system, path), matlab),
+        "MATLAB": ("system.mat", lambda path, k: pt.lti.save_matlab(system, path), matlab),
     }  # fmt: skip
 
 

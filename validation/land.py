@@ -34,8 +34,8 @@ MOST = 100_000
 
 def beam(cells: int, bulk: float) -> Any:
     """Make the beam with some number of cells across."""
-    heart = pt.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=(1.0, 0.0, 0.0))
-    rest = pt.VolumeOnly(mu=2e3, density=1000.0, bulk=bulk)
+    heart = pt.materials.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=(1.0, 0.0, 0.0))
+    rest = pt.materials.VolumeOnly(mu=2e3, density=1000.0, bulk=bulk)
     cloud = pt.box((10 * MM, MM, MM), MM / cells)
     return pt.Solid(cloud, rest, "x-", form="energy", stiffness_damping=0.0, fibres=heart)
 

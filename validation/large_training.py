@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--modes", type=int, default=100)
     chosen = parser.parse_args()
     cloud = pt.box((0.1, 0.1, 0.1), 0.1 / (chosen.side - 1))
-    tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
+    tissue = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
     body = pt.Solid(cloud, tissue, "x-", form="energy", stiffness_damping=1e-6)
     run = states(cloud)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

@@ -39,18 +39,18 @@ PARTS = 4  # of the motion
 TEXT = "C1*(I1bar - 3) + C2*(exp(b*(I1bar - 3)) - 1)"
 
 
-def bodies() -> dict[str, tuple[Callable[[], pt.Material], Callable[[], pt.FibreLaw] | None]]:
+def bodies() -> dict[str, tuple[Callable[[], pt.materials.Material], Callable[[], pt.materials.FibreLaw] | None]]:
     """Every law with its example's parameters, one that is written down, and fibres."""
     everything: dict[str, Any] = {law.name: (lambda law=law: law.kind(**law.example, **GIVEN), None) for law in LAWS}
-    everything["Hyperelastic"] = (lambda: pt.Hyperelastic(TEXT, C1=4e3, C2=1e3, b=2.0, **GIVEN), None)
+    everything["Hyperelastic"] = (lambda: pt.materials.Hyperelastic(TEXT, C1=4e3, C2=1e3, b=2.0, **GIVEN), None)
     crossed = [(0.8, 0.6, 0.0), (0.8, -0.6, 0.0)]
     everything["Fibres"] = (
-        lambda: pt.NeoHookean(C1=5e3, **GIVEN),
-        lambda: pt.Fibres(k1=10e3, k2=3.0, dispersion=0.1, directions=crossed),
+        lambda: pt.materials.NeoHookean(C1=5e3, **GIVEN),
+        lambda: pt.materials.Fibres(k1=10e3, k2=3.0, dispersion=0.1, directions=crossed),
     )
     everything["Guccione"] = (
-        lambda: pt.VolumeOnly(mu=2e3, **GIVEN),
-        lambda: pt.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=(0.8, 0.6, 0.0)),
+        lambda: pt.materials.VolumeOnly(mu=2e3, **GIVEN),
+        lambda: pt.materials.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=(0.8, 0.6, 0.0)),
     )
     return everything
 

@@ -87,7 +87,7 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     parser.add_argument("--split", default="coupled", choices=("coupled", "isochoric"))
     options = parser.parse_args()
-    body = pt.Solid(pt.box((0.03, 0.01, 0.01), 0.0025), pt.NeoHookean(C1=5e3, **REST), "x-", form="energy")
+    body = pt.Solid(pt.box((0.03, 0.01, 0.01), 0.0025), pt.materials.NeoHookean(C1=5e3, **REST), "x-", form="energy")
     run = pt.rollout(body, [pt.SurfaceForce("x+", force=(0.3, 0.05, -0.02))], duration=0.01, every=1e-3, progress=False)
     parts = pt.hyper_reduce(body, run, modes=4).parts
     with tempfile.TemporaryDirectory() as folder:

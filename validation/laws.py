@@ -31,14 +31,14 @@ GIVEN = {"density": 1000.0, "poisson": 0.5}
 TEXT = "C1*(I1bar - 3) + C2*(exp(b*(I1bar - 3)) - 1)"
 
 
-def curve(material: pt.Material, kind: str, amount: np.ndarray) -> np.ndarray:
+def curve(material: pt.materials.Material, kind: str, amount: np.ndarray) -> np.ndarray:
     """Nominal stress over the shear modulus by palpate; `amount` is the shear, or the stretch less 1."""
-    if isinstance(material, pt.LinearElastic):  # keeps the volume of small strains only
+    if isinstance(material, pt.materials.LinearElastic):  # keeps the volume of small strains only
         return {"uniaxial": 3.0, "equibiaxial": 6.0, "shear": 1.0}[kind] * amount
     return isochoric_stress(material, kind, amount + (kind != "shear")) / material.shear_modulus
 
 
-def dots(material: pt.Material, kind: str, amount: np.ndarray) -> np.ndarray:
+def dots(material: pt.materials.Material, kind: str, amount: np.ndarray) -> np.ndarray:
     """The same by the printed energy."""
     law = printed(compressible(material))
     F, s = np.zeros((len(amount), 3, 3)) + np.eye(3), amount + 1
@@ -59,17 +59,19 @@ def source(reference: str) -> str:
     return f"{names} {year[0] if year else ''}".strip()
 
 
-def law_panel(axis: Any, material: pt.Material, title: str, below: str) -> None:
+def law_panel(axis: Any, material: pt.materials.Material, title: str, below: str) -> None:
     for kind, (amount, colour) in PATHS.items():
         axis.plot(amount, curve(material, kind, amount), color=colour, label=kind)
-        if not isinstance(material, pt.LinearElastic):
+        if not isinstance(material, pt.materials.LinearElastic):
             few = amount[::12]
             axis.plot(few, dots(material, kind, few), ".", color=colour, markersize=5)
     axis.set(ylim=(-6, 6), xlim=(-0.5, 0.95))
     heading(axis, title, below)
 
 
-def fibre_panel(axis: Any, tissue: pt.Material | None, fibres: pt.FibreLaw, title: str, below: str) -> None:
+def fibre_panel(
+    axis: Any, tissue: pt.materials.Material | None, fibres: pt.materials.FibreLaw, title: str, below: str
+) -> None:
     """Nominal stress [kPa] along and across fibres, from the energy at the stretches that make it least."""
 
     def energy(F: np.ndarray) -> float:
@@ -101,7 +103,7 @@ def fibre_panel(axis: Any, tissue: pt.Material | None, fibres: pt.FibreLaw, titl
 
 
 def relaxation_panel(axis: Any) -> None:
-    prony = pt.Prony(**RELAXATION.example)
+    prony = pt.materials.Prony(**RELAXATION.example)
     times = np.geomspace(1e-3, 3, 200)
     axis.semilogx(times, prony.relaxation(times), color="tab:blue", label="modulus at time t")
     turned = prony.complex_modulus(1 / times)
@@ -139,9 +141,9 @@ def main() -> None:
     panels = iter(axes.ravel())
     for law in LAWS:
         law_panel(next(panels), law.kind(**law.example, **GIVEN), law.name, source(law.reference))
-    own = pt.Hyperelastic(TEXT, C1=4e3, C2=1e3, b=2.0, **GIVEN)
+    own = pt.materials.Hyperelastic(TEXT, C1=4e3, C2=1e3, b=2.0, **GIVEN)
     law_panel(next(panels), own, "Hyperelastic", "an energy of one's own")
-    for law, tissue in zip(FIBRE_LAWS, (pt.NeoHookean(C1=5e3, **GIVEN), None), strict=True):
+    for law, tissue in zip(FIBRE_LAWS, (pt.materials.NeoHookean(C1=5e3, **GIVEN), None), strict=True):
         fibres = law.kind(**law.example, directions=(1.0, 0.0, 0.0))
         fibre_panel(next(panels), tissue, fibres, law.name, source(law.reference))
     relaxation_panel(next(panels))

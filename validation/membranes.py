@@ -18,11 +18,12 @@ from equilibrium import relax
 from scipy.special import jn_zeros
 
 import palpate as pt
+from palpate.dynamics.run.reactions import reactions
 from palpate.scenes.membrane import membrane
 
 OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "membranes.json"
 RADIUS, THICKNESS, C1 = 0.1, 1e-5, 0.17e6
-LAW = pt.NeoHookean(C1=C1, density=1200.0, poisson=0.5)
+LAW = pt.materials.NeoHookean(C1=C1, density=1200.0, poisson=0.5)
 SPACINGS = (0.01, 0.005, 0.0025)
 LAYOUTS = (("rings", 0.0), ("hexagonal", 0.0), ("rings", 0.1))
 
@@ -49,7 +50,7 @@ def poked(spacing, layout, jitter, tool_radius, prestretch=1.0, form="energy"):
     u, change = settled(model, [tool], start)
     prepared = model.prepare([tool])
     still = pt.State(u, np.zeros_like(u))
-    force = pt.dynamics.reactions.reactions(model, still, prepared)["tool"][2]
+    force = reactions(model, still, prepared)["tool"][2]
     mean = np.sum(cloud.volumes * u[:, 2]) / cloud.volumes.sum()
     return force, float(mean), model.strain_energy(u), change
 

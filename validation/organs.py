@@ -43,7 +43,7 @@ GROWTH = 1e-6  # of the energy at the release, that rounding may add
 def surface(name: str, data: Path = DATA) -> pt.Surface:
     """Return a surface by its name."""
     source = SURFACES[name]
-    return pt.liver_surface() if source is None else pt.read_surface(data / source[0], units=source[1], mend=True)
+    return pt.liver_surface() if source is None else pt.io.read_surface(data / source[0], units=source[1], mend=True)
 
 
 def spacing_for(body: pt.Surface, nodes: int) -> float:
@@ -88,7 +88,7 @@ def run(
         "tool", lambda points, time: tuple(DEPTH * min(1.0, time / pushed) * direction), until=released
     )
     try:
-        material = pt.NeoHookean(C1=1000.0, density=1060.0, poisson=poisson)
+        material = pt.materials.NeoHookean(C1=1000.0, density=1060.0, poisson=poisson)
         model = pt.Solid(cloud, material, "back", form=form)
         every = duration / 50
         trajectory = pt.rollout(model, [poke], duration=duration, every=every, progress=False)

@@ -43,7 +43,7 @@ SPARE = 8
 
 def body(side: int) -> pt.Solid:
     """Return the held block."""
-    tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
+    tissue = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
     return pt.Solid(pt.box((0.1, 0.1, 0.1), 0.1 / (side - 1)), tissue, "x-", form="energy", stiffness_damping=1e-6)
 
 

@@ -24,7 +24,6 @@ import numpy as np
 import palpate as pt
 from palpate.app.train.campaign import REPEATED
 from palpate.app.train.folder import HELD_OUT, jobs
-from palpate.dynamics.contact.tools import surface_nodes
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.scenes.training import training_scene
 
@@ -40,7 +39,7 @@ def compared(scene, model: pt.ReducedModel, seed: int, full: pt.Trajectory) -> d
     own = pt.rollout(model, loads, duration=duration, every=scene.every, progress=False)
     cloud = scene.model.cloud
     held = np.concatenate([cloud.group(name) for name in scene.model.fixed])
-    free = np.setdiff1d(surface_nodes(cloud), held)
+    free = np.setdiff1d(pt.tools.surface_nodes(cloud), held)
     (tool,) = loads
     mine, theirs = own.reactions[tool.name], full.reactions[tool.name]
     size = np.linalg.norm(theirs, axis=1)
@@ -49,7 +48,7 @@ def compared(scene, model: pt.ReducedModel, seed: int, full: pt.Trajectory) -> d
     reach = np.linalg.norm(full.displacements[:, free], axis=2).max()
     apart = np.linalg.norm(own.displacements[:, free] - full.displacements[:, free], axis=2)[counted] / reach
     return {
-        "kind": "grasp" if isinstance(tool, pt.Grasp) else "press", "seed": seed,
+        "kind": "grasp" if isinstance(tool, pt.tools.Grasp) else "press", "seed": seed,
         "force": float(np.median(force)), "force_95": float(np.quantile(force, 0.95)),
         "surface_95": float(np.quantile(apart, 0.95)), "farthest_95": float(np.quantile(apart.max(axis=1), 0.95)),
         "largest": [float(np.linalg.norm(mine, axis=1).max()), float(size.max())],

@@ -52,9 +52,9 @@ ENERGIES = {
 BARS = {"I1bar": I1 * J ** sympy.Rational(-2, 3), "I2bar": I2 * J ** sympy.Rational(-4, 3), "I1": I1, "I2": I2, "J": J}
 
 
-def printed_energy(law: pt.Material) -> Any:
+def printed_energy(law: pt.materials.Material) -> Any:
     """The energy W_s of a law, in SymPy's symbols of the stretches."""
-    base = {f.name for f in fields(pt.Material)}
+    base = {f.name for f in fields(pt.materials.Material)}
     own = {f.name: getattr(law, f.name) for f in fields(law) if f.name not in base}
     text = getattr(law, "expression", None)
     if text is None:
@@ -67,7 +67,7 @@ class Printed:
 
     Parameters
     ----------
-    law : pt.Material
+    law : pt.materials.Material
         Compressible; not LinearElastic.
 
     Attributes
@@ -78,7 +78,7 @@ class Printed:
         W [J/m^3], its three derivatives, and its six second ones: 11, 22, 33, 12, 13, 23.
     """
 
-    def __init__(self, law: pt.Material) -> None:
+    def __init__(self, law: pt.materials.Material) -> None:
         energy, even = printed_energy(law), sympy.Symbol("l", positive=True)
         rest = dict.fromkeys(STRETCHES, 1)
         found = [sympy.diff(energy, STRETCHES[0], s).subs(rest) for s in STRETCHES[:2]]
@@ -103,7 +103,7 @@ class Printed:
 class Small:
     """Hooke's law of the small strain."""
 
-    def __init__(self, law: pt.LinearElastic) -> None:
+    def __init__(self, law: pt.materials.LinearElastic) -> None:
         self.mu, self.lame = law.mu, 2 * law.mu * law.poisson / (1 - 2 * law.poisson)
 
     def stress(self, F: np.ndarray) -> np.ndarray:
@@ -111,13 +111,13 @@ class Small:
         return 2 * self.mu * strain + self.lame * np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
 
 
-def fibre_energy(fibres: pt.FibreLaw, F: np.ndarray) -> np.ndarray:
+def fibre_energy(fibres: pt.materials.FibreLaw, F: np.ndarray) -> np.ndarray:
     """Energy [J/m^3] of straight families of fibres, for F of shape (..., 3, 3), complex too."""
     C = np.swapaxes(F, -1, -2) @ F
     C = C * (np.linalg.det(F) ** (-2 / 3))[..., None, None]
     total = np.zeros(F.shape[:-2], dtype=F.dtype)
     for a in fibres.directions:
-        if isinstance(fibres, pt.Fibres):
+        if isinstance(fibres, pt.materials.Fibres):
             kappa = fibres.dispersion
             E = kappa * (np.trace(C, axis1=-2, axis2=-1) - 3) + (1 - 3 * kappa) * (a @ C @ a - 1)
             E = np.where(E.real > 0, E, 0)
@@ -134,7 +134,7 @@ def fibre_energy(fibres: pt.FibreLaw, F: np.ndarray) -> np.ndarray:
 class Reinforced:
     """A law and fibres in it."""
 
-    def __init__(self, law: pt.Material, fibres: pt.FibreLaw) -> None:
+    def __init__(self, law: pt.materials.Material, fibres: pt.materials.FibreLaw) -> None:
         self.law, self.fibres = printed(law), fibres
 
     def stress(self, F: np.ndarray) -> np.ndarray:
@@ -146,8 +146,8 @@ class Reinforced:
         return P
 
 
-def printed(law: pt.Material, fibres: pt.FibreLaw | None = None) -> Printed | Small | Reinforced:
+def printed(law: pt.materials.Material, fibres: pt.materials.FibreLaw | None = None) -> Printed | Small | Reinforced:
     """The printed law of one of palpate's, with fibres or without."""
     if fibres is not None:
         return Reinforced(law, fibres)
-    return Small(law) if isinstance(law, pt.LinearElastic) else Printed(law)
+    return Small(law) if isinstance(law, pt.materials.LinearElastic) else Printed(law)

@@ -36,18 +36,18 @@ def block() -> ReducedModel:
     """Return a small block that a ball presses from above."""
     body = pt.Solid(
         pt.box(SIZE, SPACING),
-        pt.NeoHookean(C1=2e3, density=1000, poisson=0.4),
+        pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4),
         "z-",
         form="energy",
         stiffness_damping=1e-4,
     )
 
-    def press(x: float) -> tuple[pt.Contact]:
+    def press(x: float) -> tuple[pt.tools.Contact]:
         def motion(time: float) -> tuple[float, float, float]:
             share = np.sin(np.pi * min(time / LASTING, 1.0)) ** 2
             return x, 0.024, SIZE[2] + BALL + 0.001 - share * (DEPTH + 0.001)
 
-        return (pt.Contact(pt.Sphere(BALL), motion),)
+        return (pt.tools.Contact(pt.tools.Sphere(BALL), motion),)
 
     runs = [pt.rollout(body, press(x), duration=LASTING, every=EVERY) for x in (0.022, 0.027)]
     return pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 12)[0])

@@ -25,7 +25,7 @@ OUTPUT = HERE.parent / "docs" / "validation" / "tips.json"
 
 def body(spacing: float, poisson: float, form: str, pressure: str, half_cell: float) -> pt.Solid:
     cloud = pt.box((0.2, 0.02, 0.02), spacing)
-    law = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
+    law = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
     if form == "energy":
         return pt.Solid(cloud, law, "x-", form="energy")
     # more than the default viscosity: it changes no static state

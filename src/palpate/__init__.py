@@ -1,6 +1,15 @@
 """palpate: real-time simulation of hyperelastic soft tissue.
 
-Names are loaded on first use, so that ``import palpate`` is quick.
+This module holds clouds, models, loads, runs, reductions and the engine. Every other public name has one place:
+
+- `palpate.materials`: laws, fibres, relaxation, and the fit of a law to measured curves
+- `palpate.tools`: rigid tools, `Contact` and `Grasp`
+- `palpate.io`: surfaces, painted meshes and measurements from files
+- `palpate.lti`: linearised bodies and their linear reductions
+- `palpate.typing`: types of arguments and results, for annotations
+
+Names are loaded on first use, so that ``import palpate`` is quick. The stub ``__init__.pyi`` lists the same names for
+editors and type checkers.
 """
 
 import os
@@ -37,48 +46,15 @@ _HOME = {
     "in_box": "meshfree.attachment",
     "near_plane": "meshfree.attachment",
     "painted": "meshfree.attachment",
-    "read_painted": "app.painted",
     "disc": "meshfree.sheets",
     "sheet": "meshfree.sheets",
     "Surface": "meshfree.surfaces",
-    "check_surface": "meshfree.surface_checks",
-    "read_surface": "meshfree.surface_files",
     "fill": "meshfree.filling",
-    "fetch_liver": "scenes.published",
     "liver_surface": "scenes.organ",
     "Stencils": "meshfree.stencils",
     "moving_least_squares": "meshfree.stencils",
-    "Material": "tissue.materials",
-    "MooneyRivlin": "tissue.materials",
-    "NeoHookean": "tissue.materials",
-    "ArrudaBoyce": "tissue.invariant_laws",
-    "Fung": "tissue.invariant_laws",
-    "Gent": "tissue.invariant_laws",
-    "StVenantKirchhoff": "tissue.invariant_laws",
-    "Yeoh": "tissue.invariant_laws",
-    "LinearElastic": "tissue.small_strain",
-    "Exponential": "tissue.stretch_laws",
-    "Hyperelastic": "tissue.own_law",
-    "Logarithmic": "tissue.stretch_laws",
-    "Ogden": "tissue.stretch_laws",
-    "FibreLaw": "tissue.fibres",
-    "Fibres": "tissue.fibres",
-    "Guccione": "tissue.fibres",
-    "VolumeOnly": "tissue.fibres",
-    "Prony": "tissue.prony",
-    "StretchLaw": "tissue.stretch_laws",
-    "Measurement": "tissue.measurements",
-    "fit": "tissue.fitting",
-    "material_stability": "tissue.ellipticity",
-    "read_measurements": "tissue.measurement_files",
     "Solid": "dynamics.solid.model",
     "Membrane": "dynamics.membrane.model",
-    "Capsule": "dynamics.contact.tools",
-    "Contact": "dynamics.contact.tools",
-    "Grasp": "dynamics.contact.tools",
-    "Plane": "dynamics.contact.tools",
-    "Punch": "dynamics.contact.tools",
-    "Sphere": "dynamics.contact.tools",
     "Foundation": "dynamics.loads.foundation",
     "Gravity": "dynamics.loads.body_force",
     "PrescribedMotion": "dynamics.loads.prescribed_motion",
@@ -96,13 +72,6 @@ _HOME = {
     "load": "reduction.storage.models",
     "save": "reduction.storage.models",
     "realtime_model": "reduction.realtime.model",
-    "LinearModel": "reduction.lti.model",
-    "LinearSystem": "reduction.lti.system",
-    "linearise": "reduction.lti.system",
-    "to_pymor": "reduction.lti.pymor_bridge",
-    "save_matlab": "reduction.lti.export",
-    "save_matrix_market": "reduction.lti.export",
-    "reduce_linear": "reduction.lti.reductors",
     "modal_derivatives": "reduction.basis.linear_modes",
     "vibration_modes": "reduction.basis.linear_modes",
     "Engine": "realtime.engine",
@@ -113,16 +82,24 @@ _HOME = {
     "DivergenceError": "faults",
     "FileFormatError": "faults",
     "InputError": "faults",
+    "Statistics": "realtime.statistics",
+    "TrainingScene": "scenes.scene",
 }
+_MODULES = ("io", "lti", "materials", "tools", "typing")
 
-__all__ = sorted(_HOME)
+__all__ = sorted([*_HOME, *_MODULES])
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'palpate' has no attribute {name!r}")
-    return getattr(import_module(f"palpate.{_HOME[name]}"), name)
+    if name in _MODULES:
+        return import_module(f"palpate.{name}")
+    if name in _HOME:
+        return getattr(import_module(f"palpate.{_HOME[name]}"), name)
+    for module in _MODULES if not name.startswith("_") else ():
+        if name in import_module(f"palpate.{module}").__all__:
+            raise AttributeError(f"module 'palpate' has no attribute {name!r}; it is palpate.{module}.{name}")
+    raise AttributeError(f"module 'palpate' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

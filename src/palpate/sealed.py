@@ -31,7 +31,17 @@ from palpate.faults import FileFormatError, InputError
 from palpate.files import json_of, regular_file, shortened, whole_file
 from palpate.hdf5_frame import HEAD, lay_out
 
-__all__ = ["HEAD", "Entry", "SealedFile", "array_of", "checked_shape", "loading", "open_sealed", "write_sealed"]
+__all__ = [
+    "HEAD",
+    "ArrayEntry",
+    "SealedFile",
+    "array_of",
+    "checked_shape",
+    "kind_of_file",
+    "loading",
+    "open_sealed",
+    "write_sealed",
+]
 
 Array = NDArray[Any]
 
@@ -43,7 +53,7 @@ HEX = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
-class Entry:
+class ArrayEntry:
     """An array of a sealed file.
 
     Parameters
@@ -79,13 +89,13 @@ class SealedFile:
     path : path
     header : dict
         Plain values.
-    arrays : dict of Entry
+    arrays : dict of ArrayEntry
         By name.
     """
 
     path: Path
     header: dict[str, Any]
-    arrays: dict[str, Entry]
+    arrays: dict[str, ArrayEntry]
 
     def read(self, name: str) -> Array:
         """Return an array.
@@ -108,12 +118,12 @@ class SealedFile:
         size = entry.size // entry.shape[0]
         return self._verified(f"{name}, row {k}", entry, entry.offset + k * size, entry.shape[1:], entry.digests[k])
 
-    def _entry(self, name: str) -> Entry:
+    def _entry(self, name: str) -> ArrayEntry:
         if name not in self.arrays:
             raise InputError(f"array {name} is missing")
         return self.arrays[name]
 
-    def _verified(self, what: str, entry: Entry, offset: int, shape: tuple[int, ...], digest: str) -> Array:
+    def _verified(self, what: str, entry: ArrayEntry, offset: int, shape: tuple[int, ...], digest: str) -> Array:
         values = np.empty(shape, entry.type)
         with self.path.open("rb") as file:
             file.seek(offset)
@@ -226,6 +236,17 @@ def open_sealed(path: Path, kind: str, version: int) -> SealedFile:
     return SealedFile(path, header, arrays)
 
 
+def kind_of_file(path: Path) -> str:
+    """Return the kind that the first line of a sealed file names, unchecked; empty for any other file, or none."""
+    try:
+        regular_file(path, "file")
+        with path.open("rb") as file:
+            found = re.match(rb"(palpate [a-z ]{1,60})\nversion ", file.read(HEAD))
+    except (OSError, InputError):  # the loader says what is wrong
+        return ""
+    return found[1].decode() if found else ""
+
+
 def _place_of_table(head: bytes, kind: str, version: int) -> tuple[int, int, str]:
     found = re.match(rf"{re.escape(kind)}\nversion (\d{{1,9}})\n".encode(), head)
     if not found:
@@ -239,7 +260,7 @@ def _place_of_table(head: bytes, kind: str, version: int) -> tuple[int, int, str
     return int(place[1]), int(place[2]), place[3].decode()
 
 
-def _digest_of_rest(path: Path, arrays: Mapping[str, Entry], end: int) -> str:
+def _digest_of_rest(path: Path, arrays: Mapping[str, ArrayEntry], end: int) -> str:
     """Return the SHA-256 of what lies between the head and the table and belongs to no array.
 
     Raises
@@ -265,7 +286,7 @@ def _add(digest: Any, file: BinaryIO, start: int, stop: int) -> None:
         digest.update(file.read(min(BLOCK, stop - at)))
 
 
-def _entry(name: str, about: Any, end: int) -> Entry:
+def _entry(name: str, about: Any, end: int) -> ArrayEntry:
     """Return an entry of the table, whose bytes must lie between the head and the table."""
     what = shortened(name)
     if not isinstance(about, dict) or about.keys() != {"type", "shape", "offset", "sha256"}:
@@ -273,7 +294,7 @@ def _entry(name: str, about: Any, end: int) -> Entry:
     kind, shape = checked_shape(what, about["type"], about["shape"], end)
     digests, offset = about["sha256"], about["offset"]
     by_row = isinstance(digests, list)
-    entry = Entry(kind, shape, offset, tuple(digests) if by_row else (digests,), by_row)
+    entry = ArrayEntry(kind, shape, offset, tuple(digests) if by_row else (digests,), by_row)
     if by_row and (not shape or len(digests) != shape[0]):
         raise InputError(f"array {what} has not one checksum for every row")
     if not all(isinstance(digest, str) and HEX.fullmatch(digest) for digest in entry.digests):
@@ -349,7 +370,7 @@ def write_sealed(
                     file.write(_bytes_of(part))
                     digests.append(sha256(_bytes_of(part)).hexdigest())
                 by_row = name in (rows or {})
-                entries[name] = Entry(types[name], shapes[name], offsets[name], tuple(digests), by_row)
+                entries[name] = ArrayEntry(types[name], shapes[name], offsets[name], tuple(digests), by_row)
             file.flush()
             place = file.seek(0, 2)
             rest = _digest_of_rest(partial, entries, place)
@@ -360,7 +381,7 @@ def write_sealed(
             file.write(f"{kind}\nversion {version}\ntable {place} {len(table)} {sha256(table).hexdigest()}\n".encode())
 
 
-def _listed(entry: Entry) -> dict[str, Any]:
+def _listed(entry: ArrayEntry) -> dict[str, Any]:
     digests: Any = list(entry.digests) if entry.by_row else entry.digests[0]
     return {"type": entry.type, "shape": list(entry.shape), "offset": entry.offset, "sha256": digests}
 

@@ -29,7 +29,7 @@ def test_a_good_surface_is_filled_and_drawn(liver, run_study, tmp_path, assert_d
     assert report["surface"]["volume"] == pytest.approx(1.5e-3, rel=1e-4)
     assert "taken as mm" in report["surface"]["warnings"][0]
     assert report["surface"]["problems"] == []
-    cloud = pt.fill(pt.read_surface(liver, units="mm"), 0.012)
+    cloud = pt.fill(pt.io.read_surface(liver, units="mm"), 0.012)
     assert report["cloud"]["nodes"] == len(cloud)
     assert report["cloud"]["volume"] == pytest.approx(cloud.volumes.sum())
     assert "surface.png" in (out / "report.md").read_text()
@@ -39,7 +39,7 @@ def test_a_good_surface_is_filled_and_drawn(liver, run_study, tmp_path, assert_d
 
 def test_an_open_surface_is_reported_not_filled(liver, tmp_path, capsys):
     trimesh = pytest.importorskip("trimesh")
-    body = pt.read_surface(liver, units="mm")
+    body = pt.io.read_surface(liver, units="mm")
     keep = np.ones(len(body.triangles), dtype=bool)
     keep[:4] = False
     trimesh.Trimesh(body.vertices, body.triangles[keep], process=False).export(tmp_path / "open.ply")

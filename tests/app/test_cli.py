@@ -226,14 +226,15 @@ def test_laws_are_listed_for_people_and_for_machines(capsys):
         assert law["energy"] in text
         assert {"name", "unit", "range"} == set(law["parameters"][0])
     for law in laws:
-        getattr(pt, law["name"])(**law["example"], density=1000.0, poisson=0.4)
+        getattr(pt.materials, law["name"])(**law["example"], density=1000.0, poisson=0.4)
     for law in fibres:
-        getattr(pt, law["name"])(**law["example"], directions=(1.0, 0.0, 0.0))
+        getattr(pt.materials, law["name"])(**law["example"], directions=(1.0, 0.0, 0.0))
     given = {"C1": 5e3, "density": 1000.0, "poisson": 0.4}
-    pt.NeoHookean(**given, prony=pt.Prony(**relaxation["example"]))
+    pt.materials.NeoHookean(**given, prony=pt.materials.Prony(**relaxation["example"]))
     for form in found["volumetric"]:
         assert f"U = {form['energy']}" in text
-        assert (pt.NeoHookean(**given, volumetric=form["name"]) == pt.NeoHookean(**given)) == form["default"]
+        law = pt.materials.NeoHookean(**given, volumetric=form["name"])
+        assert (law == pt.materials.NeoHookean(**given)) == form["default"]
 
 
 @pytest.mark.parametrize(
@@ -247,4 +248,4 @@ def test_the_listed_ranges_of_a_relaxation_are_those_it_keeps(capsys, kind, name
     for value, allowed in ((-1e-9, False), (0.0, not low_open), (1e-9, True)):
         numbers = {"shares": 0.5, "times": 0.1, "bulk_shares": 0.2, kind: value}
         with nullcontext() if allowed else pytest.raises(pt.InputError, match=kind):
-            pt.Prony(**numbers)
+            pt.materials.Prony(**numbers)

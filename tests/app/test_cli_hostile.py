@@ -39,7 +39,7 @@ def idle(monkeypatch, tmp_path):
         "palpate.scenes.membrane.Membrane", "palpate.scenes.liver.fill", "palpate.app.run.quick.reduce",
         "palpate.app.bench.command.large_case", "palpate.app.bench.page.find_chromium", "palpate.app.fit.command.fit",
         "palpate.app.run.liver.cached", "palpate.app.train.command.opened", "palpate.app.compare.command.BODIES",
-        "palpate.app.view.command._session", "palpate.app.view.replay_command.serve_show",
+        "palpate.app.view.command._session", "palpate.app.view.stand.serve_show",
     ):  # fmt: skip
         monkeypatch.setattr(place, {"beam": stop, "liver": stop} if place.endswith("BODIES") else stop)
     monkeypatch.setattr("palpate.app.train.command.check_dask", stop)

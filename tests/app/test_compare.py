@@ -11,7 +11,7 @@ import pytest
 import palpate as pt
 from palpate.app.cli import main
 from palpate.app.compare import bodies
-from palpate.app.compare.bodies import Body, compared_liver
+from palpate.app.compare.bodies import ComparedBody, compared_liver
 from palpate.app.compare.report import summary
 
 LASTING = 0.02
@@ -26,7 +26,7 @@ def small_bar(bar, tissue, monkeypatch):
         return (pt.SurfaceForce("x+", force=lambda t: (size * np.sin(np.pi * t / LASTING) ** 2, 0.0, 0.0)),)
 
     def make(spacing=0.005, poisson=0.45):
-        return Body(
+        return ComparedBody(
             "A bar", model, loads, 1e-4, 3.0, "N", ("x+",), LASTING, 0.001,
             lambda run, modes: pt.galerkin(model, run, modes=modes), "POD of the nonlinear run",
         )  # fmt: skip

@@ -36,7 +36,7 @@ def test_every_file_is_there_and_no_other(left, assert_drawn):
 def test_the_report_is_the_fit(left):
     report = left[1]
     measured = [curve for path in (UNIAXIAL, SHEAR) for curve in read_measurements(path)]
-    found = fit(pt.MooneyRivlin, measured)
+    found = fit(pt.materials.MooneyRivlin, measured)
     for name, parameter in report["parameters"].items():
         assert parameter["value"] == pytest.approx(found.parameters[name], rel=1e-9)
         assert parameter["standard_error"] == pytest.approx(found.standard_errors[name], rel=1e-6)

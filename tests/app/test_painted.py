@@ -16,23 +16,23 @@ def test_what_was_painted_is_found_on_the_body(tmp_path, small_cloud, suffix):
     mesh = pyvista.Box((0, 0.015, 0, 0.015, 0, 0.015), level=5).clean()
     mesh["ligament"] = (mesh.points[:, 2] < 1e-6).astype(float)
     mesh.save(tmp_path / f"painted{suffix}")
-    points, values = pt.read_painted(tmp_path / f"painted{suffix}", "ligament")
+    points, values = pt.io.read_painted(tmp_path / f"painted{suffix}", "ligament")
     assert np.array_equal(pt.painted(small_cloud, points, values), small_cloud.group("z-"))
 
 
 def test_files_that_are_not_painted_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match="no painted mesh at"):
-        pt.read_painted(tmp_path / "none.ply", "ligament")
+        pt.io.read_painted(tmp_path / "none.ply", "ligament")
     (tmp_path / "text.txt").write_text("0 0 0")
     with pytest.raises(pt.FileFormatError, match="a painted mesh is one of"):
-        pt.read_painted(tmp_path / "text.txt", "ligament")
+        pt.io.read_painted(tmp_path / "text.txt", "ligament")
     mesh = pyvista.Box().clean()
     mesh["arrows"] = mesh.points
     mesh.save(tmp_path / "mesh.vtp")
     with pytest.raises(pt.InputError, match="no field 'ligament' on its points, but 'arrows'"):
-        pt.read_painted(tmp_path / "mesh.vtp", "ligament")
+        pt.io.read_painted(tmp_path / "mesh.vtp", "ligament")
     with pytest.raises(pt.InputError, match="is not a scalar"):
-        pt.read_painted(tmp_path / "mesh.vtp", "arrows")
+        pt.io.read_painted(tmp_path / "mesh.vtp", "arrows")
 
 
 @pytest.mark.parametrize(
@@ -49,10 +49,10 @@ def test_files_that_crash_the_reader_are_refused(tmp_path, content):
     """The first of them ends a process of VTK with a segmentation fault."""
     (tmp_path / "mesh.vtk").write_bytes(content)
     with pytest.raises(pt.FileFormatError, match=r"mesh\.vtk"):
-        pt.read_painted(tmp_path / "mesh.vtk", "ligament")
+        pt.io.read_painted(tmp_path / "mesh.vtk", "ligament")
 
 
 def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "mesh.vtk")
     with pytest.raises(pt.FileFormatError, match="not a regular file"):
-        pt.read_painted(tmp_path / "mesh.vtk", "ligament")
+        pt.io.read_painted(tmp_path / "mesh.vtk", "ligament")

@@ -40,7 +40,7 @@ def cache(tmp_path, monkeypatch):
     small = {"SMALL": COARSE, "PATHS": 1, "HELD_OUT": 1, "MODES": 6, "MOST_WORKERS": 1}
     for name, value in small.items():
         monkeypatch.setattr(liver, name, value)
-    monkeypatch.setattr("pooch.os_cache", lambda name: tmp_path / name)
+    monkeypatch.setattr(liver, "user_cache_path", lambda name: tmp_path / name)
     return liver.cache()
 
 
@@ -99,7 +99,7 @@ def test_a_model_from_a_file_is_pressed_and_the_force_is_told(trained, swift, tm
     assert "Verdict: 200 Hz" in told
     model = pt.load(file)
     poses, ball = liver._pressing(model, file)
-    again = pt.Contact(ball.tool, lambda time: ball.motion + poses(time)[0], friction=ball.friction)
+    again = pt.tools.Contact(ball.tool, lambda time: ball.motion + poses(time)[0], friction=ball.friction)
     run = pt.rollout(model, [again], duration=0.45, every=0.005)
     expected = np.linalg.norm(run.reactions["tool"], axis=1).max()
     assert 0.5 * expected < force.max() < 1.5 * expected  # periods that a busy machine drops make the tool jump

@@ -66,7 +66,7 @@ def test_nodes_lie_evenly(cloud):
 
 def test_triangles_are_closed_and_enclose_the_body(body, cloud):
     drawn = pt.Surface(cloud.points[cloud.group("surface")], cloud.triangles)  # those nodes come first
-    found = pt.check_surface(drawn)
+    found = pt.io.check_surface(drawn)
     assert found.errors == ()
     assert found.euler == 2
     assert found.volume == pytest.approx(body.volume, rel=0.04)

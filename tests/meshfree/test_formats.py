@@ -33,7 +33,7 @@ def valid(tmp_path_factory):
 
 def read(folder, name, data, **options):
     (folder / name).write_bytes(data)
-    return pt.read_surface(folder / name, units="m", **options)
+    return pt.io.read_surface(folder / name, units="m", **options)
 
 
 def vtp(body=b"", head=b"", points=3, polys=1, appended=b""):
@@ -196,7 +196,7 @@ def test_no_small_file_takes_much_memory_or_the_process_down(tmp_path):
         "from pathlib import Path\n"
         "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "def read(path):\n"
-        "    try: pt.check_surface(pt.read_surface(path))\n"
+        "    try: pt.io.check_surface(pt.io.read_surface(path))\n"
         "    except pt.InputError: pass\n"
         "read(sys.argv[1]); before = peak()\n"
         "for path in sys.argv[2:]:\n"
@@ -241,7 +241,7 @@ def test_random_damage_is_refused_or_gives_a_surface(valid, tmp_path):
                     tmp_path, name, damaged(data, np.random.default_rng([seed, len(data)])), mend=seed % 2 == 0
                 )
                 assert np.isfinite([surface.volume, surface.area]).all()
-                pt.check_surface(surface)
+                pt.io.check_surface(surface)
             except pt.InputError as error:
                 said.append(str(error))
     assert len(said) > 1000
@@ -255,7 +255,7 @@ def test_no_other_file_is_read(tmp_path, monkeypatch):
     (tmp_path / "body.obj").write_bytes(text)
     hook = {"on": True}
     sys.addaudithook(lambda event, args: opened.append(str(args[0])) if hook["on"] and event == "open" else None)
-    pt.read_surface(tmp_path / "body.obj", units="m")
+    pt.io.read_surface(tmp_path / "body.obj", units="m")
     hook["on"] = False
     assert any(name.endswith("body.obj") for name in opened)
     assert not any("secret" in name for name in opened)
@@ -267,7 +267,7 @@ def test_a_pipe_or_folder_is_refused_at_once(tmp_path):
     (tmp_path / "folder.stl").mkdir()
     for name in ("pipe.stl", "folder.stl"):
         with pytest.raises(pt.FileFormatError, match="not a regular file"):
-            pt.read_surface(tmp_path / name)
+            pt.io.read_surface(tmp_path / name)
 
 
 @pytest.mark.parametrize("scale", [1e308, 1e200, 1e10, 1e-12, 5e-324])

@@ -131,11 +131,11 @@ def test_the_search_stops_at_a_number_of_pairs_and_of_boxes(monkeypatch):
     corners = np.random.default_rng(0).normal(size=(2000, 3, 3))
     soup = pt.Surface(corners.reshape(-1, 3), np.arange(6000).reshape(-1, 3))
     assert len(self_intersections(soup.vertices, soup.triangles)) == MOST_PAIRS
-    assert any("at least 10000 pairs" in problem.what for problem in pt.check_surface(soup).errors)
+    assert any("at least 10000 pairs" in problem.what for problem in pt.io.check_surface(soup).errors)
     monkeypatch.setattr(intersections, "VISITS", (1000, 1))
     with pytest.raises(pt.InputError, match="overlap in fewer than 2000 places"):
         self_intersections(soup.vertices, soup.triangles)
-    assert any(problem.name == "tangled" for problem in pt.check_surface(soup).errors)
+    assert any(problem.name == "tangled" for problem in pt.io.check_surface(soup).errors)
 
 
 def split_by_flat_triangles():
@@ -153,7 +153,7 @@ def split_by_flat_triangles():
 
 def test_a_surface_closed_by_triangles_without_area_is_whole():
     surface = split_by_flat_triangles()
-    assert pt.check_surface(surface).problems == ()
+    assert pt.io.check_surface(surface).problems == ()
     pierced = surface.vertices.copy()
     pierced[-1] *= -3  # the vertex beside the split edge, pulled through the cube
     pairs = self_intersections(pierced, surface.triangles)

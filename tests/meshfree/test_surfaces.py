@@ -21,7 +21,7 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the organ surfaces ar
 
 
 def names(surface):
-    return {problem.name for problem in pt.check_surface(surface).errors}
+    return {problem.name for problem in pt.io.check_surface(surface).errors}
 
 
 def test_volume_and_area_of_a_cube():
@@ -37,7 +37,7 @@ def test_refined_keeps_volume_area_and_closure_and_has_short_edges():
     assert fine.area == pytest.approx(0.06, rel=1e-12)
     edges = fine.vertices[fine.triangles] - fine.vertices[np.roll(fine.triangles, 1, axis=1)]
     assert np.linalg.norm(edges, axis=2).max() <= 0.007
-    assert pt.check_surface(fine).euler == 2
+    assert pt.io.check_surface(fine).euler == 2
 
 
 def test_poisson_discs_keep_their_distance_and_leave_no_gap():
@@ -137,7 +137,7 @@ def test_every_kind_of_file_gives_the_same_surface(kind, tmp_path):
     body = ball()
     path = tmp_path / f"ball.{kind}"
     trimesh.Trimesh(body.vertices, body.triangles, process=False).export(path)
-    read = pt.read_surface(path, units="m")
+    read = pt.io.read_surface(path, units="m")
     assert read.volume == pytest.approx(body.volume, rel=1e-5)
     assert len(read.triangles) == len(body.triangles)
     assert names(read) == set()
@@ -149,7 +149,7 @@ def test_vtk_files_give_the_same_surface(kind, tmp_path):
     body = ball()
     flat = np.column_stack([np.full(len(body.triangles), 3), body.triangles]).ravel()
     pyvista.PolyData(body.vertices, flat).save(tmp_path / f"ball.{kind}")
-    assert pt.read_surface(tmp_path / f"ball.{kind}", units="m").volume == pytest.approx(body.volume, rel=1e-5)
+    assert pt.io.read_surface(tmp_path / f"ball.{kind}", units="m").volume == pytest.approx(body.volume, rel=1e-5)
 
 
 def test_a_file_of_parts_needs_the_name_of_one(tmp_path):
@@ -161,10 +161,10 @@ def test_a_file_of_parts_needs_the_name_of_one(tmp_path):
         )
     scene.export(tmp_path / "two.glb")
     with pytest.raises(pt.InputError, match="choose one with part=: left, right"):
-        pt.read_surface(tmp_path / "two.glb")
+        pt.io.read_surface(tmp_path / "two.glb")
     with pytest.raises(pt.InputError, match="no part 'middle'"):
-        pt.read_surface(tmp_path / "two.glb", part="middle")
-    assert pt.read_surface(tmp_path / "two.glb", part="right").volume == pytest.approx(1e-3, rel=1e-5)
+        pt.io.read_surface(tmp_path / "two.glb", part="middle")
+    assert pt.io.read_surface(tmp_path / "two.glb", part="right").volume == pytest.approx(1e-3, rel=1e-5)
 
 
 @pytest.mark.parametrize(("scale", "units"), [(1.0, "m"), (100.0, "cm"), (1000.0, "mm")])
@@ -172,14 +172,14 @@ def test_units_are_guessed_from_an_organs_size_with_a_warning(scale, units, tmp_
     trimesh = pytest.importorskip("trimesh")
     body = ball()
     trimesh.Trimesh(scale * body.vertices, body.triangles, process=False).export(tmp_path / "ball.stl")
-    read = pt.read_surface(tmp_path / "ball.stl")
+    read = pt.io.read_surface(tmp_path / "ball.stl")
     assert f"taken as {units}" in read.warnings[0]
     assert read.volume == pytest.approx(body.volume, rel=1e-5)
     with pytest.warns(UserWarning, match="does not say its units"):
         pt.fill(tmp_path / "ball.stl", 0.012)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert pt.read_surface(tmp_path / "ball.stl", units=units).warnings == ()
+        assert pt.io.read_surface(tmp_path / "ball.stl", units=units).warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_units_are_guessed_from_an_organs_size_with_a_warning(scale, units, tmp_
 def test_files_of_another_kind_are_refused(name, content, said, tmp_path):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(pt.FileFormatError, match=said):
-        pt.read_surface(tmp_path / name)
+        pt.io.read_surface(tmp_path / name)
 
 
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
@@ -207,22 +207,22 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
         file.write(bytes(80) + struct.pack("<I", count))
         file.truncate(84 + 50 * count)
     with pytest.raises(pt.InputError, match="at most 300000000"):
-        pt.read_surface(tmp_path / "huge.stl")
+        pt.io.read_surface(tmp_path / "huge.stl")
     (tmp_path / "huge.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 3\nelement face 10000000\nend_header\n")
     with pytest.raises(pt.InputError, match="10000000 triangles"):
-        pt.read_surface(tmp_path / "huge.ply")
+        pt.io.read_surface(tmp_path / "huge.ply")
 
 
 def test_wrong_names_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match="nowhere"):
-        pt.read_surface(tmp_path / "nowhere.stl")
+        pt.io.read_surface(tmp_path / "nowhere.stl")
     with pytest.raises(pt.InputError, match="units = 'ell'"):
-        pt.read_surface(tmp_path / "nowhere.stl", units="ell")
+        pt.io.read_surface(tmp_path / "nowhere.stl", units="ell")
 
 
 @needs_data
 def test_the_hollow_liver_is_refused_as_hollow():
-    body = pt.read_surface(DATA / "hra" / "VH_M_Liver.glb", part="VH_M_liver_capsule")
+    body = pt.io.read_surface(DATA / "hra" / "VH_M_Liver.glb", part="VH_M_liver_capsule")
     assert names(body) == {"hollow"}
     with pytest.raises(pt.InputError, match="hollow shell"):
         pt.fill(body, 0.01)
@@ -231,8 +231,8 @@ def test_the_hollow_liver_is_refused_as_hollow():
 @needs_data
 def test_the_open_liver_is_closed_on_request():
     path = DATA / "hra" / "VH_F_Liver.glb"
-    assert names(pt.read_surface(path, part="VH_F_capsule_of_the_liver")) == {"open"}
-    closed = pt.read_surface(path, part="VH_F_capsule_of_the_liver", mend=True)
+    assert names(pt.io.read_surface(path, part="VH_F_capsule_of_the_liver")) == {"open"}
+    closed = pt.io.read_surface(path, part="VH_F_capsule_of_the_liver", mend=True)
     assert names(closed) == set()
     assert closed.volume == pytest.approx(1.993e-3, rel=1e-3)
 

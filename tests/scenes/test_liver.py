@@ -49,14 +49,14 @@ def test_presses_stay_what_campaigns_have_run(block):
         (500_002, (0.07, 0.07, 0.071), (0.07, 0.07, 0.054653733814), (0.07, 0.07, 0.054653733814)),
     ):
         (contact,), duration = block(seed)
-        assert (contact.tool, contact.friction, duration) == (pt.Sphere(0.025), 0.2, 0.6)
+        assert (contact.tool, contact.friction, duration) == (pt.tools.Sphere(0.025), 0.2, 0.6)
         np.testing.assert_allclose(contact.poses(np.array([0.0, 0.25, 0.4]))[:, :3], expected, atol=1e-11)
 
 
 def forceps(paths, seed, times):
     (grasp,), duration = paths(seed)
     assert duration == 0.6
-    poses = pt.Contact(pt.Plane(), grasp.motion).poses(np.asarray(times))
+    poses = pt.tools.Contact(pt.tools.Plane(), grasp.motion).poses(np.asarray(times))
     return grasp, poses[:, :3] - grasp.point, 2 * np.arccos(np.minimum(poses[:, 3], 1.0))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.scenes import published
 from palpate.scenes.published import PART
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "hra"
@@ -20,7 +22,7 @@ def liver():
 
 
 def test_the_liver_is_one_closed_solid_of_the_wished_volume(liver):
-    found = pt.check_surface(liver)
+    found = pt.io.check_surface(liver)
     assert found.problems == ()
     assert (found.components, found.euler) == (1, 2)
     assert found.volume == pytest.approx(1.5e-3, rel=1e-9)
@@ -58,24 +60,31 @@ def test_parameters_out_of_range_are_named(arguments):
 @pytest.mark.skipif(not DATA.is_dir(), reason="the published liver is not at hand")
 def test_the_published_liver_comes_from_the_cache(tmp_path):
     shutil.copy(DATA / "VH_F_Liver.glb", tmp_path)
-    body = pt.fetch_liver(tmp_path, source="https://nowhere.invalid/VH_F_Liver.glb")
+    body = pt.io.fetch_liver(tmp_path, source="https://nowhere.invalid/VH_F_Liver.glb")
     assert PART in body.name
-    assert pt.check_surface(body).errors == ()
+    assert pt.io.check_surface(body).errors == ()
 
 
-def test_another_file_in_its_place_is_not_taken(tmp_path, monkeypatch):
-    import pooch
-
-    monkeypatch.setattr(pooch, "retrieve", _download_of_another)
+def test_another_file_in_its_place_is_not_taken(tmp_path):
+    (tmp_path / "other.glb").write_bytes(b"another file")
     with pytest.raises(pt.FileFormatError, match="SHA-256 differs"):
-        pt.fetch_liver(tmp_path, source="https://nowhere.invalid/VH_F_Liver.glb")
+        pt.io.fetch_liver(tmp_path / "kept", source=(tmp_path / "other.glb").as_uri())
+    assert not (tmp_path / "kept").exists()
 
 
-def _download_of_another(url, known_hash, fname, path):
-    """What pooch does after a download: write it, and compare."""
-    import pooch.hashes
+def test_what_was_kept_is_downloaded_again_if_it_is_another_file(tmp_path, monkeypatch):
+    cube = Path(tmp_path, "cube.stl")
+    cube.write_bytes(b"what is published")
+    monkeypatch.setattr(published, "SHA256", hashlib.sha256(b"what is published").hexdigest())
+    monkeypatch.setattr(published, "read_surface", lambda path, **options: path.read_bytes())
+    (tmp_path / published.NAME).write_bytes(b"cut short")
+    for _ in range(2):
+        assert pt.io.fetch_liver(tmp_path, source=cube.as_uri()) == b"what is published"
+        cube.unlink(missing_ok=True)  # the second time, the file that was kept is taken
 
-    path.mkdir(exist_ok=True)
-    (path / fname).write_bytes(b"another file")
-    pooch.hashes.hash_matches(str(path / fname), known_hash, strict=True)
-    raise AssertionError("the hash of another file must not match")
+
+def test_an_address_that_is_none_or_leads_nowhere_is_an_error(tmp_path):
+    with pytest.raises(pt.InputError, match="source must be an address, got 'liver'"):
+        pt.io.fetch_liver(tmp_path, source="liver")
+    with pytest.raises(OSError, match="No such file"):
+        pt.io.fetch_liver(tmp_path, source=(tmp_path / "none.glb").as_uri())

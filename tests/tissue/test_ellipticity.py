@@ -13,7 +13,7 @@ from palpate.tissue.ellipticity import least_wave_modulus, material_stability
 
 
 @dataclass(frozen=True, kw_only=True)
-class Softening(pt.Material):
+class Softening(pt.materials.Material):
     """W = mu/(2b) (1 - exp(-b x)), x = I1 - 3 - 2 ln J.
 
     Incompressible, Q on a unit vector m across the deformed normal is 2 W1 |N|^2 + 4 W11 (m . F N)^2, with m . F N at
@@ -130,7 +130,7 @@ def test_the_least_modulus_of_a_softening_law_has_its_closed_form():
 
 def test_waves_of_a_body_at_rest_have_the_moduli_of_linear_elasticity():
     for poisson in (0.2, 0.49):
-        material = pt.MooneyRivlin(C1=4e3, C2=1e3, density=1000, poisson=poisson)
+        material = pt.materials.MooneyRivlin(C1=4e3, C2=1e3, density=1000, poisson=poisson)
         report = material_stability(material)
         assert report.shear_modulus == pytest.approx(5e3, rel=1e-6)
         assert report.bulk_modulus == pytest.approx(material.bulk_modulus, rel=1e-6)
@@ -140,8 +140,8 @@ def test_waves_of_a_body_at_rest_have_the_moduli_of_linear_elasticity():
 @pytest.mark.parametrize("poisson", [0.2, 0.45, 0.499, 0.5])
 def test_polyconvex_laws_are_stable(poisson):
     for law in (
-        pt.NeoHookean(C1=1e3, density=1000, poisson=poisson),
-        pt.MooneyRivlin(C1=1e3, C2=300.0, density=1000, poisson=poisson),
+        pt.materials.NeoHookean(C1=1e3, density=1000, poisson=poisson),
+        pt.materials.MooneyRivlin(C1=1e3, C2=300.0, density=1000, poisson=poisson),
     ):
         report = material_stability(law, (0.4, 2.5))
         assert report.stable, report.text
@@ -201,13 +201,13 @@ def test_a_range_without_rest_is_refused(ranges, message):
 @pytest.mark.parametrize("ends", [(0.8,), 3, "ab", (1e-300, 1e300), (0.8, np.nan), (0.8, 1e9), (0.8, 1.2, 1.3)])
 def test_a_range_that_is_none_is_refused(ends):
     with pytest.raises(pt.InputError, match="of stretches"):
-        material_stability(pt.NeoHookean(C1=5e3, density=1000, poisson=0.4), ends)
+        material_stability(pt.materials.NeoHookean(C1=5e3, density=1000, poisson=0.4), ends)
 
 
 @pytest.mark.parametrize("C1", [1e306, 4e306, 3e307])
 def test_a_law_whose_waves_overflow_is_not_stable(C1):
     try:
-        material = pt.NeoHookean(C1=C1, density=1000, poisson=0.45)
+        material = pt.materials.NeoHookean(C1=C1, density=1000, poisson=0.45)
     except pt.InputError:
         return
     assert not material_stability(material).stable

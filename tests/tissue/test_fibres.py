@@ -19,10 +19,10 @@ def units(*shape, seed=0):
 
 
 LAWS = {
-    "one family": pt.Fibres(**HGO, dispersion=0.1, directions=units(60)),
-    "two families": pt.Fibres(**HGO, dispersion=0.2, directions=units(2, 60)),
-    "no dispersion": pt.Fibres(**HGO, directions=units(60)),
-    "the heart": pt.Guccione(**HEART, directions=units(60)),
+    "one family": pt.materials.Fibres(**HGO, dispersion=0.1, directions=units(60)),
+    "two families": pt.materials.Fibres(**HGO, dispersion=0.2, directions=units(2, 60)),
+    "no dispersion": pt.materials.Fibres(**HGO, directions=units(60)),
+    "the heart": pt.materials.Guccione(**HEART, directions=units(60)),
 }
 
 
@@ -71,7 +71,7 @@ def test_turning_tissue_and_fibres_together_changes_nothing(name):
 
 @pytest.mark.parametrize("kappa", [0.0, 0.1, 1 / 3])
 def test_a_pull_along_the_fibres_is_the_printed_curve(kappa):
-    law, (k1, k2) = pt.Fibres(**HGO, dispersion=kappa, directions=X), HGO.values()
+    law, (k1, k2) = pt.materials.Fibres(**HGO, dispersion=kappa, directions=X), HGO.values()
     for stretch in (1.05, 1.3, 1.6):
         F = np.diag([stretch, stretch**-0.5, stretch**-0.5])
         E = kappa * (stretch**2 + 2 / stretch - 3) + (1 - 3 * kappa) * (stretch**2 - 1)
@@ -85,7 +85,7 @@ def test_a_pull_along_the_fibres_is_the_printed_curve(kappa):
 def test_the_cauchy_stress_is_that_of_the_paper():
     """The printed sigma = 2/J dev sum of k1 E exp(k2 E^2) [kappa b̄ + (1 - 3 kappa) F̄a F̄a]."""
     kappa, F, a = 0.15, gradients(0.25), units(2, 60, seed=5)
-    found = pt.Fibres(**HGO, dispersion=kappa, directions=a).stress(F)
+    found = pt.materials.Fibres(**HGO, dispersion=kappa, directions=a).stress(F)
     J = np.linalg.det(F)
     bar = J[:, None, None] ** (-1 / 3) * F
     b, sigma = bar @ np.swapaxes(bar, 1, 2), np.zeros_like(F)
@@ -100,7 +100,7 @@ def test_the_cauchy_stress_is_that_of_the_paper():
 
 
 def test_fibres_carry_no_compression():
-    law = pt.Fibres(**HGO, directions=X)
+    law = pt.materials.Fibres(**HGO, directions=X)
     for stretch in (0.5, 0.9, 0.999):
         F = np.diag([stretch, stretch**-0.5, stretch**-0.5])
         assert float(law.energy(F)) == 0.0
@@ -110,14 +110,16 @@ def test_fibres_carry_no_compression():
 
 def test_evenly_dispersed_fibres_have_no_direction():
     F = gradients(0.3)
-    one, other = (pt.Fibres(**HGO, dispersion=1 / 3, directions=units(60, seed=s)).energy(F) for s in (3, 4))
+    one, other = (pt.materials.Fibres(**HGO, dispersion=1 / 3, directions=units(60, seed=s)).energy(F) for s in (3, 4))
     np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 def test_two_families_add_up():
     F, both = gradients(0.3), units(2, 60)
-    single = [pt.Fibres(**HGO, dispersion=0.1, directions=a).stress(F) for a in both]
-    np.testing.assert_allclose(pt.Fibres(**HGO, dispersion=0.1, directions=both).stress(F), sum(single), atol=1e-9)
+    single = [pt.materials.Fibres(**HGO, dispersion=0.1, directions=a).stress(F) for a in both]
+    np.testing.assert_allclose(
+        pt.materials.Fibres(**HGO, dispersion=0.1, directions=both).stress(F), sum(single), atol=1e-9
+    )
 
 
 def test_the_hearts_exponent_is_the_printed_one():
@@ -131,11 +133,15 @@ def test_the_hearts_exponent_is_the_printed_one():
     C, bf, bt, bfs = HEART.values()
     Q = bf * E[:, 0, 0] ** 2 + bt * (E[:, 1, 1] ** 2 + E[:, 2, 2] ** 2 + 2 * E[:, 1, 2] ** 2)
     Q += 2 * bfs * (E[:, 0, 1] ** 2 + E[:, 0, 2] ** 2)
-    np.testing.assert_allclose(pt.Guccione(**HEART, directions=a).energy(F), C / 2 * np.expm1(Q), rtol=1e-10)
+    np.testing.assert_allclose(pt.materials.Guccione(**HEART, directions=a).energy(F), C / 2 * np.expm1(Q), rtol=1e-10)
 
 
 @pytest.mark.parametrize(
-    "law", [pt.Fibres(k1=1.0, k2=10.0, directions=X), pt.Guccione(C=1.0, bf=8.0, bt=2.0, bfs=4.0, directions=X)]
+    "law",
+    [
+        pt.materials.Fibres(k1=1.0, k2=10.0, directions=X),
+        pt.materials.Guccione(C=1.0, bf=8.0, bt=2.0, bfs=4.0, directions=X),
+    ],
 )
 def test_a_steep_exponential_goes_on_as_a_parabola(law):
     stretches = np.linspace(1.0, 8.0, 4001)
@@ -165,9 +171,9 @@ def test_a_steep_exponential_goes_on_as_a_parabola(law):
 )
 def test_bad_fibres_are_refused(options, message):
     with pytest.raises(pt.InputError, match=message):
-        pt.Fibres(**{**HGO, "directions": X, **options})
+        pt.materials.Fibres(**{**HGO, "directions": X, **options})
 
 
 def test_the_hearts_law_has_one_direction():
     with pytest.raises(pt.InputError, match="Guccione has one family of fibres, not 2"):
-        pt.Guccione(**HEART, directions=np.eye(3)[:2])
+        pt.materials.Guccione(**HEART, directions=np.eye(3)[:2])

@@ -22,7 +22,7 @@ STRETCHED = [kind for kind in KINDS if kind != "shear"]
 
 
 def tissue(poisson):
-    return pt.MooneyRivlin(C1=C1, C2=C2, density=1000, poisson=poisson)
+    return pt.materials.MooneyRivlin(C1=C1, C2=C2, density=1000, poisson=poisson)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -53,7 +53,7 @@ def test_a_body_ever_less_compressible_comes_to_the_incompressible_one_in_propor
     limit = nominal_stress(tissue(0.5), kind, STRETCHES[1:-1])
     away = []
     for share in (2e-2, 4e-3):  # of the shear modulus in the bulk modulus
-        material = pt.MooneyRivlin(C1=C1, C2=C2, density=1000, bulk=(C1 + C2) / share)
+        material = pt.materials.MooneyRivlin(C1=C1, C2=C2, density=1000, bulk=(C1 + C2) / share)
         away.append(np.abs(nominal_stress(material, kind, STRETCHES[1:-1]) - limit).max() / np.abs(limit).max())
     assert away[0] < 0.15
     assert away[1] == pytest.approx(away[0] / 5, rel=0.2)
@@ -101,7 +101,7 @@ def test_the_machine_does_the_work_that_the_energy_gains():
 
 def test_what_no_side_stretch_can_free_is_not_a_number():
     # without Poisson effect the bulk term of this law is negative: pulled far, the sides never come to rest
-    material = pt.MooneyRivlin(C1=1e3, C2=1e4, density=1000, poisson=0.0)
+    material = pt.materials.MooneyRivlin(C1=1e3, C2=1e4, density=1000, poisson=0.0)
     stress = nominal_stress(material, "equibiaxial", [1.05, 4.0])
     assert np.isfinite(stress[0])
     assert np.isnan(stress[1])

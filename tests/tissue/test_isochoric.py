@@ -22,7 +22,9 @@ LOW, HIGH = (
 
 
 def made(name, **changes):
-    return getattr(pt, name)(**KINDS[name].example, density=1000.0, **{"poisson": 0.45, "split": "isochoric"} | changes)
+    return getattr(pt.materials, name)(
+        **KINDS[name].example, density=1000.0, **{"poisson": 0.45, "split": "isochoric"} | changes
+    )
 
 
 def differences(function, place):
@@ -85,8 +87,10 @@ def test_small_strain_has_the_declared_moduli(name):
 
 
 def test_an_energy_that_is_written_down_may_be_isochoric():
-    own = pt.Hyperelastic("C1*(I1 - 3)", C1=5e3, density=1.0, poisson=0.45, split="isochoric")  # coupled it has stress
-    bars = pt.Hyperelastic("C1*(I1bar - 3)", C1=5e3, density=1.0, poisson=0.45)
+    own = pt.materials.Hyperelastic(
+        "C1*(I1 - 3)", C1=5e3, density=1.0, poisson=0.45, split="isochoric"
+    )  # coupled it has stress
+    bars = pt.materials.Hyperelastic("C1*(I1bar - 3)", C1=5e3, density=1.0, poisson=0.45)
     F = np.eye(3) + np.random.default_rng(0).uniform(-0.3, 0.3, (3, 3))
     np.testing.assert_allclose(own.stress(F), bars.stress(F), rtol=1e-9)
 
@@ -109,10 +113,10 @@ def test_a_file_keeps_the_split(split):
 @pytest.mark.parametrize(
     ("law", "split", "message"),
     [
-        (pt.NeoHookean, "deviatoric", "split = 'deviatoric': allowed are 'coupled' and 'isochoric'"),
-        (pt.LinearElastic, "isochoric", "small strain has the coupled form only"),
+        (pt.materials.NeoHookean, "deviatoric", "split = 'deviatoric': allowed are 'coupled' and 'isochoric'"),
+        (pt.materials.LinearElastic, "isochoric", "small strain has the coupled form only"),
     ],
 )
 def test_other_splits_are_refused(law, split, message):
     with pytest.raises(pt.InputError, match=message):
-        law(**({"C1": 1.0} if law is pt.NeoHookean else {"mu": 1.0}), density=1.0, poisson=0.4, split=split)
+        law(**({"C1": 1.0} if law is pt.materials.NeoHookean else {"mu": 1.0}), density=1.0, poisson=0.4, split=split)

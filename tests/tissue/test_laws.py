@@ -16,7 +16,7 @@ KINDS = {law.name: law for law in LAWS}
 
 
 def made(name, **changes):
-    return getattr(pt, name)(**KINDS[name].example | changes, density=1000.0, poisson=0.45)
+    return getattr(pt.materials, name)(**KINDS[name].example | changes, density=1000.0, poisson=0.45)
 
 
 def isochoric(l1, l2):
@@ -122,7 +122,7 @@ def _pulled(x):
 def test_every_law_is_listed_with_what_it_needs():
     assert {law.name for law in LAWS} >= set(PRINTED)
     for law in LAWS:
-        assert getattr(pt, law.name) is law.kind
+        assert getattr(pt.materials, law.name) is law.kind
         assert [p.name for p in law.parameters] == list(law.example)
         assert law.formula
         assert law.reference

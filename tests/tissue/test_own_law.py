@@ -11,26 +11,27 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate import Hyperelastic
+from palpate.materials import Hyperelastic
 from palpate.tissue.own_law import law_of
 from palpate.tissue.parameters import own_fields
 from palpate.tissue.straight_line import Tape, compiled_functions
 
 REST = {"density": 1000.0, "poisson": 0.45}
 TWINS = {
-    "neo": ("C1*(I1 - 3) - 2*C1*log(J)", {"C1": 5e3}, lambda p: pt.NeoHookean(**p, **REST)),
+    "neo": ("C1*(I1 - 3) - 2*C1*log(J)", {"C1": 5e3}, lambda p: pt.materials.NeoHookean(**p, **REST)),
     "mooney": (
         "C1/2*(I1 - 3) + C2/2*(I2 - 3) - (C1 + 2*C2)*log(J)", {"C1": 8e3, "C2": 2e3},
-        lambda p: pt.MooneyRivlin(**p, **REST),
+        lambda p: pt.materials.MooneyRivlin(**p, **REST),
     ),
     "yeoh": (
         "C1*(I1 - 3 - 2*log(J)) + C2*(I1 - 3 - 2*log(J))**2 + C3*(I1 - 3 - 2*log(J))**3",
-        {"C1": 5e3, "C2": 1e3, "C3": 200.0}, lambda p: pt.Yeoh(**p, **REST),
+        {"C1": 5e3, "C2": 1e3, "C3": 200.0}, lambda p: pt.materials.Yeoh(**p, **REST),
     ),
-    "fung": ("mu/(2*b)*(exp(b*(I1 - 3 - 2*log(J))) - 1)", {"mu": 1e4, "b": 0.6}, lambda p: pt.Fung(**p, **REST)),
+    "fung": ("mu/(2*b)*(exp(b*(I1 - 3 - 2*log(J))) - 1)", {"mu": 1e4, "b": 0.6},
+             lambda p: pt.materials.Fung(**p, **REST)),
     "ogden": (
         "C*(l1**a + l2**a + l3**a - 3 - a*log(l1*l2*l3))", {"C": 800.0, "a": 4.0},
-        lambda p: pt.Ogden(C=p["C"], alpha=p["a"], **REST),
+        lambda p: pt.materials.Ogden(C=p["C"], alpha=p["a"], **REST),
     ),
 }  # fmt: skip
 
@@ -122,7 +123,7 @@ def test_what_is_no_energy_is_refused(case):
 def test_another_process_finds_the_compiled_law_in_the_cache(tmp_path):
     script = """
 import sys, palpate as pt
-from palpate import Hyperelastic
+from palpate.materials import Hyperelastic
 law = Hyperelastic("C1*(I1bar - 3) + C2*(I1bar - 3)**2", C1=5e3, C2=1e3, density=1000, poisson=0.45)
 body = pt.Solid(pt.box((0.03, 0.01, 0.01), 0.0025), law, "x-", form="energy", stiffness_damping=1e-5)
 force = body._internal_force

@@ -13,6 +13,7 @@ from typing import Any
 
 from palpate import __version__
 from palpate.app.commands import perform
+from palpate.app.documentation import documentation
 from palpate.app.ending import BAD_INPUT, DEBUG, DONE, FAILED, INTERRUPTED, Parser, closed, complain, failed, refused
 from palpate.app.ending import path as _path
 from palpate.app.ending import whole as _whole
@@ -77,7 +78,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="palpate",
         description="Real-time simulation of hyperelastic soft tissue by point collocation and model reduction.",
         epilog="Exit status: 0 done; 1 a run diverged, a file could not be written, or memory ran out; 2 bad input; "
-        f"70 a defect of palpate, whose traceback is left in a file, or printed with {DEBUG}=1; 130 interrupted.",
+        f"70 a defect of palpate, whose traceback is left in a file, or printed with {DEBUG}=1; 130 interrupted. "
+        f"Pages that help texts call docs/NAME.md are in {str(documentation()).replace('%', '%%')}.",
     )
     parser.add_argument("--version", action="version", version=f"palpate {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from palpate.extras import require
 from palpate.files import whole_file
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ MODES = "number of POD modes"
 @contextmanager
 def figure(path: Path, size: tuple[float, float] = (7.0, 4.6)) -> Iterator[Figure]:
     """Yield an empty figure [inch] in this package's style; save it whole or not at all."""
+    require("matplotlib", "drawing figures")
     import matplotlib
     import matplotlib.figure
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from palpate.app.console import print_json
-from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, RELAXATION, Entry, Law
+from palpate.tissue.catalogue import FIBRE_LAWS, LAWS, RELAXATION, CatalogueEntry, Law
 from palpate.tissue.volumetric import FORMS, QUADRATIC
 
 __all__ = ["laws"]
@@ -57,7 +57,7 @@ def _volumetric(name: str) -> str:
     return f"lame {FORMS[name].formula}"
 
 
-def _entry(entry: Entry) -> dict[str, Any]:
+def _entry(entry: CatalogueEntry) -> dict[str, Any]:
     found = {
         "name": entry.name,
         "energy": entry.formula,
@@ -71,7 +71,7 @@ def _entry(entry: Entry) -> dict[str, Any]:
     return found
 
 
-def _lines(entry: Entry) -> list[str]:
+def _lines(entry: CatalogueEntry) -> list[str]:
     parameters = (f"{p.name}{f' [{p.unit}]' if p.unit else ''} in {p.range}" for p in entry.parameters)
     lines = [f"{entry.name}", f"  W = {entry.formula}", f"  {', '.join(parameters)}"]
     if entry.note:

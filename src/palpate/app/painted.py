@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.extras import require
 from palpate.faults import FileFormatError, InputError
 from palpate.files import regular_file, shortened
 
@@ -51,12 +52,13 @@ def read_painted(path: str | Path, name: str) -> tuple[Floats, Floats]:
     FileFormatError
         The file is of another kind, damaged, or its numbers are not finite.
     InputError
-        It has no such field, or one that is not a scalar.
+        It has no such field, or one that is not a scalar; or PyVista is not installed.
     """
     path = Path(path)
     size = regular_file(path, "painted mesh", LARGEST)
     if path.suffix.lower() not in FORMATS:
         raise FileFormatError(f"{path}: a painted mesh is one of {', '.join(FORMATS)}")
+    require("pyvista", "reading a painted mesh")
     command = [sys.executable, "-P", "-m", "palpate.app.painted", str(path.absolute()), name, str(size)]
     try:
         done = subprocess.run(command, capture_output=True, timeout=4 * (SECONDS + size / RATE), check=False)

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.extras import require
+from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["COLOURS", "PIXELS", "DrawingError", "check_drawing", "off_screen", "surface"]
@@ -38,13 +40,18 @@ class DrawingError(RuntimeError):
 
 
 def check_drawing() -> None:
-    """Check that VTK can draw without a display, by default through EGL.
+    """Check that PyVista is installed and VTK can draw without a display, by default through EGL.
 
     Raises
     ------
     DrawingError
         It cannot.
     """
+    try:
+        for package in ("pyvista", "matplotlib"):
+            require(package, "drawing surfaces")
+    except InputError as error:
+        raise DrawingError(str(error)) from error
     os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
     if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")

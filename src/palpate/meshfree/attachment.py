@@ -92,7 +92,7 @@ def painted(
     ----------
     cloud : Cloud
     points : (k, d) array [m]
-        Where somebody has painted, such as a mesh's vertices: see `palpate.read_painted`.
+        Where somebody has painted, such as a mesh's vertices: see `palpate.io.read_painted`.
     values : (k,) array
         What was painted: labels or weights.
     least : float

@@ -16,7 +16,7 @@ from palpate.meshfree.gate import faulty_nodes
 from palpate.meshfree.refining import refined
 from palpate.meshfree.relaxing import (
     DEPTH,
-    Inside,
+    DepthQuery,
     body_centred,
     cubic,
     relaxed,
@@ -62,11 +62,11 @@ def fill(
     Parameters
     ----------
     surface : Surface, path, or (vertices, triangles)
-        A file (`palpate.read_surface`), or arrays (v, 3) [m] and (t, 3), triangles counter-clockwise from outside.
+        A file (`palpate.io.read_surface`), or arrays (v, 3) [m] and (t, 3), triangles counter-clockwise from outside.
     spacing : float [m]
         Wished distance between nodes.
     part, units
-        Of a file: as for `palpate.read_surface`.
+        Of a file: as for `palpate.io.read_surface`.
     repair : bool
         Whether to close small holes and turn triangles: see `palpate.meshfree.surface_repair.repair`.
     lattice : str
@@ -111,7 +111,7 @@ def fill(
         raise InputError(f"{body.name} cannot be filled: {what}")
     _refuse_size(body, spacing, sizing)
     vertices, triangles = refined(body.vertices, body.triangles, lambda points: SHORT * sizing(points))
-    inside = Inside.of(vertices, triangles)
+    inside = DepthQuery.of(vertices, triangles)
     nodes = spread(vertices, triangles, ON_SURFACE * sizing(vertices), seed)
     inner = _inner(inside, nodes, sizing, lattice if not refine else "scattered", seed)
     return _mended(body, inside, nodes, inner, sizing)
@@ -191,7 +191,7 @@ def _refuse_size(body: Surface, spacing: float, sizing: Sizing) -> None:
         )
 
 
-def _inner(inside: Inside, nodes: SurfaceNodes, sizing: Sizing, lattice: str, seed: int) -> Floats:
+def _inner(inside: DepthQuery, nodes: SurfaceNodes, sizing: Sizing, lattice: str, seed: int) -> Floats:
     """Interior nodes, relaxed."""
     if lattice == "scattered":
         points = scattered_inside(inside, sizing.least, sizing, seed)
@@ -206,7 +206,7 @@ def _inner(inside: Inside, nodes: SurfaceNodes, sizing: Sizing, lattice: str, se
     return relaxed(points, nodes.points, sizing(points), sizing(nodes.points), inside)
 
 
-def _mended(body: Surface, inside: Inside, nodes: SurfaceNodes, inner: Floats, sizing: Sizing) -> Cloud:
+def _mended(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner: Floats, sizing: Sizing) -> Cloud:
     """The cloud, once the gate finds nothing: interior nodes that spoil it are taken out and the rest relaxed again."""
     for _ in range(MEND):
         cloud = _cloud(body, inside, nodes, inner, sizing)
@@ -224,7 +224,7 @@ def _mended(body: Surface, inside: Inside, nodes: SurfaceNodes, inner: Floats, s
     )
 
 
-def _cloud(body: Surface, inside: Inside, nodes: SurfaceNodes, inner: Floats, sizing: Sizing) -> Cloud:
+def _cloud(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner: Floats, sizing: Sizing) -> Cloud:
     points = np.concatenate([nodes.points, inner])
     s = len(nodes.points)
     volumes = shares(points, inside, sizing.least)

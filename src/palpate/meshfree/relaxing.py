@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from palpate.meshfree.crossings import column_crossings
 from palpate.meshfree.refining import poisson_discs
 
-__all__ = ["Inside", "lattice_inside", "relaxed", "scattered_inside", "shares"]
+__all__ = ["DepthQuery", "lattice_inside", "relaxed", "scattered_inside", "shares"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,7 +31,7 @@ SHIFT = np.array([0.5 * (np.sqrt(5) - 1), np.sqrt(2) - 1, np.sqrt(3) - 1])  # ke
 
 
 @dataclass(frozen=True)
-class Inside:
+class DepthQuery:
     """A closed refined surface, ready to be asked how deep a point lies.
 
     Parameters
@@ -46,7 +46,7 @@ class Inside:
     tree: cKDTree
 
     @classmethod
-    def of(cls, vertices: Floats, triangles: Ints) -> Inside:
+    def of(cls, vertices: Floats, triangles: Ints) -> DepthQuery:
         """Make the surface ready."""
         return cls(vertices, triangles, cKDTree(vertices))
 
@@ -62,7 +62,7 @@ class Inside:
         return distance, away
 
 
-def _columns(inside: Inside, step: float, offset: Floats) -> tuple[Floats, Ints, Floats]:
+def _columns(inside: DepthQuery, step: float, offset: Floats) -> tuple[Floats, Ints, Floats]:
     """Vertical lines through the body: their (x, y), and where they enter and leave."""
     low, high = inside.vertices.min(axis=0)[:2], inside.vertices.max(axis=0)[:2]
     first = low + step * (offset[:2] - 1)
@@ -72,7 +72,7 @@ def _columns(inside: Inside, step: float, offset: Floats) -> tuple[Floats, Ints,
     return first + step * np.column_stack([i, j]), start, height
 
 
-def lattice_inside(inside: Inside, step: float, offset: Floats) -> Floats:
+def lattice_inside(inside: DepthQuery, step: float, offset: Floats) -> Floats:
     """Return the points of a cubic lattice that lie inside, shape (k, 3) [m]."""
     places, start, height = _columns(inside, step, offset)
     pairs = height.reshape(-1, 2)
@@ -86,18 +86,18 @@ def lattice_inside(inside: Inside, step: float, offset: Floats) -> Floats:
     return np.column_stack([np.repeat(places[column], count, axis=0), z])
 
 
-def body_centred(inside: Inside, spacing: float) -> Floats:
+def body_centred(inside: DepthQuery, spacing: float) -> Floats:
     """Return the points inside of a body-centred cubic lattice with one point in every spacing cubed."""
     step = 2 ** (1 / 3) * spacing
     return np.concatenate([lattice_inside(inside, step, SHIFT), lattice_inside(inside, step, (SHIFT + 0.5) % 1.0)])
 
 
-def cubic(inside: Inside, spacing: float) -> Floats:
+def cubic(inside: DepthQuery, spacing: float) -> Floats:
     """Return the points inside of a cubic lattice."""
     return lattice_inside(inside, spacing, SHIFT)
 
 
-def scattered_inside(inside: Inside, least: float, spacing, seed: int) -> Floats:  # type: ignore[no-untyped-def]
+def scattered_inside(inside: DepthQuery, least: float, spacing, seed: int) -> Floats:  # type: ignore[no-untyped-def]
     """Return random points inside that keep 0.85 of their spacing, a function of points (k, 3): Poisson discs."""
     random = np.random.default_rng(seed)
     points = lattice_inside(inside, 0.3 * least, SHIFT)
@@ -106,7 +106,7 @@ def scattered_inside(inside: Inside, least: float, spacing, seed: int) -> Floats
 
 
 def relaxed(
-    inner: Floats, outer: Floats, inner_spacing: Floats, outer_spacing: Floats, inside: Inside, sweeps: int = SWEEPS
+    inner: Floats, outer: Floats, inner_spacing: Floats, outer_spacing: Floats, inside: DepthQuery, sweeps: int = SWEEPS
 ) -> Floats:
     """Return interior nodes moved apart from each other and from those of the surface, which stay.
 
@@ -116,7 +116,7 @@ def relaxed(
         Nodes inside and on the surface.
     inner_spacing, outer_spacing : (n,), (s,) arrays [m]
         Wished at each.
-    inside : Inside
+    inside : DepthQuery
     sweeps : int
     """
     points = np.concatenate([inner, outer])
@@ -161,7 +161,7 @@ def _repel(points, spacing, near, depth, away, sweeps):  # type: ignore[no-untyp
                     points[i, a] += lift * away[i, a]
 
 
-def shares(points: Floats, inside: Inside, spacing: float) -> Floats:
+def shares(points: Floats, inside: DepthQuery, spacing: float) -> Floats:
     """Return the volume [m^3] of the body that is nearest to each point, by fine samples along vertical lines.
 
     Each line's part inside the body is cut into equal pieces, so that the samples' volumes add up to the body's but

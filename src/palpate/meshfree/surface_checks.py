@@ -14,7 +14,7 @@ from palpate.faults import InputError
 from palpate.meshfree.intersections import MOST_PAIRS, self_intersections
 from palpate.meshfree.surfaces import Surface, components, halves, part_volumes, rims
 
-__all__ = ["Problem", "SurfaceReport", "check_surface"]
+__all__ = ["SurfaceProblem", "SurfaceReport", "check_surface"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,7 +27,7 @@ HOLLOW = (
 
 
 @dataclass(frozen=True)
-class Problem:
+class SurfaceProblem:
     """Something about a surface that a person should know.
 
     Parameters
@@ -59,7 +59,7 @@ class SurfaceReport:
         Euler number: 2 for a ball, 0 with a handle.
     area, volume : float [m^2], [m^3]
     extents : tuple of float [m]
-    problems : tuple of Problem
+    problems : tuple of SurfaceProblem
     """
 
     vertices: int
@@ -69,10 +69,10 @@ class SurfaceReport:
     area: float
     volume: float
     extents: tuple[float, float, float]
-    problems: tuple[Problem, ...]
+    problems: tuple[SurfaceProblem, ...]
 
     @property
-    def errors(self) -> tuple[Problem, ...]:
+    def errors(self) -> tuple[SurfaceProblem, ...]:
         """Problems for which it cannot be filled."""
         return tuple(problem for problem in self.problems if problem.kind == "error")
 
@@ -105,7 +105,7 @@ def _place(point: Floats) -> str:
     return f"({', '.join(f'{x:.4g}' for x in point)}) m"
 
 
-def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, middles: Floats) -> list[Problem]:
+def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, middles: Floats) -> list[SurfaceProblem]:
     """Edges of one triangle, of more than two, and of two that do not agree about the outside."""
     found = []
     single, many = count == 1, count > 2
@@ -113,7 +113,7 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
         loops = rims(surface.triangles)
         sizes = ", ".join(str(len(loop)) for loop in sorted(loops, key=len, reverse=True)[:6]) or "tangled"
         found.append(
-            Problem(
+            SurfaceProblem(
                 "error", "open",
                 f"the surface is open: {int(single.sum())} edges bound a hole (holes of {sizes} edges; the first near "
                 f"{_place(middles[single][0])}); repair closes small holes",
@@ -122,7 +122,7 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
         )  # fmt: skip
     if many.any():
         found.append(
-            Problem(
+            SurfaceProblem(
                 "error", "branching",
                 f"{int(many.sum())} edges belong to more than two triangles (first near {_place(middles[many][0])}): "
                 f"inner walls or doubled faces must be removed first",
@@ -132,7 +132,7 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
     wrong = (count == 2) & (turns != 0)
     if wrong.any():
         found.append(
-            Problem(
+            SurfaceProblem(
                 "error", "mixed orientation",
                 f"{int(wrong.sum())} edges lie between triangles that disagree about the outside (first near "
                 f"{_place(middles[wrong][0])}); repair turns them",
@@ -142,7 +142,7 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
     return found
 
 
-def _pinched(surface: Surface) -> list[Problem]:
+def _pinched(surface: Surface) -> list[SurfaceProblem]:
     """Vertices where two sheets touch in a single point."""
     corners = surface.triangles.ravel()
     t = len(surface.triangles)
@@ -166,7 +166,7 @@ def _pinched(surface: Surface) -> list[Problem]:
     if not bad.size:
         return []
     return [
-        Problem(
+        SurfaceProblem(
             "error", "pinched",
             f"at {len(bad)} vertices the surface touches itself in a point (first: vertex {bad[0]} at "
             f"{_place(surface.vertices[bad[0]])}): separate the sheets there",
@@ -175,7 +175,7 @@ def _pinched(surface: Surface) -> list[Problem]:
     ]  # fmt: skip
 
 
-def _whole_problems(surface: Surface, label: Ints) -> list[Problem]:
+def _whole_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
     """What can only be said of a closed surface: parts, orientation, hollowness."""
     found = []
     volumes = part_volumes(surface, label)
@@ -183,7 +183,7 @@ def _whole_problems(surface: Surface, label: Ints) -> list[Problem]:
         litres = ", ".join(f"{1e3 * v:.3g}" for v in sorted(volumes, key=abs, reverse=True)[:6])
         kind = "with cavities inside" if min(volumes) < 0 < max(volumes) else "side by side or inside each other"
         found.append(
-            Problem(
+            SurfaceProblem(
                 "error", "several parts",
                 f"the surface has {len(volumes)} parts of {litres} litres, {kind}: one solid body is needed; keep the "
                 f"outer one, or fill each by itself (repair drops parts below a thousandth of the whole)",
@@ -192,13 +192,15 @@ def _whole_problems(surface: Surface, label: Ints) -> list[Problem]:
         )  # fmt: skip
     elif surface.volume < 0:
         found.append(
-            Problem("error", "inside out", "the surface is inside out: its triangles face inwards; repair turns them")
+            SurfaceProblem(
+                "error", "inside out", "the surface is inside out: its triangles face inwards; repair turns them"
+            )
         )
     volume = abs(surface.volume)
     thickness = 2 * volume / max(surface.area, 1e-300)
     if thickness < HOLLOW * np.cbrt(volume) or volume == 0:
         found.append(
-            Problem(
+            SurfaceProblem(
                 "error", "hollow",
                 f"the surface is a hollow shell, watertight as it is: it encloses {1e3 * volume:.3g} litres with "
                 f"{1e4 * surface.area:.3g} cm^2, a wall {1e3 * thickness:.2g} mm thick on average; a solid organ has "
@@ -214,18 +216,18 @@ def _middles(surface: Surface, label: Ints) -> Floats:
     return np.column_stack([np.bincount(label, corners[:, a]) for a in range(3)]) / np.bincount(label)[:, None]
 
 
-def _crossing_problems(surface: Surface) -> list[Problem]:
+def _crossing_problems(surface: Surface) -> list[SurfaceProblem]:
     """Triangles that meet where they should not."""
     try:
         pairs = self_intersections(surface.vertices, surface.triangles)
     except InputError as error:
-        return [Problem("error", "tangled", str(error))]
+        return [SurfaceProblem("error", "tangled", str(error))]
     if not len(pairs):
         return []
     where = surface.vertices[surface.triangles[pairs]].mean(axis=(1, 2))
     many = "at least " if len(pairs) >= MOST_PAIRS else ""
     return [
-        Problem(
+        SurfaceProblem(
             "error", "self-intersecting",
             f"{many}{len(pairs)} pairs of triangles pass through each other or touch (first: triangles {pairs[0, 0]} "
             f"and {pairs[0, 1]} near {_place(where[0])}): repair smooths small folds",
@@ -234,9 +236,9 @@ def _crossing_problems(surface: Surface) -> list[Problem]:
     ]  # fmt: skip
 
 
-def _scale_problems(surface: Surface) -> list[Problem]:
+def _scale_problems(surface: Surface) -> list[SurfaceProblem]:
     volume = abs(surface.volume)
     if PLAUSIBLE[0] <= volume <= PLAUSIBLE[1]:
         return []
     what = f"its volume of {1e3 * volume:.3g} litres is not that of an organ: are the units right?"
-    return [Problem("note", "scale", what)]
+    return [SurfaceProblem("note", "scale", what)]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.faults import number_in_range
+from palpate.meshfree.isosurface import zero_surface
 from palpate.meshfree.surfaces import Surface, welded
 
 __all__ = ["liver_surface"]
@@ -43,37 +44,12 @@ def liver_surface(resolution: float = 0.003, volume: float = VOLUME) -> Surface:
     cells = np.ceil((HIGH - LOW) / resolution).astype(int)
     axes = [LOW[a] + resolution * np.arange(cells[a] + 1) for a in range(3)]
     x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
-    vertices, triangles = _zero_surface(_liver(x, y, z), resolution)
+    vertices, triangles = zero_surface(_liver(x, y, z), LOW, resolution)
     surface = welded(Surface(vertices, triangles, "liver"))
     if surface.volume < 0:
         surface = Surface(surface.vertices, surface.triangles[:, ::-1], "liver")
     scale = np.cbrt(volume / surface.volume)
     return Surface(scale * surface.vertices, surface.triangles, "liver")
-
-
-def _zero_surface(field: Floats, step: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Vertices and triangles of the surface on which a field on the grid is zero (flying edges)."""
-    from typing import Any
-
-    from vtkmodules.util import numpy_support
-    from vtkmodules.vtkCommonDataModel import vtkImageData
-    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
-
-    to_vtk: Any = numpy_support.numpy_to_vtk
-    to_numpy: Any = numpy_support.vtk_to_numpy
-    image = vtkImageData()
-    image.SetDimensions(*field.shape)
-    image.SetSpacing(step, step, step)
-    image.SetOrigin(*LOW)
-    image.GetPointData().SetScalars(to_vtk(field.ravel(order="F"), deep=True))
-    contour = vtkFlyingEdges3D()
-    contour.SetInputData(image)
-    contour.SetValue(0, 0.0)
-    contour.ComputeNormalsOff()
-    contour.Update()
-    found = contour.GetOutput()
-    triangles = to_numpy(found.GetPolys().GetConnectivityArray()).reshape(-1, 3)
-    return to_numpy(found.GetPoints().GetData()).astype(float), triangles.astype(np.int64)
 
 
 def _liver(x: Floats, y: Floats, z: Floats) -> Floats:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
 from pathlib import Path
+from urllib.request import urlopen
 
-from palpate.faults import FileFormatError
+from platformdirs import user_cache_path
+
+from palpate.faults import FileFormatError, InputError
+from palpate.files import whole_file
 from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surfaces import Surface
 
 __all__ = ["CITATION", "PART", "SOURCE", "fetch_liver"]
 
 SOURCE = "https://github.com/hubmapconsortium/ccf-releases/raw/cb9bfd93/v1.3/models/VH_F_Liver.glb"
+NAME, LARGEST, SECONDS = "VH_F_Liver.glb", 20_000_000, 60.0  # most bytes, and longest wait for some of them
 SHA256 = "ad9b0be0ff253e7bfe31bfffc00017dafce226d4f3e7804a81cbb4c2e269d598"
 PART = "VH_F_capsule_of_the_liver"
 CITATION = (
@@ -33,16 +39,33 @@ def fetch_liver(folder: str | Path | None = None, source: str = SOURCE) -> Surfa
 
     Raises
     ------
+    InputError
+        `source` is not an address.
     FileFormatError
-        What was downloaded is another file.
+        What was downloaded is another file; nothing is written.
     OSError
         It cannot be downloaded.
-    """
-    import pooch
 
-    kept = Path(pooch.os_cache("palpate") if folder is None else folder)
-    try:
-        path = pooch.retrieve(source, known_hash=f"sha256:{SHA256}", fname="VH_F_Liver.glb", path=kept)
-    except ValueError as error:  # pooch's answer to another hash
-        raise FileFormatError(f"{source} is not the published file: its SHA-256 differs from {SHA256}") from error
+    References
+    ----------
+    Kristen Browne. 2021. 3D Reference Organ for Liver, Female v1.1. https://doi.org/10.48539/HBM798.JZZM.649.
+    """
+    path = (user_cache_path("palpate") if folder is None else Path(folder)) / NAME
+    if not (path.is_file() and sha256(path.read_bytes()).hexdigest() == SHA256):
+        content = _downloaded(source)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as partial:
+            partial.write_bytes(content)
     return read_surface(path, part=PART, mend=True)
+
+
+def _downloaded(source: str) -> bytes:
+    """Return the published file."""
+    try:
+        with urlopen(source, timeout=SECONDS) as answer:
+            content: bytes = answer.read(LARGEST)
+    except ValueError as error:
+        raise InputError(f"source must be an address, got {source!r:.200}") from error
+    if sha256(content).hexdigest() != SHA256:
+        raise FileFormatError(f"{source} is not the published file: its SHA-256 differs from {SHA256}")
+    return content

@@ -13,7 +13,7 @@ from palpate.tissue.prony import Prony
 from palpate.tissue.small_strain import LinearElastic
 from palpate.tissue.stretch_laws import Exponential, Logarithmic, Ogden
 
-__all__ = ["FIBRE_LAWS", "LAWS", "RELAXATION", "Entry", "Law", "Parameter"]
+__all__ = ["FIBRE_LAWS", "LAWS", "RELAXATION", "CatalogueEntry", "Law", "Parameter"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Entry:
+class CatalogueEntry:
     """What a list says about a class with parameters.
 
     Parameters
@@ -69,7 +69,7 @@ class Entry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Law(Entry):
+class Law(CatalogueEntry):
     """What a list says about a law of isotropic tissue.
 
     Parameters
@@ -82,7 +82,7 @@ class Law(Entry):
     shear_modulus : str
         At rest; near 10 kPa with the parameters of the example.
     reference, example, note
-        As for `Entry`.
+        As for `CatalogueEntry`.
     """
 
     kind: type[Material]
@@ -171,15 +171,15 @@ LAWS: tuple[Law, ...] = (
     ),
 )  # fmt: skip
 
-FIBRE_LAWS: tuple[Entry, ...] = (
-    Entry(
+FIBRE_LAWS: tuple[CatalogueEntry, ...] = (
+    CatalogueEntry(
         kind=Fibres,
         formula="k1/(2 k2) [exp(k2 <E>^2) - 1],  E = dispersion (I1bar - 3) + (1 - 3 dispersion) (I4bar - 1)",
         reference="Gasser, Ogden, Holzapfel, J. R. Soc. Interface 3, 15, 2006",
         example={"k1": 20e3, "k2": 5.0, "dispersion": 0.1},
         note="one or two families; <E> is E where it is positive, else 0: in tension only",
     ),
-    Entry(
+    CatalogueEntry(
         kind=Guccione,
         formula="C/2 [exp(Q) - 1],  Q = bf E11^2 + bt (E22^2 + E33^2 + 2 E23^2) + 2 bfs (E12^2 + E13^2)",
         reference="Guccione, McCulloch, Waldman, J. Biomech. Eng. 113, 42, 1991",
@@ -188,7 +188,7 @@ FIBRE_LAWS: tuple[Entry, ...] = (
     ),
 )
 
-RELAXATION = Entry(
+RELAXATION = CatalogueEntry(
     kind=Prony,
     formula="sum of shares_i mu/4 |A_i|^2,  dA_i/dt = dCbar/dt - A_i / times_i",
     reference="Simo, Comput. Methods Appl. Mech. Eng. 60, 153, 1987; Holzapfel, Simo, Int. J. Solids Struct. 33, 1996",

@@ -19,7 +19,7 @@ from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
 from palpate.tissue.parameters import Layout, field_metadata, flatten
 
-__all__ = ["Problem"]
+__all__ = ["FitProblem"]
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ SMALL = 1e-3  # share of the largest modulus that one near zero is taken for, in
 AT_BOUND = 1e-4  # of the norm of the residuals
 
 
-class Problem:
+class FitProblem:
     """Residuals of a law's free parameters against measurements.
 
     Parameters

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.tissue.fit_problem import Problem
+from palpate.tissue.fit_problem import FitProblem
 
 __all__ = ["starts"]
 
@@ -22,7 +22,7 @@ INSIDE = 1e-3  # how far from its bound a start lies at least, relative
 EVALUATIONS = 50  # of the projected residuals
 
 
-def starts(problem: Problem, count: int, seed: int) -> list[tuple[Floats, Floats]]:
+def starts(problem: FitProblem, count: int, seed: int) -> list[tuple[Floats, Floats]]:
     """Return where each start begins, and the same improved; a single one if the law is linear."""
     random = np.random.default_rng(seed)
     begun = [_inside(problem, problem.first)]
@@ -31,13 +31,13 @@ def starts(problem: Problem, count: int, seed: int) -> list[tuple[Floats, Floats
     return [(first, _improved(problem, first)) for first in (_with_moduli(problem, x) for x in begun)]
 
 
-def _strata(count: int, problem: Problem, random: np.random.Generator) -> Floats:
+def _strata(count: int, problem: FitProblem, random: np.random.Generator) -> Floats:
     """Return numbers from 0 to 1 for every nonlinear parameter, one in each of `count` equal parts, (count, m)."""
     parts = [random.permutation(count) + random.random(count) for _ in np.flatnonzero(~problem.moduli)]
     return np.stack(parts, axis=1) / max(count, 1)
 
 
-def _draw(problem: Problem, shares: Floats, random: np.random.Generator) -> Floats:
+def _draw(problem: FitProblem, shares: Floats, random: np.random.Generator) -> Floats:
     """Return a vector whose nonlinear parameters lie at some shares of their ranges; elsewhere if the law refuses."""
     for _ in range(DRAWS):
         x = problem.first.copy()
@@ -61,13 +61,13 @@ def _at(share: float, between: Floats, about: float, signed: bool) -> float:
     return sign * size * NARROW ** (2 * share - 1)
 
 
-def _inside(problem: Problem, x: Floats) -> Floats:
+def _inside(problem: FitProblem, x: Floats) -> Floats:
     """Move a start off its bounds, into the range between them."""
     room = INSIDE * np.minimum(np.where(x == 0, 1.0, np.abs(x)), problem.high - problem.low)
     return np.clip(x, problem.low + room, problem.high - room)
 
 
-def _with_moduli(problem: Problem, x: Floats) -> Floats:
+def _with_moduli(problem: FitProblem, x: Floats) -> Floats:
     """Set the moduli to those of linear least squares, a little off their bounds; or scale them, if the law refuses."""
     solved, _ = _projected(problem, x)
     places = np.flatnonzero(problem.moduli)
@@ -80,7 +80,7 @@ def _with_moduli(problem: Problem, x: Floats) -> Floats:
     return scaled if np.all(np.isfinite(problem.residuals(scaled))) else x
 
 
-def _projected(problem: Problem, x: Floats) -> tuple[Floats, Floats]:
+def _projected(problem: FitProblem, x: Floats) -> tuple[Floats, Floats]:
     """Return `x` with the best moduli within their bounds, and the residuals of these, were the volume kept."""
     from scipy.optimize import lsq_linear
 
@@ -101,7 +101,7 @@ def _projected(problem: Problem, x: Floats) -> tuple[Floats, Floats]:
     return solved, columns @ best - target
 
 
-def _improved(problem: Problem, x: Floats) -> Floats:
+def _improved(problem: FitProblem, x: Floats) -> Floats:
     """Return a start whose nonlinear parameters went downhill, those of one sign in logarithms."""
     from scipy.optimize import least_squares
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from palpate.faults import InputError, integer_in_range
 from palpate.tissue.ellipticity import MaterialStability, material_stability
-from palpate.tissue.fit_problem import Problem
+from palpate.tissue.fit_problem import FitProblem
 from palpate.tissue.fit_starts import starts as begin
 from palpate.tissue.homogeneous import deformation_gradient, nominal_stress
 from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
 
-__all__ = ["CurveFit", "Fit", "Start", "fit"]
+__all__ = ["CurveFit", "Fit", "FitStart", "fit"]
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class CurveFit:
 
 
 @dataclass(frozen=True)
-class Start:
+class FitStart:
     """Where a start began, where it ended, at what cost (half the sum of squared residuals), and whether at rest."""
 
     first: dict[str, float]
@@ -81,7 +81,7 @@ class Fit:
         of freedom: of independent errors, and to first order. NaN for a parameter on its bound, infinite variance for
         one that the curves do not determine.
     curves : tuple of CurveFit
-    starts : tuple of Start
+    starts : tuple of FitStart
         The best first.
     condition : float
         Of the slopes, each parameter's scaled to length 1.
@@ -94,7 +94,7 @@ class Fit:
     parameters: dict[str, float]
     covariance: Floats
     curves: tuple[CurveFit, ...]
-    starts: tuple[Start, ...]
+    starts: tuple[FitStart, ...]
     condition: float
     remarks: tuple[str, ...]
     measurements: tuple[Measurement, ...]
@@ -188,14 +188,14 @@ def fit(
         raise InputError("measurements are empty: give at least one curve")
     starts, seed = integer_in_range("starts", starts, 1), integer_in_range("seed", seed, 0)
     with np.errstate(all="ignore"):  # trial parameters may overflow a law; such trials are stepped back from
-        problem = Problem(law, curves, start or {}, bounds or {}, fixed or {}, density, poisson)
+        problem = FitProblem(law, curves, start or {}, bounds or {}, fixed or {}, density, poisson)
         ended = [(first, _minimum(problem, better, ROUGH)) for first, better in begin(problem, starts, seed)]
         ended.sort(key=lambda pair: pair[1].cost)
         ended[0] = ended[0][0], _minimum(problem, ended[0][1].x, TIGHT)
         return _described(problem, ended)
 
 
-def _minimum(problem: Problem, first: Floats, tolerance: float) -> Any:
+def _minimum(problem: FitProblem, first: Floats, tolerance: float) -> Any:
     from scipy.optimize import least_squares
 
     if not np.all(np.isfinite(problem.residuals(first))):
@@ -214,11 +214,11 @@ def _minimum(problem: Problem, first: Floats, tolerance: float) -> Any:
     )
 
 
-def _described(problem: Problem, ended: list[tuple[Floats, Any]]) -> Fit:
+def _described(problem: FitProblem, ended: list[tuple[Floats, Any]]) -> Fit:
     x = problem.settled(ended[0][1].x)
     covariance, condition, remarks = _certainty(problem, x)
     table = tuple(
-        Start(
+        FitStart(
             dict(zip(problem.names, first.tolist(), strict=True)),
             dict(zip(problem.names, solved.x.tolist(), strict=True)),
             float(solved.cost) * problem.unit**2,
@@ -243,7 +243,7 @@ def _described(problem: Problem, ended: list[tuple[Floats, Any]]) -> Fit:
     return Fit(material, named, covariance, curves, table, condition, tuple(remarks), problem.measurements)
 
 
-def _certainty(problem: Problem, x: Floats) -> tuple[Floats, float, list[str]]:
+def _certainty(problem: FitProblem, x: Floats) -> tuple[Floats, float, list[str]]:
     """Covariance, condition number and what they do not tell."""
     bound = problem.on_bound(x)
     remarks = [f"{problem.names[k]} lies on its bound {x[k]:.4g}" for k in np.flatnonzero(bound)]

@@ -92,7 +92,7 @@ class Material(ABC):
 
     def __post_init__(self) -> None:
         if self.prony is not None and not isinstance(self.prony, Prony):
-            raise InputError(f"prony is {brief(self.prony)}: give a palpate.Prony")
+            raise InputError(f"prony is {brief(self.prony)}: give a palpate.materials.Prony")
         volumetric_form(self.volumetric)
         if self.volumetric != QUADRATIC and self.variables == "small strain":
             raise InputError(f"volumetric = {brief(self.volumetric)}: small strain has the quadratic form only")

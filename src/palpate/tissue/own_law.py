@@ -79,10 +79,10 @@ def Hyperelastic(
         operations with all first and second derivatives.
     density : float [kg/m^3]
     poisson, bulk, prony, volumetric, split
-        As for `palpate.Material`.
+        As for `palpate.materials.Material`.
     stable : (float, float) or None
         Range of the principal stretches, around 1, in which the law must be strongly elliptic
-        (`palpate.material_stability`, with volumes from 0.9 to 1.1); None takes it as it is.
+        (`palpate.materials.material_stability`, with volumes from 0.9 to 1.1); None takes it as it is.
     **parameters : float
         The values of the energy's parameters, in SI units.
 

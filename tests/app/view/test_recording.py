@@ -159,8 +159,9 @@ def test_a_film_as_mp4(recorded, tmp_path, monkeypatch):
 
 def test_films_that_cannot_be_made_are_refused(recorded, tmp_path, assert_refused, monkeypatch):
     path = recorded[0]
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.mp4")], "palpate[film]", ".gif")
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "imageio_ffmpeg", None)
+        assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.mp4")], "palpate[film]")
     assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.avi")], ".gif", ".mp4")
 
 

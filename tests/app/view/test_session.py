@@ -197,7 +197,7 @@ def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, unti
 
 def test_a_coupling_makes_no_energy(model):
     """The example's books, in periods of 1 ms without a clock."""
-    path = Path(__file__).parents[3] / "examples" / "virtual_coupling.py"
+    path = Path(__file__).parents[3] / "validation" / "virtual_coupling.py"
     example = runpy.run_path(str(path))
     books = example["balance"](model, 300.0, radius=BALL, depth=0.004)
     most = books["body"].max()

@@ -20,14 +20,14 @@ def press(seed: int):
         share = np.sin(np.pi * min(time / LASTING, 1.0)) ** 2
         return x, y, SIZE[2] + BALL + 0.001 - share * (DEPTH + 0.001)
 
-    return (pt.Contact(pt.Sphere(BALL), motion),), LASTING
+    return (pt.tools.Contact(pt.tools.Sphere(BALL), motion),), LASTING
 
 
 def block() -> TrainingScene:
     """Return the block with its presses."""
     body = pt.Solid(
         pt.box(SIZE, SPACING),
-        pt.NeoHookean(C1=2e3, density=1000, poisson=0.4),
+        pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4),
         "z-",
         form="energy",
         stiffness_damping=1e-4,

@@ -46,7 +46,7 @@ def test_a_second_process_compiles_nothing(law):
 
 
 def test_another_law_has_another_digest():
-    laws = [(law.first, law.second) for law in (pt.NeoHookean, pt.MooneyRivlin)]
+    laws = [(law.first, law.second) for law in (pt.materials.NeoHookean, pt.materials.MooneyRivlin)]
     digests = {law_digest(__name__, *law, direct) for law in laws for direct in (False, True)}
     assert len(digests) == 4
     assert law_digest(__name__, *laws[0], False) == law_digest(__name__, *laws[0], False)
@@ -54,7 +54,7 @@ def test_another_law_has_another_digest():
 
 def test_models_of_one_law_share_their_compiled_functions(bar, small_cloud):
     models = [
-        pt.Solid(cloud, pt.NeoHookean(C1=c, density=1000, poisson=0.4), stiffness_damping=0.0)
+        pt.Solid(cloud, pt.materials.NeoHookean(C1=c, density=1000, poisson=0.4), stiffness_damping=0.0)
         for cloud, c in ((bar, 10e3), (small_cloud, 20e3))
     ]
     assert models[0]._advance is models[1]._advance
@@ -64,7 +64,7 @@ FORCES = """
 import sys
 import numpy as np
 import palpate as pt
-law = pt.NeoHookean(C1=10e3, density=1000, poisson=0.4)
+law = pt.materials.NeoHookean(C1=10e3, density=1000, poisson=0.4)
 cloud = pt.box((0.02, 0.02, 0.02), 0.005)
 for pressure in sys.argv[1:]:
     model = pt.Solid(cloud, law, stiffness_damping=0.0, pressure=pressure)

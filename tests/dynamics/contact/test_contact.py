@@ -10,8 +10,14 @@ from palpate.dynamics.contact.geometry import coulomb, gap, patch_places, rotati
 
 SIDE = 0.015
 TOP = np.array([SIDE / 2, SIDE / 2, SIDE])
-BALL = pt.Sphere(0.008)
-SHAPES = [pt.Sphere(0.01), pt.Capsule(0.004, 0.02), pt.Plane(), pt.Punch(0.01), pt.Punch(0.01, 0.003)]
+BALL = pt.tools.Sphere(0.008)
+SHAPES = [
+    pt.tools.Sphere(0.01),
+    pt.tools.Capsule(0.004, 0.02),
+    pt.tools.Plane(),
+    pt.tools.Punch(0.01),
+    pt.tools.Punch(0.01, 0.003),
+]
 
 
 @pytest.fixture
@@ -66,13 +72,13 @@ def test_the_normal_is_the_slope_of_the_distance_and_leads_to_the_surface(tool):
 @pytest.mark.parametrize(
     ("tool", "place", "distance"),
     [
-        (pt.Sphere(0.01), (0.0, 0.03, 0.04), 0.04),
-        (pt.Capsule(0.004, 0.02), (0.0, 0.0, 0.02), 0.006),
-        (pt.Capsule(0.004, 0.02), (0.005, 0.0, 0.005), 0.001),
-        (pt.Plane(), (3.0, 2.0, -0.5), -0.5),
-        (pt.Punch(0.01), (0.0, 0.002, -0.003), 0.003),
-        (pt.Punch(0.01, 0.0), (0.013, 0.0, -0.004), 0.005),
-        (pt.Punch(0.01), (0.0, 0.012, 0.05), 0.002),
+        (pt.tools.Sphere(0.01), (0.0, 0.03, 0.04), 0.04),
+        (pt.tools.Capsule(0.004, 0.02), (0.0, 0.0, 0.02), 0.006),
+        (pt.tools.Capsule(0.004, 0.02), (0.005, 0.0, 0.005), 0.001),
+        (pt.tools.Plane(), (3.0, 2.0, -0.5), -0.5),
+        (pt.tools.Punch(0.01), (0.0, 0.002, -0.003), 0.003),
+        (pt.tools.Punch(0.01, 0.0), (0.013, 0.0, -0.004), 0.005),
+        (pt.tools.Punch(0.01), (0.0, 0.012, 0.05), 0.002),
     ],
 )
 def test_distances_that_are_known(tool, place, distance):
@@ -92,7 +98,7 @@ def test_friction_sticks_inside_coulombs_cone_and_slides_on_it():
 def test_the_tools_impulse_is_the_momentum_that_a_free_body_gains(small_cloud, tissue, form):
     stiffness_damping = {"energy": None, "strong": 6e-5}[form]
     model = pt.Solid(small_cloud, tissue, form=form, stiffness_damping=stiffness_damping)
-    trajectory = run(model, pt.Contact(BALL, press(0.003), friction=0.4))
+    trajectory = run(model, pt.tools.Contact(BALL, press(0.003), friction=0.4))
     weights = model.weights * tissue.density
     given = np.cumsum(trajectory.reactions["tool"] * 1e-3, axis=0)
     if form == "energy":
@@ -104,7 +110,7 @@ def test_the_tools_moment_is_the_angular_momentum_that_a_free_body_gains(loose):
     # the body flies against a ball that stands still, about whose centre moments are taken
     place = TOP + np.array([0.003, -0.002, 0.008])
     start = np.tile([0.01, 0.0, 0.1], (len(loose.cloud), 1))
-    trajectory = run(loose, pt.Contact(BALL, place, friction=0.5), velocity=start, duration=0.01)
+    trajectory = run(loose, pt.tools.Contact(BALL, place, friction=0.5), velocity=start, duration=0.01)
     arms = trajectory.points + trajectory.displacements - place
     turning = np.einsum("n,fnc->fc", loose.masses, np.cross(arms, trajectory.velocities))
     given = np.cumsum(trajectory.moments["tool"] * 1e-3, axis=0)
@@ -114,7 +120,7 @@ def test_the_tools_moment_is_the_angular_momentum_that_a_free_body_gains(loose):
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_the_energy_balance_closes_with_the_tools_work_and_what_friction_takes(cube, friction):
     slide = lambda t: press(0.002)(t) + np.array([0.1 * max(t - 0.02, 0.0), 0.0, 0.0])  # noqa: E731
-    trajectory = run(cube, pt.Contact(BALL, slide, friction=friction), duration=0.06)
+    trajectory = run(cube, pt.tools.Contact(BALL, slide, friction=friction), duration=0.06)
     assert np.abs(trajectory.balance).max() < 2e-3 * trajectory.external.max()
     # the tool's work from its own forces and its own motion
     forces, way = trajectory.reactions["tool"][1:], np.diff([slide(t) for t in trajectory.times], axis=0)
@@ -123,8 +129,8 @@ def test_the_energy_balance_closes_with_the_tools_work_and_what_friction_takes(c
 
 @pytest.mark.parametrize("until", [np.inf, 0.015])
 def test_the_energy_balance_closes_where_a_tool_presses_beside_forceps(cube, until):
-    grasp = pt.Grasp((0.0, 0.0, SIDE), 0.006, lambda t: np.array([-0.05 * t, 0.0, SIDE + 0.05 * t]), until=until)
-    trajectory = run(cube, pt.Contact(BALL, press(0.003), friction=0.3), grasp)
+    grasp = pt.tools.Grasp((0.0, 0.0, SIDE), 0.006, lambda t: np.array([-0.05 * t, 0.0, SIDE + 0.05 * t]), until=until)
+    trajectory = run(cube, pt.tools.Contact(BALL, press(0.003), friction=0.3), grasp)
     held = cube.cloud.within("near", (0.0, 0.0, SIDE), 0.006).group("near")
     contact_forces, borne = trajectory.contact_forces, -trajectory.reactions["grasp"]
     on_held = contact_forces[np.isin(contact_forces[:, 1], held)]
@@ -137,7 +143,9 @@ def test_a_balls_force_is_that_of_hertz(tissue):
     radius, depth, d, nu = 0.02, 0.03, 1.6e-3, 0.45
     model = pt.Solid(pt.box((0.06, 0.06, depth), 0.003), tissue, "z-", form="energy", stiffness_damping=6e-5)
     way = lambda t: (0.03, 0.03, depth + radius - d * min(t / 0.02, 1.0))  # noqa: E731
-    trajectory = pt.rollout(model, [pt.Contact(pt.Sphere(radius), way)], duration=0.03, every=2e-3, progress=False)
+    trajectory = pt.rollout(
+        model, [pt.tools.Contact(pt.tools.Sphere(radius), way)], duration=0.03, every=2e-3, progress=False
+    )
     a, b = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu), (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
     x, pi = np.sqrt(radius * d) / depth, np.pi  # for a layer of finite depth: Dimitriadis et al., Biophys. J. 82, 2002
     layer = 1 - 2 * a / pi * x + 4 * a**2 / pi**2 * x**2 - 8 / pi**3 * (a**3 + 4 * pi**2 / 15 * b) * x**3
@@ -149,13 +157,13 @@ def test_a_balls_force_is_that_of_hertz(tissue):
 
 def test_friction_takes_energy_and_frictionless_contact_none(cube):
     slide = lambda t: press(0.002)(t) + np.array([0.1 * max(t - 0.02, 0.0), 0.0, 0.0])  # noqa: E731
-    lost = [run(cube, pt.Contact(BALL, slide, mu), duration=0.05).dissipated for mu in (0.0, 0.3)]
+    lost = [run(cube, pt.tools.Contact(BALL, slide, mu), duration=0.05).dissipated for mu in (0.0, 0.3)]
     assert np.diff(lost[1])[25:].min() > 0
     assert lost[1][-1] - lost[1][20] > 5 * (lost[0][-1] - lost[0][20])
 
 
 def test_a_support_bears_what_the_tool_gives(cube):
-    trajectory = run(cube, pt.Contact(BALL, press(0.002)), duration=0.1)
+    trajectory = run(cube, pt.tools.Contact(BALL, press(0.002)), duration=0.1)
     rest = trajectory.reactions["tool"][-30:].mean(axis=0)
     assert rest[2] < -1e-3
     assert np.allclose(trajectory.reactions["z-"][-30:].mean(axis=0), -rest, atol=0.01 * abs(rest[2]))
@@ -167,7 +175,7 @@ def test_a_support_bears_what_the_tool_gives(cube):
 def test_a_tool_never_pulls_and_lets_go_at_once(cube):
     there = press(0.003)
     back = lambda t: there(t) + np.array([0.0, 0.0, 0.8 * max(t - 0.02, 0.0)])  # noqa: E731
-    trajectory = run(cube, pt.Contact(BALL, back), duration=0.04)
+    trajectory = run(cube, pt.tools.Contact(BALL, back), duration=0.04)
     force = trajectory.reactions["tool"][:, 2]
     assert force.max() <= 0.0
     assert force[15] < 0
@@ -177,7 +185,7 @@ def test_a_tool_never_pulls_and_lets_go_at_once(cube):
 
 def places_of_patches(model, displacements):
     """Places (f, n, 3) of the patches of a body that tools touch."""
-    places, contacts = np.zeros_like(displacements), model.prepare([pt.Contact(BALL, (1.0, 1.0, 1.0))]).contacts
+    places, contacts = np.zeros_like(displacements), model.prepare([pt.tools.Contact(BALL, (1.0, 1.0, 1.0))]).contacts
     for u, into in zip(displacements, places, strict=True):
         patch_places(contacts, u, into)
     return places
@@ -186,9 +194,9 @@ def places_of_patches(model, displacements):
 def test_no_patch_enters_a_small_fast_tool(tissue):
     thin = pt.box((0.03, 0.03, 0.006), spacing=0.002)
     model = pt.Solid(thin, tissue, fixed="x-", form="energy")
-    ball = pt.Sphere(0.004)
+    ball = pt.tools.Sphere(0.004)
     drop = lambda t: np.array([0.02, 0.015, 0.006 + 0.0041 - 0.5 * t])  # noqa: E731
-    trajectory = run(model, pt.Contact(ball, drop), duration=0.012)
+    trajectory = run(model, pt.tools.Contact(ball, drop), duration=0.012)
     surface, nodes = np.unique(thin.face_nodes), trajectory.points + trajectory.displacements
     assert (
         gaps(places_of_patches(model, trajectory.displacements), trajectory.times, ball, drop)[:, surface].min() > -2e-6
@@ -203,14 +211,14 @@ def test_a_tool_that_slips_between_the_nodes_is_noticed(tissue):
     model = pt.Solid(block, tissue, fixed="z-", form="energy")
     drop = lambda t: np.array([0.011, 0.011, 0.016 + 0.0021 - 2.0 * t])  # noqa: E731
     with pytest.raises(pt.DivergenceError, match=r"'tool' slipped in between the nodes .* larger tool") as caught:
-        run(model, pt.Contact(pt.Sphere(0.002001), drop), duration=0.003)
+        run(model, pt.tools.Contact(pt.tools.Sphere(0.002001), drop), duration=0.003)
     assert not caught.value.trajectory.complete
 
 
 def test_two_tools_pinch_and_their_forces_add_up(loose):
     low, high = (0.0075, 0.0075, -0.008), (0.0075, 0.0075, SIDE + 0.008)
     pinch = [
-        pt.Contact(BALL, lambda t, s=s, at=at: at + np.array([0, 0, s * 0.1 * t]), name=name)
+        pt.tools.Contact(BALL, lambda t, s=s, at=at: at + np.array([0, 0, s * 0.1 * t]), name=name)
         for name, at, s in (("below", low, 1), ("above", high, -1))
     ]
     trajectory = run(loose, *pinch, duration=0.02)
@@ -224,14 +232,17 @@ def test_two_tools_pinch_and_their_forces_add_up(loose):
 def test_patches_between_two_planes_keep_out_of_both(loose):
     turned = np.array([0.0, np.pi / 2, 0.0])  # its normal is +x
     start = np.tile([-0.1, 0.0, -0.1], (len(loose.cloud), 1))
-    walls = [pt.Contact(pt.Plane(), (0, 0, 0), name="floor"), pt.Contact(pt.Plane(), lambda t: ((0, 0, 0), turned))]
+    walls = [
+        pt.tools.Contact(pt.tools.Plane(), (0, 0, 0), name="floor"),
+        pt.tools.Contact(pt.tools.Plane(), lambda t: ((0, 0, 0), turned)),
+    ]
     trajectory = run(loose, *walls, velocity=start, duration=0.01)
     assert places_of_patches(loose, trajectory.displacements)[..., [0, 2]].min() > -5e-6
     assert np.einsum("n,nc->c", loose.masses, trajectory.velocities[-1])[[0, 2]].min() > 0  # thrown back by both
 
 
 def test_equal_runs_are_equal_to_the_bit(cube):
-    runs = [run(cube, pt.Contact(BALL, press(0.002), friction=0.2), duration=0.01) for _ in range(2)]
+    runs = [run(cube, pt.tools.Contact(BALL, press(0.002), friction=0.2), duration=0.01) for _ in range(2)]
     assert np.array_equal(runs[0].displacements, runs[1].displacements)
     assert np.array_equal(runs[0].reactions["tool"], runs[1].reactions["tool"])
 
@@ -242,7 +253,7 @@ def test_equal_runs_are_equal_to_the_bit(cube):
 def test_a_block_slides_down_a_slope_as_coulomb_says(loose):
     mu, down, normal, before = 0.3, 4.0, 9.0, 0.2
     start = np.tile([before, 0.0, 0.0], (len(loose.cloud), 1))
-    loads = [pt.Gravity((down, 0.0, -normal)), pt.Contact(pt.Plane(), (0.0, 0.0, 0.0), mu)]
+    loads = [pt.Gravity((down, 0.0, -normal)), pt.tools.Contact(pt.tools.Plane(), (0.0, 0.0, 0.0), mu)]
     trajectory = run(loose, *loads, velocity=start, duration=0.1)
     velocity = np.einsum("n,nc->c", loose.masses, trajectory.velocities[-1]) / loose.masses.sum()
     # the normal impulse is known from the momentum along the normal, the tangential is mu times that
@@ -252,7 +263,7 @@ def test_a_block_slides_down_a_slope_as_coulomb_says(loose):
 
 
 def test_a_block_that_friction_can_hold_stays(loose):
-    loads = [pt.Gravity((2.0, 0.0, -9.0)), pt.Contact(pt.Plane(), (0.0, 0.0, 0.0), 0.8)]
+    loads = [pt.Gravity((2.0, 0.0, -9.0)), pt.tools.Contact(pt.tools.Plane(), (0.0, 0.0, 0.0), 0.8)]
     trajectory = run(loose, *loads, duration=0.1)
     speed = 0.1 * 2.0  # without friction
     velocity = np.einsum("n,nc->c", loose.masses, trajectory.velocities[-1]) / loose.masses.sum()
@@ -264,7 +275,7 @@ def test_a_block_that_friction_can_hold_stays(loose):
 def test_a_plane_dragged_over_the_body_has_forces_on_coulombs_cone(cube):
     mu, turned = 0.25, np.array([0.0, 1.0, 0.0, 0.0])  # a plane that faces down
     drag = lambda t: ([0.3 * max(t - 0.02, 0.0), 0, SIDE - 0.001 * min(t / 0.02, 1)], turned)  # noqa: E731
-    trajectory = run(cube, pt.Contact(pt.Plane(), drag, mu), duration=0.1)
+    trajectory = run(cube, pt.tools.Contact(pt.tools.Plane(), drag, mu), duration=0.1)
     force = trajectory.reactions["tool"][-20:]
     assert np.allclose(
         np.hypot(force[:, 0], force[:, 1]) / -force[:, 2], mu, rtol=5e-3
@@ -276,7 +287,7 @@ def test_a_turning_tool_turns_what_sticks_to_it(cube):
     def twist(t):
         return [SIDE / 2, SIDE / 2, SIDE - 0.001 * min(t / 0.02, 1)], [0.0, 0.0, 5.0 * max(t - 0.02, 0.0)]
 
-    trajectory = run(cube, pt.Contact(pt.Punch(0.012), twist, 10.0), duration=0.05)
+    trajectory = run(cube, pt.tools.Contact(pt.tools.Punch(0.012), twist, 10.0), duration=0.05)
     top = cube.cloud.group("z+")
     arms = cube.cloud.points[top] - TOP
     before, after = places_of_patches(cube, trajectory.displacements[[20, -1]])[:, top] - TOP
@@ -291,12 +302,12 @@ def test_a_turning_tool_turns_what_sticks_to_it(cube):
 
 def test_a_ball_presses_a_membrane_from_either_side():
     cloud = pt.disc(0.05, 0.005)
-    law = pt.NeoHookean(C1=1e4, density=1000.0, poisson=0.5)
+    law = pt.materials.NeoHookean(C1=1e4, density=1000.0, poisson=0.5)
     sheet = pt.Membrane(cloud, law, 1e-3, fixed="rim", prestretch=1.1)
-    ball, forces = pt.Sphere(0.012), []
+    ball, forces = pt.tools.Sphere(0.012), []
     for side in (1, -1):
         way = lambda t, side=side: np.array([0.0, 0.0, side * (0.012 - 0.2 * min(t, 0.03))])  # noqa: E731
-        trajectory = run(sheet, pt.Contact(ball, way), duration=0.1)
+        trajectory = run(sheet, pt.tools.Contact(ball, way), duration=0.1)
         flat = np.pad(trajectory.points, ((0, 0), (0, 1)))
         places = flat + trajectory.displacements - np.array([way(t) for t in trajectory.times])[:, None]
         assert np.linalg.norm(places, axis=2).min() > 0.012 - 1e-9
@@ -307,7 +318,7 @@ def test_a_ball_presses_a_membrane_from_either_side():
         forces.append(means[0])
     assert forces[0] == pytest.approx(-forces[1], rel=1e-6)
     with pytest.raises(pt.InputError, match=r"radius of 0.008 m could slip between nodes"):
-        run(sheet, pt.Contact(BALL, (0, 0, 1)))
+        run(sheet, pt.tools.Contact(BALL, (0, 0, 1)))
 
 
 # motions, files, bad input
@@ -316,12 +327,12 @@ def test_a_ball_presses_a_membrane_from_either_side():
 def test_sampled_and_computed_motions_are_the_same(cube):
     times = np.array([0.0, 0.02, 0.03])
     samples = times, np.array([press(0.002)(t) for t in times])
-    runs = [run(cube, pt.Contact(BALL, motion), duration=0.025) for motion in (press(0.002), samples)]
+    runs = [run(cube, pt.tools.Contact(BALL, motion), duration=0.025) for motion in (press(0.002), samples)]
     assert np.allclose(runs[0].displacements, runs[1].displacements, atol=1e-12)
 
 
 def test_sampled_turns_are_interpolated_on_the_great_arc():
-    tool = pt.Contact(pt.Plane(), ([0.0, 1.0], np.zeros((2, 3)), [[0, 0, 0], [0, 1.0, 0]]))
+    tool = pt.tools.Contact(pt.tools.Plane(), ([0.0, 1.0], np.zeros((2, 3)), [[0, 0, 0], [0, 1.0, 0]]))
     quaternion = tool.poses(np.array([0.5]))[0, 3:]
     assert np.allclose(quaternion, [np.cos(0.25), 0, np.sin(0.25), 0])
 
@@ -330,7 +341,7 @@ def test_forceps_hold_turn_and_let_go(cube):
     def lift(t):
         return TOP + np.array([0, 0, 0.1 * min(t, 0.02)]), [0, 0, 10.0 * min(t, 0.02)]
 
-    grasp = pt.Grasp(TOP, 0.004, lift, until=0.03, name="forceps")
+    grasp = pt.tools.Grasp(TOP, 0.004, lift, until=0.03, name="forceps")
     trajectory = run(cube, grasp, duration=0.06)
     near = np.linalg.norm(cube.cloud.points - TOP, axis=1) < 0.004
     assert near.sum() == 4
@@ -344,8 +355,8 @@ def test_forceps_hold_turn_and_let_go(cube):
 
 
 def test_a_tool_touches_what_forceps_have_let_go(cube):
-    grasp = pt.Grasp(TOP, 0.004, lambda t: TOP + np.array([0, 0, -0.002 * min(t / 0.01, 1)]), until=0.012)
-    roof = pt.Contact(pt.Plane(), ([0, 0, SIDE - 0.0005], [0.0, 1.0, 0, 0]), group="grasp")
+    grasp = pt.tools.Grasp(TOP, 0.004, lambda t: TOP + np.array([0, 0, -0.002 * min(t / 0.01, 1)]), until=0.012)
+    roof = pt.tools.Contact(pt.tools.Plane(), ([0, 0, SIDE - 0.0005], [0.0, 1.0, 0, 0]), group="grasp")
     with_group = grasp.with_group(cube.cloud)
     model = pt.Solid(with_group, cube.material, fixed="z-", form="energy")
     trajectory = run(model, grasp, roof, duration=0.04)
@@ -355,7 +366,7 @@ def test_a_tool_touches_what_forceps_have_let_go(cube):
 
 
 def test_moments_are_kept_in_files_and_joined(cube, tmp_path):
-    loads = [pt.Contact(BALL, press(0.002), friction=0.3)]
+    loads = [pt.tools.Contact(BALL, press(0.002), friction=0.3)]
     first = run(cube, *loads, duration=0.01)
     kept = first.displacements[-1], first.velocities[-1]
     second = run(cube, *loads, duration=0.01, start=0.01, displacement=kept[0], velocity=kept[1])
@@ -370,23 +381,29 @@ def test_moments_are_kept_in_files_and_joined(cube, tmp_path):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: pt.Sphere(-1.0), r"radius of a Sphere = -1.0 is out of range"),
-        (lambda: pt.Sphere(np.nan), "radius of a Sphere"),
-        (lambda: pt.Capsule(0.01, 0.0), "length of a Capsule"),
-        (lambda: pt.Punch(0.01, 0.02), "rounding of a Punch"),
-        (lambda: pt.Contact("ball", (0, 0, 0)), "'tool': 'ball' is no tool"),
-        (lambda: pt.Contact(BALL, (0, 0, 0), -0.1), "friction of Contact 'tool' = -0.1"),
-        (lambda: pt.Contact(BALL, lambda t: (np.nan, 0, 0)), "'tool' is not finite at t = 0"),
-        (lambda: pt.Contact(BALL, lambda t: (0, 0)), r"'tool' must be a position \(3,\)"),
-        (lambda: pt.Contact(BALL, lambda t: (TOP * 2, (0, 0, 0, 0))), "length 0 is no rotation"),
-        (lambda: pt.Contact(BALL, lambda t: (TOP * 2, (0, np.inf, 0))), "a rotation is a finite vector"),
-        (lambda: pt.Contact(BALL, ([0, 1], np.zeros((3, 3)))), "do not fit"),
-        (lambda: pt.Contact(BALL, ([1, 0], np.zeros((2, 3)))), "times must ascend"),
-        (lambda: pt.Contact(BALL, 2 * TOP, group="top"), "unknown group 'top'"),
-        (lambda: pt.Contact(BALL, 2 * TOP, name="z-"), "'z-': a support or a driven group has that name"),
-        (lambda: pt.Contact(pt.Sphere(0.004), 2 * TOP), "radius of 0.004 m could slip between nodes 0.005 m apart"),
-        (lambda: pt.Contact(BALL, TOP), r"'tool' starts 0.00\d* m inside the body, at nodes .*start it outside"),
-        (lambda: pt.Contact(BALL, lambda t: TOP + np.array([0, 0, 0.1 - 100 * t])), "moves .* allowed is 0.004 m"),
+        (lambda: pt.tools.Sphere(-1.0), r"radius of a Sphere = -1.0 is out of range"),
+        (lambda: pt.tools.Sphere(np.nan), "radius of a Sphere"),
+        (lambda: pt.tools.Capsule(0.01, 0.0), "length of a Capsule"),
+        (lambda: pt.tools.Punch(0.01, 0.02), "rounding of a Punch"),
+        (lambda: pt.tools.Contact("ball", (0, 0, 0)), "'tool': 'ball' is no tool"),
+        (lambda: pt.tools.Contact(BALL, (0, 0, 0), -0.1), "friction of Contact 'tool' = -0.1"),
+        (lambda: pt.tools.Contact(BALL, lambda t: (np.nan, 0, 0)), "'tool' is not finite at t = 0"),
+        (lambda: pt.tools.Contact(BALL, lambda t: (0, 0)), r"'tool' must be a position \(3,\)"),
+        (lambda: pt.tools.Contact(BALL, lambda t: (TOP * 2, (0, 0, 0, 0))), "length 0 is no rotation"),
+        (lambda: pt.tools.Contact(BALL, lambda t: (TOP * 2, (0, np.inf, 0))), "a rotation is a finite vector"),
+        (lambda: pt.tools.Contact(BALL, ([0, 1], np.zeros((3, 3)))), "do not fit"),
+        (lambda: pt.tools.Contact(BALL, ([1, 0], np.zeros((2, 3)))), "times must ascend"),
+        (lambda: pt.tools.Contact(BALL, 2 * TOP, group="top"), "unknown group 'top'"),
+        (lambda: pt.tools.Contact(BALL, 2 * TOP, name="z-"), "'z-': a support or a driven group has that name"),
+        (
+            lambda: pt.tools.Contact(pt.tools.Sphere(0.004), 2 * TOP),
+            "radius of 0.004 m could slip between nodes 0.005 m apart",
+        ),
+        (lambda: pt.tools.Contact(BALL, TOP), r"'tool' starts 0.00\d* m inside the body, at nodes .*start it outside"),
+        (
+            lambda: pt.tools.Contact(BALL, lambda t: TOP + np.array([0, 0, 0.1 - 100 * t])),
+            "moves .* allowed is 0.004 m",
+        ),
     ],
 )
 def test_tools_that_cannot_be_are_refused_by_name(cube, make, message):
@@ -396,4 +413,4 @@ def test_tools_that_cannot_be_are_refused_by_name(cube, make, message):
 
 def test_two_tools_of_one_name_are_refused(cube):
     with pytest.raises(pt.InputError, match="two tools are named 'tool'"):
-        run(cube, *[pt.Contact(BALL, 2 * TOP)] * 2)
+        run(cube, *[pt.tools.Contact(BALL, 2 * TOP)] * 2)

@@ -35,7 +35,7 @@ class Pinch(DeadLoad):
 @pytest.fixture(scope="module")
 def body():
     cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    return pt.Solid(cloud, pt.NeoHookean(C1=10e3, density=1000, poisson=0.4), fixed="x-", form="energy")
+    return pt.Solid(cloud, pt.materials.NeoHookean(C1=10e3, density=1000, poisson=0.4), fixed="x-", form="energy")
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_the_inputs_of_a_linear_system_are_the_nodal_forces_of_unit_amplitudes(b
 
 def test_a_linear_model_acts_on_the_amplitudes(body):
     """Twice the load, twice the motion."""
-    model = pt.reduce_linear(pt.linearise(body, [Pinch("x+", 0.05)], outputs=["x+"]), "modal", modes=20)
+    model = pt.lti.reduce_linear(pt.lti.linearise(body, [Pinch("x+", 0.05)], outputs=["x+"]), "modal", modes=20)
     runs = [
         pt.rollout(model, [Pinch("x+", force)], duration=2e-3, every=2e-4, progress=False) for force in (0.01, 0.02)
     ]
@@ -83,7 +83,7 @@ def test_a_linear_model_acts_on_the_amplitudes(body):
 
 
 def test_a_linear_model_refuses_a_dead_load_that_its_system_lacks(body):
-    system = pt.linearise(body, [pt.SurfaceForce("x+", force=(1, 0, 0))], outputs=["x+"])
-    model = pt.reduce_linear(system, "modal", modes=4)
+    system = pt.lti.linearise(body, [pt.SurfaceForce("x+", force=(1, 0, 0))], outputs=["x+"])
+    model = pt.lti.reduce_linear(system, "modal", modes=4)
     with pytest.raises(pt.InputError, match=r"those of the linear system \(SurfaceForce on 'x\+'\), got"):
         model.prepare([Pinch("x+", 1.0)])

@@ -33,12 +33,12 @@ def on_nodes(trajectory):
 def beside():
     """A ball that rubs the edge of what is held, so that its patches share nodes with the forceps."""
     way = lambda time: (0.0, 0.0, SIDE + 0.0075 - 0.1 * min(time, 0.02))  # noqa: E731
-    return pt.Contact(pt.Sphere(0.006), way, friction=0.3)
+    return pt.tools.Contact(pt.tools.Sphere(0.006), way, friction=0.3)
 
 
 @pytest.fixture
 def forceps():
-    return pt.Grasp(TOP, 0.0085, lift, name="forceps")
+    return pt.tools.Grasp(TOP, 0.0085, lift, name="forceps")
 
 
 def test_forces_on_nodes_are_the_tools_forces_and_what_a_free_body_gains(small_cloud, tissue, forceps, beside):
@@ -68,7 +68,7 @@ def test_a_body_at_rest_pulls_at_every_held_node_by_its_own_force(small_cloud, t
 def test_forceps_that_let_go_within_a_frame_give_the_momentum_until_then(small_cloud, tissue, forceps):
     model = pt.Solid(small_cloud, tissue, form="energy")
     until = 0.0074
-    trajectory = run(model, pt.Grasp(TOP, 0.0085, lift, until=until), duration=0.012)
+    trajectory = run(model, pt.tools.Grasp(TOP, 0.0085, lift, until=until), duration=0.012)
     force = trajectory.reactions["grasp"]
     assert np.linalg.norm(force[8]) > 0
     assert not force[9:].any()

@@ -141,7 +141,9 @@ def test_a_moment_on_nodes_in_one_line_is_refused_by_name(bar, tissue, group):
 def test_a_moment_on_a_sheet_acts_on_its_face_and_not_on_its_edge():
     cloud = pt.sheet([(0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)], spacing=0.02)
     cloud = replace(cloud, groups={**cloud.groups, "face": np.arange(len(cloud))})
-    model = pt.Membrane(cloud, pt.NeoHookean(C1=20e3, density=1000.0, poisson=0.5), thickness=1e-3, prestretch=1.1)
+    model = pt.Membrane(
+        cloud, pt.materials.NeoHookean(C1=20e3, density=1000.0, poisson=0.5), thickness=1e-3, prestretch=1.1
+    )
     prepared = model.prepare([pt.SurfaceForce("face", moment=(1.0, 2.0, 3.0))])
     force = model.external_force(model.state(prepared), prepared)
     arms = np.pad(cloud.points, ((0, 0), (0, 1)))

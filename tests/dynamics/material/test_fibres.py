@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 import palpate as pt
 
 REST = {"density": 1000.0, "poisson": 0.45}
-TISSUE = pt.NeoHookean(C1=5e3, **REST)
+TISSUE = pt.materials.NeoHookean(C1=5e3, **REST)
 X, SLANTED = np.array([1.0, 0.0, 0.0]), np.array([0.6, 0.8, 0.0])
 HGO = {"k1": 20e3, "k2": 3.0, "dispersion": 0.05}
 HEART = {"C": 2e3, "bf": 8.0, "bt": 2.0, "bfs": 4.0}
@@ -22,11 +22,13 @@ def around(points):
 
 
 KINDS = {
-    "one": pt.Fibres(**HGO, directions=X),
-    "two": pt.Fibres(**HGO, directions=np.array([X, SLANTED])),
-    "by node": pt.Fibres(**HGO, directions=around),
-    "two by node": pt.Fibres(**HGO, directions=lambda points: np.stack([around(points), np.tile(X, (len(points), 1))])),
-    "the heart": pt.Guccione(**HEART, directions=around),
+    "one": pt.materials.Fibres(**HGO, directions=X),
+    "two": pt.materials.Fibres(**HGO, directions=np.array([X, SLANTED])),
+    "by node": pt.materials.Fibres(**HGO, directions=around),
+    "two by node": pt.materials.Fibres(
+        **HGO, directions=lambda points: np.stack([around(points), np.tile(X, (len(points), 1))])
+    ),
+    "the heart": pt.materials.Guccione(**HEART, directions=around),
 }
 
 
@@ -59,21 +61,21 @@ def test_forces_are_minus_the_slope_of_the_energy(name):
 
 def test_a_body_squeezed_along_its_fibres_is_one_without():
     F = np.diag([0.8, 0.8**-0.5, 0.8**-0.5])
-    with_, without = block(pt.Fibres(**{**HGO, "dispersion": 0.0}, directions=X)), block(None)
+    with_, without = block(pt.materials.Fibres(**{**HGO, "dispersion": 0.0}, directions=X)), block(None)
     u = with_.cloud.points @ (F - np.eye(3)).T
     np.testing.assert_array_equal(with_.force(u), without.force(u))
 
 
 def test_a_pulled_bar_stretches_as_its_laws_say():
-    tissue, (k1, k2) = pt.NeoHookean(C1=5e3, density=1000.0, poisson=0.49), (20e3, 3.0)
+    tissue, (k1, k2) = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.49), (20e3, 3.0)
     bar = pt.Solid(
         pt.box((0.04, 0.01, 0.01), 0.0025), tissue, "x-", form="energy", stiffness_damping=5e-4,
-        fibres=pt.Fibres(k1=k1, k2=k2, directions=X),
+        fibres=pt.materials.Fibres(k1=k1, k2=k2, directions=X),
     )  # fmt: skip
 
     def stress(stretches):
         F = np.diag([stretches[0], stretches[1], stretches[1]])
-        return tissue.stress(F) + pt.Fibres(k1=k1, k2=k2, directions=X).stress(F)
+        return tissue.stress(F) + pt.materials.Fibres(k1=k1, k2=k2, directions=X).stress(F)
 
     stretch = 1.12
     free = brentq(lambda side: stress((stretch, side))[1, 1], 0.8, 1.0)
@@ -90,7 +92,7 @@ def test_energy_is_kept_while_fibres_come_and_go():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     bar = pt.Solid(
         cloud, TISSUE, "x-", form="energy", stiffness_damping=0.0,
-        fibres=pt.Fibres(k1=20e3, k2=3.0, directions=np.array([X, SLANTED])),
+        fibres=pt.materials.Fibres(k1=20e3, k2=3.0, directions=np.array([X, SLANTED])),
     )  # fmt: skip
     x, y, z = cloud.points.T
     bent = np.stack([-2.0 * (y - 0.005) * x, x**2, 0 * z], axis=1)
@@ -102,7 +104,7 @@ def test_energy_is_kept_while_fibres_come_and_go():
 
 def test_the_step_knows_fibres_that_are_slack():
     """At rest half of all small motions leave them slack; a step for that half lets stiff fibres blow up."""
-    tight = block(pt.Fibres(k1=2e6, k2=1.0, directions=X))
+    tight = block(pt.materials.Fibres(k1=2e6, k2=1.0, directions=X))
     both = tight.highest_frequency(np.zeros_like(tight.cloud.points), tight.fixed_mask)
     squeezed = -0.02 * tight.cloud.points * [1.0, -0.5, -0.5]
     assert tight.highest_frequency(squeezed, tight.fixed_mask) > 0.9 * both
@@ -124,10 +126,10 @@ def test_what_cannot_have_fibres_is_refused():
     with pytest.raises(pt.InputError, match="form='energy'"):
         block(fibres, form="strong")
     with pytest.raises(pt.InputError, match="law of finite strain"):
-        block(fibres, pt.LinearElastic(mu=1e3, **REST))
+        block(fibres, pt.materials.LinearElastic(mu=1e3, **REST))
     with pytest.raises(pt.InputError, match=r"give palpate\.Fibres"):
         block(X)
     with pytest.raises(pt.InputError, match="7 nodes, and the body has 100"):
-        block(pt.Fibres(**HGO, directions=np.tile(X, (7, 1))))
+        block(pt.materials.Fibres(**HGO, directions=np.tile(X, (7, 1))))
     with pytest.raises(pt.InputError, match="unit vectors"):
-        block(pt.Fibres(**HGO, directions=lambda points: points))
+        block(pt.materials.Fibres(**HGO, directions=lambda points: points))

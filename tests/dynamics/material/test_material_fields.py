@@ -11,7 +11,7 @@ import palpate as pt
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
 GIVEN = {"density": 1000.0, "poisson": 0.45}
-SOFT, FIRM = pt.Gent(mu=8e3, Jm=3.0, **GIVEN), pt.Gent(mu=20e3, Jm=0.8, **GIVEN | {"poisson": 0.4})
+SOFT, FIRM = pt.materials.Gent(mu=8e3, Jm=3.0, **GIVEN), pt.materials.Gent(mu=20e3, Jm=0.8, **GIVEN | {"poisson": 0.4})
 FIBRES = {"k1": 10e3, "k2": 2.0, "directions": (1.0, 0.0, 0.0)}
 
 
@@ -28,11 +28,11 @@ def bent(points):
     return 4e-4 * np.sin(150 * points + np.array([0.0, 1.0, 2.0])) * (points[:, :1] / 0.04)
 
 
-@pytest.mark.parametrize("prony", [None, pt.Prony(shares=0.5, times=0.02)])
+@pytest.mark.parametrize("prony", [None, pt.materials.Prony(shares=0.5, times=0.02)])
 def test_away_from_the_interface_each_part_answers_as_its_own_material(prony):
     soft, firm = replace_prony(SOFT, prony), replace_prony(FIRM, prony)
-    mixed = body({"": soft, "far": firm}, fibres=pt.Fibres(**FIBRES))
-    alone = [body(m, fibres=pt.Fibres(**FIBRES)) for m in (soft, firm)]
+    mixed = body({"": soft, "far": firm}, fibres=pt.materials.Fibres(**FIBRES))
+    alone = [body(m, fibres=pt.materials.Fibres(**FIBRES)) for m in (soft, firm)]
     u = bent(mixed.cloud.points)
     far = np.isin(np.arange(len(u)), mixed.cloud.group("far"))
     # stresses depend on the smoothed pressure, which nodes near the interface share; shear parts do not
@@ -51,10 +51,10 @@ def replace_prony(material, prony):
     return replace(material, bulk=None, prony=prony)
 
 
-@pytest.mark.parametrize("prony", [None, pt.Prony(shares=0.5, times=0.02)])
+@pytest.mark.parametrize("prony", [None, pt.materials.Prony(shares=0.5, times=0.02)])
 def test_forces_are_the_slope_of_the_energy(prony):
-    model = body({"": replace_prony(SOFT, prony), "far": replace_prony(FIRM, prony)}, fibres=pt.Fibres(**FIBRES),
-                 stiffness={"x+": 1.5})  # fmt: skip
+    material = {"": replace_prony(SOFT, prony), "far": replace_prony(FIRM, prony)}
+    model = body(material, fibres=pt.materials.Fibres(**FIBRES), stiffness={"x+": 1.5})
     u, rng, step = bent(model.cloud.points), np.random.default_rng(0), 1e-8
     for _ in range(4):
         direction = rng.standard_normal(u.shape)
@@ -64,7 +64,7 @@ def test_forces_are_the_slope_of_the_energy(prony):
 
 
 def test_materials_that_are_multiples_are_a_stiffness():
-    stiff = pt.Gent(mu=3 * SOFT.mu, Jm=SOFT.Jm, **GIVEN)
+    stiff = pt.materials.Gent(mu=3 * SOFT.mu, Jm=SOFT.Jm, **GIVEN)
     one = body({"": SOFT, "far": stiff})
     other = body(SOFT, stiffness={"far": 3.0})
     u = bent(one.cloud.points)
@@ -93,7 +93,7 @@ def test_a_material_for_every_node_is_one_by_group():
 
 
 def test_a_reduced_model_knows_the_parts(tmp_path):
-    prony = pt.Prony(shares=0.5, times=0.02)
+    prony = pt.materials.Prony(shares=0.5, times=0.02)
     model = body({"": replace_prony(SOFT, prony), "far": replace_prony(FIRM, prony)})
     loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(150 * t) ** 2 * np.array([0.3, 0.1, 0.0]))]
     run = pt.rollout(model, loads, duration=0.03, every=0.001, progress=False)
@@ -114,12 +114,12 @@ def test_a_reduced_model_knows_the_parts(tmp_path):
 @pytest.mark.parametrize(
     ("materials", "message"),
     [
-        ({"": SOFT, "far": pt.NeoHookean(C1=1e3, **GIVEN)}, "one law.*Gent and NeoHookean"),
-        ({"": SOFT, "far": pt.Gent(mu=1e3, Jm=1.0, density=900.0, poisson=0.45)}, "one density"),
-        ({"": SOFT, "far": pt.Gent(mu=1e3, Jm=1.0, **GIVEN, volumetric="mixed")}, "one volumetric form"),
-        ({"": SOFT, "far": pt.Gent(mu=1e3, Jm=1.0, **GIVEN, split="isochoric")}, "one split"),
-        ({"": SOFT, "far": replace_prony(SOFT, pt.Prony(shares=1.0, times=1.0))}, "one Prony series"),
-        ({"": SOFT, "far": pt.Gent(mu=1e3, Jm=1.0, density=1000.0, poisson=0.5)}, "compressible"),
+        ({"": SOFT, "far": pt.materials.NeoHookean(C1=1e3, **GIVEN)}, "one law.*Gent and NeoHookean"),
+        ({"": SOFT, "far": pt.materials.Gent(mu=1e3, Jm=1.0, density=900.0, poisson=0.45)}, "one density"),
+        ({"": SOFT, "far": pt.materials.Gent(mu=1e3, Jm=1.0, **GIVEN, volumetric="mixed")}, "one volumetric form"),
+        ({"": SOFT, "far": pt.materials.Gent(mu=1e3, Jm=1.0, **GIVEN, split="isochoric")}, "one split"),
+        ({"": SOFT, "far": replace_prony(SOFT, pt.materials.Prony(shares=1.0, times=1.0))}, "one Prony series"),
+        ({"": SOFT, "far": pt.materials.Gent(mu=1e3, Jm=1.0, density=1000.0, poisson=0.5)}, "compressible"),
         ({"far": FIRM}, "nodes have no material"),
         ({"": SOFT, "nowhere": FIRM}, "nowhere"),
         ({"": SOFT, "far": 5.0}, "material holds 5.0"),

@@ -11,7 +11,7 @@ from palpate.dynamics.material.principal_point import make_principal_point
 from palpate.dynamics.material.principal_stretches import principal
 
 SIDE = 0.02
-OGDEN = pt.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4)
+OGDEN = pt.materials.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4)
 
 
 def spectra(random):
@@ -70,7 +70,7 @@ def test_rest_has_no_force(form):
 def test_ogden_with_the_exponent_2_moves_as_neo_hookean(form):
     """The one law by principal axes, the other by invariants."""
     given = {"density": 1000.0, "poisson": 0.4}
-    laws = (pt.Ogden(C=10e3, alpha=2.0, **given), pt.NeoHookean(C1=10e3, **given))
+    laws = (pt.materials.Ogden(C=10e3, alpha=2.0, **given), pt.materials.NeoHookean(C1=10e3, **given))
     cloud = pt.box((SIDE,) * 3, SIDE / 4, jitter=0.2)
     u = 0.1 * SIDE * np.sin(cloud.points @ np.random.default_rng(0).uniform(-80, 80, (3, 3)))
     one, other = (pt.Solid(cloud, law, form=form, stiffness_damping=0.0).force(u) for law in laws)
@@ -84,14 +84,14 @@ def test_membranes_of_ogden_and_neo_hookean_are_the_same():
     for form in ("energy", "strong"):
         forces = [
             pt.Membrane(cloud, law, 1e-3, form=form, prestretch=1.2).force(u)
-            for law in (pt.Ogden(C=10e3, alpha=2.0, **given), pt.NeoHookean(C1=10e3, **given))
+            for law in (pt.materials.Ogden(C=10e3, alpha=2.0, **given), pt.materials.NeoHookean(C1=10e3, **given))
         ]
         np.testing.assert_allclose(*forces, atol=1e-10 * np.abs(forces[1]).max())
 
 
 POINTS = {
     "ogden": OGDEN,
-    "exponential": pt.Exponential(C1=2e3, C2=0.5, C3=3e3, alpha1=2.0, alpha2=-1.5, density=1000, poisson=0.4),
+    "exponential": pt.materials.Exponential(C1=2e3, C2=0.5, C3=3e3, alpha1=2.0, alpha2=-1.5, density=1000, poisson=0.4),
 }
 
 

@@ -7,12 +7,12 @@ import pytest
 
 import palpate as pt
 
-SERIES = pt.Prony(shares=(0.5, 0.3), times=(0.02, 0.3))
+SERIES = pt.materials.Prony(shares=(0.5, 0.3), times=(0.02, 0.3))
 MU = 10e3
 
 
 def tissue(prony=SERIES, poisson=0.4):
-    return pt.NeoHookean(C1=MU / 2, density=1000.0, poisson=poisson, prony=prony)
+    return pt.materials.NeoHookean(C1=MU / 2, density=1000.0, poisson=poisson, prony=prony)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_work_is_stored_or_lost_and_never_made(body):
 
 
 def test_the_volume_relaxes_if_it_is_told_to():
-    prony = pt.Prony(shares=0.5, times=0.02, bulk_shares=0.4)
+    prony = pt.materials.Prony(shares=0.5, times=0.02, bulk_shares=0.4)
     material = tissue(prony)
     body = pt.Solid(pt.box((0.02, 0.02, 0.02), 0.005), material, form="energy", stiffness_damping=0.0)
     times, amount = np.array([0.0, 1e-9, 0.02, 1.0]), 1e-4
@@ -136,7 +136,7 @@ def test_the_volume_relaxes_if_it_is_told_to():
 
 def test_a_block_creeps_under_a_step_of_force_as_the_standard_solid():
     """One branch: strain = F/G (1 - s/(1 + s) exp(-t / ((1 + s) tau)))."""
-    prony = pt.Prony(shares=1.0, times=0.05)
+    prony = pt.materials.Prony(shares=1.0, times=0.05)
     cloud = pt.box((0.06, 0.01, 0.01), 0.0025)
     bar = pt.Solid(cloud, tissue(prony, poisson=0.45), "x-", form="energy", stiffness_damping=2e-5)
     area, young = 1e-4, 2 * MU * 1.45
@@ -190,7 +190,7 @@ def test_what_does_not_relax_is_not_touched():
 )
 def test_bad_series_are_refused(options, message):
     with pytest.raises(pt.InputError, match=message):
-        pt.Prony(**options)
+        pt.materials.Prony(**options)
 
 
 def test_the_strong_form_and_other_things_are_refused():
@@ -198,4 +198,4 @@ def test_the_strong_form_and_other_things_are_refused():
     with pytest.raises(pt.InputError, match="form='energy'"):
         pt.Solid(cloud, tissue(), "x-")
     with pytest.raises(pt.InputError, match=r"give a palpate\.Prony"):
-        pt.NeoHookean(C1=1.0, density=1.0, poisson=0.4, prony=0.5)
+        pt.materials.NeoHookean(C1=1.0, density=1.0, poisson=0.4, prony=0.5)

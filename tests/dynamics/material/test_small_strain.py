@@ -9,7 +9,7 @@ import palpate as pt
 from palpate.dynamics.nodal.stability import stiffness
 
 SIDE, MU, GIVEN = 0.02, 20e3, {"density": 1000.0, "poisson": 0.4}
-LAW = pt.LinearElastic(mu=MU, **GIVEN)
+LAW = pt.materials.LinearElastic(mu=MU, **GIVEN)
 FORMS = [("strong", "split"), ("strong", "direct"), ("energy", "split")]
 
 
@@ -33,7 +33,9 @@ def test_forces_are_linear_in_the_displacements(cloud, form, pressure):
 @pytest.mark.parametrize(("form", "pressure"), FORMS)
 def test_it_is_the_tangent_of_neo_hookean_at_rest(form, pressure):
     cloud = pt.box((SIDE,) * 3, spacing=SIDE / 3, jitter=0.1)
-    one, other = (stiffness(body(cloud, law, form, pressure, "x-")) for law in (LAW, pt.NeoHookean(C1=MU / 2, **GIVEN)))
+    one, other = (
+        stiffness(body(cloud, law, form, pressure, "x-")) for law in (LAW, pt.materials.NeoHookean(C1=MU / 2, **GIVEN))
+    )
     np.testing.assert_allclose(one, other, atol=1e-5 * np.abs(one).max())
 
 
@@ -65,6 +67,6 @@ def test_uniform_strain_has_hookes_stress(cloud):
 
 
 def test_a_membrane_refuses_it():
-    law = pt.LinearElastic(mu=MU, density=1000.0, poisson=0.5)
+    law = pt.materials.LinearElastic(mu=MU, density=1000.0, poisson=0.5)
     with pytest.raises(pt.InputError, match="a membrane needs a law of large strains"):
         pt.Membrane(pt.disc(0.1, 0.02), law, 1e-3)

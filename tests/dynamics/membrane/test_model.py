@@ -17,7 +17,7 @@ RADIUS, THICKNESS, C1 = 0.1, 1e-5, 0.17e6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coupled(pt.Material):
+class Coupled(pt.materials.Material):
     """A law of the tests, whose every derivative by I1 and I2 matters."""
 
     c: float
@@ -49,10 +49,10 @@ class Coupled(pt.Material):
 
 
 LAWS = {
-    "NeoHookean": pt.NeoHookean(C1=C1, density=1200.0, poisson=0.5),
-    "MooneyRivlin": pt.MooneyRivlin(C1=0.3e6, C2=0.05e6, density=1000.0, poisson=0.5),
+    "NeoHookean": pt.materials.NeoHookean(C1=C1, density=1200.0, poisson=0.5),
+    "MooneyRivlin": pt.materials.MooneyRivlin(C1=0.3e6, C2=0.05e6, density=1000.0, poisson=0.5),
     "Coupled": Coupled(c=0.1e6, density=1100.0, poisson=0.5),
-    "Ogden": pt.Ogden(C=(0.2e6, 0.01e6), alpha=(1.3, -4.0), density=1000.0, poisson=0.5),
+    "Ogden": pt.materials.Ogden(C=(0.2e6, 0.01e6), alpha=(1.3, -4.0), density=1000.0, poisson=0.5),
 }
 CLOUDS = {
     "rings": pt.disc(RADIUS, 0.01),
@@ -411,7 +411,7 @@ def test_a_cloud_without_a_boundary_is_refused():
         ({"thickness": -1e-5}, "thickness"),
         ({"thickness": np.nan}, "thickness"),
         ({"cloud": pt.box((0.03, 0.03, 0.03), 0.01)}, "plane cloud"),
-        ({"material": pt.NeoHookean(C1=1e5, density=1000, poisson=0.45)}, "poisson=0.5"),
+        ({"material": pt.materials.NeoHookean(C1=1e5, density=1000, poisson=0.45)}, "poisson=0.5"),
         ({"fixed": "edge"}, "unknown group 'edge'"),
         ({"prestretch": 0.9}, "prestretch = 0.9 is out of range"),
         ({"form": "weak"}, "allowed are 'energy' and 'strong'"),

@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 
-SERIES = pt.Prony(shares=(0.5, 0.3), times=(0.02, 0.3))
+SERIES = pt.materials.Prony(shares=(0.5, 0.3), times=(0.02, 0.3))
 MU = 10e3
 LAW = {"C1": MU / 2, "density": 1000.0, "poisson": 0.5}
 HGO = {"k1": 8e3, "k2": 2.0, "dispersion": 0.1}
@@ -22,7 +22,7 @@ def relaxing(request):
 def made(relaxed, prestretch=1.0, fibres=None, prony=SERIES):
     cloud = pt.sheet(SHEET, 0.01)
     return pt.Membrane(
-        cloud, pt.NeoHookean(**LAW, prony=prony), 1e-3, relaxed=relaxed, fibres=fibres, prestretch=prestretch,
+        cloud, pt.materials.NeoHookean(**LAW, prony=prony), 1e-3, relaxed=relaxed, fibres=fibres, prestretch=prestretch,
         stiffness_damping=0.0,
     )  # fmt: skip
 
@@ -120,7 +120,7 @@ def test_a_sheet_let_go_loses_energy_to_its_branches_and_balances():
 @pytest.mark.parametrize("prony", [None, SERIES])
 def test_fibres_pull_as_the_closed_form_says(prony):
     along = {**HGO, "directions": (1.0, 0.0, 0.0)}
-    model = made(False, fibres=pt.Fibres(**along), prony=prony)
+    model = made(False, fibres=pt.materials.Fibres(**along), prony=prony)
     bare = made(False, prony=prony)
     k1, k2, kappa = HGO.values()
     for l1, l2 in ((1.3, 1.3**-0.5), (1.2, 1.2), (0.9, 1.02), (1.02, 1.3)):
@@ -145,7 +145,7 @@ def test_turned_fibres_in_a_bent_sheet_pull_by_the_slope_of_the_energy():
         angle = 20 * points[:, 0]
         return np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
 
-    model = made(False, fibres=pt.Fibres(**HGO, directions=about), prony=None)
+    model = made(False, fibres=pt.materials.Fibres(**HGO, directions=about), prony=None)
     points = model.cloud.points
     u = 0.002 * np.column_stack([np.sin(40 * points[:, 1]), np.cos(30 * points[:, 0]), np.sin(50 * points[:, 0])])
     direction, step = np.random.default_rng(0).standard_normal(u.shape), 1e-8
@@ -156,21 +156,27 @@ def test_turned_fibres_in_a_bent_sheet_pull_by_the_slope_of_the_energy():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fibres": pt.Fibres(**HGO, directions=(1.0, 0.0, 0.0))}, "relaxed=False"),
-        ({"fibres": pt.Fibres(**HGO, directions=(0.0, 0.6, 0.8)), "relaxed": False}, "in the plane of the sheet"),
-        ({"fibres": pt.Fibres(**HGO, directions=(1.0, 0.0, 0.0)), "relaxed": False, "form": "strong"}, "form='energy'"),
-        ({"fibres": 3.0}, "give palpate.Fibres"),
+        ({"fibres": pt.materials.Fibres(**HGO, directions=(1.0, 0.0, 0.0))}, "relaxed=False"),
+        (
+            {"fibres": pt.materials.Fibres(**HGO, directions=(0.0, 0.6, 0.8)), "relaxed": False},
+            "in the plane of the sheet",
+        ),
+        (
+            {"fibres": pt.materials.Fibres(**HGO, directions=(1.0, 0.0, 0.0)), "relaxed": False, "form": "strong"},
+            "form='energy'",
+        ),
+        ({"fibres": 3.0}, "give palpate.materials.Fibres"),
         ({"form": "strong"}, "form='energy'"),
     ],
 )
 def test_sheets_that_cannot_have_them_are_refused(options, message):
     prony = None if "fibres" in options else SERIES
     with pytest.raises(pt.InputError, match=message):
-        pt.Membrane(pt.sheet(SHEET, 0.01), pt.NeoHookean(**LAW, prony=prony), 1e-3, **options)
+        pt.Membrane(pt.sheet(SHEET, 0.01), pt.materials.NeoHookean(**LAW, prony=prony), 1e-3, **options)
 
 
 def test_a_volume_that_relaxes_is_refused():
-    prony = pt.Prony(shares=1.0, times=1.0, bulk_shares=0.5)
+    prony = pt.materials.Prony(shares=1.0, times=1.0, bulk_shares=0.5)
     with pytest.raises(pt.InputError, match="bulk_shares"):
         made(True, prony=prony)
 

@@ -137,7 +137,7 @@ def test_the_stable_step_shrinks_as_the_body_stretches(model):
 
 def test_a_body_that_no_viscosity_can_calm_is_refused_with_the_node():
     cloud = pt.box((0.02,) * 3, spacing=0.005, jitter=0.2)
-    tissue = pt.NeoHookean(C1=20e3, density=1000, poisson=0.499)
+    tissue = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.499)
     with pytest.raises(pt.CloudError, match=r"unstable at rest.*node \d+.*more neighbours \(now 27\)"):
         pt.Solid(cloud, tissue, fixed="x-", pressure="direct", neighbours=27)
 

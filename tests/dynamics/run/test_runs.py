@@ -107,7 +107,7 @@ def test_a_symmetric_pull_stays_symmetric(held):
 
 def test_a_bar_without_contraction_rings_at_its_axial_frequency():
     cloud = pt.box((0.06, 0.015, 0.015), spacing=0.005)
-    material = pt.NeoHookean(C1=20e3, density=1000, poisson=0.0)
+    material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.0)
     model = pt.Solid(cloud, material, fixed="x-", stiffness_damping=3e-5)
     frequency = np.pi / 2 / 0.06 * np.sqrt(2 * material.shear_modulus / 1000)
     shape = np.zeros((len(cloud), 3))
@@ -207,7 +207,7 @@ def test_the_work_of_a_tool_goes_into_the_body(prescribed):
 
 def test_a_tool_pulls_as_hard_as_the_support_when_nothing_moves():
     bar = pt.box((0.03, 0.015, 0.015), spacing=0.00375)
-    material = pt.NeoHookean(C1=20e3, density=1000, poisson=0.0)
+    material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.0)
     model = pt.Solid(bar, material, fixed="x-", stiffness_damping=1e-3)
     stretch = pt.PrescribedMotion("x+", lambda points, t: (0.003 * min(1, t / 0.02), 0, 0))
     run = pt.rollout(model, [stretch], duration=0.06, every=0.06)
@@ -239,7 +239,7 @@ def test_a_motion_sees_the_places_of_its_nodes(bar, held):
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49, 0.499])
 def test_a_poked_body_calms_down(poisson, jitter):
     cloud = pt.box((0.02, 0.015, 0.015), spacing=0.005, jitter=jitter)
-    model = pt.Solid(cloud, pt.MooneyRivlin(C1=20e3, C2=2e3, density=1000, poisson=poisson), fixed="z-")
+    model = pt.Solid(cloud, pt.materials.MooneyRivlin(C1=20e3, C2=2e3, density=1000, poisson=poisson), fixed="z-")
     poke = pt.SurfaceForce("z+", force=lambda t: (0.5, 0, -1.0) if t < 0.005 else (0, 0, 0))
     run = pt.rollout(model, [poke], duration=0.03, every=0.001)
     total = run.kinetic + run.strain

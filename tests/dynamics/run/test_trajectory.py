@@ -254,7 +254,7 @@ def test_a_killed_run_keeps_its_frames(tmp_path):
 import os, signal
 import palpate as pt
 model = pt.Solid(pt.box((0.015, 0.015, 0.015), spacing=0.005),
-    pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45), fixed="x-", stiffness_damping=6e-5)
+    pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45), fixed="x-", stiffness_damping=6e-5)
 def stop(time, wall):
     if time > 2.5e-3:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -299,7 +299,7 @@ def test_a_disk_that_fills_up_during_a_run_is_named_and_keeps_frames(tmp_path):
 import resource
 import palpate as pt
 model = pt.Solid(pt.box((0.015, 0.015, 0.015), spacing=0.005),
-    pt.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45), fixed="x-", stiffness_damping=6e-5)
+    pt.materials.MooneyRivlin(C1=20e3, C2=5e3, density=1000.0, poisson=0.45), fixed="x-", stiffness_damping=6e-5)
 pt.rollout(model, [pt.Gravity()], duration=1e-3, every=1e-3)  # compiles
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 try:

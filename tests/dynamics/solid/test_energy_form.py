@@ -15,9 +15,9 @@ from palpate.dynamics.run.reactions import reactions
 SIDE = 0.02
 STRETCHED = np.eye(3) + np.array([[0.3, 0.2, -0.1], [0.0, -0.2, 0.1], [0.1, 0.0, 0.1]])
 LAWS = {
-    "neo-hookean": pt.NeoHookean(C1=20e3, density=1000, poisson=0.4),
-    "mooney-rivlin": pt.MooneyRivlin(C1=20e3, C2=15e3, density=1000, poisson=0.49),
-    "ogden": pt.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4),
+    "neo-hookean": pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.4),
+    "mooney-rivlin": pt.materials.MooneyRivlin(C1=20e3, C2=15e3, density=1000, poisson=0.49),
+    "ogden": pt.materials.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4),
 }
 CLOUDS = {
     "lattice": pt.box((3 * SIDE, 0.75 * SIDE, 0.75 * SIDE), spacing=SIDE / 4),
@@ -35,7 +35,7 @@ FINITE_ELEMENTS = {
 
 
 def silicone(poisson):
-    return pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
+    return pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
 
 
 def energy_form(cloud, material, fixed=(), **options):
@@ -166,7 +166,7 @@ def wave_frequency(model, number, polarised):
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49])
 @pytest.mark.parametrize("wave", ["P", "S"])
 def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(deep, poisson, wave):
-    material = pt.NeoHookean(C1=20e3, density=1000, poisson=poisson)
+    material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=poisson)
     model = energy_form(deep, material)
     mu, bulk = material.shear_modulus, material.bulk_modulus
     speed = np.sqrt(((bulk + 4 / 3 * mu) if wave == "P" else mu) / 1000)
@@ -184,7 +184,7 @@ def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(deep, poisson, wave):
 @pytest.mark.parametrize("polarised", [(1, 0, 0), (0, 1, 0)])
 def test_the_shortest_waves_are_not_free(deep, number, polarised):
     """No gradient at the nodes sees a wave of two spacings: what the fit misses must."""
-    model = energy_form(deep, pt.NeoHookean(C1=20e3, density=1000, poisson=0.3))
+    model = energy_form(deep, pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.3))
     short = wave_frequency(model, np.pi / deep.spacing * np.array(number), np.array(polarised, dtype=float))
     assert short > np.sqrt(model.material.shear_modulus / 1000) / deep.spacing
 

@@ -135,12 +135,14 @@ def test_snapshots_that_memory_does_not_hold_are_refused(energetic, monkeypatch)
 )
 def test_bodies_beyond_double_precision_are_refused(form, given, small_cloud):
     with pytest.raises(pt.InputError, match=r"highest frequency of the body must be|out of range"):
-        pt.Solid(small_cloud, pt.NeoHookean(**({"C1": 5e3, "density": 1e3, "poisson": 0.45} | given)), form=form)
+        pt.Solid(
+            small_cloud, pt.materials.NeoHookean(**({"C1": 5e3, "density": 1e3, "poisson": 0.45} | given)), form=form
+        )
 
 
 @pytest.mark.parametrize("given", [{"C1": 1e-300}, {"density": 5e-324}])
 def test_sheets_beyond_double_precision_are_refused(given):
-    material = pt.NeoHookean(**({"C1": 5e3, "density": 1e3, "poisson": 0.5} | given))
+    material = pt.materials.NeoHookean(**({"C1": 5e3, "density": 1e3, "poisson": 0.5} | given))
     with pytest.raises(pt.InputError, match="highest frequency of the body must be"):
         pt.Membrane(pt.disc(0.1, 0.025), material, 1e-4, "rim")
 
@@ -153,14 +155,16 @@ def test_no_step_is_stable_where_a_frequency_is_not_finite():
     "turn", [(1e300, 0.0, 0.0), (0.0, 10**400, 0.0), (np.nan, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), "left"]
 )
 def test_rotations_that_are_none_are_refused(turn, energetic):
-    tool = pt.Contact(pt.Sphere(0.005), ((0.0, 0.0, 1.0), turn))
+    tool = pt.tools.Contact(pt.tools.Sphere(0.005), ((0.0, 0.0, 1.0), turn))
     with pytest.raises(pt.InputError, match="the motion of Contact 'tool'"):
         pt.rollout(energetic, [tool], **SHORT)
 
 
 def test_quaternions_of_any_length_are_unit_ones():
     for length in (1e-300, 1e-3, 1.0, 1e300):
-        pose = pt.Contact(pt.Sphere(0.005), ((0.0, 0.0, 1.0), (0.0, length, 0.0, -length))).poses(np.zeros(1))[0]
+        pose = pt.tools.Contact(pt.tools.Sphere(0.005), ((0.0, 0.0, 1.0), (0.0, length, 0.0, -length))).poses(
+            np.zeros(1)
+        )[0]
         np.testing.assert_allclose(pose[3:], np.sqrt(0.5) * np.array([0.0, 1.0, 0.0, -1.0]), rtol=1e-15)
 
 

@@ -36,7 +36,7 @@ def finite_elements(material, cells, force=FORCE):
     field = fem.FieldContainer([fem.Field(fem.RegionTriQuadraticHexahedron(mesh), dim=3)])
     boundaries = {"fixed": fem.Boundary(field[0], fx=0.0)}
     dof0, dof1 = fem.dof.partition(field, boundaries)
-    if isinstance(material, pt.NeoHookean):
+    if isinstance(material, pt.materials.NeoHookean):
         law = fem.NeoHookeCompressible(mu=material.shear_modulus, lmbda=material.lame)
     else:
         law = by_differences(fem, material)
@@ -56,7 +56,7 @@ def finite_elements(material, cells, force=FORCE):
 
 @pytest.mark.parametrize("poisson", [0.3, 0.45])
 def test_a_block_bends_as_far_as_in_finite_elements(poisson):
-    material = pt.NeoHookean(C1=20e3, density=1000, poisson=poisson)
+    material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=poisson)
     expected = finite_elements(material, (6, 3, 3))
     cloud = pt.box(SIZE, spacing=0.0025)
     model = pt.Solid(cloud, material, fixed="x-", stiffness_damping=0.0)
@@ -73,7 +73,7 @@ def test_a_block_bends_as_far_as_in_finite_elements(poisson):
 @pytest.mark.parametrize(("form", "error"), [("strong", 0.05), ("energy", 0.08)])
 def test_a_block_of_stiffening_tissue_bends_far_as_in_finite_elements(form, error):
     """By a quarter of its length; the law is one of the principal stretches, the errors those of the 3 mm."""
-    material = pt.Logarithmic(C1=10e3, C2=0.35, C3=3e3, alpha1=2.0, alpha2=1.5, density=1000, poisson=0.4)
+    material = pt.materials.Logarithmic(C1=10e3, C2=0.35, C3=3e3, alpha1=2.0, alpha2=1.5, density=1000, poisson=0.4)
     force = 0.1
     expected = finite_elements(material, (4, 2, 2), force)
     cloud = pt.box(SIZE, spacing=0.003)

@@ -13,7 +13,7 @@ LENGTH = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coupled(pt.Material):
+class Coupled(pt.materials.Material):
     """A law of the tests, whose every second derivative by the invariants matters."""
 
     c: float
@@ -50,12 +50,14 @@ class Coupled(pt.Material):
 
 
 LAWS = {
-    "neo-hookean": pt.NeoHookean(C1=20e3, density=1000, poisson=0.4),
-    "mooney-rivlin": pt.MooneyRivlin(C1=20e3, C2=15e3, density=1000, poisson=0.49),
+    "neo-hookean": pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.4),
+    "mooney-rivlin": pt.materials.MooneyRivlin(C1=20e3, C2=15e3, density=1000, poisson=0.49),
     "coupled": Coupled(c=5e3, density=1000, bulk=200e3),
-    "gent": pt.Gent(mu=20e3, Jm=3.0, density=1000, poisson=0.4),
-    "ogden": pt.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4),
-    "logarithmic": pt.Logarithmic(C1=20e3, C2=0.35, C3=3e3, alpha1=2.0, alpha2=1.5, density=1000, poisson=0.4),
+    "gent": pt.materials.Gent(mu=20e3, Jm=3.0, density=1000, poisson=0.4),
+    "ogden": pt.materials.Ogden(C=(5e3, 300.0, 500.0), alpha=(1.3, 5.0, -2.0), density=1000, poisson=0.4),
+    "logarithmic": pt.materials.Logarithmic(
+        C1=20e3, C2=0.35, C3=3e3, alpha1=2.0, alpha2=1.5, density=1000, poisson=0.4
+    ),
 }
 
 
@@ -194,7 +196,7 @@ def test_the_force_of_a_mirrored_deformation_is_mirrored(material):
 @pytest.mark.parametrize("wave", ["P", "S"])
 def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(poisson, wave):
     cloud = pt.box((0.04,) * 3, spacing=0.005)
-    material = pt.NeoHookean(C1=20e3, density=1000, poisson=poisson)
+    material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=poisson)
     model = pt.Solid(cloud, material, stiffness_damping=0.0)
     mu, bulk = material.shear_modulus, material.bulk_modulus
     speed = np.sqrt(((bulk + 4 / 3 * mu) if wave == "P" else mu) / 1000)

@@ -14,8 +14,8 @@ SIDE = 0.02
 STRETCH = np.eye(3) + np.array([[0.3, 0.2, -0.1], [0.0, -0.2, 0.1], [0.1, 0.0, 0.1]])
 CLOUDS = {j: pt.box((SIDE,) * 3, spacing=SIDE / 4, jitter=j) for j in (0.0, 0.2)}
 LAWS = {
-    "neo-hookean": (pt.NeoHookean, {"C1": 20e3}),
-    "ogden": (pt.Ogden, {"C": (5e3, 300.0, 500.0), "alpha": (1.3, 5.0, -2.0)}),
+    "neo-hookean": (pt.materials.NeoHookean, {"C1": 20e3}),
+    "ogden": (pt.materials.Ogden, {"C": (5e3, 300.0, 500.0), "alpha": (1.3, 5.0, -2.0)}),
 }
 
 
@@ -43,7 +43,9 @@ def some_state(cloud):
     return X @ (STRETCH - np.eye(3)).T + smooth + 0.05 * cloud.spacing * random.normal(size=X.shape)
 
 
-@pytest.mark.parametrize("prony", [None, pt.Prony(shares=0.5, times=0.01, bulk_shares=0.3)], ids=["eased", "relaxing"])
+@pytest.mark.parametrize(
+    "prony", [None, pt.materials.Prony(shares=0.5, times=0.01, bulk_shares=0.3)], ids=["eased", "relaxing"]
+)
 def test_forces_are_minus_the_slope_of_the_energy(cloud, material, prony):
     model = pt.Solid(cloud, replace(material, poisson=None, prony=prony), form="energy")
     u = some_state(cloud)
@@ -81,7 +83,7 @@ def test_the_direct_strong_form_is_the_divergence_of_the_stress(cloud, material)
 
 @pytest.mark.parametrize("solid", ["energy", "strong"])
 def test_a_bar_under_the_closed_forms_stretch_is_at_rest_between_its_ends(form, solid):
-    material = pt.NeoHookean(C1=20e3, density=1000, poisson=0.45, volumetric=form)
+    material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.45, volumetric=form)
     stretch = 1.4
     across = brentq(lambda a: material.stress(np.diag([stretch, a, a]))[1, 1], 0.5, 1.2, xtol=1e-14)
     cloud = pt.box((0.75 * SIDE, SIDE, SIDE), spacing=SIDE / 4)

@@ -143,7 +143,7 @@ def press(x, y, depth=0.004):
         share = np.sin(np.pi * min(time / 0.16, 1.0)) ** 2
         return x, y, SIZE[2] + BALL + 0.001 - share * (depth + 0.001)
 
-    return [pt.Contact(pt.Sphere(BALL), motion)]
+    return [pt.tools.Contact(pt.tools.Sphere(BALL), motion)]
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def pressed():
     """A block, runs of presses, and a model trained on all but the last."""
     cloud = pt.box(SIZE, spacing=0.006)
     body = pt.Solid(
-        cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
+        cloud, pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
     )
     places = [(0.021, 0.027), (0.039, 0.033), (0.030, 0.040), (0.024, 0.038)]
     runs = [pt.rollout(body, press(*place), duration=0.2, every=0.005) for place in places]
@@ -255,7 +255,7 @@ def test_saved_and_loaded_it_runs_the_same(pressed, tmp_path):
 def test_what_cannot_be_touched_is_refused(pressed):
     body, runs, model = pressed
     with pytest.raises(pt.InputError, match="inside the body"):
-        pt.rollout(model, [pt.Contact(pt.Sphere(BALL), (0.03, 0.03, SIZE[2]))], duration=0.01, every=0.01)
+        pt.rollout(model, [pt.tools.Contact(pt.tools.Sphere(BALL), (0.03, 0.03, SIZE[2]))], duration=0.01, every=0.01)
     with pytest.raises(pt.InputError, match="stepped explicitly"):
         pt.rollout(model.with_step(1e-3), press(0.03, 0.03), duration=0.01, every=0.01)
     bare = pt.hyper_reduce(body, [run_without(runs[0])], modes=4)
@@ -278,9 +278,11 @@ def test_the_engine_feels_what_a_run_feels(pressed):
     """Periods of the engine's compiled step beside `rollout`: the same ball, the same way, the same force."""
     _, _, model = pressed
     depth, rate, home = 0.004, 1000, (0.024, 0.038, SIZE[2] + BALL + 0.001)
-    slow = pt.Contact(pt.Sphere(BALL), lambda time: (*home[:2], home[2] - (depth + 0.001) * min(time / 0.1, 1.0)))
+    slow = pt.tools.Contact(
+        pt.tools.Sphere(BALL), lambda time: (*home[:2], home[2] - (depth + 0.001) * min(time / 0.1, 1.0))
+    )
     run = pt.rollout(model, [slow], duration=0.2, every=0.01)
-    ready = pt.realtime_model(model, contact=pt.Contact(pt.Sphere(BALL), home))
+    ready = pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(BALL), home))
     q, v, report = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(20)
     felt, moments = [], []
     for k in range(200):
@@ -305,7 +307,7 @@ def grasped(lift=0.003, until=np.inf):
         share = np.sin(np.pi / 2 * min(time / 0.08, 1.0)) ** 2
         return (0.024, 0.038, SIZE[2] + share * lift), (0.0, 0.0, 0.3 * share)
 
-    return [pt.Grasp((0.024, 0.038, SIZE[2]), 0.010, motion, until=until)]
+    return [pt.tools.Grasp((0.024, 0.038, SIZE[2]), 0.010, motion, until=until)]
 
 
 def test_a_grasp_anywhere_pulls_as_the_full_models(pressed):
@@ -339,17 +341,19 @@ def test_a_grasp_lets_go_and_stands_beside_a_ball(pressed):
 def test_a_grasp_of_what_is_fixed_or_of_nothing_is_refused(pressed):
     _, _, model = pressed
     with pytest.raises(pt.InputError, match="are fixed"):
-        pt.rollout(model, [pt.Grasp((0.0, 0.0, 0.0), 0.01, (0.0, 0.0, 0.0))], duration=0.01, every=0.01)
+        pt.rollout(model, [pt.tools.Grasp((0.0, 0.0, 0.0), 0.01, (0.0, 0.0, 0.0))], duration=0.01, every=0.01)
     with pytest.raises(pt.InputError, match="'z\\+' is a group of the body"):
         pt.rollout(model, [replace(grasped()[0], name="z+")], duration=0.01, every=0.01)
     with pytest.raises(pt.InputError, match="holds no node"):
-        pt.rollout(model, [pt.Grasp((0.03, 0.03, 0.05), 0.001, (0.03, 0.03, 0.05))], duration=0.01, every=0.01)
+        pt.rollout(model, [pt.tools.Grasp((0.03, 0.03, 0.05), 0.001, (0.03, 0.03, 0.05))], duration=0.01, every=0.01)
 
 
 def test_an_engine_presses_and_lets_go(pressed):
     _, _, model = pressed
     home = (0.03, 0.03, SIZE[2] + BALL + 0.001)
-    with pt.Engine(pt.realtime_model(model, contact=pt.Contact(pt.Sphere(BALL), home)), on_distrust="warn") as engine:
+    with pt.Engine(
+        pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(BALL), home)), on_distrust="warn"
+    ) as engine:
         engine.set_pose((0.0, 0.0, -0.004))
         import time
         import warnings

@@ -13,7 +13,7 @@ SIDE = 0.04
 
 
 def block(spacing):
-    tissue = pt.NeoHookean(C1=1e3, density=1000, poisson=0.45)
+    tissue = pt.materials.NeoHookean(C1=1e3, density=1000, poisson=0.45)
     return pt.Solid(pt.box((SIDE, SIDE, SIDE / 2), spacing=spacing), tissue, fixed="z-", form="energy")
 
 

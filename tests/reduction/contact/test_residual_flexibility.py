@@ -21,7 +21,7 @@ from palpate.reduction.contact.compliance import (
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 from palpate.reduction.training.fit_compliance import fit_stiffening
 
-TISSUE = pt.NeoHookean(C1=1e3, density=1000, poisson=0.4)
+TISSUE = pt.materials.NeoHookean(C1=1e3, density=1000, poisson=0.4)
 
 
 def block(spacing, fixed="z-"):

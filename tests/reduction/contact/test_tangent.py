@@ -26,7 +26,7 @@ def press(x, y):
         share = np.sin(np.pi * min(time / 0.16, 1.0)) ** 2
         return x, y, SIZE[2] + BALL + 0.001 - share * (DEPTH + 0.001)
 
-    return pt.Contact(pt.Sphere(BALL), motion)
+    return pt.tools.Contact(pt.tools.Sphere(BALL), motion)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def pressed():
     """A block that is clamped below, and a model trained on presses of a ball."""
     cloud = pt.box(SIZE, spacing=0.006)
     body = pt.Solid(
-        cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
+        cloud, pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
     )
     runs = [pt.rollout(body, [press(*at)], duration=0.2, every=0.005) for at in ((0.021, 0.027), (0.030, 0.040))]
     return body, pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 24)[0])
@@ -101,7 +101,9 @@ class Hand:
 
 @HANDS
 def test_the_stiffness_is_what_a_slow_hand_feels(pressed, friction, foundations):
-    hand = Hand(slow(pressed[1]), pt.Contact(pt.Sphere(BALL), HOME, friction=friction), foundations=foundations)
+    hand = Hand(
+        slow(pressed[1]), pt.tools.Contact(pt.tools.Sphere(BALL), HOME, friction=friction), foundations=foundations
+    )
     deep = np.array((0.0, 0.0, -DEEP))
     hand.presses(deep)
     found, _ = hand.told()
@@ -116,7 +118,9 @@ def test_the_stiffness_is_what_a_slow_hand_feels(pressed, friction, foundations)
 
 @HANDS
 def test_on_a_way_on_which_patches_come_to_the_tool_its_sum_is_the_force(pressed, friction, foundations):
-    hand = Hand(slow(pressed[1]), pt.Contact(pt.Sphere(BALL), HOME, friction=friction), foundations=foundations)
+    hand = Hand(
+        slow(pressed[1]), pt.tools.Contact(pt.tools.Sphere(BALL), HOME, friction=friction), foundations=foundations
+    )
     depths, forces, told, pushed = np.linspace(0.0036, 0.0046, 21), [], [], []
     hand.presses((0.0, 0.0, -depths[0]))
     for depth in depths:
@@ -129,7 +133,7 @@ def test_on_a_way_on_which_patches_come_to_the_tool_its_sum_is_the_force(pressed
 
 
 def test_so_it_is_of_forceps(pressed):
-    hand = Hand(slow(pressed[1]), pt.Grasp(AT, 0.010, AT))
+    hand = Hand(slow(pressed[1]), pt.tools.Grasp(AT, 0.010, AT))
     up = np.array((0.0, 0.001, 0.003))
     hand.presses(up)
     found, _ = hand.told()
@@ -163,7 +167,7 @@ def dense(hand):
 def test_many_patches_take_several_calls_and_give_what_dense_equations_give(pressed):
     softening = pressed[1].data.compliance._replace(stiffening=np.array([0.3, 5.0]))
     above = (0.03, 0.03, SIZE[2] + 0.001), (np.pi, 0.0, 0.0)  # facing down
-    hand = Hand(slow(pressed[1], compliance=softening), pt.Contact(pt.Plane(), above, friction=2.0))
+    hand = Hand(slow(pressed[1], compliance=softening), pt.tools.Contact(pt.tools.Plane(), above, friction=2.0))
     hand.presses((0.0003, 0.0, -0.003))
     expected, rows = dense(hand)
     found, calls = hand.told()
@@ -188,9 +192,9 @@ def test_a_pressed_block_on_springs_is_the_full_one(pressed):
 
 def test_the_engine_feels_a_block_on_springs_as_a_run_does(pressed):
     _, model = pressed
-    hand = Hand(model, pt.Contact(pt.Sphere(BALL), HOME), foundations=[SPRINGS])
+    hand = Hand(model, pt.tools.Contact(pt.tools.Sphere(BALL), HOME), foundations=[SPRINGS])
     down = lambda time: -(DEPTH + 0.001) * min(time / 0.1, 1.0)  # noqa: E731
-    ball = pt.Contact(pt.Sphere(BALL), lambda time: (*HOME[:2], HOME[2] + down(time)))
+    ball = pt.tools.Contact(pt.tools.Sphere(BALL), lambda time: (*HOME[:2], HOME[2] + down(time)))
     run = pt.rollout(model, [ball, SPRINGS], duration=0.2, every=0.01, progress=False)
     felt = [hand.goes((0.0, 0.0, down(1e-3 * (k + 1))), 1) for k in range(200)]
     means = np.array(felt).reshape(20, 10, 3).mean(axis=1)

@@ -24,9 +24,15 @@ def two(points):
 
 
 KINDS = {
-    "one": (pt.NeoHookean(C1=5e3, **REST), pt.Fibres(k1=20e3, k2=3.0, directions=around)),
-    "two": (pt.NeoHookean(C1=5e3, **REST), pt.Fibres(k1=20e3, k2=3.0, dispersion=0.1, directions=two)),
-    "the heart": (pt.VolumeOnly(mu=2e3, **REST), pt.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=around)),
+    "one": (pt.materials.NeoHookean(C1=5e3, **REST), pt.materials.Fibres(k1=20e3, k2=3.0, directions=around)),
+    "two": (
+        pt.materials.NeoHookean(C1=5e3, **REST),
+        pt.materials.Fibres(k1=20e3, k2=3.0, dispersion=0.1, directions=two),
+    ),
+    "the heart": (
+        pt.materials.VolumeOnly(mu=2e3, **REST),
+        pt.materials.Guccione(C=2e3, bf=8.0, bt=2.0, bfs=4.0, directions=around),
+    ),
 }
 PULL = [pt.SurfaceForce("x+", force=lambda t: np.sin(200 * t) ** 2 * np.array([0.3, 0.1, -0.05]))]
 OPTIONS = {"duration": 0.03, "every": 0.00075, "progress": False}
@@ -41,7 +47,7 @@ def body(request):
 
 @pytest.fixture(scope="module")
 def run(body):
-    scale = 0.2 if isinstance(body.material, pt.VolumeOnly) else 1.0
+    scale = 0.2 if isinstance(body.material, pt.materials.VolumeOnly) else 1.0
     loads = [pt.SurfaceForce("x+", force=lambda t: scale * PULL[0].force(t))]
     return loads, pt.rollout(body, loads, **OPTIONS)
 
@@ -97,7 +103,7 @@ def test_a_model_without_its_fibres_is_another_one(body, run):
 
 
 def test_fibres_of_ones_own_are_not_saved(tmp_path):
-    class Hair(pt.Fibres):
+    class Hair(pt.materials.Fibres):
         pass
 
     cloud = pt.box((0.02, 0.015, 0.015), 0.005)

@@ -22,13 +22,13 @@ def share(time):
 
 def press(x, y, depth=0.004):
     motion = lambda time: (x, y, SIZE[2] + BALL + 0.001 - share(time) * (depth + 0.001))  # noqa: E731
-    return [pt.Contact(pt.Sphere(BALL), motion)]
+    return [pt.tools.Contact(pt.tools.Sphere(BALL), motion)]
 
 
 def grasp(x, y, pull, turn=(0.0, 0.0, 0.0), radius=0.010):
     place = np.array([x, y, SIZE[2]])
     motion = lambda time: (place + share(time) * np.array(pull), share(time) * np.array(turn))  # noqa: E731
-    return [pt.Grasp(place, radius, motion, until=0.19)]
+    return [pt.tools.Grasp(place, radius, motion, until=0.19)]
 
 
 LEARNT = [press(0.021, 0.027), grasp(0.036, 0.024, (0.0, 0.0, 0.003), (0.0, 0.0, 0.3))]
@@ -46,7 +46,7 @@ def run(model, loads):
 def body():
     cloud = pt.box(SIZE, spacing=0.006)
     return pt.Solid(
-        cloud, pt.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
+        cloud, pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
     )
 
 

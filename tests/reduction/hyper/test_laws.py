@@ -16,7 +16,7 @@ from palpate.tissue.catalogue import LAWS
 REST = {"density": 1000.0, "poisson": 0.45}
 SOLID = [law for law in LAWS if law.kind.variables != "small strain"]
 COMPILED = ("NeoHookean", "Yeoh", "Gent", "Ogden", "Logarithmic")  # of each kind one or two: compiling takes long
-SERIES = pt.Prony(shares=(0.6, 0.3), times=(2e-3, 2e-2))
+SERIES = pt.materials.Prony(shares=(0.6, 0.3), times=(2e-3, 2e-2))
 
 
 def course(t):
@@ -102,7 +102,7 @@ def test_all_nodes_are_the_galerkin_model_in_every_form_of_the_volumetric_part(n
 
 @pytest.mark.parametrize("form", ["logarithmic", "mixed"])
 def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_not(form):
-    body = block(pt.NeoHookean(C1=5e3, **REST, volumetric=form))
+    body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric=form))
     model = pt.ReducedModel(pt.hyper_reduce(body, shaped(body), modes=6).data, single=False)
     point, _ = material_point(body.material, Kinematics())
     values = np.array([point.measure(x) for x in (-3.0, -0.95, -0.9, -0.5, 0.0, 0.7)])
@@ -117,7 +117,7 @@ def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_n
 
 
 def test_a_reduced_model_in_another_form_repeats_the_full_one_and_is_kept(tmp_path):
-    body = block(pt.NeoHookean(C1=5e3, **REST, volumetric="mixed"))
+    body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric="mixed"))
     run = rollout(body)
     model = pt.hyper_reduce(body, run, modes=12)
     assert pt.relative_errors(run, rollout(model)).displacement < 0.03
@@ -141,7 +141,7 @@ def test_every_law_is_kept_in_words_and_numbers(law):
 
 
 def test_an_energy_of_ones_own_is_kept_as_text(tmp_path):
-    law = pt.Hyperelastic("C1*(I1bar - 3) + C2*(exp(I1bar - 3) - 1)", C1=4e3, C2=1e3, prony=SERIES, **REST)
+    law = pt.materials.Hyperelastic("C1*(I1bar - 3) + C2*(exp(I1bar - 3) - 1)", C1=4e3, C2=1e3, prony=SERIES, **REST)
     body = block(law)
     model = pt.hyper_reduce(body, shaped(body), modes=4)
     pt.save(model, tmp_path / "own.rom")
@@ -154,7 +154,7 @@ def test_an_energy_of_ones_own_is_kept_as_text(tmp_path):
 
 def test_a_sheet_takes_laws_of_the_stretches():
     cloud = pt.disc(0.1, 0.0125).within("tool", (0.0, 0.0), 1e-6)
-    law = pt.Ogden(C=(0.05e6, 0.02e6), alpha=(2.0, 4.0), density=1200.0, poisson=0.5)
+    law = pt.materials.Ogden(C=(0.05e6, 0.02e6), alpha=(2.0, 4.0), density=1200.0, poisson=0.5)
     sheet = pt.Membrane(cloud, law, 1e-5, "rim")
     push = [pt.PrescribedMotion("tool", lambda points, t: (0.0, 0.0, 0.1 * max(t, 0.0)))]
     run = pt.rollout(sheet, push, duration=0.05, every=0.0025, progress=False)
@@ -172,7 +172,7 @@ def test_a_sheet_takes_laws_of_the_stretches():
 
 @pytest.fixture(scope="module")
 def relaxing():
-    body = block(pt.NeoHookean(C1=5e3, prony=SERIES, **REST))
+    body = block(pt.materials.NeoHookean(C1=5e3, prony=SERIES, **REST))
     run = rollout(body)
     return body, run, pt.hyper_reduce(body, run, modes=12)
 
@@ -216,7 +216,7 @@ def test_with_all_nodes_the_branches_hold_the_energy_of_the_full_model(relaxing)
 
 
 def test_the_engine_remembers_and_forgets():
-    body = block(pt.NeoHookean(C1=5e3, prony=pt.Prony(shares=0.5, times=0.1), **REST))
+    body = block(pt.materials.NeoHookean(C1=5e3, prony=pt.materials.Prony(shares=0.5, times=0.1), **REST))
     grasp = [pt.PrescribedMotion("x+", lambda points, t: (2e-3 * course(t), 0.0, 0.0))]
     model = pt.hyper_reduce(body, rollout(body, grasp), modes=10, prescribed="x+")
     live = pt.realtime_model(model)

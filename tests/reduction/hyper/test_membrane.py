@@ -14,7 +14,7 @@ from palpate.reduction.galerkin.model import GalerkinModel
 @pytest.fixture(scope="module")
 def sheet():
     cloud = pt.disc(0.1, 0.0125).within("tool", (0.0, 0.0), 1e-6)
-    return pt.Membrane(cloud, pt.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5), 1e-5, "rim")
+    return pt.Membrane(cloud, pt.materials.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5), 1e-5, "rim")
 
 
 def tip(points, time):

@@ -18,7 +18,9 @@ TISSUE = {"C1": 60e3, "C2": 1.2e3, "density": 1120.0}
 @pytest.fixture(scope="module")
 def body():
     cloud = pt.box((0.04, 0.015, 0.015), 0.005)
-    return pt.Solid(cloud, pt.MooneyRivlin(poisson=0.49, **TISSUE), "x-", form="energy", stiffness_damping=2e-5)
+    return pt.Solid(
+        cloud, pt.materials.MooneyRivlin(poisson=0.49, **TISSUE), "x-", form="energy", stiffness_damping=2e-5
+    )
 
 
 def pull(x=8.0, y=0.3, twist=2e-3, rate=300.0):
@@ -242,7 +244,7 @@ def test_a_period_that_diverges_leaves_the_state(grasped):
 
 def test_contact_untrained_is_refused(rom):
     with pytest.raises(pt.InputError, match="train it with a Contact"):
-        rom.prepare([pt.Contact(pt.Plane(), (0, 0, -1))])
+        rom.prepare([pt.tools.Contact(pt.tools.Plane(), (0, 0, -1))])
 
 
 def test_trust_is_small_in_training_and_large_far_from_it(body, runs, rom):
@@ -323,6 +325,8 @@ def test_loads_that_it_does_not_know_are_refused(body, rom, grasped):
 
 
 def test_an_unknown_cloud_is_refused(runs):
-    other = pt.Solid(pt.box((0.04, 0.02, 0.015), 0.005), pt.MooneyRivlin(poisson=0.3, **TISSUE), "x-", form="energy")
+    other = pt.Solid(
+        pt.box((0.04, 0.02, 0.015), 0.005), pt.materials.MooneyRivlin(poisson=0.3, **TISSUE), "x-", form="energy"
+    )
     with pytest.raises(pt.InputError, match="another cloud"):
         pt.hyper_reduce(other, runs, modes=2)

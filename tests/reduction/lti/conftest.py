@@ -31,14 +31,14 @@ def energetic(bar, tissue):
 
 @pytest.fixture(scope="session")
 def strong_system(strong, soft_pull):
-    return pt.linearise(strong, [soft_pull], ["x+", "x-"])
+    return pt.lti.linearise(strong, [soft_pull], ["x+", "x-"])
 
 
 @pytest.fixture(scope="session")
 def system(energetic, soft_pull):
-    return pt.linearise(energetic, [soft_pull], ["x+", "x-"])
+    return pt.lti.linearise(energetic, [soft_pull], ["x+", "x-"])
 
 
 @pytest.fixture(scope="session")
 def tool_system(energetic):
-    return pt.linearise(energetic, [pt.PrescribedMotion("tip", (0.0, 0.0, 0.0))], ["z+"])
+    return pt.lti.linearise(energetic, [pt.PrescribedMotion("tip", (0.0, 0.0, 0.0))], ["z+"])

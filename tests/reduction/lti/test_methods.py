@@ -93,7 +93,7 @@ def test_pymor_finds_the_same_hankel_singular_values(reduction):
 def test_transfer_functions_match_at_the_expansion_points(points, form, request):
     system = request.getfixturevalue(form)
     blocks = sum(2 if np.imag(s) else 1 for s in points)
-    model = pt.reduce_linear(system, "moments", 6 * blocks, points=points)  # two moments at every point
+    model = pt.lti.reduce_linear(system, "moments", 6 * blocks, points=points)  # two moments at every point
     exact, found = (source.transfer(points) for source in (system, model.reduced))
     scale = np.abs(exact).max(axis=(1, 2), keepdims=True)
     np.testing.assert_allclose(found / scale, exact / scale, atol=1e-7)
@@ -113,7 +113,7 @@ def test_pymor_interpolates_the_handed_over_body_tangentially(system):
     pytest.importorskip("pymor", reason=WHY)
     from pymor.reductors.interpolation import SOBHIReductor
 
-    fom = pt.to_pymor(system)
+    fom = pt.lti.to_pymor(system)
     sigma, rng = np.array([150.0, 800.0]), np.random.default_rng(0)
     b, c = rng.standard_normal((2, 3)), rng.standard_normal((2, 6))
     rom = SOBHIReductor(fom).reduce(sigma, b, c)
@@ -128,7 +128,7 @@ def test_pymor_interpolates_the_handed_over_body_tangentially(system):
 def test_pymor_has_the_same_transfer_function(form, request):
     pytest.importorskip("pymor", reason=WHY)
     system = request.getfixturevalue(form)
-    fom = pt.to_pymor(system)
+    fom = pt.lti.to_pymor(system)
     for s in (0.0, 300.0j, 50.0 + 900.0j):
         expected = system.transfer(s)[0]
         np.testing.assert_allclose(fom.transfer_function.eval_tf(s), expected, atol=1e-9 * np.abs(expected).max())
@@ -179,7 +179,7 @@ def test_modal_truncation_keeps_the_slowest_poles(form, request):
     np.testing.assert_allclose(np.sort(np.abs(values))[:10], slowest, rtol=1e-6)
     beta = system.model.stiffness_damping
     expected = [root for square in values for root in np.roots([1, beta * square, square])]
-    found = pt.reduce_linear(system, "modal", 10).poles
+    found = pt.lti.reduce_linear(system, "modal", 10).poles
     for pole in found:
         assert np.abs(np.array(expected) - pole).min() < 1e-5 * abs(pole)
     cross = left.T @ (system.mass @ right)
@@ -247,7 +247,7 @@ def test_without_condensing_the_whole_body_is_balanced(system, training):
 def test_the_low_rank_solver_balances_what_is_strongly_damped(bar, tissue, soft_pull):
     pytest.importorskip("pymor", reason=WHY)
     body = pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=5e-3)
-    own = Reduction(pt.linearise(body, [soft_pull], ["x+"]), condense=0)
+    own = Reduction(pt.lti.linearise(body, [soft_pull], ["x+"]), condense=0)
     low, dense = (own.model(method, 4) for method in ("balanced-low-rank", "balanced"))
     grid = np.concatenate([[0.0], np.geomspace(10.0, 1e5, 30)])
     assert own.scaled_error(low.reduced, grid, whole=True).max() <= own.bound(8) * (1 + 1e-3)
@@ -260,9 +260,9 @@ def test_the_low_rank_solver_balances_what_is_strongly_damped(bar, tissue, soft_
 def test_the_low_rank_solver_is_not_believed_where_it_did_not_converge(system):
     pytest.importorskip("pymor", reason=WHY)
     with pytest.raises(pt.InputError, match=r"missed its equations by .* too lightly damped"):
-        pt.reduce_linear(system, "balanced-low-rank", 4)
+        pt.lti.reduce_linear(system, "balanced-low-rank", 4)
     with pytest.raises(pt.InputError, match=r"low-rank Lyapunov equations of this body would take about"):
-        pt.reduce_linear(system, "balanced-low-rank", 4, budget=Budget(seconds=1e-3))
+        pt.lti.reduce_linear(system, "balanced-low-rank", 4, budget=Budget(seconds=1e-3))
 
 
 def test_the_residual_tells_a_solution():
@@ -309,7 +309,7 @@ def test_tools_are_reduced_too(tool_system):
 )
 def test_bad_requests_are_refused(system, method, modes, options, message):
     with pytest.raises(pt.InputError, match=message):
-        pt.reduce_linear(system, method, modes, **options)
+        pt.lti.reduce_linear(system, method, modes, **options)
 
 
 def test_without_pymor_the_message_says_how_to_install_it(system, monkeypatch):
@@ -319,10 +319,10 @@ def test_without_pymor_the_message_says_how_to_install_it(system, monkeypatch):
     monkeypatch.setitem(sys.modules, "pymor.core.logger", None)
     for method in PYMOR:
         with pytest.raises(pt.InputError, match=r"pip install 'palpate\[linear\]'"):
-            pt.reduce_linear(system, method, 4)
+            pt.lti.reduce_linear(system, method, 4)
     with pytest.raises(pt.InputError, match=r"pip install 'palpate\[linear\]'"):
-        pt.to_pymor(system)
-    assert pt.reduce_linear(system, "modal", 4).stable  # needs none
+        pt.lti.to_pymor(system)
+    assert pt.lti.reduce_linear(system, "modal", 4).stable  # needs none
 
 
 def test_emphasis_lets_one_input_count_more(system, soft_pull):

@@ -13,6 +13,8 @@ from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.projection_methods import project
 from palpate.reduction.lti.state_space import first_order_hold
 from palpate.reduction.lti.storage import FORMAT, VERSION
+from palpate.reduction.storage.model_file import FORMAT as REDUCED
+from palpate.sealed import write_sealed
 
 HOLD = {"duration": 0.02, "every": 0.0005, "progress": False}
 
@@ -69,7 +71,7 @@ def test_a_tool_moves_it_as_it_moves_the_full_body(tool_system, energetic):
 
 
 def test_one_long_step_is_many_short_ones(system):
-    model = pt.reduce_linear(system, "modal", 5)
+    model = pt.lti.reduce_linear(system, "modal", 5)
     ramp = pt.SurfaceForce("x+", force=lambda t: (1e-4 * t, 0.0, 2e-5))
     prepared = model.prepare([ramp])
     one, many = (model.advance(model.state(prepared), prepared, 0.01 / n, n) for n in (1, 50))
@@ -89,7 +91,7 @@ def test_initial_states_are_projected(whole, energetic):
 @pytest.mark.parametrize("method", ["modal", "hankel"])
 def test_a_tool_that_moves_from_the_start_is_followed(method, tool_system, energetic):
     tool = pt.PrescribedMotion("tip", lambda points, time: (1e-5 * time, 0.0, 0.0))
-    model = pt.reduce_linear(tool_system, method, 20, condense=60)
+    model = pt.lti.reduce_linear(tool_system, method, 20, condense=60)
     full, own = (pt.rollout(body, [tool], **HOLD) for body in (energetic, model))
     found = pt.relative_errors(full, own)
     assert found.energy < 0.02
@@ -112,7 +114,7 @@ def test_forces_energy_and_stress_are_those_of_the_linear_body(whole, energetic)
         ([pt.SurfaceForce("z+", force=(1.0, 0.0, 0.0))], "made for forces on"),
         ([pt.Gravity()], "without Gravity"),
         ([pt.PrescribedMotion("tip", (0.0, 0.0, 0.0))], "held by tools"),
-        ([pt.Contact(pt.Sphere(0.01), (0.0, 0.0, 0.1))], "no Contact"),
+        ([pt.tools.Contact(pt.tools.Sphere(0.01), (0.0, 0.0, 0.1))], "no Contact"),
     ],
 )
 def test_other_loads_are_refused(whole, loads, message):
@@ -121,7 +123,7 @@ def test_other_loads_are_refused(whole, loads, message):
 
 
 def test_a_tool_that_turns_far_is_refused(tool_system):
-    model = pt.reduce_linear(tool_system, "modal", 4)
+    model = pt.lti.reduce_linear(tool_system, "modal", 4)
 
     def turn(points, time):
         arms = points - points.mean(axis=0)
@@ -132,7 +134,7 @@ def test_a_tool_that_turns_far_is_refused(tool_system):
 
 
 def test_the_engine_s_period_is_the_run(tool_system):
-    model = pt.reduce_linear(tool_system, "modal", 8)
+    model = pt.lti.reduce_linear(tool_system, "modal", 8)
     ready, period = pt.realtime_model(model, period=1e-3), 1e-3
     q, v, report = ready.rest.copy(), ready.rest.copy(), np.zeros(8 + model.lifted)
 
@@ -169,7 +171,7 @@ def test_the_engine_s_period_is_the_run(tool_system):
 
 
 def test_the_engine_runs_it(tool_system):
-    model = pt.reduce_linear(tool_system, "modal", 8)
+    model = pt.lti.reduce_linear(tool_system, "modal", 8)
     with pt.Engine(pt.realtime_model(model), 500.0) as engine:
         engine.set_pose((1e-6, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
         until = perf_counter() + 20.0
@@ -183,13 +185,13 @@ def test_the_engine_runs_it(tool_system):
 
 def test_the_engine_takes_one_tool_and_no_load(system):
     with pytest.raises(pt.InputError, match="one tool"):
-        pt.realtime_model(pt.reduce_linear(system, "modal", 4))
+        pt.realtime_model(pt.lti.reduce_linear(system, "modal", 4))
 
 
 def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
     from palpate.reduction.lti.realtime import linear_range
 
-    found = linear_range(pt.reduce_linear(tool_system, "modal", 4))
+    found = linear_range(pt.lti.reduce_linear(tool_system, "modal", 4))
     assert np.all(found > 0)
     full, field = tool_system.model, tool_system.lifting[0]
     rigid = np.zeros_like(field)
@@ -207,7 +209,7 @@ def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
 
 @pytest.mark.parametrize("method", ["modal", "hankel"])
 def test_a_saved_model_is_the_model(method, system, tool_system, soft_pull, tmp_path):
-    model = pt.reduce_linear(system, method, 5, condense=40)
+    model = pt.lti.reduce_linear(system, method, 5, condense=40)
     pt.save(model, tmp_path / "bar.lti")
     loaded = pt.load(tmp_path / "bar.lti", system)
     first, second = (pt.rollout(each, [soft_pull], duration=0.005, every=0.0005) for each in (model, loaded))
@@ -218,13 +220,24 @@ def test_a_saved_model_is_the_model(method, system, tool_system, soft_pull, tmp_
         pt.load(tmp_path / "bar.lti", tool_system)
 
 
+def test_the_header_of_a_file_says_which_kind_of_model_is_read(system, tmp_path):
+    pt.lti.reduce_linear(system, "modal", 3).save(tmp_path / "bar.lti")
+    write_sealed(tmp_path / "bar.rom", REDUCED, 1, {}, {})
+    with pytest.raises(pt.FileFormatError, match=r"system must be given for the linear model .*bar\.lti"):
+        pt.load(tmp_path / "bar.lti")
+    with pytest.raises(pt.FileFormatError, match=r"system must not be given for the reduced model .*bar\.rom"):
+        pt.load(tmp_path / "bar.rom", system)
+    with pytest.raises(pt.FileFormatError, match=r"bar\.rom: .*version 1"):  # by the reader of reduced models
+        pt.load(tmp_path / "bar.rom")
+
+
 def test_files_that_hold_no_linear_model_are_refused(system, tmp_path):
     with pytest.raises(FileNotFoundError):
         pt.load(tmp_path / "none.lti", system)
     (tmp_path / "text.lti").write_text("no model", encoding="utf-8")
     with pytest.raises(pt.FileFormatError):
         pt.load(tmp_path / "text.lti", system)
-    model = pt.reduce_linear(system, "modal", 3)
+    model = pt.lti.reduce_linear(system, "modal", 3)
     pt.save(model, tmp_path / "cut.lti")
     content = (tmp_path / "cut.lti").read_bytes()
     (tmp_path / "cut.lti").write_bytes(content[: len(content) // 2])
@@ -246,7 +259,7 @@ def test_files_that_hold_no_linear_model_are_refused(system, tmp_path):
     ],
 )
 def test_what_no_linear_model_has_is_refused_even_with_right_checksums(system, tmp_path, forge, change, message):
-    pt.save(pt.reduce_linear(system, "modal", 3), tmp_path / "lie.lti")
+    pt.save(pt.lti.reduce_linear(system, "modal", 3), tmp_path / "lie.lti")
     forge(tmp_path / "lie.lti", change, FORMAT, VERSION)
     with pytest.raises(pt.FileFormatError, match=rf"lie\.lti: .*{message}"):
         pt.load(tmp_path / "lie.lti", system)
@@ -254,7 +267,7 @@ def test_what_no_linear_model_has_is_refused_even_with_right_checksums(system, t
 
 def test_a_flipped_bit_of_a_linear_model_is_refused_wherever_it_is(system, tmp_path):
     path = tmp_path / "bar.lti"
-    pt.save(pt.reduce_linear(system, "modal", 3), path)
+    pt.save(pt.lti.reduce_linear(system, "modal", 3), path)
     data, generator = path.read_bytes(), np.random.default_rng(4)
     for place in [0, 30, 511, *generator.integers(len(data), size=60)]:
         changed = bytearray(data)

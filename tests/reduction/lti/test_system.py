@@ -29,13 +29,13 @@ def test_the_stiffness_is_the_slope_of_the_nonlinear_force(form, request):
 def test_away_from_rest_too(energetic):
     u = 4e-4 * np.sin(200 * energetic.cloud.points)
     u[energetic.fixed_mask] = 0.0
-    system = pt.linearise(energetic, [pt.Gravity()], ["x+"], u)
+    system = pt.lti.linearise(energetic, [pt.Gravity()], ["x+"], u)
     expected = stiffness(energetic, u) * np.repeat(energetic.masses, 3)[system.dofs][:, None]
     np.testing.assert_allclose(system.stiffness.toarray(), expected, atol=1e-7 * np.abs(expected).max())
-    at_rest = pt.linearise(energetic, [pt.Gravity()], ["x+"]).stiffness
+    at_rest = pt.lti.linearise(energetic, [pt.Gravity()], ["x+"]).stiffness
     assert np.abs(at_rest - system.stiffness).max() > 1e-3 * np.abs(expected).max()
     with pytest.raises(pt.InputError, match="at rest"):
-        pt.reduce_linear(system, "modal", 4)
+        pt.lti.reduce_linear(system, "modal", 4)
 
 
 def test_differences_and_stencils_give_the_same_stiffness(energetic):
@@ -47,7 +47,7 @@ def test_differences_and_stencils_give_the_same_stiffness(energetic):
 
 def test_a_sheet_is_linearised():
     cloud = pt.sheet([(0.0, 0.0), (0.04, 0.0), (0.04, 0.03), (0.0, 0.03)], spacing=0.005)
-    material = pt.NeoHookean(C1=17e3, density=1000.0, poisson=0.5)
+    material = pt.materials.NeoHookean(C1=17e3, density=1000.0, poisson=0.5)
     sheet = pt.Membrane(cloud, material, thickness=1e-3, fixed="rim", prestretch=1.1)
     u = np.random.default_rng(0).standard_normal((len(cloud), 3))
     step = 1e-5 * cloud.spacing
@@ -58,7 +58,7 @@ def test_a_sheet_is_linearised():
 
 def test_groups_of_columns_share_no_row():
     cloud = pt.box((0.2, 0.02, 0.02), spacing=0.005)
-    model = pt.Solid(cloud, pt.NeoHookean(C1=5e3, density=1000.0, poisson=0.45), "x-", form="energy")
+    model = pt.Solid(cloud, pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.45), "x-", form="energy")
     pattern = coupling(model)
     groups = independent_groups(pattern)
     np.testing.assert_array_equal(np.sort(np.concatenate(groups)), np.arange(len(cloud)))
@@ -101,13 +101,13 @@ def test_a_tool_lifts_the_body_without_forces_at_free_nodes(tool_system, energet
 
 
 def test_gravity_is_an_input(energetic):
-    system = pt.linearise(energetic, [pt.Gravity()], ["x-"])
+    system = pt.lti.linearise(energetic, [pt.Gravity()], ["x-"])
     weight = energetic.masses.sum()
     np.testing.assert_allclose(system.transfer(0.0)[0].real, -weight * np.eye(3), atol=1e-8 * weight)
 
 
 def test_matlab_reads_what_was_written(strong_system, tmp_path):
-    pt.save_matlab(strong_system, tmp_path / "bar.mat")
+    pt.lti.save_matlab(strong_system, tmp_path / "bar.mat")
     found = loadmat(tmp_path / "bar.mat")
     for name, matrix in (("M", strong_system.mass), ("K", strong_system.stiffness), ("B", strong_system.input)):
         np.testing.assert_array_equal(found[name].toarray(), matrix.toarray())
@@ -117,7 +117,7 @@ def test_matlab_reads_what_was_written(strong_system, tmp_path):
 
 
 def test_matrix_market_reads_what_was_written(tool_system, tmp_path):
-    pt.save_matrix_market(tool_system, tmp_path / "bar")
+    pt.lti.save_matrix_market(tool_system, tmp_path / "bar")
     for name, matrix in (("K", tool_system.stiffness), ("Cp", tool_system.output)):
         np.testing.assert_array_equal(mmread(tmp_path / "bar" / f"{name}.mtx").toarray(), matrix.toarray())
     np.testing.assert_array_equal(mmread(tmp_path / "bar" / "S.mtx"), tool_system.static)
@@ -128,19 +128,21 @@ def test_matrix_market_reads_what_was_written(tool_system, tmp_path):
 @pytest.mark.parametrize(
     ("load", "message"),
     [
-        (pt.Contact(pt.Sphere(0.01), (0.0, 0.0, 0.1)), "got a Contact"),
+        (pt.tools.Contact(pt.tools.Sphere(0.01), (0.0, 0.0, 0.1)), "got a Contact"),
         (pt.SurfaceForce("x+", pressure=10.0), "got a pressure"),
         (pt.PrescribedMotion("tip", MOTION), "form='energy'"),
     ],
 )
 def test_what_is_no_input_is_refused(load, message, strong):
     with pytest.raises(pt.InputError, match=message):
-        pt.linearise(strong, [load], ["x+"])
+        pt.lti.linearise(strong, [load], ["x+"])
 
 
 def test_a_system_needs_an_output_and_tissue_without_memory(energetic, bar, tissue, soft_pull):
     with pytest.raises(pt.InputError, match="needs an output"):
-        pt.linearise(energetic, [soft_pull])
-    slow = pt.NeoHookean(C1=5e3, density=1000.0, poisson=0.45, prony=pt.Prony(times=(0.1,), shares=(0.3,)))
+        pt.lti.linearise(energetic, [soft_pull])
+    slow = pt.materials.NeoHookean(
+        C1=5e3, density=1000.0, poisson=0.45, prony=pt.materials.Prony(times=(0.1,), shares=(0.3,))
+    )
     with pytest.raises(pt.InputError, match="remembers"):
-        pt.linearise(pt.Solid(bar, slow, "x-", form="energy"), [soft_pull], ["x+"])
+        pt.lti.linearise(pt.Solid(bar, slow, "x-", form="energy"), [soft_pull], ["x+"])

@@ -16,13 +16,13 @@ def pressed():
     """A reduced block, and the last state of a press on it."""
     body = pt.Solid(
         pt.box(SIZE, 0.006),
-        pt.NeoHookean(C1=2e3, density=1000, poisson=0.4),
+        pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4),
         "z-",
         form="energy",
         stiffness_damping=1e-4,
     )
     motion = lambda time: (0.024, 0.024, SIZE[2] + BALL + 0.001 - 0.004 * min(time / 0.1, 1.0))  # noqa: E731
-    load = pt.Contact(pt.Sphere(BALL), motion)
+    load = pt.tools.Contact(pt.tools.Sphere(BALL), motion)
     run = pt.rollout(body, [load], duration=0.12, every=0.005)
     model = pt.hyper_reduce(body, run, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
     prepared = model.prepare([load])
@@ -49,7 +49,7 @@ def test_vertices_are_where_the_model_says(pressed):
 
 def test_held_nodes_get_their_forces_themselves(pressed):
     model, _, _ = pressed
-    surface, load = Surface(model), pt.Grasp((0.024, 0.024, SIZE[2]), 0.008, (0.024, 0.024, SIZE[2] + 0.002))
+    surface, load = Surface(model), pt.tools.Grasp((0.024, 0.024, SIZE[2]), 0.008, (0.024, 0.024, SIZE[2] + 0.002))
     prepared = model.prepare([load])
     state = model.state(prepared)
     for _ in range(10):

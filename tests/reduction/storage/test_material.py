@@ -23,13 +23,13 @@ from palpate.tissue.fibres import VolumeOnly
 from palpate.tissue.regions import Regions
 
 REST = {"density": 1000.0, "poisson": 0.45}
-SERIES = pt.Prony(shares=(0.6, 0.3), times=(2e-3, 2e-2))
+SERIES = pt.materials.Prony(shares=(0.6, 0.3), times=(2e-3, 2e-2))
 MATERIALS = [
     *(law.kind(**law.example, **REST, prony=SERIES) for law in LAWS),
     VolumeOnly(mu=1e3, **REST),
-    pt.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), **REST, volumetric="mixed", split="isochoric"),
-    pt.NeoHookean(C1=5e3, density=1000, poisson=0.5),
-    pt.Hyperelastic("C1*(I1bar - 3) + C2*(I2bar - 3)", C1=5e3, C2=1e3, **REST),
+    pt.materials.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), **REST, volumetric="mixed", split="isochoric"),
+    pt.materials.NeoHookean(C1=5e3, density=1000, poisson=0.5),
+    pt.materials.Hyperelastic("C1*(I1bar - 3) + C2*(I2bar - 3)", C1=5e3, C2=1e3, **REST),
 ]
 DIRECTIONS = np.tile([1.0, 0.0, 0.0], (1, 4, 1))
 
@@ -175,7 +175,7 @@ def test_a_value_out_of_place_is_named(parameters, message):
 
 
 def test_terms_and_branches_are_counted():
-    rest = said_of(pt.Ogden(C=1e3, alpha=2.0, **REST))[1]
+    rest = said_of(pt.materials.Ogden(C=1e3, alpha=2.0, **REST))[1]
     with pytest.raises(pt.InputError, match="C has 5000 terms; 16 are allowed"):
         material_of("Ogden", rest | {"C": [1e3] * 5000, "alpha": [2.0] * 5000}, "", {})
     with pytest.raises(pt.InputError, match="shares has 5000 branches; 64 are allowed"):

@@ -67,7 +67,7 @@ def push():
 @pytest.fixture(scope="module")
 def trained(bar, tissue, push):
     """A bar that a tool moves, trained and tried on one run."""
-    slanted = pt.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(0.6, 0.8, 0.0))
+    slanted = pt.materials.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(0.6, 0.8, 0.0))
     full = pt.Solid(bar, tissue, fixed="x-", form="energy", fibres=slanted)
     run = pt.rollout(full, push, duration=0.01, every=0.0005)
     model = pt.hyper_reduce(full, run, modes=4, prescribed="tip", held_out=[(push, run)])
@@ -205,13 +205,16 @@ def test_groups_may_have_any_name(small_cloud, tissue, path, name):
 @pytest.mark.parametrize("given", ["poisson", "bulk"])
 def test_a_material_keeps_every_bit_whichever_modulus_it_was_made_from(small_cloud, path, given):
     values = np.linspace(0, 0.499, 20) if given == "poisson" else np.linspace(1e3, 2e5, 20)
-    for law in [pt.MooneyRivlin(C1=7e2 / 3, C2=0.3e3, density=1000.1, **{given: value}) for value in values]:
+    for law in [pt.materials.MooneyRivlin(C1=7e2 / 3, C2=0.3e3, density=1000.1, **{given: value}) for value in values]:
         pt.save(ReducedModel(made_up(small_cloud, law, modes=2)), path)
         assert pt.load(path).material == law
 
 
 def test_the_law_of_a_material_is_kept(small_cloud, path):
-    for law in (pt.NeoHookean(C1=123.4, density=999, bulk=12345.7), pt.MooneyRivlin(C1=1, C2=0, density=1, poisson=0)):
+    for law in (
+        pt.materials.NeoHookean(C1=123.4, density=999, bulk=12345.7),
+        pt.materials.MooneyRivlin(C1=1, C2=0, density=1, poisson=0),
+    ):
         pt.save(ReducedModel(made_up(small_cloud, law, modes=2)), path)
         assert pt.load(path).material == law
 
@@ -460,10 +463,10 @@ def test_what_could_not_be_loaded_is_not_saved(trained, saved, path, name):
 
 
 def test_a_material_of_ones_own_is_not_saved(small_cloud, path):
-    class Jelly(pt.NeoHookean):
+    class Jelly(pt.materials.NeoHookean):
         pass
 
-    class Impostor(pt.NeoHookean):
+    class Impostor(pt.materials.NeoHookean):
         pass
 
     Impostor.__name__ = "NeoHookean"

@@ -16,7 +16,7 @@ EVERY, DURATION = 0.0005, 0.02
 
 @pytest.fixture(scope="module")
 def body():
-    tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.49)
+    tissue = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.49)
     return pt.Solid(pt.box((0.04, 0.015, 0.015), 0.005), tissue, "x-", form="energy", stiffness_damping=2e-5)
 
 

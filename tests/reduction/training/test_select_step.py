@@ -16,7 +16,7 @@ LOADS = [pt.SurfaceForce("x+", force=lambda t: (4.0 * np.sin(80 * t) ** 2, 0.2 *
 
 @pytest.fixture(scope="module")
 def rom():
-    tissue = pt.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
+    tissue = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
     body = pt.Solid(pt.box((0.04, 0.015, 0.015), 0.005), tissue, "x-", form="energy", stiffness_damping=2e-4)
     return pt.hyper_reduce(body, pt.rollout(body, LOADS, duration=DURATION, every=EVERY, progress=False), modes=6)
 

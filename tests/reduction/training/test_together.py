@@ -9,7 +9,7 @@ import pytest
 
 import palpate as pt
 
-SERIES = pt.Prony(shares=(0.6,), times=(5e-3,))
+SERIES = pt.materials.Prony(shares=(0.6,), times=(5e-3,))
 GIVEN = {"density": 1000.0, "prony": SERIES, "volumetric": "logarithmic", "split": "isochoric"}
 
 
@@ -19,12 +19,15 @@ def body():
     far = np.flatnonzero(cloud.points[:, 0] > 0.016)
     return pt.Solid(
         replace(cloud, groups=cloud.groups | {"far": far}),
-        {"": pt.Gent(mu=10e3, Jm=3.0, poisson=0.45, **GIVEN), "far": pt.Gent(mu=25e3, Jm=0.9, poisson=0.4, **GIVEN)},
+        {
+            "": pt.materials.Gent(mu=10e3, Jm=3.0, poisson=0.45, **GIVEN),
+            "far": pt.materials.Gent(mu=25e3, Jm=0.9, poisson=0.4, **GIVEN),
+        },
         "x-",
         form="energy",
         stiffness_damping=1e-5,
         stiffness={"x+": 3.0},
-        fibres=pt.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(1.0, 0.0, 0.0)),
+        fibres=pt.materials.Fibres(k1=5e3, k2=2.0, dispersion=0.1, directions=(1.0, 0.0, 0.0)),
     )
 
 

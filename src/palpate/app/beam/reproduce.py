@@ -22,6 +22,7 @@ from palpate.app.report import deliver
 from palpate.app.study import HYPER_REDUCED, PROJECTED, Phase, Study, Train, prepare, run_full, run_reduced
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.solid.model import Solid
+from palpate.extras import require
 from palpate.faults import DivergenceError, integer_in_range
 from palpate.reduction.basis.pod import pod
 from palpate.reduction.galerkin.model import galerkin
@@ -83,6 +84,7 @@ def reproduce_beam(
         A file could not be written.
     """
     sizes = sorted({integer_in_range("modes", m, 1, SNAPSHOTS) for m in modes})
+    require("matplotlib", "palpate reproduce beam")
     console = Console()
     # in full.h5 displacements and velocities, in the export those and the stress
     scene = prepare(lambda: beam(spacing=spacing, load=load, poisson=poisson), out, 6 + 7, console)

@@ -15,6 +15,7 @@ from palpate.app.bench.chromium import Chromium, Tab, find_chromium
 from palpate.app.bench.drawn import FinelyDrawn
 from palpate.app.console import Console, print_json, print_plain, quantities_table
 from palpate.app.report import machine
+from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder, plain, write_json
 
@@ -61,6 +62,7 @@ def bench_page(
     """
     vertices = integer_in_range("vertices", vertices, 100, 10**6)
     seconds = number_in_range("seconds", seconds, 0.0, LONGEST, open_low=True, unit="s")
+    require("websockets", "palpate bench page")
     if find_chromium() is None:
         raise InputError("no Chromium found (chromium or google-chrome); on Debian: apt-get install chromium")
     check_folder(out)

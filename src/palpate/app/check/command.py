@@ -44,7 +44,7 @@ def check(
     Parameters
     ----------
     file : path
-        A surface, as for `palpate.read_surface`.
+        A surface, as for `palpate.io.read_surface`.
     spacing : float, optional [m]
         Between nodes; by default one that gives some 4,000.
     part, units, repair, seed

@@ -20,7 +20,7 @@ from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.beam import beam, pull
 from palpate.scenes.liver import MARGIN, pressed_liver
 
-__all__ = ["BODIES", "Body", "compared_beam", "compared_liver"]
+__all__ = ["BODIES", "ComparedBody", "compared_beam", "compared_liver"]
 
 Floats = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ GRIP = 2.0  # spacings: radius of what the tool holds
 
 
 @dataclass(frozen=True)
-class Body:
+class ComparedBody:
     """A body that is compared.
 
     Parameters
@@ -46,7 +46,7 @@ class Body:
     unit : str
         Of the sizes.
     outputs : tuple of str
-        As of `palpate.linearise`.
+        As of `palpate.lti.linearise`.
     duration, every : float [s]
     nonlinear : function
         Of the run with the large load and a number of modes, a nonlinear reduced model; and what it is called.
@@ -66,7 +66,7 @@ class Body:
     nonlinear_name: str
 
 
-def compared_beam(spacing: float = 0.005, poisson: float = 0.49) -> Body:
+def compared_beam(spacing: float = 0.005, poisson: float = 0.49) -> ComparedBody:
     """Return the paper's beam, pulled by up to 0.1 N and up to 100 N."""
     scene = beam(spacing=spacing, poisson=poisson)
     model = scene.model
@@ -75,13 +75,13 @@ def compared_beam(spacing: float = 0.005, poisson: float = 0.49) -> Body:
     def loads(size: float) -> tuple[Load, ...]:
         return (SurfaceForce("x+", force=lambda time: (pull(time, size), 0.0, 0.0)),)
 
-    return Body(
+    return ComparedBody(
         f"The paper's beam, {1e3 * spacing:g} mm", model, loads, SMALL_PULL, LARGE_PULL, "N", ("x+",),
         scene.duration, scene.every, lambda run, modes: galerkin(model, run, modes=modes), "POD of the nonlinear run",
     )  # fmt: skip
 
 
-def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> Body:
+def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> ComparedBody:
     """Return the generated liver, a place of its front pulled by a tool by up to 0.2 mm and up to 20 mm."""
     spacing = number_in_range("spacing", spacing, 0.006, 0.012, unit="m")
     bare = pressed_liver(spacing=spacing, poisson=poisson, radius=2.5 * spacing).model
@@ -107,10 +107,10 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> Body:
 
         return (PrescribedMotion(TOOL, pulled),)
 
-    return Body(
+    return ComparedBody(
         f"A liver pulled at its front, {1e3 * spacing:g} mm", model, loads, SMALL_WAY, LARGE_WAY, "m", (),
         LASTING, 0.01, lambda run, modes: hyper_reduce(model, run, modes=modes, prescribed=TOOL), "POD of that run, sampled",
     )  # fmt: skip
 
 
-BODIES: dict[str, Callable[..., Body]] = {"beam": compared_beam, "liver": compared_liver}
+BODIES: dict[str, Callable[..., ComparedBody]] = {"beam": compared_beam, "liver": compared_liver}

@@ -9,6 +9,7 @@ from palpate.app.compare.figures import draw_comparison
 from palpate.app.compare.measure import compare_methods, prepare_comparison
 from palpate.app.compare.report import build_report, tables, write_markdown
 from palpate.app.console import Console, print_json, print_plain
+from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder, write_json
 from palpate.reduction.lti.pymor_bridge import need_pymor
@@ -62,6 +63,7 @@ def compare(
     needing = [name for name in chosen if name in PYMOR]
     if needing:
         need_pymor(f"palpate compare with {', '.join(needing)}")
+    require("matplotlib", "palpate compare")
     check_folder(out)
     console = Console()
     given = {"spacing": spacing, "poisson": poisson}

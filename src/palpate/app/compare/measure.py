@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.compare.bodies import Body
+from palpate.app.compare.bodies import ComparedBody
 from palpate.app.console import Console, percent
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
@@ -42,7 +42,7 @@ class Comparison:
 
     Parameters
     ----------
-    body : Body
+    body : ComparedBody
     system : LinearSystem
     reduction : Reduction
     runs : dict of str to Trajectory
@@ -61,7 +61,7 @@ class Comparison:
         Linear models by method and number of modes.
     """
 
-    body: Body
+    body: ComparedBody
     system: LinearSystem
     reduction: Reduction
     runs: dict[str, Trajectory] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class Comparison:
     models: dict[tuple[str, int], LinearModel] = field(default_factory=dict)
 
 
-def prepare_comparison(body: Body, condense: int | None, console: Console) -> Comparison:
+def prepare_comparison(body: ComparedBody, condense: int | None, console: Console) -> Comparison:
     """Run the full body with both loads, linearise it, and find its frequency response."""
     start = perf_counter()
     system = linearise(body.model, body.loads(body.small), body.outputs)

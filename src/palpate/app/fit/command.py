@@ -7,12 +7,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import palpate
 from palpate.app.console import Console, print_json, print_plain, quantities_table
 from palpate.app.fit.figure import draw_fit
 from palpate.app.report import machine
+from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
 from palpate.files import check_folder, plain, write_json
+from palpate.tissue.catalogue import LAWS
 from palpate.tissue.fitting import Fit, fit
 from palpate.tissue.materials import Material
 from palpate.tissue.measurement_files import read_measurements
@@ -72,6 +73,7 @@ def fit_law(
     """
     kind, starts = _law(law), integer_in_range("starts", starts, 1, MOST_STARTS)
     curves = [_named(curve, path, len(data)) for path in data for curve in read_measurements(path)]
+    require("matplotlib", "palpate fit")
     check_folder(out)
     with Console().status(f"fitting {kind.__name__} to {len(curves)} curve{'' if len(curves) == 1 else 's'}"):
         found = fit(
@@ -98,9 +100,7 @@ def fit_law(
 
 def _law(name: str) -> type[Material]:
     wanted = name.replace("-", "").replace("_", "").lower()
-    tissue = (getattr(palpate, own) for own, home in palpate._HOME.items() if home.startswith("tissue."))
-    laws = {each.__name__: each for each in tissue if isinstance(each, type) and issubclass(each, Material)}
-    concrete = {own: law for own, law in laws.items() if not law.__abstractmethods__}
+    concrete = {law.name: law.kind for law in LAWS}
     for own, law in concrete.items():
         if own.lower() == wanted:
             return law

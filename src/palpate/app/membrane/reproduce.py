@@ -23,6 +23,7 @@ from palpate.app.study import HYPER_REDUCED, PROJECTED, Phase, Study, Train, pre
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.trajectory import Trajectory
+from palpate.extras import require
 from palpate.faults import integer_in_range
 from palpate.reduction.galerkin.model import GalerkinModel, galerkin
 from palpate.reduction.hyper.model import ReducedModel
@@ -92,6 +93,7 @@ def reproduce_membrane(
         A file could not be written.
     """
     sizes = sorted({integer_in_range("modes", m, 1, SNAPSHOTS) for m in modes})
+    require("matplotlib", "palpate reproduce membrane")
     console = Console()
     scene = prepare(
         lambda: membrane(spacing, after, tool_radius, prestretch, layout, jitter, seed),

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from platformdirs import user_cache_path
 
 from palpate import __version__
 from palpate.app.console import Console, count_nodes
@@ -75,11 +76,9 @@ def run_liver(*, model: Path | None = None, **options: Any) -> int:
 
 def cache() -> Path:
     """Return the folder of the user's cache that holds the small model of this version with these parameters."""
-    import pooch
-
     about = {"scene": typed(SCENE, SMALL), "training": [PATHS, HELD_OUT, MODES], "file": model_file.VERSION}
     digest = hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:8]
-    return Path(pooch.os_cache("palpate")) / f"{SCENE}-{__version__}-{digest}"
+    return user_cache_path("palpate") / f"{SCENE}-{__version__}-{digest}"
 
 
 def cached(console: Console) -> ReducedModel:

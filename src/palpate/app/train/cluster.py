@@ -9,6 +9,7 @@ from typing import Any
 from palpate.app.console import Console
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.work import Outcome, perform, record_fault
+from palpate.extras import require
 from palpate.faults import InputError
 
 __all__ = ["check_dask", "run_on_cluster"]
@@ -18,13 +19,7 @@ ANSWER = 20.0  # [s] within which a scheduler has to answer
 
 def check_dask() -> None:
     """Raise `InputError` if dask.distributed is not installed."""
-    try:
-        import distributed  # noqa: F401
-    except ImportError as error:
-        raise InputError(
-            f"--cluster needs dask.distributed ({error}): install it with  pip install 'palpate[cluster]'  or leave "
-            "--cluster out"
-        ) from error
+    require("distributed", "--cluster")
 
 
 def run_on_cluster(folder: Folder, jobs: Sequence[Job], address: str, console: Console) -> Generator[Outcome]:

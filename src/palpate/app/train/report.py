@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.console import count_nodes, percent, print_json, print_plain, quantities_table
+from palpate.app.console import Console, count_nodes, percent, print_json, print_plain, quantities_table
 from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
 from palpate.app.report import machine
 from palpate.app.train.campaign import MODEL
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.dynamics.run.trajectory import StoredTrajectory
+from palpate.faults import InputError
 from palpate.files import plain, whole_file, write_json
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import HELD_SHARE
@@ -54,12 +55,17 @@ def deliver(
     )
     held = [run["name"] for run in runs if run["kind"] == HELD_OUT and not run["failed"]]
     (folder.path / FIGURE).unlink(missing_ok=True)  # of an earlier model
+    pictures = []
     if held:
-        _draw(folder, report, held)
+        try:
+            _draw(folder, report, held)
+            pictures = [FIGURE]
+        except InputError as error:  # a worker's installation need not draw
+            Console().say(f"{FIGURE} is missing: {error}")
     write_json(folder.path / "report.json", report)
     rows = _rows(report)
     with whole_file(folder.path / "report.md") as partial:
-        partial.write_text(_markdown(report, rows, held), encoding="utf-8")
+        partial.write_text(_markdown(report, rows, held, pictures), encoding="utf-8")
     if as_json:
         print_json(report)
         return
@@ -170,13 +176,14 @@ def _touch_table(found: dict[str, Any], held: Sequence[str]) -> list[str]:
     return lines + [f"| {name} | {' | '.join(percent(run[k]) for k in TOUCH)} |" for name, run in touched]
 
 
-def _markdown(report: dict[str, Any], rows: Mapping[str, str], held: Sequence[str]) -> str:
+def _markdown(report: dict[str, Any], rows: Mapping[str, str], held: Sequence[str], pictures: Sequence[str]) -> str:
     lines = [f"# {report['title']}", "", "| | |", "|---|---|"]
     lines += [f"| {name} | {value} |" for name, value in rows.items()]
     parameters = ", ".join(f"{name} = {value}" for name, value in report["campaign"]["parameters"].items())
     lines += ["", f"Scene `{report['campaign']['scene']}` with {parameters}; seed {report['campaign']['seed']}."]
     if held:
-        lines += ["", f"![Errors on held-out paths]({FIGURE})", "", f"| held-out path | loads | {' | '.join(KINDS)} |"]
+        lines += [line for name in pictures for line in ("", f"![Errors on held-out paths]({name})")]
+        lines += ["", f"| held-out path | loads | {' | '.join(KINDS)} |"]
         lines += ["|---" * (len(KINDS) + 2) + "|"]
         loads = {run["name"]: ", ".join(run["loads"]) for run in report["runs"]}
         for name, run in zip(held, report["model"]["held_out"]["runs"], strict=True):

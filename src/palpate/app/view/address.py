@@ -11,9 +11,10 @@ import webbrowser
 
 from palpate.faults import InputError
 
-__all__ = ["LOOPBACK", "hosts", "is_loopback", "listening", "opened_in_browser"]
+__all__ = ["LOOPBACK", "PORT", "hosts", "is_loopback", "listening", "opened_in_browser"]
 
 LOOPBACK = "127.0.0.1"
+PORT = 8765
 TRIES = 20  # ports
 
 

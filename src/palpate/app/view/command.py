@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.view.address import LOOPBACK, listening
+from palpate.app.view.address import LOOPBACK, PORT, listening
 from palpate.app.view.messages import Message
 from palpate.app.view.opening import opened
 from palpate.app.view.recording import FORMAT
 from palpate.app.view.script import read_script, run_script
 from palpate.app.view.session import Session
-from palpate.app.view.stand import PORT, serve_show
+from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
 
@@ -78,11 +78,14 @@ def view(
     console, script_of = Console(), _checked(headless, seconds, script)
     port = integer_in_range("port", port, 1, 65535)
     if script_of is None:
+        require("websockets", "a page in the browser")
         listening(host, port).close()  # an address that cannot be is refused before a model is trained
     if record is not None:
         _check_record(record, what)
     with _ended_in_order(), _session(what, record, console) as session:
         if script_of is None:
+            from palpate.app.view.stand import serve_show
+
             serve_show(session, console, port, host, browser)
             return 0
         told = run_script(session, *script_of)

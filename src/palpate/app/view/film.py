@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,12 @@ from palpate.app.pictures import COLOURS, check_drawing, off_screen
 from palpate.app.view.frames import colour_range
 from palpate.app.view.recording import Recording
 from palpate.app.view.snapshot import UNITS, Snapshot
+from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file
 from palpate.reduction.realtime.display_surface import Surface
 
-__all__ = ["FILMS", "Draw", "check_film", "drawn", "write_film", "write_picture"]
+__all__ = ["FILMS", "Draw", "check_film", "check_picture", "drawn", "write_film", "write_picture"]
 
 Floats = NDArray[np.float64]
 Draw = Callable[[int], Any]
@@ -32,6 +32,12 @@ ROOM = 1.25  # of the picture over the body
 FULL, TOOL = "#d95f02", "#555555"
 
 
+def check_picture() -> None:
+    """Raise `InputError` if what draws pictures and films is not installed."""
+    for package in ("pyvista", "imageio"):
+        require(package, "drawing a recording")
+
+
 def check_film(path: Path) -> None:
     """Check that a film of that name can be made, before anything is drawn.
 
@@ -42,11 +48,9 @@ def check_film(path: Path) -> None:
     """
     if path.suffix.lower() not in FILMS:
         raise InputError(f"movie = {str(path)!r}: allowed are names that end in {' or '.join(FILMS)}")
-    if path.suffix.lower() == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise InputError(
-            f"movie = {str(path)!r}: MP4 needs imageio-ffmpeg: pip install 'palpate[film]', or take a name that ends "
-            "in .gif"
-        )
+    check_picture()
+    if path.suffix.lower() == ".mp4":
+        require("imageio_ffmpeg", f"movie = {str(path)!r}")
 
 
 def write_picture(path: Path, recording: Recording, draw: Draw) -> None:

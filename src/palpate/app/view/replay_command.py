@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.console import Console, count_nodes, percent, print_plain, quantities_table
-from palpate.app.view.address import LOOPBACK
-from palpate.app.view.film import check_film, drawn, write_film, write_picture
+from palpate.app.view.address import LOOPBACK, PORT
+from palpate.app.view.film import check_film, check_picture, drawn, write_film, write_picture
 from palpate.app.view.fullrun import full_model, path_of, run_full
 from palpate.app.view.recording import Recording, load_recording, save_recording
 from palpate.app.view.replay import Replay
-from palpate.app.view.stand import PORT, serve_show
 from palpate.dynamics.run.progress import progress_bar
+from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import check_folder
 
@@ -57,6 +57,10 @@ def replay(
         check_film(movie)
     if png is not None and png.suffix.lower() != ".png":
         raise InputError(f"png = {str(png)!r}: allowed is a name that ends in .png")
+    if png is not None:
+        check_picture()
+    elif movie is None and not full:
+        require("websockets", "palpate replay")
     for path, name in ((png, "png"), (movie, "movie"), (file.with_suffix(".vtkhdf") if full else None, "full")):
         if path is not None:
             check_folder(path.parent, name)
@@ -71,6 +75,8 @@ def replay(
     if png is not None or movie is not None:
         _draw(recording, scalar, png, movie, console)
     elif not full:
+        from palpate.app.view.stand import serve_show
+
         serve_show(Replay(recording), console, port, host, browser)
     return 0
 

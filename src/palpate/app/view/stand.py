@@ -8,13 +8,11 @@ import secrets
 from collections.abc import Callable
 
 from palpate.app.console import Console
-from palpate.app.view.address import LOOPBACK, hosts, is_loopback, listening, opened_in_browser
+from palpate.app.view.address import LOOPBACK, PORT, hosts, is_loopback, listening, opened_in_browser
 from palpate.app.view.page import Page
 from palpate.app.view.server import Server, Show
 
-__all__ = ["PORT", "Stand", "serve_show"]
-
-PORT = 8765
+__all__ = ["Stand", "serve_show"]
 
 
 class Stand:

@@ -54,7 +54,7 @@ def prepare_fibres(fibres: FibreLaw | None, material: Material, form: str, point
     if fibres is None:
         return None
     if not isinstance(fibres, FibreLaw):
-        raise InputError(f"fibres is {fibres!r}: give palpate.Fibres or palpate.Guccione")
+        raise InputError(f"fibres is {fibres!r}: give palpate.materials.Fibres or palpate.materials.Guccione")
     if form != "energy" or material.variables == "small strain":
         raise InputError("tissue with fibres needs form='energy' and a law of finite strain")
     return fibres.at(points)

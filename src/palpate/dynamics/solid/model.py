@@ -80,7 +80,7 @@ class Solid(NodalModel):
     smoothing : int
         Wished number of points over which the pressure is smoothed by a linear fit.
     fibres : FibreLaw, optional
-        What reinforces the material (`palpate.Fibres`, `palpate.Guccione`); of the energy form.
+        What reinforces the material (`palpate.materials.Fibres`, `palpate.materials.Guccione`); of the energy form.
 
     Raises
     ------

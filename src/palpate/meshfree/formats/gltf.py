@@ -53,7 +53,7 @@ def _parts(text: bytes, binary: bytes | None) -> Parts:
         raise FileFormatError(f"its JSON cannot be read ({error})") from None
     if not isinstance(content, dict):
         raise FileFormatError("its JSON must be an object")
-    file = _File(content, binary)
+    file = _GltfFile(content, binary)
     parts: Parts = {}
     for number, matrix in _placed(file):
         mesh = file.entry("meshes", number)
@@ -74,7 +74,7 @@ def _unused(name: str, parts: Parts) -> str:
 
 
 @dataclass
-class _File:
+class _GltfFile:
     """The JSON of a file, with bounded access to its tables and buffers."""
 
     content: dict[str, Any]
@@ -152,7 +152,7 @@ def _whole(row: dict[str, Any], key: str, most: int, default: int | None = None)
     return value
 
 
-def _placed(file: _File) -> list[tuple[Any, Floats]]:
+def _placed(file: _GltfFile) -> list[tuple[Any, Floats]]:
     """Numbers of meshes in the scene with their matrices, each node once."""
     nodes = _dicts(file.content, "nodes")
     if _dicts(file.content, "scenes"):
@@ -209,7 +209,7 @@ def _vector(node: dict[str, Any], key: str, default: list[float]) -> Floats:
     return np.array(values, dtype=float)
 
 
-def _joined(file: _File, primitives: list[dict[str, Any]], matrix: Floats) -> tuple[Floats, Ints]:
+def _joined(file: _GltfFile, primitives: list[dict[str, Any]], matrix: Floats) -> tuple[Floats, Ints]:
     """The primitives of a mesh as one, in place."""
     vertices: dict[Any, Floats] = {}  # by the accessor, which primitives may share
     first: dict[Any, int] = {}
@@ -250,7 +250,7 @@ def _key(primitive: dict[str, Any]) -> tuple[Any, Any, int]:
     return attributes["POSITION"], indices, primitive.get("mode", TRIANGLES)
 
 
-def _positions(file: _File, number: Any) -> Floats:
+def _positions(file: _GltfFile, number: Any) -> Floats:
     values = file.array(number, "VEC3")
     row = file.entry("accessors", number)
     scale = np.iinfo(values.dtype).max if row.get("normalized") is True and values.dtype.kind != "f" else 1

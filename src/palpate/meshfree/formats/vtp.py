@@ -33,7 +33,7 @@ class _Array:
 
 
 @dataclass
-class _File:
+class _VtpFile:
     """What the XML says, and the bytes of appended data."""
 
     appended: bytes
@@ -73,7 +73,7 @@ def read_vtp(data: bytes) -> Parts:
     return {"": lambda: (np.concatenate(vertices), np.concatenate(triangles))}
 
 
-def _parsed(data: bytes) -> _File:
+def _parsed(data: bytes) -> _VtpFile:
     """Read the XML without definitions of documents or entities; appended data, which is no XML, is cut out before."""
     appended, coded = b"", False
     begin = re.search(rb"<AppendedData([^>]*)>\s*_", data)
@@ -83,7 +83,7 @@ def _parsed(data: bytes) -> _File:
             raise FileFormatError("its AppendedData does not end")
         appended, coded = data[begin.end() : end], b"base64" in begin[1]
         data = data[: begin.end()] + data[end:]
-    file = _File(appended, coded, EXPANSION * (len(data) + len(appended)))
+    file = _VtpFile(appended, coded, EXPANSION * (len(data) + len(appended)))
     section, deeper = "", 0  # elements inside an array, whose text is not the array's
     array: _Array | None = None
 
@@ -127,7 +127,7 @@ def _parsed(data: bytes) -> _File:
     return file
 
 
-def _cells(file: _File, arrays: dict[tuple[str, str], _Array], section: str) -> tuple[Ints, Ints]:
+def _cells(file: _VtpFile, arrays: dict[tuple[str, str], _Array], section: str) -> tuple[Ints, Ints]:
     if (section, "connectivity") not in arrays or (section, "offsets") not in arrays:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     corners = whole_numbers(_values(file, arrays[section, "connectivity"]), "connectivity")
@@ -137,7 +137,7 @@ def _cells(file: _File, arrays: dict[tuple[str, str], _Array], section: str) -> 
     return corners, sizes
 
 
-def _values(file: _File, array: _Array) -> NDArray[Any]:
+def _values(file: _VtpFile, array: _Array) -> NDArray[Any]:
     kind, form = array.attributes.get("type", ""), array.attributes.get("format", "ascii")
     if kind not in TYPES:
         raise FileFormatError(f"it has an array of unknown type {word(kind.encode())}")
@@ -158,14 +158,14 @@ def _values(file: _File, array: _Array) -> NDArray[Any]:
     return np.frombuffer(raw, dtype)
 
 
-def _header_type(file: _File) -> str:
+def _header_type(file: _VtpFile) -> str:
     kind = file.attributes.get("header_type", "UInt32")
     if kind not in ("UInt32", "UInt64"):
         raise FileFormatError(f"its header_type must be UInt32 or UInt64, got {word(kind.encode())}")
     return kind
 
 
-def _bytes(file: _File, source: bytes, coded: bool, at: int, header: np.dtype[Any]) -> bytes:
+def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype[Any]) -> bytes:
     """The bytes of an array whose header begins at a place: one length, or those of compressed blocks."""
     wide = header.itemsize
     if "compressor" not in file.attributes:
@@ -195,7 +195,7 @@ def _bytes(file: _File, source: bytes, coded: bool, at: int, header: np.dtype[An
     return b"".join(found)
 
 
-def _claim(file: _File, size: int) -> None:
+def _claim(file: _VtpFile, size: int) -> None:
     """Refuse arrays that expand to much more than the file."""
     file.room -= size
     if file.room < 0:

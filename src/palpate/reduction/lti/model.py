@@ -57,7 +57,7 @@ def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
 class LinearModel(Model):
     """A linear reduction of a body, of the same contract as the full model and the other reduced ones.
 
-    Made by `palpate.reduce_linear`. It takes the loads that its system was made with, by kind and group, with any
+    Made by `palpate.lti.reduce_linear`. It takes the loads that its system was made with, by kind and group, with any
     values in time, and moves as a body at rest does: by small displacements.
 
     Parameters

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.faults import InputError
+from palpate.extras import require
 from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["need_pymor", "to_pymor"]
-
-HOW = "it needs pyMOR, which is not installed: pip install 'palpate[linear]' (or pip install pymor)"
 
 
 def need_pymor(what: str) -> None:
@@ -20,10 +18,9 @@ def need_pymor(what: str) -> None:
     InputError
         It is not; the message says how to install it.
     """
-    try:
-        from pymor.core.logger import set_log_levels
-    except ImportError as error:
-        raise InputError(f"{what}: {HOW}") from error
+    require("pymor", what)
+    from pymor.core.logger import set_log_levels
+
     set_log_levels({"pymor": "ERROR"})
 
 

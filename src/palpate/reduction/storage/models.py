@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import overload
 
-from palpate.faults import InputError
-from palpate.files import regular_file
+from palpate.faults import FileFormatError, InputError
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.lti import storage as linear
+from palpate.reduction.lti import storage as linear_storage
 from palpate.reduction.lti.model import LinearModel
-from palpate.reduction.lti.storage import load_linear, save_linear
 from palpate.reduction.lti.system import LinearSystem
-from palpate.reduction.storage.model_file import REMEDY, load_hyper_reduced, save_hyper_reduced
-from palpate.sealed import loading
+from palpate.reduction.storage import model_file
+from palpate.reduction.storage.model_file import load_hyper_reduced, save_hyper_reduced
+from palpate.sealed import kind_of_file
 
 __all__ = ["load", "save"]
 
@@ -37,7 +36,7 @@ def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
     if isinstance(model, ReducedModel):
         save_hyper_reduced(model, path)
     elif isinstance(model, LinearModel):
-        save_linear(model, path)
+        linear_storage.save_linear(model, path)
     else:
         raise InputError(f"model must be a ReducedModel or a LinearModel, got {type(model).__name__}; reduce it first")
 
@@ -47,7 +46,7 @@ def load(path: str | Path) -> ReducedModel: ...
 
 
 @overload
-def load(path: str | Path, system: LinearSystem | None) -> ReducedModel | LinearModel: ...
+def load(path: str | Path, system: LinearSystem) -> LinearModel: ...
 
 
 def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel | LinearModel:
@@ -64,17 +63,19 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
     FileNotFoundError
         The file does not exist.
     FileFormatError
-        The file is truncated, changed, of another kind or version, or its content does not fit together.
+        The file is truncated, changed, of another kind or version, or its content does not fit together. A linear
+        model requires its system, and a hyper-reduced one takes none.
     InputError
-        The file holds a linear model, and `system` is missing or another one.
+        The linear model was made of another system.
     """
     path = Path(path)
-    with loading(path, REMEDY):
-        regular_file(path, "model")
-        with path.open("rb") as file:
-            is_linear = file.read(len(linear.FORMAT) + 1) == linear.FORMAT.encode() + b"\n"
-    if not is_linear:
-        return load_hyper_reduced(path)
+    kind = kind_of_file(path)
     if system is None:
-        raise InputError(f"system must be a LinearSystem for {path}, got None; give load the linearised body")
-    return load_linear(path, system)
+        if kind == linear_storage.FORMAT:
+            raise FileFormatError(
+                f"system must be given for the linear model {path}; pass the LinearSystem it was made of"
+            )
+        return load_hyper_reduced(path)
+    if kind == model_file.FORMAT:
+        raise FileFormatError(f"system must not be given for the reduced model {path}; leave it out")
+    return linear_storage.load_linear(path, system)

@@ -1,6 +1,6 @@
 """A hand that holds a tool by a spring and a damper: the energy that it gets back is never more than what it gave.
 
-    python examples/virtual_coupling.py model.rom 300
+    python validation/virtual_coupling.py model.rom 300
 
 The model is one that tools touch, such as `palpate train liver` makes. The ball is pressed in and drawn out, faster and
 faster, at 1 kHz of the body's time; after every period the books are balanced.
@@ -13,7 +13,6 @@ import sys
 import numpy as np
 
 import palpate as pt
-from palpate.dynamics.contact.tools import surface_nodes
 from palpate.realtime.watched import DAMPING, HAND, MASS, STIFFNESS, watched
 
 PERIOD, LASTING, RADIUS, DEPTH, GAP = 1e-3, 4.0, 0.02, 0.008, 0.002  # [s], [s], [m], [m], [m]
@@ -23,13 +22,13 @@ def balance(model: pt.ReducedModel, stiffness: float, radius: float = RADIUS, de
     """Press a body through a coupling [N/m]; return work and energies (t,) [J] after every period."""
     cloud = model.cloud
     fixed = np.concatenate([cloud.group(name) for name in model.fixed])
-    free = np.setdiff1d(surface_nodes(cloud), fixed)
+    free = np.setdiff1d(pt.tools.surface_nodes(cloud), fixed)
     along = cloud.points - cloud.points[fixed].mean(axis=0)
     first = free[np.argmax(np.linalg.norm(along[free], axis=1))]  # the place farthest from the support
     normal = cloud.face_normals[cloud.face_nodes == first].sum(axis=0)
     normal /= np.linalg.norm(normal)
     home = cloud.points[first] + (radius + GAP) * normal
-    body = watched(pt.realtime_model(model, contact=pt.Contact(pt.Sphere(radius), home, friction=0.2)))
+    body = watched(pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(radius), home, friction=0.2)))
     body.couple(stiffness)
     data, q, v, report, hand = body.data, body.rest.copy(), np.zeros_like(body.rest), np.zeros(20), np.zeros(3)
     work, books = 0.0, {"work": [], "body": [], "coupling": []}

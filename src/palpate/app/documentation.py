@@ -1,0 +1,14 @@
+"""Where the pages of the documentation lie: in the package that a wheel installs, or in the sources."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["documentation"]
+
+
+def documentation() -> Path:
+    """Return the folder that holds the pages that help texts call docs/NAME.md."""
+    package = Path(__file__).parents[1]
+    shipped = package / "docs"
+    return shipped if shipped.is_dir() else package.parents[1] / "docs"

@@ -1,0 +1,42 @@
+"""Optional packages, and the extra that installs each."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from palpate.faults import InputError
+
+__all__ = ["EXTRAS", "require"]
+
+EXTRAS = {
+    "distributed": "cluster",
+    "imageio": "film",
+    "imageio_ffmpeg": "film",
+    "matplotlib": "plot",
+    "pymor": "linear",
+    "pyvista": "film",
+    "websockets": "view",
+}  # as in pyproject.toml
+
+
+def require(package: str, what: str) -> None:
+    """Check that an optional package is installed, without importing it.
+
+    Parameters
+    ----------
+    package : str
+        Name by which it is imported, one of `EXTRAS`.
+    what : str
+        What requires it, as the message begins: ``"a page in the browser"``.
+
+    Raises
+    ------
+    InputError
+        It is not installed; the message names the extra and the command.
+    """
+    try:
+        found = find_spec(package) is not None
+    except (ImportError, ValueError):
+        found = False
+    if not found:
+        raise InputError(f"{what} requires {package}, which is not installed; pip install 'palpate[{EXTRAS[package]}]'")

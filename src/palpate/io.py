@@ -1,0 +1,20 @@
+"""Reads what other programs write: surfaces, painted meshes, measured curves.
+
+Models and trajectories are read by `palpate.load` and `palpate.Trajectory.load`.
+"""
+
+from palpate.app.painted import read_painted
+from palpate.meshfree.surface_checks import SurfaceProblem, SurfaceReport, check_surface
+from palpate.meshfree.surface_files import read_surface
+from palpate.scenes.published import fetch_liver
+from palpate.tissue.measurement_files import read_measurements
+
+__all__ = [
+    "SurfaceProblem",
+    "SurfaceReport",
+    "check_surface",
+    "fetch_liver",
+    "read_measurements",
+    "read_painted",
+    "read_surface",
+]

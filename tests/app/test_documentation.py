@@ -1,0 +1,26 @@
+"""Help texts and messages name pages that are there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from palpate.app.cli import main
+from palpate.app.documentation import documentation
+
+SOURCES = Path(__file__).parents[2] / "src" / "palpate"
+
+
+def test_every_page_that_the_package_names_exists():
+    named = {
+        name
+        for path in SOURCES.rglob("*.py")
+        for name in re.findall(r"docs/([a-z]+\.md)", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 5
+    assert not {name for name in named if not (documentation() / name).is_file()}
+
+
+def test_the_help_says_where_the_pages_are(capsys):
+    assert main(["--help"]) == 0
+    assert str(documentation()) in re.sub(r"\n\s*", "", capsys.readouterr().out).replace(" ", "")

@@ -1,0 +1,154 @@
+"""The public names: one place each, the same for editors, type checkers and programs, and complete."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import re
+import subprocess
+import sys
+import types
+import typing
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import palpate as pt
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ROOT / "src" / "palpate"
+MODULES = ("io", "lti", "materials", "tools", "typing")
+
+
+def stubbed() -> dict[str, str]:
+    """Return the module of every name that the stub imports."""
+    tree = ast.parse((SOURCES / "__init__.pyi").read_text(encoding="utf-8"))
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    assert all(name.asname == name.name for node in imports for name in node.names), "an import `as` itself is public"
+    return {name.name: node.module for node in imports for name in node.names}
+
+
+def test_the_stub_and_the_lazy_table_name_the_same_objects():
+    names = stubbed()
+    assert sorted(names) == pt.__all__
+    for name, module in names.items():
+        if module == "palpate":
+            assert getattr(pt, name) is import_module(f"palpate.{name}")
+        else:
+            assert getattr(pt, name) is getattr(import_module(module), name)
+
+
+def test_every_public_name_has_one_place():
+    places = [(name, module) for module in MODULES for name in getattr(pt, module).__all__]
+    names = [name for name, _ in places] + [name for name in pt.__all__ if name not in MODULES]
+    assert sorted(names) == sorted(set(names))
+    for name, module in places:
+        assert hasattr(getattr(pt, module), name)
+        with pytest.raises(AttributeError, match=rf"it is palpate\.{module}\.{name}$"):
+            getattr(pt, name)
+    with pytest.raises(AttributeError, match=r"has no attribute 'nonsense'$"):
+        pt.nonsense  # noqa: B018
+
+
+def test_the_import_loads_no_numerics_and_submodules_are_attributes():
+    code = (
+        "import palpate, sys; print({'numpy', 'scipy', 'numba', 'rich'} & {*sys.modules}, palpate.tools.Sphere(0.01))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("set() Sphere(")
+
+
+# types in signatures
+
+
+def defined() -> dict[str, Any]:
+    """Return the classes and type aliases of all modules by name, for annotations that only type checkers evaluate."""
+    found: dict[str, Any] = {}
+    for path in sorted(SOURCES.rglob("*.py")):
+        if "app" in path.data or path.stem == "__main__":
+            continue
+        module = import_module(
+            ".".join(path.relative_to(SOURCES.parent).with_suffix("").parts).removesuffix(".__init__")
+        )
+        found |= {name: value for name, value in vars(module).items() if isinstance(value, type)}
+    return found
+
+
+def annotated(owner: Any) -> list[Any]:
+    """Return what of an object has annotations: the function; or the class, its methods and properties."""
+    if not isinstance(owner, type):
+        return [owner]
+    found = [owner]
+    for name, value in inspect.getmembers_static(owner):
+        if not name.startswith("_") or name == "__init__":
+            inner = value.fget if isinstance(value, property) else value
+            inner = inner.func if isinstance(inner, functools.cached_property) else inner
+            inner = inner.__func__ if isinstance(inner, classmethod | staticmethod) else inner
+            if inspect.isfunction(inner) and inner.__module__.startswith("palpate"):
+                found.append(inner)
+    return found
+
+
+def classes_in(hint: Any) -> set[type]:
+    """Return palpate's classes in a type."""
+    if isinstance(hint, type) and not isinstance(hint, types.GenericAlias):
+        return {hint} if hint.__module__.startswith("palpate") else set()
+    if isinstance(hint, list | tuple):
+        return set().union(*map(classes_in, hint))
+    return classes_in(typing.get_args(hint))
+
+
+def test_every_type_that_a_public_function_takes_or_returns_is_public():
+    known = defined()
+    public = {name: getattr(pt, name) for name in pt.__all__ if name not in MODULES}
+    reachable = [*public.values()]
+    for module in MODULES:
+        own = {name: getattr(getattr(pt, module), name) for name in getattr(pt, module).__all__}
+        reachable += own.values()
+        if module != "typing":  # whose own methods are for palpate itself
+            public |= own
+    allowed = {part for each in reachable for part in classes_in(each)}
+    missing: dict[str, set[str]] = {}
+    for name, each in public.items():
+        for part in annotated(each):
+            hints = typing.get_type_hints(part, localns=known | vars(sys.modules[part.__module__]))
+            for hint in hints.values():
+                for kind in classes_in(hint) - allowed:
+                    missing.setdefault(f"{kind.__module__}.{kind.__name__}", set()).add(f"{name}: {part.__qualname__}")
+    assert not missing
+
+
+# the example of the README, as a type checker sees it
+
+
+def example() -> str:
+    """Return the first Python example of the README."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+def test_a_type_checker_knows_the_types_of_the_example(tmp_path):
+    pytest.importorskip("mypy")
+    source = example()
+    tree = ast.parse(source)
+    assigned = [node.targets[0].id for node in tree.body if isinstance(node, ast.Assign)]
+    assert len(assigned) >= 6
+    path = tmp_path / "example.py"
+    path.write_text(source + "".join(f"reveal_type({name})\n" for name in assigned), encoding="utf-8")
+    command = [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), str(path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    revealed = re.findall(r'Revealed type is "(.*)"', done.stdout)
+    assert len(revealed) == len(assigned)
+    for name, kind in zip(assigned, revealed, strict=True):
+        assert kind.startswith("palpate."), f"{name} is {kind}"
+        assert "Any" not in kind, f"{name} is {kind}"
+    written = path.read_text(encoding="utf-8").replace("pt.box(", "pt.boks(")
+    path.write_text(written, encoding="utf-8")
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert 'Module has no attribute "boks"' in done.stdout
