@@ -68,7 +68,7 @@ def defined() -> dict[str, Any]:
     """Return the classes and type aliases of all modules by name, for annotations that only type checkers evaluate."""
     found: dict[str, Any] = {}
     for path in sorted(SOURCES.rglob("*.py")):
-        if "app" in path.data or path.stem == "__main__":
+        if "app" in path.parts or path.stem == "__main__":
             continue
         module = import_module(
             ".".join(path.relative_to(SOURCES.parent).with_suffix("").parts).removesuffix(".__init__")
