@@ -6,6 +6,10 @@ Every message names what is wrong, where, and what to do.
 from __future__ import annotations
 
 import math
+import sys
+import warnings
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from typing import Any, cast
 
 import numpy as np
@@ -15,9 +19,12 @@ __all__ = [
     "DivergenceError",
     "FileFormatError",
     "InputError",
+    "UnitWarning",
     "brief",
+    "check_names",
     "integer_in_range",
     "number_in_range",
+    "warn_of_unit",
 ]
 
 
@@ -41,6 +48,10 @@ class CloudError(InputError):
 
 class FileFormatError(InputError):
     """A file is not what it should be: truncated, corrupt, or of another kind."""
+
+
+class UnitWarning(UserWarning):
+    """A value is far from that of tissue, as one in another unit is."""
 
 
 class DivergenceError(RuntimeError):
@@ -93,6 +104,41 @@ def integer_in_range(name: str, value: int, low: int, high: float = math.inf) ->
     if not whole:
         raise InputError(f"{name} = {brief(value)} is out of range: allowed is a whole number from {low} to {high:g}")
     return int(value)
+
+
+def check_names(of: str, given: Iterable[str], allowed: Mapping[str, str]) -> None:
+    """Refuse arguments that a class does not have.
+
+    Parameters
+    ----------
+    of : str
+        The class.
+    given : iterable of str
+    allowed : mapping of str to str
+        Units by name; empty for a pure number.
+
+    Raises
+    ------
+    InputError
+        Names the argument, those that are allowed, and the nearest one.
+    """
+    for name in given:
+        if name not in allowed:
+            known = ", ".join(f"{each} [{unit}]" if unit else each for each, unit in allowed.items())
+            near = get_close_matches(name, allowed, 1, 0.0)
+            remedy = f"; did you mean {near[0]}?" if near else ""
+            raise InputError(f"arguments of {of} must be among {known}, got {brief(name)[1:-1]}{remedy}")
+
+
+def warn_of_unit(name: str, value: float, low: float, high: float, unit: str, remedy: str) -> None:
+    """Warn, where the package is called from, of a value that only another unit explains."""
+    if low <= value <= high:
+        return
+    level, frame = 1, sys._getframe(0)
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == "palpate":
+        level, frame = level + 1, frame.f_back
+    message = f"{name} should be from {low:g} to {high:g} {unit}, got {value:.4g} {unit}; {remedy}"
+    warnings.warn(message, UnitWarning, stacklevel=level)
 
 
 def brief(value: object) -> str:

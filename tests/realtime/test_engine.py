@@ -412,3 +412,16 @@ def test_a_tool_is_put_elsewhere_at_once_and_time_goes_slower(engine_of, history
     engine.start()
     with pytest.raises(RuntimeError, match="pause"):
         engine.place_tool((0.0, 0.0, 0.0))
+
+
+def test_it_prints_its_state_its_rate_and_whether_it_is_held(engine_of):
+    engine = engine_of()
+    assert "no step has been taken yet" in repr(engine)
+    run_steps(engine, 20)
+    line, reading = repr(engine), engine.read()
+    for part in ("Engine(state=stopped, rate=1 kHz, ", " coordinates, time=", "rate held "):
+        assert part in line
+    for part in ("force=(", " N", "trust=", "engine=stopped"):
+        assert part in repr(reading)
+    assert "array(" not in line + repr(reading)
+    assert max(len(line), len(repr(reading))) <= 160

@@ -152,6 +152,7 @@ def test_polyconvex_laws_are_stable(poisson):
         report.require()
 
 
+@pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
 def test_stiffness_scales_what_is_measured_and_no_verdict():
     soft, hard = (material_stability(Softening(mu=mu, density=1000, poisson=0.4)) for mu in (1.0, 1e9))
     assert soft.least_modulus / soft.shear_modulus == pytest.approx(hard.least_modulus / hard.shear_modulus, rel=1e-4)
@@ -205,6 +206,7 @@ def test_a_range_that_is_none_is_refused(ends):
 
 
 @pytest.mark.parametrize("C1", [1e306, 4e306, 3e307])
+@pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
 def test_a_law_whose_waves_overflow_is_not_stable(C1):
     try:
         material = pt.materials.NeoHookean(C1=C1, density=1000, poisson=0.45)

@@ -306,6 +306,7 @@ WORDS = (
 )  # fmt: skip
 
 
+@pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
 def test_any_text_is_a_law_or_refused():
     rng, made = np.random.default_rng(0), 0
     for _ in range(1500):

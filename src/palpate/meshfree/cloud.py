@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
+from palpate.describe import Described, Fact
+from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range, warn_of_unit
+from palpate.plotting import body_svg, plot_body
 
-__all__ = ["Cloud", "box"]
+__all__ = ["Cloud", "box", "warn_of_size"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -24,10 +27,11 @@ MOST_NODES = 5e7  # of a box
 FARTHEST = 1e9  # [m] of a coordinate
 SMALLEST = 1e-9  # [m] spacing: beyond both, volumes and stiffnesses leave double precision
 LEAST_SHARE = 1e-12  # of the smallest cell: volume of a node
+EXPECTED_SIZES = 1e-4, 10.0  # [m] of a body; beyond, a size was probably not given in metres
 
 
 @dataclass(frozen=True)
-class Cloud:
+class Cloud(Described):
     """Points of a body with their share of its volume and surface.
 
     Parameters
@@ -98,6 +102,47 @@ class Cloud:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def _facts(self) -> list[Fact]:
+        d = self.points.shape[1]
+        return [
+            ("nodes", len(self), ""),
+            ("size", tuple(np.ptp(self.points, axis=0).tolist()), "m"),
+            ("spacing", float(self.spacing), "m"),
+            ("volume" if d == 3 else "area", float(self.volumes.sum()), f"m^{d}"),
+            ("surface nodes", len(np.unique(self.face_nodes)), "") if d == 3 else ("", None, ""),
+            ("groups", list(self.groups), ""),
+        ]
+
+    def _picture(self) -> str:
+        return body_svg(*self._surface())
+
+    def _surface(self) -> tuple[Floats, Ints]:
+        """Return the points that surface triangles use, and the triangles of these; all points where there are none."""
+        if not len(self.triangles):
+            return self.points, np.zeros((0, 3), dtype=np.int64)
+        used, corners = np.unique(self.triangles, return_inverse=True)
+        return self.points[used], corners.reshape(-1, 3)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the surface of the body.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            In three dimensions; new ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ImportError
+            matplotlib is not installed.
+        """
+        points, triangles = self._surface()
+        return plot_body(np.pad(points, ((0, 0), (0, 3 - points.shape[1]))), triangles, axes)
 
     def group(self, name: str) -> Ints:
         """Return the nodes of a named group.
@@ -185,6 +230,13 @@ class Cloud:
         raise InputError(f"group {name!r} does not lie on one face of the surface: a traction needs one")
 
 
+def warn_of_size(points: Floats) -> None:
+    """Warn of a body so large or small that its size was probably not given in metres."""
+    low, high = EXPECTED_SIZES
+    size = float(np.ptp(points, axis=0).max())
+    warn_of_unit("the size of a body", size, low, high, "m", "lengths are in metres")
+
+
 def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 0) -> Cloud:
     """Fill a box (a rectangle, for two sizes) with a lattice of nodes, faces included.
 
@@ -210,6 +262,11 @@ def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 
     ------
     InputError
         A size or spacing that is not positive, or a spacing that gives fewer than 4 nodes across.
+
+    Warns
+    -----
+    UnitWarning
+        A box of more than 10 m or less than 0.1 mm: sizes are in metres.
     """
     d = len(size)
     if d not in (2, 3):
@@ -227,6 +284,7 @@ def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 
         )
     if count > MOST_NODES:
         raise InputError(f"spacing = {spacing:g} m gives {count:.2g} nodes; at most 5e7 are allowed")
+    warn_of_size(np.array([np.zeros(d), lengths]))
     cells = wished.astype(int)
     step = lengths / cells
     axes = [np.linspace(0.0, lengths[a], cells[a] + 1) for a in range(d)]

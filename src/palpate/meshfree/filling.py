@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
-from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.cloud import Cloud, warn_of_size
 from palpate.meshfree.gate import faulty_nodes
 from palpate.meshfree.refining import refined
 from palpate.meshfree.relaxing import (
@@ -95,7 +95,7 @@ def fill(
     Warns
     -----
     UserWarning
-        What was assumed, such as the units of a file.
+        What was assumed, such as the units of a file; a body of more than 10 m or less than 0.1 mm.
     """
     spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
     seed = integer_in_range("seed", seed, 0)
@@ -110,6 +110,7 @@ def fill(
         what = "; ".join(problem.what for problem in report.errors)
         raise InputError(f"{body.name} cannot be filled: {what}")
     _refuse_size(body, spacing, sizing)
+    warn_of_size(body.vertices)
     vertices, triangles = refined(body.vertices, body.triangles, lambda points: SHORT * sizing(points))
     inside = DepthQuery.of(vertices, triangles)
     nodes = spread(vertices, triangles, ON_SURFACE * sizing(vertices), seed)

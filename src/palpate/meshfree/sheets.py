@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, cKDTree
 
 from palpate.faults import CloudError, InputError, brief, integer_in_range, number_in_range
-from palpate.meshfree.cloud import FARTHEST, SMALLEST, Cloud
+from palpate.meshfree.cloud import FARTHEST, SMALLEST, Cloud, warn_of_size
 from palpate.meshfree.stencils import moving_least_squares
 
 __all__ = ["disc", "sheet"]
@@ -62,6 +62,11 @@ def disc(radius: float, spacing: float, layout: str = "rings", jitter: float = 0
     ------
     InputError
         A radius, spacing or jitter out of range, a spacing too coarse or too fine for the disc, an unknown layout.
+
+    Warns
+    -----
+    UnitWarning
+        A sheet of more than 10 m or less than 0.1 mm: sizes are in metres.
     """
     radius = number_in_range("radius", radius, 0.0, FARTHEST, open_low=True, unit="m")
     spacing = number_in_range("spacing", spacing, SMALLEST, FARTHEST, unit="m")
@@ -76,6 +81,7 @@ def disc(radius: float, spacing: float, layout: str = "rings", jitter: float = 0
             f"for quadratic fits: use a spacing of at most {radius / FEWEST_RINGS:g} m"
         )
     _refuse_crowds(np.pi * radius**2, 2 * np.pi * radius, spacing)
+    warn_of_size(np.array([[-radius, -radius], [radius, radius]]))
     inner, rim, spacing = layouts[layout](radius, spacing)
     centre = int(np.argmin(np.linalg.norm(inner, axis=1)))
     points = np.concatenate([_jittered(inner, rim, jitter, seed), rim])
@@ -125,6 +131,11 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
     InputError
         An outline that is no simple polygon, or with an edge too short, a corner too sharp, or a passage or gap too
         narrow for the spacing; a spacing or jitter out of range.
+
+    Warns
+    -----
+    UnitWarning
+        A sheet of more than 10 m or less than 0.1 mm: sizes are in metres.
     """
     spacing = number_in_range("spacing", spacing, SMALLEST, FARTHEST, unit="m")
     jitter = number_in_range("jitter", jitter, 0.0, 0.3)
@@ -135,6 +146,7 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
     area = float(np.sum(_cross(corners - corners[0], along)) / 2)  # positive for an anticlockwise outline
     normals = np.sign(area) * np.stack([along[:, 1], -along[:, 0]], axis=1) / lengths[:, None]
     _refuse_crowds(abs(area), lengths.sum(), spacing)
+    warn_of_size(corners)
     rim, starts = _edge_nodes(corners, lengths, spacing)
     _refuse_narrows(rim, starts, corners, spacing)
     longest = int(np.argmax(lengths > lengths.max() * (1 - 1e-9)))  # the first of equal ones

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import FARTHEST
 
@@ -33,7 +34,7 @@ NEAR_DUPLICATE = 0.2  # of the median distance to the nearest neighbour
 
 
 @dataclass(frozen=True)
-class Stencils:
+class Stencils(Described):
     """Neighbours and weights of a moving-least-squares fit at every node of a cloud.
 
     Parameters
@@ -66,6 +67,14 @@ class Stencils:
     own_first: Floats
     own_second: Floats
     condition: Floats
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("nodes", len(self.row), ""),
+            ("neighbours", self.neighbours.shape[1], ""),
+            ("different rows of weights", len(self.first), ""),
+            ("largest condition number", float(self.condition.max(initial=0.0)), ""),
+        ]
 
     def fit(self, field: Floats) -> Floats:
         """Return the fitted value of a nodal field of shape (n,) or (n, c), in the same shape."""

@@ -9,7 +9,9 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from palpate.describe import Described, Fact
 from palpate.faults import InputError, first_few
+from palpate.plotting import body_svg
 
 __all__ = ["MOST_TRIANGLES", "Surface", "components", "halves", "part_of", "part_volumes", "rims", "welded"]
 
@@ -24,7 +26,7 @@ AWAY = 1e7  # largest coordinate over the size: beyond, SAME is not resolved
 
 
 @dataclass(frozen=True)
-class Surface:
+class Surface(Described):
     """Triangles in space.
 
     Parameters
@@ -74,6 +76,20 @@ class Surface:
             )
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "triangles", triangles)
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("name", self.name, ""),
+            ("vertices", len(self.vertices), ""),
+            ("triangles", len(self.triangles), ""),
+            ("size", tuple(np.ptp(self.vertices, axis=0).tolist()), "m"),
+            ("volume", self.volume, "m^3"),
+            ("area", self.area, "m^2"),
+            ("warnings", "; ".join(self.warnings) or None, ""),
+        ]
+
+    def _picture(self) -> str:
+        return body_svg(self.vertices, self.triangles)
 
     @property
     def area_vectors(self) -> Floats:

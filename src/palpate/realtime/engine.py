@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.realtime.blackbox import write_black_box
 from palpate.realtime.clock import SUPPORTED
@@ -76,7 +77,7 @@ def _settings(
     )
 
 
-class Engine:
+class Engine(Described):
     """Steps a model at a fixed rate in its own thread, without holding Python's lock.
 
     The thread never runs Python code while it steps: it waits for a deadline, moves the tool towards the newest pose,
@@ -153,6 +154,18 @@ class Engine:
         self._to_rest()
         snapshot(self._channels.row)  # compiled here rather than in the first read, beside a loop that runs
         weakref.finalize(self, self._runner.end, STOPPED)  # when Python ends, or nobody refers to the engine any more
+
+    def _facts(self) -> list[Fact]:
+        row, statistics = snapshot(self._channels.row), self.statistics()
+        return [
+            ("state", self.state, ""),
+            ("rate", 1 / self.period, "Hz"),
+            ("coordinates", len(self._rest), ""),
+            ("time", float(row[offset("time")]), "s"),
+            ("trust", float(row[offset("trust")]), ""),
+            ("rate held", statistics.held if statistics.count else None, ""),
+            ("verdict", statistics.verdict, ""),
+        ]
 
     @property
     def state(self) -> str:

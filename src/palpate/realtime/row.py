@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
+
 __all__ = ["HEAD", "UNITS", "WIDTH", "Period", "Reading", "offset"]
 
 Floats = NDArray[np.float64]
@@ -32,7 +34,7 @@ def offset(name: str) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Period:
+class Period(Described):
     """What is known of one period.
 
     Parameters
@@ -75,6 +77,19 @@ class Period:
     lateness: float
     coordinates: Floats
     state: str
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("engine", self.state, ""),
+            ("time", self.time, "s"),
+            ("force", self.force, "N"),
+            ("moment", self.moment, "N m"),
+            ("trust", self.trust, ""),
+            ("computing time", self.computing, "s"),
+            ("lateness", self.lateness, "s"),
+            ("steps", self.steps, ""),
+            ("coordinates", len(self.coordinates), ""),
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)

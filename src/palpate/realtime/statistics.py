@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.realtime.clock import ABSOLUTE
 
 __all__ = ["Distribution", "Statistics", "Tally", "count_step"]
@@ -76,7 +77,7 @@ def count_step(tally, computing, lateness, ended, deadline, period):  # type: ig
 
 
 @dataclass(frozen=True)
-class Distribution:
+class Distribution(Described):
     """Durations, counted in logarithmic bins.
 
     Parameters
@@ -90,6 +91,13 @@ class Distribution:
     edges: NDArray[np.float64]
     counts: NDArray[np.int64]
     maximum: float
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("steps", int(self.counts.sum()), ""),
+            *((f"{percent:g} %", value, "s") for percent, value in self.percentiles.items()),
+            ("maximum", self.maximum, "s"),
+        ]
 
     def percentile(self, percent: float) -> float:
         """Return the duration [s] that so many of a hundred do not exceed, rounded up to the edge of a bin."""
@@ -107,7 +115,7 @@ class Distribution:
 
 
 @dataclass(frozen=True)
-class Statistics:
+class Statistics(Described):
     """How an engine kept its deadlines since it was started.
 
     Parameters
@@ -141,6 +149,19 @@ class Statistics:
         )
         missed, overrun, dropped = (int(tally.counts[k]) for k in (MISSED, OVERRUN, DROPPED))
         return cls(period, int(computing.counts.sum()), missed, dropped, overrun, computing, lateness)
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("steps", self.count, ""),
+            ("rate", 1 / self.period, "Hz"),
+            ("deadlines missed", self.missed, ""),
+            ("computing time, median", self.computing.percentile(50), "s"),
+            ("99 %", self.computing.percentile(99), "s"),
+            ("rate held", self.held if self.count else None, ""),
+            ("steps longer than a period", self.overrun, ""),
+            ("periods dropped", self.dropped, ""),
+            ("verdict", self.verdict, ""),
+        ]
 
     @property
     def held(self) -> bool:

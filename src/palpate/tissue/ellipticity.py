@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief, number_in_range
 from palpate.tissue.homogeneous import KINDS, compressible, deformation_gradient, rest
 from palpate.tissue.materials import Material
@@ -37,7 +38,7 @@ EDGE = 46  # directions between two axes
 
 
 @dataclass(frozen=True)
-class MaterialStability:
+class MaterialStability(Described):
     """Where a law is sound.
 
     Attributes
@@ -65,6 +66,16 @@ class MaterialStability:
     bulk_modulus: float
     least_modulus: float
     lost: dict[str, tuple[float | None, float | None]]
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("verdict", "stable" if self.stable else "not stable", ""),
+            ("stretches", self.stretches, ""),
+            ("volume ratios", self.volumes, ""),
+            ("least modulus of a wave", self.least_modulus, "Pa"),
+            ("shear modulus", self.shear_modulus, "Pa"),
+            *(("finding", finding, "") for finding in self.findings),
+        ]
 
     @property
     def text(self) -> str:

@@ -23,7 +23,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, first_few, number_in_range
+from palpate.describe import Described, Fact
+from palpate.faults import InputError, check_names, first_few, number_in_range
 from palpate.tissue.materials import ShearLaw, parameter
 
 __all__ = ["LEAST", "FibreLaw", "Fibres", "Guccione", "VolumeOnly"]
@@ -35,7 +36,7 @@ UNIT = 1e-6  # by which the length of a direction may miss 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FibreLaw(ABC):
+class FibreLaw(Described, ABC):
     """An energy of the isochoric strain and of directions.
 
     A law of one's own has its parameters, as a `Material` has, and `respond`, which is compiled as it is: plain
@@ -56,6 +57,19 @@ class FibreLaw(ABC):
     most: ClassVar[int] = 2
 
     directions: Any = field(repr=False)
+
+    def __new__(cls, *unnamed: Any, **given: Any) -> Self:
+        check_names(cls.__name__, given, {f.name: f.metadata.get("unit", "") for f in fields(cls)})
+        return super().__new__(cls)
+
+    def _facts(self) -> list[Fact]:
+        placed = None if callable(self.directions) else self.directions
+        return [
+            *((f.name, getattr(self, f.name), f.metadata["unit"]) for f in fields(self) if f.metadata),
+            ("families", None if placed is None else len(placed), ""),
+            ("directions", "a function of the points" if placed is None else "one everywhere"
+             if placed.ndim == 2 else f"at {placed.shape[1]:,} nodes", ""),
+        ]  # fmt: skip
 
     def __post_init__(self) -> None:
         for each in fields(self):

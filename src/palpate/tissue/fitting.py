@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,13 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, integer_in_range
+from palpate.describe import Described, Fact
+from palpate.faults import InputError, UnitWarning, integer_in_range
 from palpate.tissue.ellipticity import MaterialStability, material_stability
 from palpate.tissue.fit_problem import FitProblem
 from palpate.tissue.fit_starts import starts as begin
 from palpate.tissue.homogeneous import deformation_gradient, nominal_stress
 from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
+from palpate.tissue.parameters import field_metadata
 
 __all__ = ["CurveFit", "Fit", "FitStart", "fit"]
 
@@ -67,7 +70,7 @@ class FitStart:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Described):
     """A law fitted to curves.
 
     Attributes
@@ -98,6 +101,21 @@ class Fit:
     condition: float
     remarks: tuple[str, ...]
     measurements: tuple[Measurement, ...]
+
+    def _facts(self) -> list[Fact]:
+        law, errors = type(self.material), self.standard_errors
+        return [
+            ("law", law.__name__, ""),
+            *((name, f"{value:.3g} +- {errors[name]:.2g}", field_metadata(law, name).get("unit", ""))
+              for name, value in self.parameters.items()),
+            ("curves", len(self.curves), ""),
+            ("points", sum(curve.points for curve in self.curves), ""),
+            ("least R^2", float(min(curve.r_squared for curve in self.curves)), ""),
+            ("largest rms", float(max(curve.rms for curve in self.curves)), "Pa"),
+            ("verdict", "stable" if self.stability.stable else "not stable", ""),
+            ("remarks", len(self.remarks), ""),
+            *(("remark", remark, "") for remark in self.remarks),
+        ]  # fmt: skip
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -187,12 +205,16 @@ def fit(
     if not curves:
         raise InputError("measurements are empty: give at least one curve")
     starts, seed = integer_in_range("starts", starts, 1), integer_in_range("seed", seed, 0)
-    with np.errstate(all="ignore"):  # trial parameters may overflow a law; such trials are stepped back from
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        # trial parameters may overflow a law, and be far from those of tissue; such trials are stepped back from
+        warnings.simplefilter("ignore", UnitWarning)
         problem = FitProblem(law, curves, start or {}, bounds or {}, fixed or {}, density, poisson)
         ended = [(first, _minimum(problem, better, ROUGH)) for first, better in begin(problem, starts, seed)]
         ended.sort(key=lambda pair: pair[1].cost)
         ended[0] = ended[0][0], _minimum(problem, ended[0][1].x, TIGHT)
-        return _described(problem, ended)
+        found = _described(problem, ended)
+    found.material.warn_of_units()
+    return found
 
 
 def _minimum(problem: FitProblem, first: Floats, tolerance: float) -> Any:

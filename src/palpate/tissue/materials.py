@@ -25,12 +25,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, brief, number_in_range
+from palpate.describe import Described, Fact
+from palpate.faults import InputError, brief, check_names, number_in_range, warn_of_unit
 from palpate.tissue.isochoric import COUPLED, isochoric, known_split
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
@@ -38,6 +39,11 @@ from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 __all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw", "parameter"]
 
 MOST_POISSON = 0.499  # the stability of the split pressure is verified up to here
+EXPECTED_DENSITIES = 100.0, 20_000.0  # [kg/m^3]; beyond, a density was probably given in another unit
+EXPECTED_MODULI = 1.0, 1e8  # [Pa] of shear, the same
+
+
+UNITS = {"density": "kg/m^3", "bulk": "Pa"}  # of the fields of every material
 
 
 def parameter(unit: str = "", low: float = -np.inf, high: float = np.inf, *, above: float | None = None) -> Any:
@@ -47,7 +53,7 @@ def parameter(unit: str = "", low: float = -np.inf, high: float = np.inf, *, abo
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material(ABC):
+class Material(Described, ABC):
     """A strain energy, its derivatives, and a density.
 
     Parameters
@@ -72,7 +78,13 @@ class Material(ABC):
     Raises
     ------
     InputError
-        A parameter out of range, an unknown form or split, or both or neither of `poisson` and `bulk`.
+        A parameter out of range or that the law does not have, an unknown form or split, or both or neither of
+        `poisson` and `bulk`.
+
+    Warns
+    -----
+    UnitWarning
+        A density or a shear modulus at rest that is far from any tissue's, as one in another unit is.
 
     Attributes
     ----------
@@ -89,6 +101,31 @@ class Material(ABC):
     prony: Prony | None = None
     volumetric: str = QUADRATIC
     split: str = COUPLED
+
+    def __new__(cls, *unnamed: Any, **given: Any) -> Self:
+        units = {f.name: f.metadata.get("unit", UNITS.get(f.name, "")) for f in fields(cls)}
+        own = {name: unit for name, unit in units.items() if name not in Material.__dataclass_fields__}
+        if unnamed:
+            names = ", ".join(f"{name}=..." for name in (*own, "density", "poisson"))
+            raise InputError(f"arguments of {cls.__name__} must have names, got {brief(unnamed[0])}; give {names}")
+        check_names(cls.__name__, given, own | units)
+        return super().__new__(cls)
+
+    def _facts(self) -> list[Fact]:
+        base = Material.__dataclass_fields__
+        prony, compressible = self.prony, not self.incompressible
+        return [
+            *((f.name, getattr(self, f.name), f.metadata.get("unit", "")) for f in fields(self) if f.name not in base),
+            ("density", float(self.density), "kg/m^3"),
+            ("poisson", f"{self.poisson:.4g}", ""),
+            ("shear modulus", float(self.shear_modulus), "Pa"),
+            ("bulk modulus", self.bulk_modulus if compressible else None, "Pa"),
+            ("energy", getattr(self, "expression", None), ""),  # of a law that is written down
+            ("volumetric", self.volumetric if self.volumetric != QUADRATIC else None, ""),
+            ("split", self.split if self.split != COUPLED else None, ""),
+            ("relaxation times", None if prony is None else prony.times, "s"),
+            ("relaxation shares", None if prony is None else prony.shares, ""),
+        ]
 
     def __post_init__(self) -> None:
         if self.prony is not None and not isinstance(self.prony, Prony):
@@ -120,6 +157,13 @@ class Material(ABC):
                     f"not {given:g} Pa"
                 )
             object.__setattr__(self, "bulk", given)  # to the last bit
+        self.warn_of_units()
+
+    def warn_of_units(self) -> None:
+        """Warn of a density or a shear modulus at rest that is far from any tissue's."""
+        name, mu = type(self).__name__, self.shear_modulus
+        warn_of_unit(f"the density of {name}", self.density, *EXPECTED_DENSITIES, "kg/m^3", "densities are in kg/m^3")
+        warn_of_unit(f"the shear modulus of {name}", mu, *EXPECTED_MODULI, "Pa", "moduli are in pascals")
 
     def _complete(self, mu: float) -> None:
         """Write `bulk` for `poisson`, or `poisson` for `bulk`, of a shear modulus [Pa]."""

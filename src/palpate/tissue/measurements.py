@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from palpate.describe import Described, Fact
 from palpate.faults import InputError
 from palpate.tissue.homogeneous import rest
 
@@ -16,7 +17,7 @@ MOST = 20.0  # a stretch or shear, beyond any tissue's and rubber's
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Measurement:
+class Measurement(Described):
     """A measured curve of nominal stress over stretch or shear.
 
     Parameters
@@ -46,6 +47,16 @@ class Measurement:
     deviation: NDArray[np.float64] | float = 1.0
     name: str = ""
     source: str = ""
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("name", self.name or None, ""),
+            ("kind", self.kind, ""),
+            ("points", len(self.stress), ""),
+            ("shear" if self.kind == "shear" else "stretch", _range(self.deformation), ""),
+            ("stress", (float(self.stress.min()), float(self.stress.max())), "Pa"),
+            ("source", self.source or None, ""),
+        ]
 
     def __post_init__(self) -> None:
         at_rest = rest(self.kind)
@@ -79,6 +90,10 @@ class Measurement:
         for name, values in (("deformation", deformation), ("stress", stress), ("deviation", deviation)):
             values.setflags(write=False)
             object.__setattr__(self, name, values)
+
+
+def _range(values: NDArray[np.float64]) -> str:
+    return f"{values.min():.3g} to {values.max():.3g}"
 
 
 def _column(name: str, values: ArrayLike, length: int | None = None) -> NDArray[np.float64]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.faults import InputError, number_in_range
+from palpate.describe import Described, Fact
+from palpate.faults import InputError, check_names, number_in_range
 
 __all__ = ["Prony"]
 
@@ -18,7 +20,7 @@ MOST_BRANCHES = 64  # a few for each decade of times are enough; every branch is
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prony:
+class Prony(Described):
     """A Prony series of overstresses that a law's stress is joined by and that fade with time.
 
     The law is the tissue at its ease; a branch i is a Maxwell element beside it, of finite isochoric strain
@@ -51,6 +53,19 @@ class Prony:
     bulk_shares: tuple[float, ...] = field(
         default=(), metadata={"unit": "", "low": 0.0, "high": np.inf, "open_low": False}
     )
+
+    def __new__(cls, *unnamed: Any, **given: Any) -> Self:
+        check_names(cls.__name__, given, {f.name: f.metadata["unit"] for f in fields(cls)})
+        return super().__new__(cls)
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("branches", len(self.times), ""),
+            ("shares", self.shares, ""),
+            ("times", self.times, "s"),
+            ("bulk shares", self.bulk_shares or None, ""),
+            ("modulus at once over that at rest", 1 + sum(self.shares), ""),
+        ]
 
     def __post_init__(self) -> None:
         for each in fields(self):

@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.faults import InputError
 from palpate.tissue.materials import Material
 
@@ -19,7 +20,7 @@ SHARED = {"split": "split", "volumetric": "volumetric form", "prony": "Prony ser
 
 
 @dataclass(frozen=True, eq=False)
-class Regions:
+class Regions(Described):
     """Which of a few materials of one law lies at every node.
 
     Parameters
@@ -54,6 +55,14 @@ class Regions:
                     raise InputError(f"the materials of a body need one {said}; these have {mine!r} and {its!r}")
         if first.prony is not None and first.prony.bulk_shares:
             raise InputError("a volume that relaxes (bulk_shares) needs the same material everywhere")
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("nodes", len(self.which), ""),
+            ("materials", len(self.materials), ""),
+            ("law", type(self.materials[0]).__name__, ""),
+            ("shear moduli", tuple(float(each.shear_modulus) for each in self.materials), "Pa"),
+        ]
 
     def at(self, nodes: Any) -> Self:
         """Return the regions of some nodes."""

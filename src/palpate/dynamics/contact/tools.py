@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.cloud import Cloud
 
@@ -43,7 +44,7 @@ ROUNDING = 0.05  # of a punch's edge, in its radii
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(Described):
     """A ball about the tool's origin.
 
     Parameters
@@ -62,6 +63,9 @@ class Sphere:
     def __post_init__(self) -> None:
         number_in_range("radius of a Sphere", self.radius, 0.0, open_low=True, unit="m")
 
+    def _facts(self) -> list[Fact]:
+        return [("radius", float(self.radius), "m")]
+
     @property
     def sizes(self) -> tuple[float, float, float]:
         """What the distance depends on [m]: radius, half the length, rounding."""
@@ -69,7 +73,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Capsule:
+class Capsule(Described):
     """A cylinder along the tool's z axis with half a ball at either end, about the tool's origin.
 
     Parameters
@@ -91,6 +95,9 @@ class Capsule:
         number_in_range("radius of a Capsule", self.radius, 0.0, open_low=True, unit="m")
         number_in_range("length of a Capsule", self.length, 0.0, open_low=True, unit="m")
 
+    def _facts(self) -> list[Fact]:
+        return [("radius", float(self.radius), "m"), ("length", float(self.length), "m")]
+
     @property
     def sizes(self) -> tuple[float, float, float]:
         """What the distance depends on [m]: radius, half the length, rounding."""
@@ -98,7 +105,7 @@ class Capsule:
 
 
 @dataclass(frozen=True)
-class Plane:
+class Plane(Described):
     """The half-space below the tool's z = 0; its normal is +z."""
 
     kind: ClassVar[int] = PLANE
@@ -110,7 +117,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Punch:
+class Punch(Described):
     """A cylinder without end, above the tool's z = 0, whose flat end about the origin faces -z.
 
     Parameters
@@ -134,6 +141,9 @@ class Punch:
         if self.rounding is not None:
             number_in_range("rounding of a Punch", self.rounding, 0.0, self.radius, unit="m")
 
+    def _facts(self) -> list[Fact]:
+        return [("radius", float(self.radius), "m"), ("rounding", self.sizes[2], "m")]
+
     @property
     def sizes(self) -> tuple[float, float, float]:
         """What the distance depends on [m]: radius, half the length, rounding."""
@@ -141,7 +151,7 @@ class Punch:
 
 
 @dataclass(frozen=True)
-class Forceps:
+class Forceps(Described):
     """What a `Grasp` is on a reduced model: a tool that holds the surface nodes within a radius of a point at rest.
 
     Parameters
@@ -156,6 +166,13 @@ class Forceps:
     until: float
     kind: ClassVar[int] = BONDED
 
+    def _facts(self) -> list[Fact]:
+        return [
+            ("radius", float(self.radius), "m"),
+            ("point", np.asarray(self.point, dtype=float), "m"),
+            ("until", float(self.until), "s"),
+        ]
+
     @property
     def sizes(self) -> tuple[float, float, float]:
         """What it reaches [m]: a radius."""
@@ -166,7 +183,7 @@ Tool = Sphere | Capsule | Plane | Punch | Forceps
 
 
 @dataclass(frozen=True)
-class Contact:
+class Contact(Described):
     """A rigid tool that may touch a body: it pushes, and rubs by Coulomb's law, but never pulls.
 
     Patches of surface that would enter the tool within a step are put onto its surface; what that changes of the
@@ -205,6 +222,15 @@ class Contact:
             raise InputError(f"Contact {self.name!r}: {self.tool!r} is no tool; use Sphere, Capsule, Plane or Punch")
         number_in_range(f"friction of Contact {self.name!r}", self.friction, 0.0)
 
+    def _facts(self) -> list[Fact]:
+        return [
+            ("name", self.name, ""),
+            ("tool", self.tool, ""),
+            ("friction", float(self.friction), ""),
+            ("motion", _motion_fact(self.motion), ""),
+            ("group", self.group, ""),
+        ]
+
     def poses(self, times: Floats) -> Floats:
         """Return the tool's poses (t, 7) at some times [s]; for errors see `poses`."""
         return poses(self._motion, times, f"the motion of Contact {self.name!r}")
@@ -215,7 +241,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Grasp:
+class Grasp(Described):
     """Forceps that hold the surface nodes within a radius of a point, and move and turn them as a rigid body.
 
     Parameters
@@ -242,6 +268,15 @@ class Grasp:
     until: float = np.inf
     name: str = "grasp"
 
+    def _facts(self) -> list[Fact]:
+        return [
+            ("name", self.name, ""),
+            ("point", np.asarray(self.point, dtype=float), "m"),
+            ("radius", float(self.radius), "m"),
+            ("motion", _motion_fact(self.motion), ""),
+            ("until", float(self.until) if self.until < np.inf else None, "s"),
+        ]
+
     def with_group(self, cloud: Cloud) -> Cloud:
         """Return a cloud with the nodes that are held as a group of the grasp's name, unless it has one already."""
         if self.name in cloud.groups:
@@ -263,6 +298,16 @@ class Grasp:
     @cached_property
     def _motion(self) -> Motion:
         return motion_function(self.motion, f"the motion of Grasp {self.name!r}")
+
+
+def _motion_fact(motion: Motion) -> str:
+    """Return in a few words what a motion is given as."""
+    if callable(motion):
+        return "a function of time"
+    if np.ndim(motion[0]) == 0 or (len(motion) == 2 and np.ndim(motion[1]) == 1):
+        return "at rest"
+    times = np.asarray(motion[0], dtype=float)
+    return f"{times.size:,} samples from {times.min(initial=np.inf):.3g} to {times.max(initial=-np.inf):.3g} s"
 
 
 def surface_nodes(cloud: Cloud) -> NDArray[np.int64]:

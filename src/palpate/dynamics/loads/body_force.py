@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from palpate.describe import Described, Fact
 from palpate.dynamics.loads.values import Vector
 
 __all__ = ["Gravity"]
 
 
 @dataclass(frozen=True)
-class Gravity:
+class Gravity(Described):
     """A body force rho g (equation 3).
 
     Parameters
@@ -19,3 +20,6 @@ class Gravity:
     """
 
     acceleration: Vector = (0.0, 0.0, -9.81)
+
+    def _facts(self) -> list[Fact]:
+        return [("acceleration", self.acceleration, "m/s^2")]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.faults import InputError, first_few, number_in_range
 from palpate.meshfree.cloud import Cloud
 
@@ -16,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Foundation:
+class Foundation(Described):
     """Springs and dashpots that tie the nodes of a group to their places: a ligament, or what lies around an organ.
 
     A node with its share A of the surface is drawn back by A (stiffness u + damping du/dt). What the springs store
@@ -43,6 +44,13 @@ class Foundation:
     def __post_init__(self) -> None:
         number_in_range(f"stiffness of Foundation on {self.group!r}", self.stiffness, 0.0, unit="N/m^3")
         number_in_range(f"damping of Foundation on {self.group!r}", self.damping, 0.0, unit="N s/m^3")
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("group", self.group, ""),
+            ("stiffness", float(self.stiffness), "N/m^3"),
+            ("damping", float(self.damping), "N s/m^3"),
+        ]
 
 
 def foundation_areas(cloud: Cloud, load: Foundation) -> Floats:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
+from palpate.describe import Described, Fact
 from palpate.dynamics.contact.geometry import Contacts, contacts
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.body_force import Gravity
@@ -20,7 +21,7 @@ from palpate.dynamics.loads.foundation import Foundation, foundation_areas
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.loads.values import arrays_at, scalars_at, vectors_at
-from palpate.faults import InputError, first_few
+from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "LoadSites",
     "PreparedLoads",
     "is_pressure",
+    "listed",
     "prepare_loads",
 ]
 
@@ -74,7 +76,7 @@ class LoadSites(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PreparedLoads:
+class PreparedLoads(Described):
     """Loads made ready for a cloud and its support.
 
     Parameters
@@ -95,6 +97,9 @@ class PreparedLoads:
     motions: tuple[tuple[PrescribedMotion, slice], ...] = field(default=())
     grasps: tuple[str, ...] = ()
     partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)  # once computed
+
+    def _facts(self) -> list[Fact]:
+        return [("nodes", len(self.points), ""), ("supports", list(self.supports), ""), ("loads", self.loads, "")]
 
     def schedule(self, times: Floats) -> LoadHistory:
         """Evaluate every load at the given times [s].
@@ -189,6 +194,28 @@ def _padded(forces: Floats, amplitudes: int) -> Floats:
     return np.pad(forces, ((0, 0), (0, amplitudes - forces.shape[1]), (0, 0)))
 
 
+def listed(loads: Any) -> tuple[Load, ...]:
+    """Return loads as a tuple.
+
+    Raises
+    ------
+    InputError
+        A load that is not in a list, or an entry that is no load.
+    """
+    if isinstance(loads, Load):
+        raise InputError(f"loads must be a list, got one {type(loads).__name__}; put it in brackets, such as [pull]")
+    if isinstance(loads, str | bytes | Mapping) or not isinstance(loads, Iterable):
+        raise InputError(f"loads must be a list of loads, got {brief(loads)}; use such as [Traction(...), Gravity()]")
+    listed = tuple(loads)
+    for load in listed:
+        if not isinstance(load, Load):
+            raise InputError(
+                f"loads must be Traction, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got {brief(load)}; "
+                "replace or remove it"
+            )
+    return listed
+
+
 def prepare_loads(
     cloud: Cloud,
     fixed: Sequence[str],
@@ -214,7 +241,7 @@ def prepare_loads(
         An unknown group, a load on a fixed group, a moment on nodes in one line, two motions for one node, or no node
         that is free.
     """
-    loads = tuple(loads)
+    loads = listed(loads)
     grasps = tuple(load.name for load in loads if isinstance(load, Grasp))
     for load in loads:
         cloud = load.with_group(cloud) if isinstance(load, Grasp) else cloud
@@ -256,11 +283,6 @@ def prepare_loads(
         elif isinstance(load, Foundation):
             nodes, areas = cloud.group(load.group), foundation_areas(cloud, load)
             foundations.append((nodes, load.stiffness * areas, load.damping * areas))
-        elif not isinstance(load, Gravity | Contact):
-            raise InputError(
-                "loads must be of SurfaceForce, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got "
-                f"{load!r:.200}"
-            )
     for load in loads:
         if isinstance(load, DeadLoad) and np.all(kind[cloud.group(load.group)] != FREE):
             raise InputError(

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
+from palpate.describe import Described, Fact
 from palpate.faults import InputError
 
 __all__ = ["PrescribedMotion"]
 
 
 @dataclass(frozen=True)
-class PrescribedMotion:
+class PrescribedMotion(Described):
     """Nodes that follow a tool (equation 6).
 
     Parameters
@@ -48,6 +49,10 @@ class PrescribedMotion:
             raise InputError(
                 f"PrescribedMotion of {self.group!r}: until = {self.until!r} must be a time of at least 0 s"
             )
+
+    def _facts(self) -> list[Fact]:
+        until = float(self.until) if self.until < np.inf else None
+        return [("group", self.group, ""), ("displacement", self.displacement, "m"), ("until", until, "s")]
 
     def holds(self, times: Floats) -> NDArray[np.bool_]:
         """Return whether the tool holds its nodes at some times [s]."""

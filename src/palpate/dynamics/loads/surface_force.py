@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.arrays import Floats
+from palpate.describe import Described, Fact
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.values import Vector, vectors_at
 from palpate.faults import InputError
@@ -19,7 +20,7 @@ AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class SurfaceForce(DeadLoad):
+class SurfaceForce(Described, DeadLoad):
     """A force, a moment or a pressure on the face that a group of nodes makes up (equation 4).
 
     Give a force, a moment or both, or a pressure.
@@ -54,6 +55,14 @@ class SurfaceForce(DeadLoad):
             raise InputError(
                 f"SurfaceForce on {self.group!r} must have a force [N], a moment [N m] or both, or a pressure [Pa]"
             )
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("group", self.group, ""),
+            ("force", self.force, "N"),
+            ("moment", self.moment, "N m"),
+            ("pressure", self.pressure, "Pa"),
+        ]
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Fact
 from palpate.dynamics.compiled.lanes import Lanes, Weights, lane_table, transpose
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, prepare_loads
@@ -118,6 +119,15 @@ class Membrane(NodalModel):
         needed = 0.0 if self.conservative else np.nan
         step = stable_step(self._taut, used)
         self._examined(StabilityReport("the taut sheet", None, needed, used, self._taut, step))
+
+    def _own_facts(self) -> list[Fact]:
+        return [
+            ("form", self.form, ""),
+            ("thickness", self.thickness, "m"),
+            ("prestretch", self.prestretch, ""),
+            ("wrinkles", self.relaxed, ""),
+            ("stable step", self.stability.step, "s"),
+        ]
 
     def _additional_stress(self) -> AdditionalStress:
         """What is compiled beside the law."""

@@ -19,6 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.faults import CloudError, InputError, number_in_range
@@ -70,7 +71,7 @@ class ElasticBody(Protocol):
 
 
 @dataclass(frozen=True)
-class StabilityReport:
+class StabilityReport(Described):
     """What decides the stability of a full model at rest.
 
     Parameters
@@ -96,6 +97,23 @@ class StabilityReport:
     highest_frequency: float
     step: float
     growth: float | None = None
+
+    @property
+    def verdict(self) -> str:
+        """Whether the viscosity in use stops all growth at rest, as far as it was examined."""
+        if np.isnan(self.needed):
+            return "stability not examined"
+        return "stable at rest" if self.used >= self.needed else "not stable at rest: use more viscosity"
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("verdict", self.verdict, ""),
+            ("method", self.method, ""),
+            ("viscosity needed", self.needed, "s"),
+            ("viscosity used", self.used, "s"),
+            ("stable step", self.step, "s"),
+            ("highest frequency", self.highest_frequency, "rad/s"),
+        ]
 
     @property
     def _needed(self) -> str:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
@@ -42,7 +43,7 @@ class ContactState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class State:
+class State(Described):
     """Coordinates and velocities of a model at one time.
 
     Parameters
@@ -66,9 +67,20 @@ class State:
     history: tuple[Floats, ...] = ()
     contact_state: ContactState | None = None
 
+    def _facts(self) -> list[Fact]:
+        return [
+            ("coordinates", self.coordinates.size, ""),
+            ("time", float(self.time), "s"),
+            ("largest coordinate", float(np.abs(self.coordinates).max(initial=0.0)), ""),
+            ("largest velocity", float(np.abs(self.velocities).max(initial=0.0)), ""),
+            ("external work", float(self.external_work), "J"),
+            ("dissipated", float(self.dissipated), "J"),
+            ("touched by tools", self.contact_state is not None, ""),
+        ]
+
 
 @dataclass(frozen=True)
-class Outputs:
+class Outputs(Described):
     """What a model tells about a state.
 
     Parameters
@@ -98,6 +110,14 @@ class Outputs:
     contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 4)))
     bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
+    def _facts(self) -> list[Fact]:
+        return [
+            ("nodes", len(self.displacements), ""),
+            ("largest displacement", float(np.linalg.norm(self.displacements, axis=1).max(initial=0.0)), "m"),
+            *((f"{name} energy", float(getattr(self, name)), "J") for name in ("kinetic", "strain")),
+            *((f"force of {name!r}", force, "N") for name, force in self.reactions.items()),
+        ]
+
 
 def initial_field(name: str, given: Any, count: int) -> Floats:
     """Return an initial field (n, 3) as a new array: zero where none is given.
@@ -121,7 +141,7 @@ def initial_field(name: str, given: Any, count: int) -> Floats:
     return array
 
 
-class Model(ABC):
+class Model(Described, ABC):
     """A body that can be stepped through time.
 
     Attributes
@@ -151,6 +171,27 @@ class Model(ABC):
     name: str
     conservative: bool
     min_steps_per_frame: int = 20
+
+    def _facts(self) -> list[Fact]:
+        material = self.material
+        return [
+            *self._own_facts(),
+            ("nodes", len(self.cloud), ""),
+            ("spacing", float(self.cloud.spacing), "m"),
+            ("law", type(material).__name__, ""),
+            ("shear modulus", float(material.shear_modulus), "Pa"),
+            ("poisson", f"{material.poisson:.4g}", ""),
+            ("fixed", self.fixed, ""),
+            ("stiffness_damping", float(self.stiffness_damping), "s"),
+            ("density", float(material.density), "kg/m^3"),
+        ]
+
+    def _picture(self) -> str:
+        return self.cloud._picture()
+
+    def _own_facts(self) -> list[Fact]:
+        """Return the facts of this kind of model, which stand before those of all."""
+        return []
 
     @abstractmethod
     def state(

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.dynamics.loads.prepared import Load, PreparedLoads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed
 from palpate.dynamics.run.model import Model, Outputs, State
 from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder
@@ -87,7 +87,7 @@ def rollout(
     frames = _frames(model, duration, every, start)
     if step is not None:
         number_in_range("step", step, every / MOST_STEPS, every, unit="s")
-    prepared = model.prepare(loads)
+    prepared = model.prepare(listed(loads))
     with np.errstate(all="ignore"):  # what is not finite is refused by name
         state = model.state(prepared, displacement, velocity, float(start))
         outputs = _initial(model, state, prepared)

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.dynamics.run.journal import is_journal, read_record, records
 from palpate.faults import InputError, number_in_range
 from palpate.files import regular_file
+from palpate.plotting import curve_svg, plot_curves
 from palpate.sealed import loading, open_sealed, write_sealed
 
 __all__ = ["NAMED", "ROWS", "SERIES", "StoredTrajectory", "Trajectory", "stack"]
@@ -29,7 +31,7 @@ HEADER = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(Described):
     """What a run leaves: the snapshots, forces and energies at f times.
 
     Parameters
@@ -81,6 +83,65 @@ class Trajectory:
     contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 5)))
     bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     label: str = ""
+
+    def _facts(self) -> list[Fact]:
+        frames, energy = len(self.times), self.kinetic + self.strain
+        forces = {name: float(np.linalg.norm(each, axis=1).max(initial=0.0)) for name, each in self.reactions.items()}
+        strongest = max(forces, key=forces.__getitem__, default="")
+        missed = float(np.abs(self.balance).max() / energy.max()) if frames and energy.max() > 0 else None
+        return [
+            ("model", self.model, ""),
+            ("label", self.label or None, ""),
+            ("frames", frames, ""),
+            ("nodes", len(self.points), ""),
+            ("verdict", "complete" if self.complete else "stopped before its end", ""),
+            ("end", float(self.times[-1]) if frames else None, "s"),
+            ("largest displacement", float(self._largest().max(initial=0.0)), "m"),
+            (f"largest force on {strongest!r}", forces.get(strongest), "N"),
+            ("energy balance missed by", None if missed is None else 100 * missed, "%"),
+            ("steps", int(self.steps[-1]) if frames else None, ""),
+            ("computing time", float(self.wall_seconds), "s"),
+        ]
+
+    def _largest(self) -> Floats:
+        """Largest displacement [m] of a node at every time, (f,)."""
+        return np.sqrt(np.array([np.einsum("nc,nc->n", u, u).max(initial=0.0) for u in self.displacements]))
+
+    def _picture(self) -> str:
+        return curve_svg(self.times, 1e3 * self._largest(), "time [s]", "largest displacement [mm]")
+
+    def plot(self, what: str = "displacement", axes: Any = None) -> Any:
+        """Plot the run over time.
+
+        Parameters
+        ----------
+        what : str
+            ``"displacement"``: the largest and the mean over the nodes [m]. ``"force"``: the size of the force of
+            every support and tool [N]. ``"energy"``: kinetic, strain, external and dissipated energy [J].
+        axes : matplotlib.axes.Axes, optional
+            New ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        InputError
+            Another quantity.
+        ImportError
+            matplotlib is not installed.
+        """
+        if what == "displacement":
+            mean = np.array([np.linalg.norm(u, axis=1).mean() for u in self.displacements])
+            return plot_curves(self.times, {"largest": self._largest(), "mean": mean}, "displacement [m]", axes)
+        if what == "force":
+            forces = {name: np.linalg.norm(force, axis=1) for name, force in self.reactions.items()}
+            return plot_curves(self.times, forces, "force [N]", axes)
+        if what == "energy":
+            energies = {name: getattr(self, name) for name in ("kinetic", "strain", "external", "dissipated")}
+            return plot_curves(self.times, energies, "energy [J]", axes)
+        raise InputError(f"what must be 'displacement', 'force' or 'energy', got {what!r:.60}; choose one of them")
 
     @property
     def balance(self) -> Floats:
@@ -249,7 +310,7 @@ def _check_contact_forces(contact_forces: Floats, frames: int, nodes: int) -> No
         raise InputError(f"contact_forces names a frame outside 0..{frames - 1} or a node outside 0..{nodes - 1}")
 
 
-class StoredTrajectory:
+class StoredTrajectory(Described):
     """A trajectory that stays in its file: frames of its displacements are read when they are asked for.
 
     Parameters
@@ -282,6 +343,16 @@ class StoredTrajectory:
                 self._open_journal()
             else:
                 self._open_sealed()
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("file", self.path.name, ""),
+            ("label", self.label or None, ""),
+            ("frames", len(self.times), ""),
+            ("nodes", len(self.points), ""),
+            ("end", float(self.times[-1]) if len(self.times) else None, "s"),
+            ("computing time", self.wall_seconds, "s"),
+        ]
 
     def _open_sealed(self) -> None:
         file = open_sealed(self.path, FORMAT, VERSION)

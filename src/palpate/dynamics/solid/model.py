@@ -12,10 +12,11 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
+from palpate.describe import Fact
 from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.passes import smooth_field
 from palpate.dynamics.contact.tools import Contact
-from palpate.dynamics.loads.prepared import Load, PreparedLoads, prepare_loads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.material_fields import EVERYWHERE, regions_of, spread
 from palpate.dynamics.material.relaxation import equilibrium_history, relaxation, restore_history, saved_history
@@ -153,6 +154,10 @@ class Solid(NodalModel):
             self.stencils = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours)
             self._prepare_strong(smoother)
             self._examined(choose_stiffness_damping(self, stiffness_damping, self.neighbours))
+
+    def _own_facts(self) -> list[Fact]:
+        report = self.stability
+        return [("form", self.form, ""), ("verdict", report.verdict, ""), ("stable step", report.step, "s")]
 
     def _prepare_strong(self, smoother: Stencils) -> None:
         """Lay out the passes of the strong form."""
@@ -377,6 +382,7 @@ class Solid(NodalModel):
         return float(0.5 * self.masses @ np.sum(state.velocities**2, axis=1)) + self.strain_energy(state.coordinates)
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+        loads = listed(loads)
         touched = self.conservative and any(isinstance(load, Contact) for load in loads)
         return prepare_loads(self.cloud, self.fixed, loads, patches=self.patches if touched else None)
 

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.plotting import curve_svg, plot_singular_values
 from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Run, Snapshots
 
@@ -25,7 +28,7 @@ NUMERICAL_RANK = 1e-12  # of the largest singular value; below it directions are
 
 
 @dataclass(frozen=True)
-class Basis:
+class Basis(Described):
     """Modes that are orthonormal in the nodal-volume inner product.
 
     Parameters
@@ -51,6 +54,40 @@ class Basis:
 
     def __len__(self) -> int:
         return len(self.modes)
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("modes", len(self), ""),
+            ("nodes", self.modes.shape[1], ""),
+            ("snapshots", self.snapshots, ""),
+            ("energy not held", 100 * self.lost_energy, "%"),
+            ("largest singular value", float(self.singular_values[0]), "m^5/2"),
+            ("smallest of the modes", float(self.singular_values[: len(self)][-1]), "m^5/2"),
+        ]
+
+    def _picture(self) -> str:
+        relative = self.singular_values[self.singular_values > 0] / self.singular_values[0]
+        numbers = np.arange(1.0, len(relative) + 1)
+        return curve_svg(numbers, relative, "mode", "singular value over the first", logarithmic=True)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Plot the singular values of the snapshots over the first one, those of the modes filled.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            New ones by default.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ImportError
+            matplotlib is not installed.
+        """
+        return plot_singular_values(self.singular_values, len(self), axes)
 
     def project(self, fields: Floats) -> Floats:
         """Return the coordinates (..., M) of nodal fields (..., n, 3)."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import stable_step
@@ -75,6 +76,14 @@ class GalerkinModel(Model):
         self._tangent_at: Floats | None = None
         self._tangent, self._reach = np.zeros_like(self.mass), 0.0
         self.implicit = implicit
+
+    def _own_facts(self) -> list[Fact]:
+        return [
+            ("modes", len(self.basis), ""),
+            ("lifting columns", len(self.lifting) or None, ""),
+            ("energy not held", 100 * self.basis.lost_energy, "%"),
+            ("slows fast modes", self.implicit, ""),
+        ]
 
     def force(self, coordinates: Floats) -> Floats:
         """Return the columns' Q^T f / rho for coordinates of modes and lifting columns, both of shape (M + l,)."""

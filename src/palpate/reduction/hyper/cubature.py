@@ -16,6 +16,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from palpate.describe import Described
+
 __all__ = ["Cubature", "non_negative", "sketch", "slopes_fit"]
 
 Floats = NDArray[np.float64]
@@ -25,7 +27,7 @@ BATCH = 0.05  # of the chosen nodes: how many are added at once
 
 
 @dataclass(frozen=True)
-class Cubature:
+class Cubature(Described):
     """Sampled nodes.
 
     Parameters

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance
@@ -25,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ReducedData:
+class ReducedData(Described):
     """What a reduced model is made of, and what its file holds.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
-from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, prepare_loads
+from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.membrane.model import load_areas
 from palpate.faults import InputError
 from palpate.reduction.hyper.data import ReducedData
@@ -31,7 +31,8 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
     """
     about = data.kinematics
     loads = [
-        _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load for load in loads
+        _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load
+        for load in listed(loads)
     ]
     areas = partial(load_areas, data.cloud, about.prestretch) if about.sheet else None
     ready = prepare_loads(data.cloud, data.fixed, loads, areas)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.material.relaxation import equilibrium_history, restore_history, saved_history
@@ -96,6 +97,21 @@ class ReducedModel(Model):
         self._handled: ContactTools | None = None
         self._result, self._everything, self._frequency, self._reach = np.zeros(count), np.zeros(len(flat)), 0.0, 0.0
         self._frequency_at: Floats | None = None
+
+    def _own_facts(self) -> list[Fact]:
+        data, found = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
+        return [
+            ("modes", data.modes, ""),
+            ("lifting columns", data.lifted or None, ""),
+            ("sampled nodes", len(data.cubature.nodes), ""),
+            (
+                "held-out displacement error",
+                "not measured" if found is None else 100 * found,
+                "" if found is None else "%",
+            ),
+            ("driven", data.prescribed or None, ""),
+            ("step", "explicit" if self.step is None else self.step, "" if self.step is None else "s"),
+        ]
 
     @property
     def volumes(self) -> Floats:

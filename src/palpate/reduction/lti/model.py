@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Fact
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -96,6 +97,15 @@ class LinearModel(Model):
         self._moved = self._force_columns() @ flat.T  # what coordinates move along the forces
         self._steps: dict[float, tuple[Floats, ...]] = {}
         self._ready: _Inputs | None = None
+
+    def _own_facts(self) -> list[Fact]:
+        return [
+            ("coordinates", self.count, ""),
+            ("method", self.report.get("method"), ""),
+            ("verdict", "stable" if self.stable else "not stable", ""),
+            ("inputs", len(self.system.inputs), ""),
+            ("outputs", len(self.system.outputs), ""),
+        ]
 
     @property
     def poles(self) -> NDArray[np.complex128]:

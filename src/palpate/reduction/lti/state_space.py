@@ -13,6 +13,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from palpate.describe import Described
+
 __all__ = ["FirstOrder", "Reduced", "SecondOrder"]
 
 Floats = NDArray[np.float64]
@@ -20,7 +22,7 @@ Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
-class SecondOrder:
+class SecondOrder(Described):
     """M c'' + D c' + K c = B f, y = Cp c + Cv c' + Df f.
 
     Parameters
@@ -67,7 +69,7 @@ class SecondOrder:
 
 
 @dataclass(frozen=True)
-class FirstOrder:
+class FirstOrder(Described):
     """c' = A c + B f, y = C c + D f.
 
     Parameters

@@ -29,10 +29,11 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from palpate.describe import Described, Fact
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, is_pressure
+from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, is_pressure, listed
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import State
@@ -52,7 +53,7 @@ LIFTED = 1e-9  # of the spacing: rotations that move no node farther are none
 
 
 @dataclass(frozen=True)
-class LinearSystem:
+class LinearSystem(Described):
     """A body linearised at a state, its nodes that are free as unknowns.
 
     Parameters
@@ -101,6 +102,17 @@ class LinearSystem:
     static: Floats
     static_rate: Floats
     whole: Any = field(repr=False)
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("unknowns", self.order, ""),
+            ("nodes", len(self.model.cloud), ""),
+            ("symmetric", self.symmetric, ""),
+            ("at rest", not self.at.any(), ""),
+            ("inputs", self.inputs, ""),
+            ("outputs", self.outputs, ""),
+            ("viscosity", float(self.model.stiffness_damping), "s"),
+        ]
 
     @property
     def order(self) -> int:
@@ -181,7 +193,7 @@ def linearise(
         raise InputError(f"linearise needs a Solid or a Membrane, not a {type(model).__name__}")
     if model.material.prony is not None:
         raise InputError("tissue that relaxes (prony=) remembers: M, D and K alone do not describe it")
-    loads = tuple(loads)
+    loads = listed(loads)
     for load in loads:
         _check_input(load, model)
     displaced = state.coordinates if isinstance(state, State) else state

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.describe import Described, Fact
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 
@@ -19,8 +20,11 @@ PRESSED = 0.1  # of a tool's largest force: frames that count
 
 
 @dataclass(frozen=True)
-class _Named:
+class _Named(Described):
     """Figures with names."""
+
+    def _facts(self) -> list[Fact]:
+        return [(name.replace("_95", " (95th percentile)"), 100 * value, "%") for name, value in self.as_dict().items()]
 
     def as_dict(self) -> dict[str, float]:
         """Return the errors by name."""
