@@ -1,10 +1,10 @@
-"""A dummy device that feels a body which `palpate view` shows, in a closed loop at 1 kHz; prints rate and latency.
+"""A dummy haptic device in a closed loop at 1 kHz with a session of `palpate view`; prints rate and latency.
 
     palpate view model.rom --no-browser
     python examples/haptic_client.py 'http://127.0.0.1:8765/#TOKEN' 5
 
-The device is a mass between a hand, whose spring presses and lets go once a second, and the body, whose newest force
-pushes it.
+The device is a mass between the body, whose newest force acts on it, and a user, modelled by a spring that presses and
+releases once a second.
 """
 
 from __future__ import annotations
@@ -20,55 +20,55 @@ import numpy as np
 from websockets.asyncio.client import connect
 
 RATE, RADIUS, DEPTH, GAP = 1000, 0.02, 0.006, 0.003  # [Hz], [m], [m], [m]
-MASS, HAND, DAMPING = 0.1, 300.0, 8.0  # [kg], [N/m], [N s/m]
+MASS, USER_STIFFNESS, DAMPING = 0.1, 300.0, 8.0  # [kg], [N/m], [N s/m]
 
 
 async def main(address: str, seconds: float) -> None:
-    """Press and feel for some seconds, and print what it was like."""
+    """Press for a duration [s], and print rate and latency."""
     base, token = address.split("/#")
-    options = {"subprotocols": ["palpate.v1"], "max_size": None, "compression": None}
+    options = {"subprotocols": ["palpate.v2"], "max_size": None, "compression": None}
     async with connect(base.replace("http", "ws", 1) + "/session", **options) as socket:
-        await socket.send(json.dumps({"type": "hello", "protocol": 1, "token": token, "name": "dummy device"}))
+        await socket.send(json.dumps({"type": "hello", "protocol": 2, "token": token, "name": "dummy device"}))
         hello, geometry = json.loads(await socket.recv()), await socket.recv()
         if not hello["driver"] or not hello["tools"]:
-            raise SystemExit("another viewer drives, or the body takes no tool")
+            raise SystemExit("this client must be the driver of a body with tool contact; close other viewers")
         points = np.frombuffer(geometry, "<f4", 3 * hello["vertices"], 16).reshape(-1, 3)
-        home = points[np.argmin(points[:, 1])] - np.array([0.0, RADIUS + GAP, 0.0])  # before the foremost vertex
+        home = points[np.argmin(points[:, 1])] - np.array([0.0, RADIUS + GAP, 0.0])  # in front of the foremost vertex
         ball = {"kind": "sphere", "radius": RADIUS, "friction": 0.2, "stiffness": None, "position": home.tolist()}
         await socket.send(json.dumps({"type": "tool", **ball}))
         await socket.send(json.dumps({"type": "force", "rate": RATE}))
-        sent, felt, latencies = deque(), deque([np.zeros(23)]), []
-        device = asyncio.create_task(move(socket, home, sent, felt, seconds))
+        sent, forces, latencies = deque(), deque([np.zeros(23)]), []
+        device = asyncio.create_task(move(socket, home, sent, forces, seconds))
         while not device.done():
             message = await socket.recv()
             if isinstance(message, str):
-                if (told := json.loads(message))["type"] == "error":
-                    raise SystemExit(told["reason"])
-            elif struct.unpack_from("<I", message)[0] == 4:  # frames for the eye are not acknowledged: two come
-                felt.append(np.frombuffer(message, "<f8", 23, 16))
-                while sent and sent[0][0] <= felt[-1][22]:  # this force, or one before, knew of the pose
+                if (answer := json.loads(message))["type"] == "error":
+                    raise SystemExit(answer["reason"])
+            elif struct.unpack_from("<I", message)[0] == 4:  # state frames are not acknowledged, so only two arrive
+                forces.append(np.frombuffer(message, "<f8", 23, 16))
+                while sent and sent[0][0] <= forces[-1][22]:  # the force includes this pose
                     latencies.append(perf_counter() - sent.popleft()[1])
-    force, stiffness = np.array([f[2:5] for f in felt]), max(felt, key=lambda f: f[2:5] @ f[2:5])[8:17]
+    force, stiffness = np.array([f[2:5] for f in forces]), max(forces, key=lambda f: f[2:5] @ f[2:5])[8:17]
     print(
-        f"{len(felt) / seconds:.0f} forces a second, of {len({f[20] for f in felt}) / seconds:.0f} periods; "
+        f"{len(forces) / seconds:.0f} forces a second, of {len({f[20] for f in forces}) / seconds:.0f} periods; "
         f"largest {np.linalg.norm(force, axis=1).max():.3g} N, {len(latencies) / seconds:.0f} poses a second"
     )
     print(f"contact stiffness there [N/m]:\n{stiffness.reshape(3, 3).round(1)}")
-    print(f"largest trust number {max(f[1] for f in felt):.2f} (above 1: not trained on)")
-    middle, high, most = 1e3 * np.percentile(latencies, [50, 95, 100])
+    print(f"largest trust number {max(f[1] for f in forces):.2f} (above 1: not trained on)")
+    middle, high, largest = 1e3 * np.percentile(latencies, [50, 95, 100])
     print(
-        f"from a pose to a force that knows it: {middle:.2f} ms in the median, {high:.2f} ms at the 95th percentile, "
-        f"{most:.1f} ms at most"
+        f"latency from a pose to its force: median {middle:.2f} ms, 95th percentile {high:.2f} ms, "
+        f"maximum {largest:.1f} ms"
     )
 
 
-async def move(socket, home: np.ndarray, sent: deque, felt: deque, seconds: float) -> None:
-    """Be the device: a step of its motion and a pose every millisecond."""
+async def move(socket, home: np.ndarray, sent: deque, forces: deque, seconds: float) -> None:
+    """Simulate the device: one step of its motion and one pose every millisecond."""
     place, speed, began, number = home.copy(), np.zeros(3), perf_counter(), 0
     while (now := perf_counter() - began) < seconds:
         number += 1
         goal = home + np.array([0.0, (DEPTH + GAP) * np.sin(np.pi * now) ** 2, 0.0])
-        speed += (HAND * (goal - place) - DAMPING * speed + felt[-1][2:5]) / MASS / RATE
+        speed += (USER_STIFFNESS * (goal - place) - DAMPING * speed + forces[-1][2:5]) / MASS / RATE
         place = place + speed / RATE
         sent.append((number, perf_counter()))
         await socket.send(json.dumps({"type": "pose", "position": place.tolist(), "sequence": number}))

@@ -15,7 +15,7 @@ import palpate as pt
 from palpate.describe import LONGEST_LINE, Described, quantity
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.meshfree.stencils import moving_least_squares
-from palpate.realtime.statistics import Statistics, Tally, count_step
+from palpate.realtime.statistics import Histograms, Statistics, count_step
 from palpate.reduction.training.errors import Errors
 from palpate.tissue.catalogue import FIBRE_LAWS, LAWS
 
@@ -39,13 +39,13 @@ def system(energy_form, pull):
 
 def statistics(*computing: float) -> Statistics:
     """Of steps that compute for some times [s] in a period of 1 ms."""
-    tally = Tally.new()
+    histograms = Histograms.zeros()
     for seconds in computing:
-        count_step(tally, seconds, 1e-5, int(1e9 * seconds), 0, 1_000_000)
-    return Statistics.of(tally, 1e-3)
+        count_step(histograms, seconds, 1e-5, int(1e9 * seconds), 0, 1_000_000)
+    return Statistics.from_histograms(histograms, 1e-3)
 
 
-def describe_material(still, energy_form, system, run, tmp_path):
+def described(still, energy_form, system, run, tmp_path):
     """Return objects with what their lines must hold."""
     basis = pt.pod(run, still.weights, modes=3)
     reduced = pt.hyper_reduce(energy_form, run, modes=3)
@@ -73,8 +73,8 @@ def describe_material(still, energy_form, system, run, tmp_path):
         (run, ["61 frames", "112 nodes", "complete", "end=30 ms", "mm", "largest force on 'x-'", "N"]),
         (StoredTrajectory(tmp_path / "run.h5"), ["file=run.h5", "61 frames", "30 ms"]),
         (Errors(0.0235, 0.06, 0.0024, 0.5), ["displacement=2.35 %", "velocity=6 %", "reaction=50 %"]),
-        (statistics(1e-4, 2e-4), ["2 steps", "rate=1 kHz", "µs", "rate held yes"]),
-        (statistics(3e-3, 3e-3), ["rate held no", "2 deadlines missed"]),
+        (statistics(1e-4, 2e-4), ["2 steps", "rate=1 kHz", "µs", "rate sustained yes"]),
+        (statistics(3e-3, 3e-3), ["rate sustained no", "2 deadlines missed"]),
         (statistics(1e-4).computing, ["maximum=100 µs"]),
         (state, ["336 coordinates", "time=0 s"]),
         (curve, ["kind=uniaxial", "4 points", "stretch=1 to 1.3", "(0, 7.1) kPa"]),
@@ -119,7 +119,7 @@ def check(thing, parts):
 
 def test_every_object_prints_one_line_with_units_and_a_table(still, energy_form, system, run, tmp_path):
     drawn = set()
-    for thing, parts in describe_material(still, energy_form, system, run, tmp_path):
+    for thing, parts in described(still, energy_form, system, run, tmp_path):
         if check(thing, parts).find(SVG) is not None:
             drawn.add(type(thing).__name__)
     assert drawn >= {"Cloud", "Surface", "Solid", "Membrane", "Trajectory", "Basis"}

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.app.view import recording as recordings
-from palpate.app.view.messages import parsed
-from palpate.app.view.replay import Replay
-from palpate.app.view.snapshot import Snapshot
+from palpate.app.view.session import recording as recordings
+from palpate.app.view.session.messages import parse_message
+from palpate.app.view.session.replay import Replay
+from palpate.app.view.session.snapshot import Snapshot
 from palpate.dynamics.run import trajectory as trajectories
 from palpate.dynamics.run.recorder import Recorder
 from palpate.faults import InputError
@@ -277,11 +277,11 @@ def model() -> pt.ReducedModel:
 
 def use_model(found: pt.ReducedModel) -> None:
     """Show the model's surface as the page would, and run the model for a millisecond."""
-    from palpate.app.view.snapshot import told_scalars, told_training
+    from palpate.app.view.session.snapshot import scalar_descriptions, training_errors
     from palpate.reduction.realtime.display_surface import Surface
 
-    told_scalars(Surface(found))
-    told_training(found)
+    scalar_descriptions(Surface(found))
+    training_errors(found)
     json.dumps(found.report)
     run = pt.rollout(found, [], duration=1e-3, every=1e-3, progress=False)
     assert np.isfinite(run.displacements).all()
@@ -369,28 +369,28 @@ def recording() -> recordings.Recording:
             Snapshot(
                 time=0.01 * k, steps=10 * k, force=zero + k, moment=zero, stiffness=np.eye(3), trust=0.1, position=zero,
                 quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=1e-6, computing=1e-4, lateness=0.0,
-                coordinates=1e-4 * k * np.ones(body.count), state="running", hand=zero, nodes=touched,
-                forces=np.ones((len(touched), 3)) * 1e-3, modulus_ratio=1.0, tool="sphere",
+                coordinates=1e-4 * k * np.ones(body.count), state="running", device_force=zero, contact_nodes=touched,
+                contact_forces=np.ones((len(touched), 3)) * 1e-3, modulus_ratio=1.0, tool="sphere",
             )
         )  # fmt: skip
-    tool = {"kind": "sphere", "radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None, "frame": 0}
+    tool = {"kind": "sphere", "radius": 0.008, "length": 0.04, "friction": 0.2, "stiffness": None, "start": 0}
     return recordings.Recording("Bar", body, 0.01 * np.arange(8.0), moments, [tool], {})
 
 
 def use_recording(found: recordings.Recording) -> None:
     """Show the recording as the server would, and ask for its full model as `palpate replay --full` does."""
-    from palpate.app.view import frames
-    from palpate.app.view.fullrun import path_of
+    from palpate.app.view.server import frames
+    from palpate.app.view.session.full_model_replay import tool_path
 
     show = Replay(found)
     json.dumps([show.hello(), show.status(), show.statistics()], allow_nan=False)
     frames.geometry_frame(show.surface)
-    for moment in found.moments[:3]:
-        body = frames.state(show.surface, moment, "displacement")
+    for moment in found.snapshots[:3]:
+        body = frames.state_body(show.surface, moment, "displacement")
         assert np.isfinite(np.frombuffer(body, "<f4")[44:]).all()
         frames.force_frame(moment, 1)
     with contextlib.suppress(InputError):
-        path_of(found)
+        tool_path(found)
 
 
 def recording_kind(folder: Path) -> Trial:
@@ -511,7 +511,7 @@ def curve_kind(folder: Path) -> Trial:
 def message_kind(folder: Path) -> Trial:
     """Return trials of what a client of the page's server says."""
     sound = [
-        {"type": "hello", "protocol": 1, "token": "abc", "name": ""}, {"type": "pose", "position": [0.1, 0.0, 0.2]},
+        {"type": "hello", "protocol": 2, "token": "abc", "name": ""}, {"type": "pose", "position": [0.1, 0.0, 0.2]},
         {"type": "tool", "kind": "sphere", "radius": 0.01, "position": [0, 0, 0.1]}, {"type": "latency", "stamp": 1.5},
         {"type": "force", "rate": 100.0}, {"type": "material", "name": "shear modulus", "value": 5.0},
     ]  # fmt: skip
@@ -526,7 +526,7 @@ def message_kind(folder: Path) -> Trial:
             text = text.replace(
                 "1", str(rng.choice(["1e999", "NaN", "Infinity", "9" * 500, '"\\ud800"', "[" * 50_000]))
             )
-        message = parsed(text)
+        message = parse_message(text)
         json.dumps(message, allow_nan=False).encode()
         return "accepted"
 

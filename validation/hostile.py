@@ -41,11 +41,11 @@ class Address:
 
     def hello(self, **other: Any) -> str:
         """Return the first message of a client that is let in."""
-        return json.dumps({"type": "hello", "protocol": 1, "token": self.token, **other})
+        return json.dumps({"type": "hello", "protocol": 2, "token": self.token, **other})
 
     def connect(self) -> Any:
         """Return a connection that opens."""
-        return connect(self.url, subprotocols=["palpate.v1"], max_size=None, compression=None, ping_interval=None)
+        return connect(self.url, subprotocols=["palpate.v2"], max_size=None, compression=None, ping_interval=None)
 
     async def raw(self, small: bool = True) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         """Return a bare connection, which reads little at a time."""
@@ -62,7 +62,7 @@ class Address:
         writer.write(
             f"GET /session HTTP/1.1\r\nHost: {self.host}:{self.port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-            "Sec-WebSocket-Protocol: palpate.v1\r\n\r\n".encode()
+            "Sec-WebSocket-Protocol: palpate.v2\r\n\r\n".encode()
         )
         await reader.readuntil(b"\r\n\r\n")
         writer.write(text(self.hello()))
@@ -217,8 +217,8 @@ async def lies(at: Address) -> None:
     """Say hello as nobody does."""
     for hello in (
         at.hello(token="guess"), at.hello(protocol=2), at.hello(protocol=-1), at.hello(name="x" * 201), "[" * 30_000,
-        '{"type": "hello", "protocol": 1, "token": "\\ud800"}', ask(type="\U0001f9e0" * 60), ask(type="drive"), "",
-        at.hello()[:-1] + ', "protocol": 1}', '{"type": "hello", "protocol": ' + "9" * 5000 + "}",
+        '{"type": "hello", "protocol": 2, "token": "\\ud800"}', ask(type="\U0001f9e0" * 60), ask(type="drive"), "",
+        at.hello()[:-1] + ', "protocol": 2}', '{"type": "hello", "protocol": ' + "9" * 5000 + "}",
     ):  # fmt: skip
         with contextlib.suppress(*FAULTS):
             async with at.connect() as client:

@@ -28,10 +28,10 @@ from fuzz_kinds import bar, fingerprint, model, pressed, recording
 
 import palpate as pt
 from palpate.app.export import write_vtkhdf
-from palpate.app.view.recording import load_recording, save_recording
+from palpate.app.view.session.recording import load_recording, save_recording
 from palpate.files import read_sealed_json, write_sealed_json
-from palpate.realtime.blackbox import Ring, keep, write_black_box
-from palpate.realtime.row import WIDTH
+from palpate.realtime.black_box import RingBuffer, append_record, write_black_box
+from palpate.realtime.record import HEADER_SIZE
 
 Writer = tuple[str, Callable[[Path, int], None], Callable[[Path], Any]]
 
@@ -49,9 +49,9 @@ def writers() -> dict[str, Writer]:
         pt.rollout(bar(), [pt.Gravity()], duration=2e-3, every=1e-3, file=path, label=str(k), progress=False)
 
     def black_box(path: Path, k: int) -> None:
-        ring = Ring.of(5, 4)
+        ring = RingBuffer.empty(5, 4)
         for row in range(k + 2):
-            keep(ring, np.full(WIDTH + 4, float(row)))
+            append_record(ring, np.full(HEADER_SIZE + 4, float(row)))
         write_black_box(path, ring, {})
 
     def paraview(path: Path, k: int) -> None:

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.app.view.session import Session
-from palpate.app.view.stand import Stand
+from palpate.app.view.server.host import Host
+from palpate.app.view.session.session import Session
 from palpate.reduction.hyper.model import ReducedModel
 
 HERE = Path(__file__).parent
@@ -58,13 +58,13 @@ class Served:
 
     def __init__(self, model: ReducedModel) -> None:
         self.session = Session(model, "Block")
-        self.stand = Stand(self.session, port=18800)
+        self.host = Host(self.session, port=18800)
         self._loop = asyncio.new_event_loop()
         self._task: asyncio.Task[None] | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def _run(self) -> None:
-        self._task = self._loop.create_task(self.stand.run(lambda: None))
+        self._task = self._loop.create_task(self.host.run(lambda: None))
         with suppress(asyncio.CancelledError):
             self._loop.run_until_complete(self._task)
         self._loop.run_until_complete(self._loop.shutdown_default_executor())
@@ -91,7 +91,7 @@ def memory() -> float:
 
 
 def _clients(served: Served, seconds: float, kinds: list[str]) -> subprocess.Popen[str]:
-    command = [sys.executable, str(HERE / "hostile.py"), served.stand.address, str(seconds), *kinds]
+    command = [sys.executable, str(HERE / "hostile.py"), served.host.address, str(seconds), *kinds]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
@@ -118,7 +118,7 @@ def soak(model: ReducedModel, seconds: float, kinds: list[str]) -> list[dict[str
     with Served(model) as served:
         quiet = measured(served, seconds, [])
         hostile = measured(served, seconds, kinds)
-        while served.session.paused_because is None:  # all have left, and the server has seen it
+        while served.session.pause_reason is None:  # all have left, and the server has seen it
             time.sleep(0.1)
     return [quiet, hostile]
 

@@ -1,9 +1,9 @@
-"""A hand that holds a tool by a spring and a damper: the energy that it gets back is never more than what it gave.
+"""Passivity of the virtual coupling: the device never receives more energy than it supplied.
 
     python validation/virtual_coupling.py model.rom 300
 
-The model is one that tools touch, such as `palpate train liver` makes. The ball is pressed in and drawn out, faster and
-faster, at 1 kHz of the body's time; after every period the books are balanced.
+The model must have tool contact, such as one of `palpate train liver`. A ball presses the body repeatedly, faster each
+time, at 1 kHz of model time. After every period the script balances the energies.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import sys
 import numpy as np
 
 import palpate as pt
-from palpate.realtime.watched import DAMPING, HAND, MASS, STIFFNESS, watched
+from palpate.realtime.contract import KINETIC, STATUS, STRAIN
+from palpate.realtime.observable import DAMPING, DEVICE_FORCE, MASS, STIFFNESS, make_observable
 
-PERIOD, LASTING, RADIUS, DEPTH, GAP = 1e-3, 4.0, 0.02, 0.008, 0.002  # [s], [s], [m], [m], [m]
+PERIOD, DURATION, RADIUS, DEPTH, GAP = 1e-3, 4.0, 0.02, 0.008, 0.002  # [s], [s], [m], [m], [m]
 
 
 def balance(model: pt.ReducedModel, stiffness: float, radius: float = RADIUS, depth: float = DEPTH) -> dict:
@@ -24,36 +25,40 @@ def balance(model: pt.ReducedModel, stiffness: float, radius: float = RADIUS, de
     fixed = np.concatenate([cloud.group(name) for name in model.fixed])
     free = np.setdiff1d(pt.tools.surface_nodes(cloud), fixed)
     along = cloud.points - cloud.points[fixed].mean(axis=0)
-    first = free[np.argmax(np.linalg.norm(along[free], axis=1))]  # the place farthest from the support
+    first = free[np.argmax(np.linalg.norm(along[free], axis=1))]  # farthest from the support
     normal = cloud.face_normals[cloud.face_nodes == first].sum(axis=0)
     normal /= np.linalg.norm(normal)
     home = cloud.points[first] + (radius + GAP) * normal
-    body = watched(pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(radius), home, friction=0.2)))
-    body.couple(stiffness)
-    data, q, v, report, hand = body.data, body.rest.copy(), np.zeros_like(body.rest), np.zeros(20), np.zeros(3)
-    work, books = 0.0, {"work": [], "body": [], "coupling": []}
-    for k in range(round(LASTING / PERIOD)):
+    body = make_observable(
+        pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(radius), home, friction=0.2))
+    )
+    body.set_coupling(stiffness)
+    data, coupling, q, v = body.data, body.data.coupling, body.rest.copy(), np.zeros_like(body.rest)
+    report, device, work = np.zeros(20), np.zeros(3), 0.0
+    energies = {"work": [], "body": [], "coupling": []}
+    for k in range(round(DURATION / PERIOD)):
         time = (k + 1) * PERIOD
         wanted = -(depth + GAP) * np.sin(np.pi * (time + time**2)) ** 2 * normal
         body.advance(data, q, v, np.concatenate([wanted, np.zeros(9)]), PERIOD, report)
-        if report[0] != 0.0:
-            raise SystemExit("the state ran away")
-        work -= data.numbers[HAND : HAND + 3] @ (wanted - hand)  # of the hand on the coupling
-        hand = wanted
-        spring = 0.5 * data.spring[STIFFNESS] * np.sum((hand - data.place) ** 2)
-        moving = 0.5 * data.spring[MASS] * np.sum(data.speed**2)
-        for name, value in (("work", work), ("body", report[3] + report[4]), ("coupling", spring + moving)):
-            books[name].append(value)
-    return {name: np.array(values) for name, values in books.items()} | {"damping": data.spring[DAMPING]}
+        if report[STATUS] != 0.0:
+            raise SystemExit("the state diverged")
+        work -= data.values[DEVICE_FORCE : DEVICE_FORCE + 3] @ (wanted - device)  # of the device on the coupling
+        device = wanted
+        spring = 0.5 * coupling.parameters[STIFFNESS] * np.sum((device - coupling.position) ** 2)
+        kinetic = 0.5 * coupling.parameters[MASS] * np.sum(coupling.velocity**2)
+        stored = report[KINETIC] + report[STRAIN]
+        for name, value in (("work", work), ("body", stored), ("coupling", spring + kinetic)):
+            energies[name].append(value)
+    return {name: np.array(values) for name, values in energies.items()} | {"damping": coupling.parameters[DAMPING]}
 
 
 if __name__ == "__main__":
-    books = balance(pt.load(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 300.0)
-    lost = books["work"] - books["body"] - books["coupling"]
-    print(f"damping of the coupling {books['damping']:.3g} N s/m")
-    print(f"largest energy in the body {1e3 * books['body'].max():.3g} mJ")
+    energies = balance(pt.load(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 300.0)
+    dissipated = energies["work"] - energies["body"] - energies["coupling"]
+    print(f"damping of the coupling {energies['damping']:.3g} N s/m")
+    print(f"largest energy in the body {1e3 * energies['body'].max():.3g} mJ")
     print(
-        f"work of the hand in the end {1e3 * books['work'][-1]:.3g} mJ, never below {1e3 * books['work'].min():.3g} mJ"
+        f"final work of the device {1e3 * energies['work'][-1]:.3g} mJ, at least {1e3 * energies['work'].min():.3g} mJ"
     )
-    print(f"work less stored energy: never below {1e3 * lost.min():.3g} mJ, in the end {1e3 * lost[-1]:.3g} mJ")
-    print("passive" if books["work"].min() > -1e-3 * books["body"].max() else "NOT passive")
+    print(f"dissipated energy: at least {1e3 * dissipated.min():.3g} mJ, finally {1e3 * dissipated[-1]:.3g} mJ")
+    print("passive" if energies["work"].min() > -1e-3 * energies["body"].max() else "NOT passive")

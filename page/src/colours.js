@@ -1,4 +1,4 @@
-// The one colour map, in the shader and in the legend: viridis, as the polynomial by M. Zucker (public domain).
+// The colour map of shader and legend: viridis, as a polynomial by M. Zucker (public domain).
 
 const TERMS = [
   [0.2777273272234177, 0.005407344544966578, 0.3340998053353061],
@@ -10,7 +10,7 @@ const TERMS = [
   [-5.435455855934631, 4.645852612178535, 26.3124352495832],
 ];
 
-/** Colour at t in 0..1, as sRGB parts in 0..1. */
+/** Colour at t in 0..1, as sRGB components in 0..1. */
 export function viridis(t) {
   return [0, 1, 2].map((k) => TERMS.reduceRight((sum, term) => sum * t + term[k], 0));
 }
@@ -20,7 +20,7 @@ export const VIRIDIS = `vec3 viridis(float t) {
   return ${TERMS.slice(0, -1).map((term) => `${vector(term)} + t * (`).join("")}${vector(TERMS.at(-1))}${")".repeat(6)};
 }`;
 
-/** How much of the map's colour covers the tissue: none where nothing happens, but all of it where signs differ. */
+/** Opacity of the colour map over the tissue: 0 near a value of 0, and 1 everywhere for scalars of both signs. */
 export const COVER = `float cover(float value, vec2 range) {
   return range.x < 0.0 ? 1.0 : smoothstep(0.0, 0.16, value / max(range.y, 1e-30));
 }`;
@@ -30,7 +30,7 @@ const smooth = (x) => {
   return t * t * (3 - 2 * t);
 };
 
-/** The legend's gradient over a range, on tissue of a given sRGB colour (parts in 0..1). */
+/** CSS gradient of the legend over tissue of an sRGB colour (components in 0..1). */
 export function gradient([low], tissue, stops = 24) {
   const colours = Array.from({ length: stops + 1 }, (_, k) => {
     const share = low < 0 ? 1 : smooth(k / stops / 0.16);
@@ -42,7 +42,7 @@ export function gradient([low], tissue, stops = 24) {
 
 const STEPS = [1, 2, 3, 5, 10];
 
-/** The next round number that is not below a positive one. */
+/** Round a positive number up to 1, 2, 3, 5 or 10 times a power of ten. */
 export function roundUp(value) {
   if (!(value > 0)) return 0;
   const decade = 10 ** Math.floor(Math.log10(value) + 1e-9);

@@ -1,26 +1,27 @@
-// The page: a connection, a picture, a hand and a panel, and what they tell each other.
+// The page: connects the session with the scene, the input controls and the panel.
 import "./style.css";
 import { Vector3 } from "three";
-import { Hand } from "./hand.js";
-import { Legend, Meter, showScale } from "./measures.js";
-import { Notices } from "./notices.js";
+import { InputControls } from "./inputControls.js";
+import { Legend, updateScaleBar } from "./legend.js";
+import { FrameMeter } from "./meter.js";
+import { StatusLine } from "./statusLine.js";
 import { Panel } from "./panel.js";
 import { Plots } from "./plots.js";
 import { Connection } from "./protocol.js";
-import { Stage } from "./stage.js";
+import { Scene } from "./scene.js";
 import { theme } from "./theme.js";
 import { Transport } from "./transport.js";
 
 const byId = (id) => document.getElementById(id);
-const notices = new Notices(byId);
-const meter = new Meter();
+const statusLine = new StatusLine(byId);
+const meter = new FrameMeter();
 const legend = new Legend(byId);
 const FRICTION = 0.2;
-const COUPLING = 300; // [N/m] between hand and tool: calm, and soft enough that little is lost of the force
-const READ = 60; // [ms] at least between two readings
-const SPOKEN = 1500; // [ms] at least between two readings aloud
+const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
+const READOUT_INTERVAL = 60; // [ms] between updates of the readings
+const SPEECH_INTERVAL = 1500; // [ms] between announcements
 
-const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, waiting: null, tool: null, sizes: {} };
+const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, waiting: null, tool: null, tools: {} };
 const replaying = () => session.hello?.mode === "replay";
 const driver = () => Boolean(session.status.driver) && !replaying();
 const send = (message) => connection.send(message);
@@ -29,78 +30,78 @@ const page = {
   driver,
   send,
   tool: () => session.tool,
-  drive() {
+  requestControl() {
     if (replaying()) return;
-    notices.toast("Someone else holds the tool.");
+    statusLine.showToast("Another viewer controls the tool.");
     byId("drive").focus();
   },
-  posed: (sequence, stamp) => meter.posed(sequence, stamp),
-  pressed(press) {
-    if (press && session.status.state === "paused") notices.toast("Paused: the body does not answer.");
-    if (!press) notices.speak("Released");
+  poseSent: (sequence, stamp) => meter.poseSent(sequence, stamp),
+  pressChanged(press) {
+    if (press && session.status.state === "paused") statusLine.showToast("The session is paused: resume it to move the body.");
+    if (!press) statusLine.announce("Released");
   },
 };
 
-let stage, hand, plots, panel, transport, connection;
+let scene, controls, plots, panel, transport, connection;
 
 function start() {
   try {
-    stage = new Stage(byId("view"));
+    scene = new Scene(byId("view"));
   } catch (error) {
-    notices.connection("No picture", "bad");
-    notices.stay(error.message);
+    statusLine.setConnection("No WebGL", "bad");
+    statusLine.showMessage(error.message);
     return;
   }
   plots = new Plots(byId);
   panel = new Panel(byId, { send, choose, change, scalar });
   transport = new Transport(byId, (message) => {
-    if (message.action === "reset" && hand.press) hand.release();
+    if (message.action === "reset" && controls.press) controls.release();
     send(message);
   });
-  hand = new Hand(stage, page);
+  controls = new InputControls(scene, page);
   theme(byId("theme"), (accent, dark) => {
-    stage.paint(accent, dark);
+    scene.setColours(accent, dark);
     plots.draw(performance.now(), true);
   });
   byId("drive").onclick = () => send({ type: "drive" });
   byId("help-open").onclick = () => byId("help").showModal();
   byId("overlay").onchange = () => {
-    stage.overlay.lines.visible = byId("overlay").checked;
-    stage.dirty = true;
+    scene.overlay.lines.visible = byId("overlay").checked;
+    scene.dirty = true;
   };
   addEventListener("keydown", key);
   addEventListener("keydown", () => (document.documentElement.dataset.by = "keys"), true);
   addEventListener("pointerdown", () => (document.documentElement.dataset.by = "pointer"), true);
-  addEventListener("online", () => connection?.hurry());
-  document.addEventListener("visibilitychange", () => document.hidden || connection?.hurry());
+  addEventListener("online", () => connection?.reconnect());
+  document.addEventListener("visibilitychange", () => document.hidden || connection?.reconnect());
   const token = location.hash.slice(1);
   if (!token) {
-    notices.connection("Not connected", "bad");
-    notices.stay("Open the whole address that palpate view prints, with the part after #.");
+    statusLine.setConnection("Not connected", "bad");
+    statusLine.showMessage("Open the complete address that palpate view prints, including the part after #.");
   } else connection = new Connection(`ws://${location.host}/session`, token, { message, frame, lost, ended });
   let last = performance.now();
   requestAnimationFrame(function again(now) {
     requestAnimationFrame(again);
-    picture(now, Math.max((now - last) / 1000, 0));
+    renderFrame(now, Math.max((now - last) / 1000, 0));
     last = now;
   });
   publish();
 }
 
-// from the server
+// messages from the server
 
 const answers = {
   hello(message) {
     session.hello = message;
     session.status = { driver: false, viewers: message.viewers, state: "running", speed: 1 };
-    session.sizes = firstSizes(message);
+    session.tools = initialTools(message);
     byId("title").textContent = message.title;
     document.title = `${message.title} · palpate`;
     document.body.classList.toggle("replaying", replaying());
     const [low, high] = message.bounds;
     panel.offer(message, Math.hypot(...high.map((part, k) => part - low[k])));
     transport.offer(message);
-    notices.stay(null);
+    statusLine.showMessage(null);
     const names = ["none", ...message.scalars.map(({ name }) => name)];
     scalar(names.includes(session.scalar) ? session.scalar : "none");
     answers.status({ driver: message.driver, tool: message.tool });
@@ -108,19 +109,19 @@ const answers = {
   status(message) {
     const before = driver();
     Object.assign(session.status, message);
-    learn(message.tool);
+    adoptTool(message.tool);
     panel.materials(message.materials);
-    if (driver() && !before && stage.organ) offerTool();
+    if (driver() && !before && scene.body) sendTool();
     showStatus();
   },
   statistics(message) {
     panel.statistics(message);
-    // A hidden page draws no pictures. Without a word of it the server takes it for gone.
+    // A hidden page renders no frames. It must acknowledge them, or the server closes the connection.
     if (session.next && session.next === session.waiting) send({ type: "ack", sequence: session.next.sequence });
     session.waiting = session.next;
   },
-  error: ({ reason }) => notices.toast(reason, true),
-  recorded: ({ file, frames }) => notices.toast(`${frames} frames recorded in ${file}`),
+  error: ({ reason }) => statusLine.showToast(reason, true),
+  recorded: ({ file, frames }) => statusLine.showToast(`${frames} frames recorded in ${file}`),
 };
 
 function message(received) {
@@ -130,60 +131,60 @@ function message(received) {
 function frame(received) {
   if (received.kind === 2) session.next = received;
   else if (received.kind === 1) {
-    stage.take(received);
-    if (driver()) offerTool();
-    stage.overlay.lines.visible = byId("overlay").checked && session.hello.overlay;
+    scene.setBody(received);
+    if (driver()) sendTool();
+    scene.overlay.lines.visible = byId("overlay").checked && session.hello.overlay;
   } else if (received.kind === 3) {
-    stage.overlay?.update(received.positions);
-    stage.dirty = true;
+    scene.overlay?.update(received.positions);
+    scene.dirty = true;
   }
 }
 
 function lost(seconds) {
   session.next = null;
-  if (hand.press) hand.release();
+  if (controls.press) controls.release();
   session.status.driver = false;
-  notices.connection("Not connected", "bad");
-  notices.stay(`The connection is gone. Trying again ${seconds < 1 ? "now" : `in ${Math.round(seconds)} s`} …`);
+  statusLine.setConnection("Not connected", "bad");
+  statusLine.showMessage(`Connection lost. Reconnecting ${seconds < 1 ? "now" : `in ${Math.round(seconds)} s`} …`);
   byId("watching").hidden = true;
 }
 
 function ended(why) {
-  notices.connection("Not connected", "bad");
+  statusLine.setConnection("Not connected", "bad");
   const reasons = {
-    token: "This address has expired: open the one that palpate view printed last.",
-    full: "Too many viewers: close another page, then load this one again.",
-    refused: "The session refused this page.",
+    token: "This address has expired. Open the one that palpate view printed last.",
+    full: "Too many viewers. Close another page, then reload this one.",
+    refused: "The session does not accept this page. Reload it, or update palpate.",
   };
-  notices.stay(reasons[why]);
+  statusLine.showMessage(reasons[why]);
 }
 
 function showStatus() {
   const { status } = session;
   const viewers = status.viewers > 1 ? `, ${status.viewers} viewers` : "";
-  const pause = { sleep: "after sleep", "closed tab": "nobody was there" }[status.paused_because] ?? status.paused_because;
+  const pause = { sleep: "after sleep", "viewers left": "no viewers" }[status.pause_reason] ?? status.pause_reason;
   const why = pause ? `: ${pause}` : "";
   const rate = `Live at ${(session.hello.rate / 1000).toLocaleString("en")} kHz`;
-  const names = { running: rate, paused: `Paused${why}`, stopped: "Stopped", "ran away": "Ran away: reset to go on" };
+  const names = { running: rate, paused: `Paused${why}`, stopped: "Stopped", diverged: "Diverged: reset to continue" };
   const live = status.state === "running";
-  notices.connection((replaying() ? "Replay" : names[status.state]) + viewers, live ? "live" : status.state === "ran away" ? "bad" : "");
+  statusLine.setConnection((replaying() ? "Replay" : names[status.state]) + viewers, live ? "live" : status.state === "diverged" ? "bad" : "");
   byId("watching").hidden = driver() || replaying();
-  if (hand.press && !driver()) {
-    hand.press = null;
-    notices.toast("Someone else holds the tool now.");
+  if (controls.press && !driver()) {
+    controls.press = null;
+    statusLine.showToast("Another viewer now controls the tool.");
   }
   panel.status({ tool: session.tool, driver: driver() }, replaying());
   transport.status(status, driver());
-  stage.dirty = true;
+  scene.dirty = true;
 }
 
-// from the person
+// input of the user
 
-/** Sizes that suit the body, of each kind of tool. */
-function firstSizes({ bounds: [low, high], spacing }) {
+/** Initial sizes of each kind of tool, from the size of the body. */
+function initialTools({ bounds: [low, high], spacing }) {
   const size = Math.hypot(...high.map((part, k) => part - low[k]));
   const round = (metres) => Math.max(Math.round(1e3 * metres), 1) / 1e3;
-  const held = { friction: FRICTION, stiffness: COUPLING };
+  const held = { friction: FRICTION, stiffness: COUPLING_STIFFNESS };
   return {
     sphere: { kind: "sphere", radius: round(0.075 * size), length: round(0.2 * size), ...held },
     capsule: { kind: "capsule", radius: round(0.04 * size), length: round(0.2 * size), ...held },
@@ -191,32 +192,32 @@ function firstSizes({ bounds: [low, high], spacing }) {
   };
 }
 
-/** Take over what the session says of the tool in the hand: whoever watches sees the driver's. */
-function learn(tool) {
-  const first = session.sizes[session.hello.tools[0]] ?? tool;
+/** Adopt the tool of the session; viewers who watch show the driver's tool. */
+function adoptTool(tool) {
+  const first = session.tools[session.hello.tools[0]] ?? tool;
   if (tool && tool.kind !== "none" && (!driver() || tool.kind === "group")) session.tool = { ...tool };
   session.tool ??= { ...first };
 }
 
 function choose(kind) {
   if (kind === session.tool.kind || !driver()) return;
-  if (hand.press) hand.release();
-  session.sizes[session.tool.kind] = session.tool;
-  session.tool = session.sizes[kind];
-  offerTool();
+  if (controls.press) controls.release();
+  session.tools[session.tool.kind] = session.tool;
+  session.tool = session.tools[kind];
+  sendTool();
 }
 
-/** Another size or coupling of the tool. */
+/** Change fields of the tool. */
 function change(part) {
-  if (hand.press) hand.release();
+  if (controls.press) controls.release();
   session.tool = { ...session.tool, ...part };
-  offerTool();
+  sendTool();
 }
 
-/** Tell the session of a tool that is put down: beside the body, and away. Forceps it learns of when they grasp. */
-function offerTool() {
+/** Send the tool to the session: put down next to the body, then released. Forceps are sent when they grasp. */
+function sendTool() {
   const { tool } = session;
-  const { sphere } = stage.organ;
+  const { sphere } = scene.body;
   if (tool.kind === "sphere" || tool.kind === "capsule") {
     const far = sphere.radius + 2 * tool.radius + (tool.kind === "capsule" ? tool.length : 0);
     const position = [sphere.center.x, sphere.center.y, sphere.center.z + far];
@@ -230,8 +231,8 @@ function scalar(name) {
   session.scalar = name;
   legend.reset(session.hello.scalars.find((each) => each.name === name) ?? null);
   panel.scalar(name);
-  stage.organ?.colour(null);
-  stage.dirty = true;
+  scene.body?.setColourRange(null);
+  scene.dirty = true;
   send({ type: "show", scalar: name });
 }
 
@@ -240,98 +241,98 @@ function key(event) {
   const field = event.target.matches?.("input, select, button");
   if (field && [" ", "Enter", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"].includes(event.key)) return;
   const kinds = session.hello?.tools ?? [];
-  const meanings = { r: () => transport.reset(), p: () => transport.pause(), f: () => stage.orbit.reset(), "?": () => byId("help").showModal() };
+  const meanings = { r: () => transport.reset(), p: () => transport.pause(), f: () => scene.orbitCamera.reset(), "?": () => byId("help").showModal() };
   const meaning = meanings[event.key.toLowerCase()] ?? (kinds[event.key - 1] && (() => choose(kinds[event.key - 1])));
   if (meaning) meaning();
-  else if (!stage.organ || !hand.key(event)) return;
+  else if (!scene.body || !controls.key(event)) return;
   event.preventDefault();
 }
 
-// each picture
+// each frame
 
-function picture(now, seconds) {
-  meter.presented(now);
+function renderFrame(now, seconds) {
+  meter.framePresented(now);
   const state = session.next;
-  const fresh = state !== null && stage.organ?.count * 3 === state.positions.length;
+  const fresh = state !== null && scene.body?.count * 3 === state.positions.length;
   session.next = null;
-  if (fresh) take(state, now, seconds);
-  if (stage.organ) {
-    hand.tick(seconds, session.state);
+  if (fresh) showState(state, now, seconds);
+  if (scene.body) {
+    controls.update(seconds, session.state);
     showTool(session.state);
   }
-  if (stage.draw(seconds)) showScale(byId, stage.metresPerPixel());
-  read(now);
+  if (scene.draw(seconds)) updateScaleBar(byId, scene.metresPerPixel());
+  updateReadings(now);
   if (fresh) {
-    meter.drawn(state);
+    meter.stateRendered(state);
     send({ type: "ack", sequence: state.sequence });
   }
   if (session.state?.state === "running" || replaying()) plots.draw(now);
-  byId("view").classList.toggle("over", stage.ghost.group.visible || Boolean(hand.press));
+  byId("view").classList.toggle("over", scene.ghost.group.visible || Boolean(controls.press));
 }
 
-function take(state, now, seconds) {
+function showState(state, now, seconds) {
   session.state = state;
-  stage.organ.update(state);
-  stage.organ.colour(session.scalar === "none" ? null : legend.range(state, seconds));
-  stage.dirty = true;
+  scene.body.update(state);
+  scene.body.setColourRange(session.scalar === "none" ? null : legend.updateRange(state, seconds));
+  scene.dirty = true;
   if (state.state === "running") plots.add(now, state);
   transport.time(state.time);
-  speak(state, now);
+  announceForce(state, now);
 }
 
-/** Tell the numbers, not more often than they can be read. */
-let told = { at: 0, state: null };
-function read(now) {
-  if (!session.state || told.state === session.state || now - told.at < READ) return;
-  told = { at: now, state: session.state };
+/** Update the readings at a rate at which they can be read. */
+let lastReading = { at: 0, state: null };
+function updateReadings(now) {
+  if (!session.state || lastReading.state === session.state || now - lastReading.at < READOUT_INTERVAL) return;
+  lastReading = { at: now, state: session.state };
   panel.state(session.state);
 }
 
-let spoken = 0;
-function speak({ newtons }, now) {
-  if (!hand.press || now - spoken < SPOKEN) return;
-  spoken = now;
-  notices.speak(`${(1e3 * hand.press.depth).toFixed(1)} millimetres, ${newtons.toFixed(2)} newtons`);
+let lastAnnouncement = 0;
+function announceForce({ newtons }, now) {
+  if (!controls.press || now - lastAnnouncement < SPEECH_INTERVAL) return;
+  lastAnnouncement = now;
+  statusLine.announce(`${(1e3 * controls.press.depth).toFixed(1)} millimetres, ${newtons.toFixed(2)} newtons`);
 }
 
-/** The driver's own tool is drawn where the hand is, unless a soft coupling lies between; others see the session's. */
+/** Draw the tool: at the driver's pointer for a rigid coupling, otherwise at the pose of the session. */
 function showTool(state) {
-  const { tool: mark, arrow, size } = stage;
+  const { tool: mark, arrow, size } = scene;
   const { tool } = session;
-  const there = hand.press !== null || (state && state.tool !== "none");
+  const there = controls.press !== null || (state && state.tool !== "none");
   mark.group.visible = Boolean(there && tool && tool.kind !== "group" && size);
   arrow.group.visible = false;
   if (!there || !tool) return;
-  const own = hand.press && (!tool.stiffness || state?.tool === "none");
-  const [position, quaternion] = own ? [hand.press.position.toArray(), hand.press.quaternion] : [state.position, state.quaternion];
+  const own = controls.press && (!tool.stiffness || state?.tool === "none");
+  const [position, quaternion] = own ? [controls.press.position.toArray(), controls.press.quaternion] : [state.position, state.quaternion];
   mark.shape(tool, size);
   mark.at(position, quaternion);
   const ball = tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
-  if (hand.press && !own) showHand(position, tool);
+  if (controls.press && !own) showPointer(position, tool);
   if (state && state.tool !== "none") arrow.show(position, state.force, state.newtons, size, ball, tool.kind === "grasp");
 }
 
-/** Where the hand is, once a soft coupling has let it part from the tool. */
-function showHand(position, tool) {
-  const { ghost, size } = stage;
-  const at = hand.press.position;
+/** Draw the pose of the pointer where a soft coupling separates it from the tool. */
+function showPointer(position, tool) {
+  const { ghost, size } = scene;
+  const at = controls.press.position;
   ghost.group.visible = tool.kind !== "grasp" && at.distanceTo(new Vector3().fromArray(position)) > 0.004 * size;
   ghost.shape(tool, size);
-  ghost.at(at.toArray(), hand.press.quaternion);
+  ghost.at(at.toArray(), controls.press.quaternion);
 }
 
-/** What tests and `palpate bench page` read. */
+/** State for tests and `palpate bench page`. */
 function publish() {
   window.palpate = {
     meter,
-    notices,
+    statusLine,
     session,
-    stage,
+    scene,
     get force() { return session.state?.newtons ?? 0; },
     get driver() { return driver(); },
     get viewers() { return session.status.viewers ?? 0; },
     get ready() { return session.state !== null; },
-    project: (point) => stage.project(point),
+    project: (point) => scene.project(point),
   };
 }
 

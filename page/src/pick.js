@@ -1,14 +1,14 @@
-// Where a ray meets the body as it is now.
+// Picking: intersects a ray with the deformed body.
 import * as three from "three";
 
 const ray = new three.Raycaster();
 const hit = new three.Vector3();
 const [a, b, c] = [new three.Vector3(), new three.Vector3(), new three.Vector3()];
 
-/** The nearest point of the surface under a place of the picture (-1..1 each), its normal and vertex; or null. */
-export function pick(organ, camera, x, y) {
+/** Nearest surface point at normalised device coordinates, with its normal and vertex; or null. */
+export function pick(body, camera, x, y) {
   ray.setFromCamera({ x, y }, camera);
-  const { positions, triangles } = organ;
+  const { positions, triangles } = body;
   const { origin, direction } = ray.ray;
   let [nearest, found] = [Infinity, -1];
   for (let k = 0; k < triangles.length; k += 3) {
@@ -19,10 +19,10 @@ export function pick(organ, camera, x, y) {
   ray.ray.at(nearest, hit);
   const corners = [0, 1, 2].map((j) => triangles[found + j]);
   const point = hit.clone();
-  return { point, distance: nearest, vertex: closest(organ, corners, point), normal: normalIn(organ, corners, point) };
+  return { point, distance: nearest, vertex: closest(body, corners, point), normal: normalIn(body, corners, point) };
 }
 
-/** Distance along a ray to a triangle (Moeller and Trumbore 1997), infinite where it misses or sees the back. */
+/** Distance along a ray to the front of a triangle (Moeller and Trumbore 1997), or infinity. */
 function crossing(p, i, j, k, o, d) {
   const [ux, uy, uz] = [p[j] - p[i], p[j + 1] - p[i + 1], p[j + 2] - p[i + 2]];
   const [vx, vy, vz] = [p[k] - p[i], p[k + 1] - p[i + 1], p[k + 2] - p[i + 2]];
@@ -39,15 +39,15 @@ function crossing(p, i, j, k, o, d) {
   return distance > 0 ? distance : Infinity;
 }
 
-function closest(organ, corners, point) {
-  const far = (k) => a.fromArray(organ.positions, 3 * k).distanceToSquared(point);
+function closest(body, corners, point) {
+  const far = (k) => a.fromArray(body.positions, 3 * k).distanceToSquared(point);
   return corners.reduce((best, k) => (far(k) < far(best) ? k : best));
 }
 
-function normalIn(organ, corners, point) {
-  [a, b, c].forEach((corner, j) => corner.fromArray(organ.positions, 3 * corners[j]));
+function normalIn(body, corners, point) {
+  [a, b, c].forEach((corner, j) => corner.fromArray(body.positions, 3 * corners[j]));
   const shares = three.Triangle.getBarycoord(point, a, b, c, new three.Vector3());
   const sum = new three.Vector3();
-  shares?.toArray().forEach((share, j) => sum.addScaledVector(organ.normalAt(corners[j]), share));
+  shares?.toArray().forEach((share, j) => sum.addScaledVector(body.normalAt(corners[j]), share));
   return sum.lengthSq() > 1e-12 ? sum.normalize() : new three.Triangle(a, b, c).getNormal(sum);
 }

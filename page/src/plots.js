@@ -1,9 +1,9 @@
-// Three strips of the last ten seconds.
+// Three strip charts of the last ten seconds.
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 
-const SECONDS = 10;
-const EVERY = 100; // [ms] between two drawings
+const DURATION = 10; // [s]
+const REDRAW_INTERVAL = 100; // [ms]
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 class Strip {
@@ -24,7 +24,7 @@ class Strip {
     this.plot = new uPlot({
       width: 200, height: 60, padding: [6, 0, 4, 0], cursor: { show: false }, legend: { show: false },
       scales: {
-        x: { time: false, range: () => [-SECONDS, 0] },
+        x: { time: false, range: () => [-DURATION, 0] },
         y: { range: (_, low, high) => [0, Math.max(least, 1.15 * (high ?? 0))] },
       },
       axes: [{ show: false }, axis],
@@ -63,14 +63,14 @@ export class Plots {
     this.values.strain.push(1e3 * state.strain);
     this.values.kinetic.push(1e3 * state.kinetic);
     this.values.computing.push(1e3 * state.computing);
-    const old = this.times.findIndex((time) => time > now - 1000 * SECONDS - 200);
-    if (old < 60) return; // thrown away in one go
+    const old = this.times.findIndex((time) => time > now - 1000 * DURATION - 200);
+    if (old < 60) return; // removed in batches
     this.times.splice(0, old);
     for (const column of Object.values(this.values)) column.splice(0, old);
   }
 
   draw(now, again = false) {
-    if (!again && now - this.last < EVERY) return;
+    if (!again && now - this.last < REDRAW_INTERVAL) return;
     this.last = now;
     for (const [strip, names] of this.strips) strip.draw(this.times, names.map((name) => this.values[name]), now);
   }

@@ -1,26 +1,26 @@
-// What goes over the wire: binary frames from the server, JSON both ways.
+// The protocol: binary frames from the server, and JSON messages in both directions.
 
-export const STATES = ["stopped", "running", "paused", "ran away"];
+export const STATES = ["stopped", "running", "paused", "diverged"];
 export const TOOLS = ["none", "sphere", "capsule", "grasp", "group"];
 
-const HEADER = 16; // bytes: kind, sequence, vertices, triangles
-const NUMBERS = 25; // float64 of a state
+const HEADER_BYTES = 16; // kind, sequence, vertices, triangles
+const STATE_NUMBERS = 25; // float64 values of a state
 
-/** Read a binary frame. Arrays are views of the buffer: nothing is copied. */
+/** Decode a binary frame; arrays are views of the buffer. */
 export function decode(buffer) {
   const [kind, sequence, vertices, triangles] = new Uint32Array(buffer, 0, 4);
   if (kind === 1) {
-    const positions = new Float32Array(buffer, HEADER, 3 * vertices);
-    return { kind, sequence, positions, triangles: new Uint32Array(buffer, HEADER + 12 * vertices, 3 * triangles) };
+    const positions = new Float32Array(buffer, HEADER_BYTES, 3 * vertices);
+    return { kind, sequence, positions, triangles: new Uint32Array(buffer, HEADER_BYTES + 12 * vertices, 3 * triangles) };
   }
   if (kind === 2) return state(buffer, sequence, vertices);
-  if (kind === 3) return { kind, sequence, positions: new Float32Array(buffer, HEADER, 3 * vertices) };
+  if (kind === 3) return { kind, sequence, positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices) };
   return { kind, sequence };
 }
 
 function state(buffer, sequence, vertices) {
-  const numbers = new Float64Array(buffer, HEADER, NUMBERS);
-  const start = HEADER + 8 * NUMBERS;
+  const numbers = new Float64Array(buffer, HEADER_BYTES, STATE_NUMBERS);
+  const start = HEADER_BYTES + 8 * STATE_NUMBERS;
   const end = start + 12 * vertices;
   const force = numbers.subarray(2, 5);
   return {
@@ -47,36 +47,36 @@ function state(buffer, sequence, vertices) {
   };
 }
 
-const FIRST_WAIT = 500; // [ms], doubled each time
-const LONGEST_WAIT = 8000;
-const FOR_GOOD = { 4401: "token", 4400: "refused", 4429: "full" }; // closings after which trying again is of no use
+const FIRST_RETRY_DELAY = 500; // [ms], doubled after each failure
+const MAX_RETRY_DELAY = 8000;
+const FINAL_CODES = { 4401: "token", 4400: "refused", 4429: "full" }; // closing codes without a retry
 
-/** A connection that comes back by itself. Calls on.message, on.frame, on.open, on.lost(seconds) and on.ended(why). */
+/** A connection that reconnects. Calls on.message, on.frame, on.lost(seconds) and on.ended(reason). */
 export class Connection {
   constructor(url, token, on) {
-    Object.assign(this, { url, token, on, wait: FIRST_WAIT, timer: 0 });
+    Object.assign(this, { url, token, on, wait: FIRST_RETRY_DELAY, timer: 0 });
     this.connect();
   }
 
   connect() {
     clearTimeout(this.timer);
-    const socket = new WebSocket(this.url, "palpate.v1");
+    const socket = new WebSocket(this.url, "palpate.v2");
     this.socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => this.send({ type: "hello", protocol: 1, token: this.token });
+    socket.onopen = () => this.send({ type: "hello", protocol: 2, token: this.token });
     socket.onmessage = ({ data }) => {
       if (socket !== this.socket) return;
       if (typeof data !== "string") return this.on.frame(decode(data));
       const message = JSON.parse(data);
-      if (message.type === "hello") this.wait = FIRST_WAIT;
+      if (message.type === "hello") this.wait = FIRST_RETRY_DELAY;
       this.on.message(message);
     };
     socket.onclose = ({ code }) => {
       if (socket !== this.socket) return;
-      if (FOR_GOOD[code]) return this.on.ended(FOR_GOOD[code]);
+      if (FINAL_CODES[code]) return this.on.ended(FINAL_CODES[code]);
       this.on.lost(this.wait / 1000);
       this.timer = setTimeout(() => this.connect(), this.wait);
-      this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
+      this.wait = Math.min(2 * this.wait, MAX_RETRY_DELAY);
     };
   }
 
@@ -84,8 +84,8 @@ export class Connection {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
-  /** Try at once instead of waiting. */
-  hurry() {
+  /** Reconnect at once. */
+  reconnect() {
     if (this.socket.readyState === WebSocket.CLOSED) this.connect();
   }
 }

@@ -1,18 +1,18 @@
 import { COVER, VIRIDIS } from "./colours.js";
 
-/** Normals of the vertices, drawn into a small picture: one pixel each, a mean over the triangles around it. */
-export const normals = {
+/** Normals of the vertices, rendered to one texel each: a mean over the triangles around the vertex. */
+export const normalsShader = {
   vertex: `void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }`,
   fragment: `
     precision highp float; precision highp usampler2D;
-    uniform sampler2D positions; uniform usampler2D fans;
+    uniform sampler2D positions; uniform usampler2D neighbours;
     out vec4 result;
     vec3 at(uint vertex) { return texelFetch(positions, ivec2(int(vertex) % WIDTH, int(vertex) / WIDTH), 0).rgb; }
     void main() {
       ivec2 pixel = ivec2(gl_FragCoord.xy);
       vec3 here = at(uint(pixel.y * WIDTH + pixel.x)), sum = vec3(0.0);
-      for (int k = 0; k < FAN; k++) {
-        uvec2 others = texelFetch(fans, ivec2(pixel.x * FAN + k, pixel.y), 0).rg;
+      for (int k = 0; k < MAX_NEIGHBOURS; k++) {
+        uvec2 others = texelFetch(neighbours, ivec2(pixel.x * MAX_NEIGHBOURS + k, pixel.y), 0).rg;
         if (others.x == others.y) break;
         vec3 a = at(others.x) - here, b = at(others.y) - here;
         sum += cross(a, b) / max(dot(a, a) * dot(b, b), 1e-30); // exact on a sphere (Max 1999)
@@ -21,14 +21,14 @@ export const normals = {
     }`,
 };
 
-/** Lights that stay with the eye, as the lamp of a microscope does. */
+/** Lights fixed to the camera. */
 const LIGHTS = `
   const vec3 KEY = normalize(vec3(-0.42, 0.68, 0.60));
   const vec3 FILL = normalize(vec3(0.75, 0.12, 0.52));
   vec3 srgb(vec3 c) { return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
   vec3 linear(vec3 c) { return pow(max(c, 0.0), vec3(2.2)); }`;
 
-/** Colour of the surface, as it is seen, of a normal and a place in the eye's frame and of the scalar there. */
+/** Shaded colour of the surface, from a normal and a position in eye coordinates and a scalar. */
 const SHADE = `
   uniform vec3 tissue; uniform vec2 range; uniform float shown; uniform mat4 viewMatrixOf;
   ${LIGHTS} ${VIRIDIS} ${COVER}
@@ -37,14 +37,14 @@ const SHADE = `
     float t = clamp((value - range.x) / max(range.y - range.x, 1e-30), 0.0, 1.0);
     float covered = shown * cover(value, range);
     albedo = mix(albedo, linear(viridis(t)), covered);
-    // light goes some way through tissue: red farther than the rest
+    // subsurface scattering, strongest for red
     vec3 wrap = mix(vec3(0.52, 0.24, 0.20), vec3(0.35), covered);
     vec3 key = pow(max((dot(n, KEY) + wrap) / (1.0 + wrap), 0.0), vec3(1.3));
     vec3 fill = max((dot(n, FILL) + wrap) / (1.0 + wrap), 0.0);
     float sky = 0.5 + 0.5 * dot(n, viewMatrixOf[2].xyz);
     vec3 light = 1.75 * key * vec3(1.0, 0.97, 0.93) + 0.38 * fill * vec3(0.88, 0.94, 1.0)
                + mix(vec3(0.20, 0.17, 0.16), vec3(0.40, 0.42, 0.46), sky);
-    light = mix(light, 0.42 + 0.36 * light, covered); // a colour is to be read off the legend
+    light = mix(light, 0.42 + 0.36 * light, covered); // keeps colours readable on the legend
     float edge = pow(1.0 - clamp(dot(n, view), 0.0, 1.0), 4.0);
     float gloss = wet * (1.0 - 0.7 * covered);
     vec3 half1 = normalize(KEY + view);
@@ -57,11 +57,11 @@ const SHADE = `
                 + edge * (1.0 - 0.6 * covered) * (0.07 * vec3(1.0, 0.84, 0.80) + 0.6 * albedo) * (0.3 + 0.7 * sky);
     return srgb(clamp(colour, 0.0, 1.0));
   }
-  /** The mean of the triangles around, but the triangle itself where the surface has a sharp edge. */
+  /** The mean normal, or the triangle's own normal at a sharp edge. */
   vec3 creased(vec3 mean, vec3 facet) { return normalize(mix(facet, mean, smoothstep(0.35, 0.7, dot(mean, facet)))); }`;
 
-/** The body. With LIT, for machines that draw in software, its colours are found at the vertices, not at the pixels. */
-export const organ = {
+/** The body. With LIT, for software rendering, colours are computed at vertices instead of pixels. */
+export const bodyShader = {
   vertex: `
     uniform sampler2D normals;
     #ifdef LIT
@@ -72,11 +72,11 @@ export const organ = {
     #endif
     vec3 normalOf(int k) { return texelFetch(normals, ivec2(k % WIDTH, k / WIDTH), 0).xyz; }
     #ifdef REFINED
-      // a cubic patch over each triangle that has the normals at its corners (Vlachos et al. 2001); position: u, v
+      // a cubic patch over each triangle with given normals at its corners (Vlachos et al. 2001); position: u, v
       uniform sampler2D positions, rests, scalars;
       in vec3 corners;
       vec3 three(sampler2D numbers, int k) { return texelFetch(numbers, ivec2(k % WIDTH, k / WIDTH), 0).rgb; }
-      vec3 bent(vec3 p, vec3 n, vec3 to) { // a third of the way along an edge, in the tangent plane if it is no crease
+      vec3 bent(vec3 p, vec3 n, vec3 to) { // control point at a third of an edge, in the tangent plane except at a crease
         vec3 along = to - p;
         float rise = dot(along, n);
         float smoothly = 1.0 - smoothstep(0.4, 0.65, abs(rise) * inversesqrt(max(dot(along, along), 1e-30)));
@@ -151,7 +151,7 @@ export const organ = {
         return mix(mix(mix(hash(i), hash(i + e.yxx), f.x), mix(hash(i + e.xyx), hash(i + e.yyx), f.x), f.y),
                    mix(mix(hash(i + e.xxy), hash(i + e.yxy), f.x), mix(hash(i + e.xyy), hash(i + 1.0), f.x), f.y), f.z);
       }
-      /** A normal on a surface of a height, by what both change from pixel to pixel (Mikkelsen 2010). */
+      /** Perturb a normal by a height field, from screen-space derivatives (Mikkelsen 2010). */
       vec3 uneven(vec3 n, float height) {
         vec3 x = dFdx(eye), y = dFdy(eye), across = cross(y, n), along = cross(n, x);
         float area = dot(x, across);
@@ -176,8 +176,8 @@ export const organ = {
     #endif`,
 };
 
-/** Instruments: pale ceramic, or what is only hinted at. */
-export const instrument = {
+/** Tool glyphs: opaque, or translucent for a preview. */
+export const toolShader = {
   vertex: `
     out vec3 eye, n;
     void main() {
@@ -202,29 +202,29 @@ export const instrument = {
     }`,
 };
 
-/** What the shadow's picture is blurred with, one direction at a time. */
-export const blur = {
+/** Blur of the shadow in one direction. */
+export const blurShader = {
   vertex: `out vec2 at; void main() { at = 0.5 * position.xy + 0.5; gl_Position = vec4(position.xy, 0.0, 1.0); }`,
   fragment: `
     precision highp float;
-    uniform sampler2D picture; uniform vec2 along;
+    uniform sampler2D image; uniform vec2 along;
     in vec2 at; out vec4 result;
     void main() {
       float sum = 0.0, weights = 0.0;
       for (int k = -8; k <= 8; k++) {
         float weight = exp(-float(k * k) / 26.0);
-        sum += weight * texture(picture, at + float(k) * along).r; weights += weight;
+        sum += weight * texture(image, at + float(k) * along).r; weights += weight;
       }
       result = vec4(vec3(sum / weights), 1.0);
     }`,
 };
 
-export const ground = {
+export const groundShader = {
   vertex: `
     out vec2 at; void main() { at = uv; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`,
   fragment: `
     precision highp float;
-    uniform sampler2D picture; uniform float strength;
+    uniform sampler2D image; uniform float strength;
     in vec2 at; out vec4 result;
-    void main() { result = vec4(vec3(0.0), strength * texture(picture, at).r); }`,
+    void main() { result = vec4(vec3(0.0), strength * texture(image, at).r); }`,
 };

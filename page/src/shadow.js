@@ -1,40 +1,40 @@
-// A soft shadow on the ground below: the body seen from above, blurred.
+// A soft shadow on the ground: the silhouette from above, blurred.
 import * as three from "three";
-import { blur, ground } from "./shaders.js";
+import { blurShader, groundShader } from "./shaders.js";
 
-const PIXELS = 128;
-const ROOM = 0.6; // of the body's radius, around it
-const BLUR = 0.0425; // of the radius: a step of the blur
-const OFTEN = 120; // [ms] between two of its pictures; in software it costs as much as the body
+const TEXTURE_SIZE = 128;
+const MARGIN = 0.6; // around the body, as a fraction of its radius
+const BLUR = 0.0425; // step of the blur, as a fraction of the radius
+const UPDATE_INTERVAL = 120; // [ms]; eight times as long in software, where it costs as much as the body
 
 const shader = ({ vertex, fragment }, uniforms, more) =>
   new three.ShaderMaterial({ glslVersion: three.GLSL3, vertexShader: vertex, fragmentShader: fragment, uniforms, ...more });
 
 export class Shadow {
   constructor(renderer, fine) {
-    Object.assign(this, { renderer, every: fine ? OFTEN : 8 * OFTEN });
+    Object.assign(this, { renderer, every: fine ? UPDATE_INTERVAL : 8 * UPDATE_INTERVAL });
     this.strength = 0.34;
     this.last = -Infinity;
-    const target = () => new three.WebGLRenderTarget(PIXELS, PIXELS, { depthBuffer: false });
+    const target = () => new three.WebGLRenderTarget(TEXTURE_SIZE, TEXTURE_SIZE, { depthBuffer: false });
     this.targets = [target(), target()];
     this.silhouette = new three.MeshBasicMaterial({ color: 0xffffff, side: three.DoubleSide });
-    this.blurred = shader(blur, { picture: { value: null }, along: { value: new three.Vector2() } }, { depthTest: false });
+    this.blurred = shader(blurShader, { image: { value: null }, along: { value: new three.Vector2() } }, { depthTest: false });
     const screen = new three.Mesh(new three.PlaneGeometry(2, 2), this.blurred);
     screen.frustumCulled = false;
     this.pass = new three.Scene().add(screen);
     this.flat = new three.Camera();
     this.above = new three.OrthographicCamera(-1, 1, 1, -1, 0, 10);
-    this.uniforms = { picture: { value: this.targets[0].texture }, strength: { value: 0 } };
-    const material = shader(ground, this.uniforms, { transparent: true, depthWrite: false, premultipliedAlpha: true });
+    this.uniforms = { image: { value: this.targets[0].texture }, strength: { value: 0 } };
+    const material = shader(groundShader, this.uniforms, { transparent: true, depthWrite: false, premultipliedAlpha: true });
     this.plane = new three.Mesh(new three.PlaneGeometry(1, 1), material);
     this.plane.renderOrder = -1;
     this.plane.visible = false;
   }
 
-  /** Lie below a body. */
+  /** Place the shadow below a body. */
   fit({ box, sphere }) {
     const { radius } = sphere;
-    const [x, y] = [box.max.x - box.min.x, box.max.y - box.min.y].map((size) => 0.5 * size + ROOM * radius);
+    const [x, y] = [box.max.x - box.min.x, box.max.y - box.min.y].map((size) => 0.5 * size + MARGIN * radius);
     this.floor = box.min.z - 0.1 * radius;
     this.plane.scale.set(2 * x, 2 * y, 1);
     this.plane.position.set(sphere.center.x, sphere.center.y, this.floor);
@@ -48,21 +48,21 @@ export class Shadow {
     this.last = -Infinity;
   }
 
-  update(organ, camera) {
-    const over = (camera.position.z - this.floor) / organ.sphere.radius;
-    this.uniforms.strength.value = this.strength * Math.min(Math.max(over, 0), 1); // none seen from below
+  update(body, camera) {
+    const over = (camera.position.z - this.floor) / body.sphere.radius;
+    this.uniforms.strength.value = this.strength * Math.min(Math.max(over, 0), 1); // hidden from below
     const now = performance.now();
     if (now - this.last < this.every) return;
     this.last = now;
     const { renderer, targets } = this;
     const scene = new three.Scene();
-    const body = new three.Mesh(organ.shape, this.silhouette);
-    body.frustumCulled = false;
+    const silhouette = new three.Mesh(body.shape, this.silhouette);
+    silhouette.frustumCulled = false;
     renderer.setRenderTarget(targets[0]);
     renderer.clear();
-    renderer.render(scene.add(body), this.above);
+    renderer.render(scene.add(silhouette), this.above);
     for (const [from, to, along] of [[0, 1, this.steps[0]], [1, 0, this.steps[1]]]) {
-      this.blurred.uniforms.picture.value = targets[from].texture;
+      this.blurred.uniforms.image.value = targets[from].texture;
       this.blurred.uniforms.along.value.set(...along);
       renderer.setRenderTarget(targets[to]);
       renderer.render(this.pass, this.flat);

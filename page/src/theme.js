@@ -1,4 +1,4 @@
-// Light or dark: as the system says, until the switch says otherwise.
+// Light or dark theme: the system's, until the user chooses one.
 
 const root = document.documentElement;
 const system = matchMedia("(prefers-color-scheme: dark)");

@@ -1,8 +1,8 @@
-// Reset, pause, speed and record; in a replay, the line of time.
+// The toolbar: reset, pause, speed and record; in a replay, the timeline.
 
 export class Transport {
   constructor(byId, send) {
-    Object.assign(this, { byId, send, now: {}, may: false, held: false });
+    Object.assign(this, { byId, send, now: {}, canControl: false, held: false });
     const press = (id, act) => (byId(id).onclick = act);
     press("reset", () => this.reset());
     press("pause", () => this.pause());
@@ -24,26 +24,26 @@ export class Transport {
 
   status(status, driver) {
     this.now = status;
-    this.may = driver;
+    this.canControl = driver;
     const { byId } = this;
     for (const id of ["reset", "pause", "record", "speed"]) byId(id).disabled = !driver;
     const paused = status.state !== "running";
-    byId("pause").setAttribute("aria-pressed", paused);
-    byId("pause-text").textContent = paused ? "Go on" : "Pause";
-    byId("play").setAttribute("aria-pressed", paused);
+    byId("pause").setAttribute("aria-pressChanged", paused);
+    byId("pause-text").textContent = paused ? "Resume" : "Pause";
+    byId("play").setAttribute("aria-pressChanged", paused);
     byId("play").setAttribute("aria-label", paused ? "Play" : "Pause");
-    byId("record").setAttribute("aria-pressed", Boolean(status.recording));
+    byId("record").setAttribute("aria-pressChanged", Boolean(status.recording));
     byId("record-text").textContent = status.recording ? "Stop" : "Record";
     byId("speed").value = String(status.speed ?? 1);
   }
 
   reset() {
-    if (this.may) this.send({ type: "control", action: "reset" });
+    if (this.canControl) this.send({ type: "control", action: "reset" });
   }
 
   pause() {
     if (this.replay) this.byId("play").click();
-    else if (this.may) this.send({ type: "control", action: this.now.state === "running" ? "pause" : "resume" });
+    else if (this.canControl) this.send({ type: "control", action: this.now.state === "running" ? "pause" : "resume" });
   }
 
   seek(time) {

@@ -156,9 +156,9 @@ def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(short
 
 
 def test_a_state_that_runs_away_is_told(short, file, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("palpate.app.run.realtime.Engine.state", property(lambda engine: "ran away"))
+    monkeypatch.setattr("palpate.app.run.realtime.Engine.state", property(lambda engine: "diverged"))
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 1
-    assert "the state ran away" in capsys.readouterr().err
+    assert "the state diverged" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from numba import njit
 
-from palpate.realtime.clock import computing_time, now, sharpen_sleep, sleep_until
+from palpate.realtime.clock import now, sleep_until, thread_time, use_precise_sleep
 
 
 @njit
@@ -27,16 +27,16 @@ def test_now_is_the_monotonic_clock():
 
 
 def test_computing_time_is_the_threads_own_and_stands_still_in_sleep():
-    before, inside, after = time.thread_time_ns(), computing_time(), time.thread_time_ns()
+    before, inside, after = time.thread_time_ns(), thread_time(), time.thread_time_ns()
     assert before <= inside <= after
-    wall, computed = now(), computing_time()
+    wall, computed = now(), thread_time()
     time.sleep(0.05)
     assert now() - wall >= 50e6
-    assert computing_time() - computed < 20e6
+    assert thread_time() - computed < 20e6
 
 
 def test_sleep_ends_after_its_time_and_not_before():
-    sharpen_sleep()
+    use_precise_sleep()
     late = sleep_long_after(now(), 1_000_000, 50)
     assert late.min() >= 0
     assert np.median(late) < 1e6  # it does not sleep for twice the time

@@ -28,7 +28,7 @@ def test_it_sends_its_path_and_feels_the_springs(engine_of):
 
 def test_a_path_that_jumps_is_refused(engine_of):
     device = DummyDevice(lambda t: ((2.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
-    with pytest.raises(pt.InputError, match="jumps"):
+    with pytest.raises(pt.InputError, match="jump"):
         device.prepare(engine_of(), 0.1)
 
 

@@ -59,7 +59,7 @@ def test_it_comes_to_the_equilibrium_of_the_springs(engine_of):
     np.testing.assert_allclose(reading.stiffness, 300.0 * np.eye(3))
     np.testing.assert_allclose(reading.position, place)
     assert reading.time == pytest.approx(1e-3 * reading.steps)
-    assert (reading.limited, reading.held, reading.state) == (False, False, "stopped")
+    assert (reading.limited, reading.clamped, reading.state) == (False, False, "stopped")
 
 
 def test_the_tools_work_becomes_energy(engine_of, history):
@@ -102,7 +102,7 @@ def test_the_statistics_count_the_steps(engine_of):
     assert statistics.count == engine.read().steps
     assert statistics.computing.counts.sum() == statistics.lateness.counts.sum() == statistics.count
     assert 0 < statistics.computing.percentile(50) <= statistics.computing.maximum
-    assert statistics.held
+    assert statistics.sustained
     run_steps(engine, 10)
     assert engine.statistics().count == engine.read().steps - statistics.count  # since the last start
 
@@ -114,8 +114,8 @@ def test_a_model_that_is_too_slow_does_not_hold_its_rate(engine_of):
     assert statistics.overrun > 0.9 * statistics.count
     assert statistics.missed >= statistics.overrun
     assert statistics.dropped > statistics.count  # several each
-    assert not statistics.held
-    assert "cannot be held" in statistics.verdict
+    assert not statistics.sustained
+    assert "is not sustained" in statistics.verdict
 
 
 def test_commands_may_be_given_twice(engine_of):
@@ -157,7 +157,7 @@ def test_a_force_tells_which_pose_it_knew(engine_of, history):
         engine.set_pose((1e-3 * number, 0.0, 0.0), sequence=number)
         run_steps(engine, 5)
         assert engine.read().sequence == number
-    with pytest.raises(pt.InputError, match="sequence = -1"):
+    with pytest.raises(pt.InputError, match="sequence"):
         engine.set_pose((0.0, 0.0, 0.0), sequence=-1)
     run = history(engine)
     moved = np.linalg.norm(run["position"], axis=1) > 0
@@ -184,7 +184,7 @@ def test_reset_puts_all_at_rest(engine_of):
 
 
 def test_the_tool_is_no_faster_than_allowed(engine_of, history):
-    engine = engine_of(options={"most_speed": 0.5, "most_turn": 3.0})
+    engine = engine_of(options={"max_speed": 0.5, "max_angular_speed": 3.0})
     engine.set_pose((0.03, 0.04, 0.0), (0.0, 1.0, 0.0, 0.0))
     run_steps(engine, 120)
     seen = history(engine)
@@ -226,7 +226,7 @@ def test_lost_trust_is_told_once(engine_of):
     with pytest.warns(RuntimeWarning, match="not trained") as told:
         until(lambda: engine.read().trust == pytest.approx(2.0))
     assert len(told) == 1
-    assert not engine.read().held
+    assert not engine.read().clamped
     assert engine.state == "running"
     engine.set_pose((0.005, 0.0, 0.0))
     until(lambda: engine.read().trust == pytest.approx(0.5))
@@ -236,11 +236,11 @@ def test_lost_trust_is_told_once(engine_of):
 
 
 def test_clamping_holds_the_tool_where_the_model_was_trusted(engine_of, history):
-    engine = engine_of(trusted=0.01, options={"on_distrust": "clamp", "most_speed": 0.5})
+    engine = engine_of(trusted=0.01, options={"on_distrust": "clamp", "max_speed": 0.5})
     engine.set_pose((0.03, 0.0, 0.0))
     run_steps(engine, 60)
     reading, seen = engine.read(), history(engine)
-    assert reading.held
+    assert reading.clamped
     assert 0.0095 <= reading.position[0] <= 0.01
     assert reading.trust <= 1.0
     assert seen["trust"].max() <= 1.05 + 1e-9  # one period of 0.5 mm beyond, and back
@@ -252,12 +252,12 @@ def test_clamping_holds_the_tool_where_the_model_was_trusted(engine_of, history)
 
     engine.set_pose((0.004, 0.002, 0.0))  # back: it is free again
     run_steps(engine, 30)
-    assert not engine.read().held
+    assert not engine.read().clamped
     np.testing.assert_array_equal(engine.read().position, [0.004, 0.002, 0.0])
 
 
 def test_stopping_pauses_when_trust_is_lost_and_may_be_resumed(engine_of):
-    engine = engine_of(trusted=0.01, options={"on_distrust": "stop", "most_speed": 0.5})
+    engine = engine_of(trusted=0.01, options={"on_distrust": "stop", "max_speed": 0.5})
     engine.set_pose((0.03, 0.0, 0.0))
     engine.start()
     until(lambda: engine.state == "paused")
@@ -281,9 +281,9 @@ def test_a_state_that_runs_away_is_kept_and_written(fault, tmp_path, recwarn):
     engine.start()
     until(lambda: engine.read().steps > 20)
     body.data[FAULT] = fault
-    until(lambda: engine.state == "ran away")
+    until(lambda: engine.state == "diverged")
     last = engine.read()
-    assert last.state == "ran away"
+    assert last.state == "diverged"
     assert np.isfinite(last.coordinates).all()
     assert last.force[0] == pytest.approx(-300.0 * (last.coordinates[3] - last.coordinates[0]))
     with h5py.File(box) as file:
@@ -297,7 +297,7 @@ def test_a_state_that_runs_away_is_kept_and_written(fault, tmp_path, recwarn):
             command()
     engine.stop()
     engine.pause()
-    assert engine.state == "ran away"
+    assert engine.state == "diverged"
     assert ("on purpose" in "".join(str(w.message) for w in recwarn)) == (fault == RAISES)
 
     body.data[FAULT] = 0.0
@@ -316,7 +316,7 @@ def test_a_black_box_that_cannot_be_written_is_told(tmp_path):
     folder.rmdir()
     body.data[FAULT] = FAILS
     engine.start()
-    until(lambda: engine.state == "ran away")
+    until(lambda: engine.state == "diverged")
     with pytest.warns(RuntimeWarning, match="cannot write"):
         engine.read()
 
@@ -345,7 +345,7 @@ def test_python_goes_on_while_it_steps(engine_of):
         while engine.read().steps < start + 50:
             count += 1
     assert count > 20
-    assert not engine.statistics().held
+    assert not engine.statistics().sustained
 
 
 def test_an_engine_that_nobody_holds_ends_its_thread():
@@ -364,7 +364,7 @@ def test_an_engine_that_nobody_holds_ends_its_thread():
     ("name", "value"),
     [
         ("rate", 0.0), ("rate", -1.0), ("rate", 20_001.0), ("rate", math.nan), ("force_limit", 0.0), ("history", 0.0),
-        ("history", 1e4), ("most_speed", 0.0), ("most_turn", -1.0), ("spin", 0.1), ("stiffness_every", -1),
+        ("history", 1e4), ("max_speed", 0.0), ("max_angular_speed", -1.0), ("spin", 0.1), ("stiffness_every", -1),
         ("on_distrust", "ignore"), ("black_box", "/nowhere/at/all.h5"),
     ],
 )  # fmt: skip
@@ -414,12 +414,12 @@ def test_a_tool_is_put_elsewhere_at_once_and_time_goes_slower(engine_of, history
         engine.place_tool((0.0, 0.0, 0.0))
 
 
-def test_it_prints_its_state_its_rate_and_whether_it_is_held(engine_of):
+def test_it_prints_its_state_its_rate_and_whether_it_is_sustained(engine_of):
     engine = engine_of()
-    assert "no step has been taken yet" in repr(engine)
+    assert "no steps yet" in repr(engine)
     run_steps(engine, 20)
     line, reading = repr(engine), engine.read()
-    for part in ("Engine(state=stopped, rate=1 kHz, ", " coordinates, time=", "rate held "):
+    for part in ("Engine(state=stopped, rate=1 kHz, ", " coordinates, time=", "rate sustained "):
         assert part in line
     for part in ("force=(", " N", "trust=", "engine=stopped"):
         assert part in repr(reading)

@@ -8,7 +8,7 @@ import time
 import numpy as np
 from numba import njit
 
-from palpate.realtime.exchange import Slot, fetch, flags, get_flag, publish, set_flag, snapshot
+from palpate.realtime.exchange import Slot, fetch, get_flag, make_flags, publish, set_flag, snapshot
 
 SIZE = 64
 ENOUGH = 20.0  # [s]
@@ -61,7 +61,7 @@ def watch_flagged(flag, value, count):
 
 
 def test_compiled_reads_never_mix_writes():
-    slot, told = Slot.of(SIZE), flags()
+    slot, told = Slot.zeros(SIZE), make_flags()
     writer = threading.Thread(target=write_until_told, args=(slot, told))
     writer.start()
     try:
@@ -79,7 +79,7 @@ def test_compiled_reads_never_mix_writes():
 
 
 def test_reads_from_python_never_mix_writes():
-    slot, told = Slot.of(SIZE), flags()
+    slot, told = Slot.zeros(SIZE), make_flags()
     writer = threading.Thread(target=write_until_told, args=(slot, told))
     writer.start()
     try:
@@ -95,7 +95,7 @@ def test_reads_from_python_never_mix_writes():
 
 
 def test_a_reader_in_the_middle_of_a_write_is_refused_and_does_not_stop_the_writer():
-    slot, out = Slot.of(3), np.empty(3)
+    slot, out = Slot.zeros(3), np.empty(3)
     publish(slot, np.ones(3))
     assert fetch(slot, out)
     slot.version[0] += 1  # as in a write
@@ -107,7 +107,7 @@ def test_a_reader_in_the_middle_of_a_write_is_refused_and_does_not_stop_the_writ
 
 
 def test_a_flag_carries_what_was_written_before_it():
-    flag, value, count = flags(), np.zeros(1), 1_000_000
+    flag, value, count = make_flags(), np.zeros(1), 1_000_000
     count_and_flag(flag, value, 1)  # compiles
     writer = threading.Thread(target=count_and_flag, args=(flag, value, count))
     writer.start()

@@ -13,18 +13,18 @@ from mass_spring import advance, advance_late, mass_spring, stiffness
 from numba import njit
 
 from palpate.dynamics.compiled.cache import law_njit
-from palpate.realtime.engine import _settings
+from palpate.realtime.engine import _make_settings
 from palpate.realtime.exchange import Slot, publish
 from palpate.realtime.loop import (
-    HELD,
-    LONGEST_TRAIL,
-    SETTLING,
+    CLAMPED,
+    MAX_TRAIL,
+    SETTLING_TIME,
     Work,
-    _hold_tool,
+    _clamp_tool,
     _move_tool,
-    _name,
-    _write_row,
-    loop_of,
+    _write_record,
+    compile_loop,
+    function_key,
 )
 from palpate.realtime.pose import IDENTITY
 
@@ -54,8 +54,8 @@ def test_a_second_process_compiles_nothing():
 
 
 def test_models_of_the_same_functions_share_a_loop():
-    assert loop_of(advance, stiffness) is loop_of(advance, stiffness)
-    assert loop_of(advance, None) is not loop_of(advance, stiffness)
+    assert compile_loop(advance, stiffness) is compile_loop(advance, stiffness)
+    assert compile_loop(advance, None) is not compile_loop(advance, stiffness)
 
 
 def test_functions_that_only_differ_in_what_they_close_over_are_not_mistaken_for_each_other():
@@ -66,12 +66,14 @@ def test_functions_that_only_differ_in_what_they_close_over_are_not_mistaken_for
 
         return out
 
-    assert _name(made(1.0)) is None  # nothing in its source tells it from made(2.0): not cached
-    named = [_name(law_njit(digest)(made(number).py_func)) for digest, number in (("a" * 64, 1.0), ("b" * 64, 2.0))]
+    assert function_key(made(1.0)) is None  # nothing in its source tells it from made(2.0): not cached
+    named = [
+        function_key(law_njit(digest)(made(number).py_func)) for digest, number in (("a" * 64, 1.0), ("b" * 64, 2.0))
+    ]
     assert None not in named
     assert named[0] != named[1]
-    assert _name(advance) != _name(stiffness)
-    assert _name(advance) is not None
+    assert function_key(advance) != function_key(stiffness)
+    assert function_key(advance) is not None
 
 
 # a tool that is clamped where trust is lost
@@ -79,24 +81,24 @@ def test_functions_that_only_differ_in_what_they_close_over_are_not_mistaken_for
 REACH = 0.01  # [m]: where the tool stands when the mass, three quarters as far, reaches its limit
 
 
-def prescribed(poses, seconds, most_speed=2.0):
+def prescribed(poses, seconds, max_speed=2.0):
     """Drive a tool that is clamped through poses, each for some seconds; return trust, place and hold of every period.
 
     The loop's own functions without its clock, so that runs are equal on every machine.
     """
     body = mass_spring(damping=1.0, trusted=0.75 * REACH)
-    work, slot = Work.of(body.rest, body.tool), Slot.of(8)
-    settings, trust, place, held = _settings(1000.0, math.inf, 0, "clamp", most_speed, 10.0, 0.0), [], [], []
+    work, slot = Work.at_rest(body.rest, body.tool), Slot.zeros(8)
+    settings, trust, place, held = _make_settings(1000.0, math.inf, 0, "clamp", max_speed, 10.0, 0.0), [], [], []
     for pose, lasting in zip(poses, np.broadcast_to(seconds, len(poses)), strict=True):
         publish(slot, np.append(pose, 0.0))
         for _ in range(round(lasting / 1e-3)):
             _move_tool(work, slot, settings)
             advance_late(body.data, work.q, work.v, work.target, 1e-3, work.report)
-            assert _write_row(work, settings)
-            _hold_tool(work, 1e-3)
+            assert _write_record(work, settings)
+            _clamp_tool(work, 1e-3)
             trust.append(work.report[1])
             place.append(work.pose.copy())
-            held.append(bool(work.row[HELD]))
+            held.append(bool(work.record[CLAMPED]))
     return np.array(trust), np.array(place), np.array(held), work
 
 
@@ -142,15 +144,15 @@ def test_trust_that_a_tool_loses_standing_still_draws_it_back_on_its_way():
     lost = int(np.argmax(held))
     assert trust[lost] > 1.0
     np.testing.assert_array_equal(place[lost], near)
-    assert np.linalg.norm(place[lost + 1 : lost + round(1e3 * SETTLING)] - near, axis=1).max() == 0.0
+    assert np.linalg.norm(place[lost + 1 : lost + round(1e3 * SETTLING_TIME)] - near, axis=1).max() == 0.0
     assert (trust[-1000:] <= 1.0).all()
 
 
 def test_a_trail_keeps_its_first_pose_and_the_newest_ones():
-    poses = [at(1e-3 * math.sin(0.01 * k), 1e-3 * math.cos(0.01 * k)) for k in range(5 * LONGEST_TRAIL)]
+    poses = [at(1e-3 * math.sin(0.01 * k), 1e-3 * math.cos(0.01 * k)) for k in range(5 * MAX_TRAIL)]
     *_, work = prescribed(poses, 1e-3, 5.0)
     length = int(work.length[0])
-    assert LONGEST_TRAIL // 2 <= length <= LONGEST_TRAIL
+    assert MAX_TRAIL // 2 <= length <= MAX_TRAIL
     np.testing.assert_array_equal(work.trail[0], IDENTITY)
     np.testing.assert_array_equal(work.trail[length - 1], poses[-1])
     ways = np.linalg.norm(np.diff(work.trail[1:length], axis=0), axis=1)

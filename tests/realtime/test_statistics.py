@@ -5,27 +5,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.realtime.statistics import Statistics, Tally, count_step
+from palpate.realtime.statistics import Histograms, Statistics, count_step
 
 PERIOD = 1_000_000  # [ns]
 
 
 def counted(steps):
     """Count steps of (lateness, computing time, duration) [s], and return the statistics and the deadlines."""
-    tally, deadline, deadlines = Tally.new(), 0, []
+    tally, deadline, deadlines = Histograms.zeros(), 0, []
     for lateness, computing, duration in steps:
         ended = deadline + round(1e9 * (lateness + duration))
         deadline = count_step(tally, computing, lateness, ended, deadline, PERIOD)
         deadlines.append(deadline)
-    return Statistics.of(tally, 1e-9 * PERIOD), deadlines
+    return Statistics.from_histograms(tally, 1e-9 * PERIOD), deadlines
 
 
 def test_steps_in_time_miss_nothing():
     statistics, deadlines = counted([(2e-6, 3e-4, 3.1e-4)] * 10)
     assert (statistics.count, statistics.missed, statistics.dropped, statistics.overrun) == (10, 0, 0, 0)
     assert deadlines == [PERIOD * k for k in range(1, 11)]
-    assert statistics.held
-    assert "is held" in statistics.verdict
+    assert statistics.sustained
+    assert "is sustained" in statistics.verdict
 
 
 @pytest.mark.parametrize(("duration", "dropped"), [(0.999e-3, 0), (1.001e-3, 0), (2.5e-3, 1), (5.5e-3, 4)])
@@ -40,15 +40,15 @@ def test_a_step_that_takes_several_periods_drops_those_it_ran_over(duration, dro
 def test_a_model_too_slow_is_told_from_a_busy_machine():
     slow, _ = counted([(0.0, 1.2e-3, 1.3e-3)] * 3 + [(0.0, 5e-4, 5e-4)] * 97)
     busy, _ = counted([(0.0, 5e-4, 3.3e-3)] * 3 + [(0.0, 5e-4, 5e-4)] * 97)
-    assert (slow.missed, slow.overrun, slow.held) == (3, 3, False)
-    assert (busy.missed, busy.overrun, busy.held) == (3, 0, True)
-    assert "cannot be held" in slow.verdict
+    assert (slow.missed, slow.overrun, slow.sustained) == (3, 3, False)
+    assert (busy.missed, busy.overrun, busy.sustained) == (3, 0, True)
+    assert "is not sustained" in slow.verdict
     assert "other threads" in busy.verdict
 
 
 def test_one_step_in_a_hundred_may_be_too_slow():
-    assert counted([(0.0, 1.2e-3, 1.2e-3)] + [(0.0, 5e-4, 5e-4)] * 99)[0].held
-    assert not counted([(0.0, 1.2e-3, 1.2e-3)] + [(0.0, 5e-4, 5e-4)] * 98)[0].held
+    assert counted([(0.0, 1.2e-3, 1.2e-3)] + [(0.0, 5e-4, 5e-4)] * 99)[0].sustained
+    assert not counted([(0.0, 1.2e-3, 1.2e-3)] + [(0.0, 5e-4, 5e-4)] * 98)[0].sustained
 
 
 def test_percentiles_are_those_of_the_durations_to_the_width_of_a_bin():
@@ -72,4 +72,4 @@ def test_nothing_counted_says_so():
     statistics, _ = counted([])
     assert "no step" in statistics.verdict
     assert statistics.lateness.percentile(99) == 0.0
-    assert statistics.held
+    assert statistics.sustained

@@ -1,4 +1,4 @@
-"""What a model gives to be stepped in real time."""
+"""The interface between a real-time model and the engine."""
 
 from __future__ import annotations
 
@@ -12,31 +12,35 @@ from palpate.faults import InputError
 
 __all__ = ["FORCES", "KINETIC", "STATUS", "STEPS", "STRAIN", "TRUST", "Realtime", "check_contract"]
 
-# where a report holds what
+# indices in the report of `advance`
 STATUS, TRUST, STEPS, KINETIC, STRAIN, FORCES = 0, 1, 2, 3, 4, 8
+POSE_COLUMNS = 12  # of `tool`: displacement (3,) and R - I (9,)
 
 
 class Realtime(NamedTuple):
-    """A body of m coordinates, held by a tool of l coordinates, in compiled functions.
+    """A body of m coordinates and a tool of l coordinates, as compiled functions.
 
-    A model need not use this class, only its names. The functions are compiled by Numba, without ``parallel=True``.
+    A model need not be of this class: it needs these attributes. The functions are compiled by Numba, without
+    ``parallel=True``.
 
     Parameters
     ----------
     advance : function
-        ``advance(data, q, v, target, period, report)`` moves the coordinates `q` (m,) and velocities `v` (m,) on by
-        `period` [s] in place, while the tool's coordinates go linearly from where they are to `target` (l,). It writes
-        `report` (8 + l,): [0] 0, or 1 if it did not converge or is not finite; [1] the trust number, which is above 1
-        where the model was not trained; [2] steps or iterations taken; [3] kinetic and [4] strain energy [J]; from [8]
-        on the generalised forces of the tool on the body, conjugate to the tool's coordinates.
+        ``advance(data, q, v, target, period, report)`` advances the coordinates `q` (m,) and velocities `v` (m,) in
+        place by `period` [s], while the tool's coordinates move linearly to `target` (l,). It writes `report`
+        (8 + l,). Element 0 is 0, or 1 if the step did not converge or is not finite. Element 1 is the trust number,
+        above 1 where the model was not trained. Element 2 counts steps or iterations. Elements 3 and 4 are the kinetic
+        and the strain energy [J]. From element 8 on are the generalised forces of the tool on the body, conjugate to
+        the tool's coordinates.
     stiffness : function or None
         ``stiffness(data, q, out)`` writes the derivatives (l, l) of those forces by the tool's coordinates.
-    data : any type that Numba takes
+    data : any type that Numba supports
+        First argument of both functions.
     rest : (m,) array
-        Coordinates at rest, the tool's coordinates 0.
+        Coordinates at rest, where the tool's coordinates are 0.
     tool : (l, 12) array
-        The tool's coordinates are ``tool @ concatenate([d, (R - I).ravel()])``; d [m] is the displacement of the
-        tool's reference point, R the rotation about it.
+        The tool's coordinates are ``tool @ concatenate([d, (R - I).ravel()])``, where d [m] is the displacement of the
+        tool's reference point and R the rotation about it.
     """
 
     advance: Callable[..., Any]
@@ -47,25 +51,34 @@ class Realtime(NamedTuple):
 
 
 def check_contract(model: Any) -> Realtime:
-    """Return a model's functions and arrays, the arrays copied as Numba needs them.
+    """Return a model's functions and contiguous copies of its arrays.
 
     Raises
     ------
     InputError
-        A name is missing, a function is not compiled, or an array is not finite or has another shape.
+        An attribute is missing, a function is not compiled, or an array is not finite or has a wrong shape.
     """
     missing = [name for name in Realtime._fields if not hasattr(model, name)]
     if missing:
-        raise InputError(f"a real-time model needs {', '.join(missing)}: see palpate.realtime.Realtime")
+        raise InputError(
+            f"model must have the attributes of palpate.realtime.Realtime, got {type(model).__name__} without "
+            f"{', '.join(missing)}; add them, or pass what ReducedModel.realtime() returns"
+        )
     for name in ("advance", "stiffness"):
         function = getattr(model, name)
         if not hasattr(function, "py_func") and not (name == "stiffness" and function is None):
-            raise InputError(f"{name} = {function!r}: allowed is a function compiled by numba.njit")
+            raise InputError(
+                f"{name} must be a function compiled by numba.njit, got {function!r}; decorate it with njit"
+            )
         if getattr(function, "targetoptions", {}).get("parallel"):
-            raise InputError(f"{name} is compiled with parallel=True: allowed is a function of one thread")
+            raise InputError(f"{name} must be single-threaded, got parallel=True; compile it without that option")
     rest, tool = (np.array(array, dtype=float, order="C") for array in (model.rest, model.tool))
     if rest.ndim != 1 or not len(rest) or not np.isfinite(rest).all():
-        raise InputError(f"rest has shape {rest.shape}: allowed is (m,), m > 0, all finite")
-    if tool.ndim != 2 or not len(tool) or tool.shape[1] != 12 or not np.isfinite(tool).all():
-        raise InputError(f"tool has shape {tool.shape}: allowed is (l, 12), l > 0, all finite")
+        raise InputError(f"rest must be finite with shape (m,), m > 0, got {_describe(rest)}; check the model")
+    if tool.ndim != 2 or not len(tool) or tool.shape[1] != POSE_COLUMNS or not np.isfinite(tool).all():
+        raise InputError(f"tool must be finite with shape (l, 12), l > 0, got {_describe(tool)}; check the model")
     return Realtime(model.advance, model.stiffness, model.data, rest, tool)
+
+
+def _describe(array: NDArray[np.float64]) -> str:
+    return f"shape {array.shape}" if np.isfinite(array).all() else f"shape {array.shape} with non-finite numbers"

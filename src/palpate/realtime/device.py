@@ -1,4 +1,4 @@
-"""A programmable device: a hand that moves as told."""
+"""A programmable stand-in for a haptic device."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from palpate.faults import number_in_range
 if TYPE_CHECKING:
     from palpate.realtime.engine import Engine
 
-__all__ = ["DummyDevice", "Recording"]
+__all__ = ["DeviceLog", "DummyDevice"]
 
 Floats = NDArray[np.float64]
 Path = Callable[[float], tuple[Sequence[float] | Floats, Sequence[float] | Floats]]
 
 
 @dataclass(frozen=True)
-class Recording:
-    """What a device did and felt at k times.
+class DeviceLog:
+    """Poses that a device sent and forces that it received, at k times.
 
     Parameters
     ----------
     times : (k,) array [s]
-        Since the device began.
+        Time since the device started.
     positions, quaternions : (k, 3) array [m], (k, 4) array
         Poses sent.
     forces : (k, 3) array [N]
-        Read right after: of the body on the tool, still without that pose.
+        Force of the body on the tool, read right after the pose was sent. It does not yet include that pose.
     """
 
     times: Floats
@@ -42,7 +42,7 @@ class Recording:
 
 
 class DummyDevice:
-    """Stands for a haptic device: sends an engine poses of a given path and records the forces.
+    """Replaces a haptic device: sends the poses of a path to an engine and records the forces.
 
     Parameters
     ----------
@@ -53,13 +53,13 @@ class DummyDevice:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def prepare(self, engine: Engine, duration: float) -> Recording:
-        """Send and read for `duration` [s], about once a period of the engine; as often as Python can, at most.
+    def prepare(self, engine: Engine, duration: float) -> DeviceLog:
+        """Send poses and read forces for `duration` [s], once per period of the engine if Python is fast enough.
 
         Raises
         ------
         InputError
-            The duration is not positive, or the path goes where `Engine.set_pose` refuses.
+            The duration is not positive, or `Engine.set_pose` rejects a pose.
         """
         duration = number_in_range("duration", duration, 0, open_low=True, unit="s")
         times, positions, quaternions, forces = [], [], [], []
@@ -74,4 +74,4 @@ class DummyDevice:
             ahead = (np.floor(now / engine.period) + 1) * engine.period - (time.perf_counter() - start)
             time.sleep(max(ahead, 0.0))
             now = time.perf_counter() - start
-        return Recording(np.array(times), np.array(positions), np.array(quaternions), np.array(forces))
+        return DeviceLog(np.array(times), np.array(positions), np.array(quaternions), np.array(forces))

@@ -1,8 +1,8 @@
-"""Numbers that one thread writes and others read, without a lock.
+"""Lock-free exchange of numbers between one writing thread and any number of readers.
 
-A `Slot` is a sequence lock. Its version is odd while a write goes on; a reader that saw it odd, or changed, throws away
-what it read. So the writer never waits, whatever its readers do. Orders are those of H.-J. Boehm, Can seqlocks get
-along with programming language memory models?, MSPC 2012. One thread at a time may write.
+A `Slot` is a sequence lock. Its version is odd during a write. A reader discards its copy if the version was odd or has
+changed, so the writer never waits for readers. The memory orders are those of H.-J. Boehm, Can seqlocks get along with
+programming language memory models?, MSPC 2012. Only one thread at a time may write.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-__all__ = ["Slot", "fetch", "flags", "get_flag", "publish", "read_barrier", "set_flag", "snapshot", "write_barrier"]
+__all__ = [
+    "Slot", "acquire_fence", "fetch", "get_flag", "make_flags", "publish", "release_fence", "set_flag", "snapshot",
+]  # fmt: skip
 
 ALIGNMENT = 8  # bytes
-ALONE = 16  # numbers in an array of flags: no other data shares their line of the processor's cache
+FLAGS_LENGTH = 16  # int64 in an array of flags: fills its cache lines, so that no other data shares them
 
 
-def _load(order: str) -> Any:
-    """Make the intrinsic load(array, i), atomic with the given memory order."""
+def _make_load(order: str) -> Any:
+    """Make the intrinsic load(array, i), atomic with a memory order."""
 
     def load(typingctx, array, i):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -35,8 +37,8 @@ def _load(order: str) -> Any:
     return intrinsic(load)
 
 
-def _store(order: str) -> Any:
-    """Make the intrinsic store(array, i, value), atomic with the given memory order."""
+def _make_store(order: str) -> Any:
+    """Make the intrinsic store(array, i, value), atomic with a memory order."""
 
     def store(typingctx, array, i, value):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -50,8 +52,8 @@ def _store(order: str) -> Any:
     return intrinsic(store)
 
 
-def _fence(order: str) -> Any:
-    """Make the intrinsic fence() of the given memory order."""
+def _make_fence(order: str) -> Any:
+    """Make the intrinsic fence() of a memory order."""
 
     def fence(typingctx):  # type: ignore[no-untyped-def]
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -64,18 +66,18 @@ def _fence(order: str) -> Any:
     return intrinsic(fence)
 
 
-_load_relaxed, _load_acquire = _load("monotonic"), _load("acquire")  # LLVM calls relaxed order monotonic
-_store_relaxed, _store_release = _store("monotonic"), _store("release")
-_fence_acquire, _fence_release = _fence("acquire"), _fence("release")
+_load_relaxed, _load_acquire = _make_load("monotonic"), _make_load("acquire")  # LLVM calls relaxed order monotonic
+_store_relaxed, _store_release = _make_store("monotonic"), _make_store("release")
+_fence_acquire, _fence_release = _make_fence("acquire"), _make_fence("release")
 
 
 class Slot(NamedTuple):
-    """A set of numbers that is read whole.
+    """Numbers that readers receive from one complete write.
 
     Parameters
     ----------
-    version : (ALONE,) int64
-        The first counts the beginnings and ends of writes.
+    version : (FLAGS_LENGTH,) int64
+        Element 0 counts the starts and ends of writes.
     values : (n,) float64
     """
 
@@ -83,19 +85,19 @@ class Slot(NamedTuple):
     values: NDArray[np.float64]
 
     @classmethod
-    def of(cls, count: int) -> Slot:
+    def zeros(cls, count: int) -> Slot:
         """Make a slot of `count` zeros."""
-        return cls(flags(), np.zeros(count))
+        return cls(make_flags(), np.zeros(count))
 
 
-def flags() -> NDArray[np.int64]:
+def make_flags() -> NDArray[np.int64]:
     """Make an array of flags, all 0."""
-    return np.zeros(ALONE, dtype=np.int64)
+    return np.zeros(FLAGS_LENGTH, dtype=np.int64)
 
 
 @njit(cache=True)
 def publish(slot, values):  # type: ignore[no-untyped-def]
-    """Write the first numbers of a slot, as many as there are values; never waits."""
+    """Write values to the front of a slot; never waits."""
     version = _load_relaxed(slot.version, 0)
     _store_relaxed(slot.version, 0, version + 1)
     _fence_release()
@@ -106,7 +108,7 @@ def publish(slot, values):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def fetch(slot, out):  # type: ignore[no-untyped-def]
-    """Read all numbers of a slot once; return whether they are of one write. If not, `out` means nothing."""
+    """Copy a slot to `out` once; return False if a write interfered, in which case `out` is invalid."""
     version = _load_acquire(slot.version, 0)
     if version & 1:
         return False
@@ -117,32 +119,32 @@ def fetch(slot, out):  # type: ignore[no-untyped-def]
 
 
 def snapshot(slot: Slot) -> NDArray[np.float64]:
-    """Return numbers (n,) of one write, trying again while there are writes."""
+    """Return the numbers (n,) of one write; retries while writes interfere."""
     out = np.empty(len(slot.values))
     while not fetch(slot, out):
-        time.sleep(0)  # the writer may have lost its processor to this thread
+        time.sleep(0)  # yields the processor to the writer
     return out
 
 
 @njit(cache=True)
 def set_flag(flags, i, value):  # type: ignore[no-untyped-def]
-    """Write a flag; who reads it sees all that was written before."""
+    """Write a flag with release order: its readers see all earlier writes."""
     _store_release(flags, i, value)
 
 
 @njit(cache=True)
 def get_flag(flags, i):  # type: ignore[no-untyped-def]
-    """Read a flag, and with it all that was written before it was set."""
+    """Read a flag with acquire order: later reads see all writes before it was set."""
     return _load_acquire(flags, i)
 
 
 @njit(cache=True)
-def read_barrier():  # type: ignore[no-untyped-def]
-    """Let no read that follows be made before one that went before."""
+def acquire_fence():  # type: ignore[no-untyped-def]
+    """Acquire fence."""
     _fence_acquire()
 
 
 @njit(cache=True)
-def write_barrier():  # type: ignore[no-untyped-def]
-    """Let no write that follows be seen before one that went before."""
+def release_fence():  # type: ignore[no-untyped-def]
+    """Release fence."""
     _fence_release()

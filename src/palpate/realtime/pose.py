@@ -1,4 +1,4 @@
-"""Rigid poses of a tool: a position (3,) [m] and a unit quaternion (4,), w x y z, in one array (7,)."""
+"""Rigid poses of a tool: arrays (7,) of a position (3,) [m] and a unit quaternion (4,), w x y z."""
 
 from __future__ import annotations
 
@@ -12,77 +12,81 @@ from numpy.typing import NDArray
 from palpate.faults import InputError
 from palpate.files import shortened
 
-__all__ = ["FARTHEST", "IDENTITY", "checked_pose", "follow", "tool_coordinates", "wrench"]
+__all__ = ["IDENTITY", "MAX_JUMP", "follow_pose", "normalise_pose", "tool_coordinates", "wrench"]
 
 Floats = NDArray[np.float64]
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-FARTHEST = 1.0  # [m], between one pose and the next: more is a device that lost its place
+MAX_JUMP = 1.0  # [m] between consecutive poses; a larger one is a device error
 
 
-def checked_pose(
+def normalise_pose(
     position: Floats | Sequence[float], quaternion: Floats | Sequence[float], last: Floats | None
 ) -> Floats:
-    """Return a pose (7,), the quaternion made a unit one.
+    """Return a pose (7,) with a unit quaternion.
 
     Raises
     ------
     InputError
-        An entry is not a finite real number, the quaternion has no length, or the position is more than `FARTHEST` from
-        the last one, if there is one.
+        An entry is not a finite real number, the quaternion is zero, or the position is more than `MAX_JUMP` from the
+        last one, if given.
     """
-    place, turn = _numbers("position", position, 3), _numbers("quaternion", quaternion, 4)
-    length = float(np.abs(turn).max())
-    if length == 0:
-        raise InputError("a quaternion of length 0 is no rotation; (1, 0, 0, 0) turns nothing; the last pose is kept")
-    jump = 0.0 if last is None else float(np.linalg.norm(place - last[:3]))
-    if jump > FARTHEST:
+    position, quaternion = _finite_numbers("position", position, 3), _finite_numbers("quaternion", quaternion, 4)
+    largest = float(np.abs(quaternion).max())
+    if largest == 0:
         raise InputError(
-            f"the pose jumps by {jump:.3g} m at once: allowed is {FARTHEST:g} m; the last pose is kept. "
-            "Positions are in metres, from where the tool stands at rest"
+            "quaternion must be non-zero, got (0, 0, 0, 0); use (1, 0, 0, 0) for no rotation; the last pose is kept"
         )
-    turn = turn / length  # first by the largest, lest squares overflow
-    return np.concatenate([place, turn / np.linalg.norm(turn)])
+    jump = 0.0 if last is None else float(np.linalg.norm(position - last[:3]))
+    if jump > MAX_JUMP:
+        raise InputError(
+            f"position must be within {MAX_JUMP:g} m of the last one, got a jump of {jump:.3g} m; pass positions in "
+            "metres, relative to the tool at rest; the last pose is kept"
+        )
+    quaternion = quaternion / largest  # prevents overflow of the squares
+    return np.concatenate([position, quaternion / np.linalg.norm(quaternion)])
 
 
-def _numbers(name: str, given: Any, count: int) -> Floats:
+def _finite_numbers(name: str, given: Any, count: int) -> Floats:
     """Return finite real numbers (count,)."""
     try:
         found = np.asarray(given)
-    except ValueError:  # lists of several lengths
+    except ValueError:  # nested lists of unequal lengths
         found = np.array(None)
     if found.shape != (count,) or found.dtype.kind not in "fiu":
-        raise InputError(f"{name} must be {count} real numbers, got {shortened(repr(given))}; the last pose is kept")
+        raise InputError(
+            f"{name} must be {count} real numbers, got {shortened(repr(given))}; pass an array; the last pose is kept"
+        )
     numbers = found.astype(float)
     if not np.isfinite(numbers).all():
-        raise InputError(f"{name} must be finite, got {numbers}; the last pose is kept")
+        raise InputError(f"{name} must be finite, got {numbers}; check the device; the last pose is kept")
     return numbers
 
 
 @njit(cache=True)
-def follow(pose, aim, most_way, most_angle):  # type: ignore[no-untyped-def]
-    """Move a pose towards another one, in place, by no more than a way [m] and an angle [rad].
+def follow_pose(pose, target, max_distance, max_angle):  # type: ignore[no-untyped-def]
+    """Move a pose towards a target in place, by at most a distance [m] and an angle [rad].
 
-    The rotation goes along the shortest great arc (K. Shoemake, Animating rotation with quaternion curves, 1985).
+    The rotation follows the shortest great arc (K. Shoemake, Animating rotation with quaternion curves, 1985).
     """
-    way = np.sqrt((aim[0] - pose[0]) ** 2 + (aim[1] - pose[1]) ** 2 + (aim[2] - pose[2]) ** 2)
-    share = 1.0 if way <= most_way else most_way / way
+    distance = np.sqrt((target[0] - pose[0]) ** 2 + (target[1] - pose[1]) ** 2 + (target[2] - pose[2]) ** 2)
+    share = 1.0 if distance <= max_distance else max_distance / distance
     for i in range(3):
-        pose[i] = aim[i] if share == 1.0 else pose[i] + share * (aim[i] - pose[i])
+        pose[i] = target[i] if share == 1.0 else pose[i] + share * (target[i] - pose[i])
     cosine = 0.0
     for i in range(3, 7):
-        cosine += pose[i] * aim[i]
+        cosine += pose[i] * target[i]
     half = np.arccos(min(1.0, abs(cosine)))  # of the angle between them
-    if 2.0 * half <= most_angle:
+    if 2.0 * half <= max_angle:
         for i in range(3, 7):
-            pose[i] = aim[i]
+            pose[i] = target[i]
         return
-    share = most_angle / (2.0 * half)
+    share = max_angle / (2.0 * half)
     here = np.sin((1.0 - share) * half) / np.sin(half)
     there = np.copysign(np.sin(share * half) / np.sin(half), cosine)
     square = 0.0
     for i in range(3, 7):
-        pose[i] = here * pose[i] + there * aim[i]
+        pose[i] = here * pose[i] + there * target[i]
         square += pose[i] ** 2
     for i in range(3, 7):
         pose[i] /= np.sqrt(square)
@@ -90,7 +94,7 @@ def follow(pose, aim, most_way, most_angle):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _rotation(pose, i, j):  # type: ignore[no-untyped-def]
-    """Entry (i, j) of the rotation matrix of a pose."""
+    """Return entry (i, j) of the rotation matrix of a pose."""
     w, axis = pose[3], pose[4:]
     if i == j:
         return w * w + 2.0 * axis[i] ** 2 - (axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
@@ -101,7 +105,7 @@ def _rotation(pose, i, j):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def tool_coordinates(tool, pose, out):  # type: ignore[no-untyped-def]
-    """Write tool @ concatenate([d, (R - I).ravel()]), (l,)."""
+    """Write the tool coordinates (l,): tool @ concatenate([d, (R - I).ravel()])."""
     for row in range(tool.shape[0]):
         total = 0.0
         for i in range(3):
@@ -113,10 +117,10 @@ def tool_coordinates(tool, pose, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def wrench(tool, pose, forces, force, moment):  # type: ignore[no-untyped-def]
-    """Write the force (3,) [N] and moment (3,) [N m] about the reference point of the body on the tool.
+    """Write the force (3,) [N] and moment (3,) [N m] of the body on the tool, about the reference point.
 
-    `forces` (l,) are the tool's generalised ones on the body. A small rotation theta changes R by [theta]x R, so that
-    with G the derivative of the power by the rates of R, the tool's moment is the sum over j of R_j x G_j (columns).
+    `forces` (l,) are the generalised forces of the tool on the body. A small rotation theta changes R by [theta]x R.
+    With G the derivative of the power by the rates of R, the tool's moment is the sum of R_j x G_j over the columns j.
     """
     force[:] = 0.0
     moment[:] = 0.0

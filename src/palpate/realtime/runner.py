@@ -1,4 +1,4 @@
-"""The thread that an engine's loop runs in."""
+"""The thread that runs an engine's loop."""
 
 from __future__ import annotations
 
@@ -8,51 +8,52 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.realtime.clock import sharpen_sleep
+from palpate.realtime.clock import use_precise_sleep
 from palpate.realtime.exchange import set_flag
-from palpate.realtime.loop import PAUSED, RAN_AWAY, RUNNING, STOPPED
+from palpate.realtime.loop import DIVERGED, PAUSED, RUNNING, STOPPED
 
 __all__ = ["Runner"]
 
 
 class Runner:
-    """Runs a loop in a thread of its own, whenever it is told to.
+    """Starts and stops a loop in its own thread.
 
     Parameters
     ----------
     loop : function
-        Goes on while the command is RUNNING; returns why it ended.
+        Runs while the command is RUNNING; returns the reason for its end.
     command : flags
-    on_run_away : function or None
-        Called in the thread when the loop returns RAN_AWAY or raises.
+        Element 0 is the command to the loop.
+    on_divergence : function or None
+        Called in the thread when the loop returns DIVERGED or raises.
 
     Attributes
     ----------
     state : int
-        RUNNING, STOPPED, PAUSED or RAN_AWAY.
-    trouble : str
-        What went wrong besides, or nothing.
+        RUNNING, STOPPED, PAUSED or DIVERGED.
+    error_text : str
+        Message of the last exception in the thread; empty if there was none.
     """
 
     def __init__(
-        self, loop: Callable[[], int], command: NDArray[np.int64], on_run_away: Callable[[], None] | None
+        self, loop: Callable[[], int], command: NDArray[np.int64], on_divergence: Callable[[], None] | None
     ) -> None:
-        self._loop, self._command, self._on_run_away = loop, command, on_run_away
+        self._loop, self._command, self._on_divergence = loop, command, on_divergence
         self._thread: threading.Thread | None = None
-        self.state, self.trouble = STOPPED, ""
+        self.state, self.error_text = STOPPED, ""
         set_flag(command, 0, STOPPED)
-        loop()  # is compiled, and returns at once
+        loop()  # compiles it; returns at once
 
-    def go(self) -> None:
+    def start(self) -> None:
         """Start the loop."""
         set_flag(self._command, 0, RUNNING)
         self.state = RUNNING
-        # a daemon, as an engine that nobody stops must not keep Python alive
+        # a daemon thread: a running engine must not keep Python alive
         self._thread = threading.Thread(target=self._run, name="palpate engine", daemon=True)
         self._thread.start()
 
-    def end(self, state: int) -> None:
-        """Let the loop return, if it runs, and wait until it has; then be STOPPED or PAUSED, unless it ran away."""
+    def stop(self, state: int) -> None:
+        """Stop the loop, wait for its end, and set the state to STOPPED or PAUSED unless the loop diverged."""
         set_flag(self._command, 0, state)
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join()
@@ -60,15 +61,15 @@ class Runner:
             self.state = state
 
     def _run(self) -> None:
-        state = RAN_AWAY
+        state = DIVERGED
         try:
-            sharpen_sleep()
+            use_precise_sleep()
             state = self._loop()
-        except Exception as error:  # raised by the model
-            self.trouble = f"the model's step failed: {error!r}"
-        if state == RAN_AWAY and self._on_run_away is not None:
+        except Exception as error:  # of the model
+            self.error_text = f"the model's step raised {error!r}"
+        if state == DIVERGED and self._on_divergence is not None:
             try:
-                self._on_run_away()
+                self._on_divergence()
             except Exception as error:
-                self.trouble = f"the black box is lost: {error}"
+                self.error_text = f"the black box was not written: {error}"
         self.state = state

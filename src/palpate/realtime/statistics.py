@@ -1,8 +1,8 @@
-"""How long the steps took and how late they began.
+"""Deadline statistics: computing time and lateness of the steps.
 
-Lateness is measured by the clock on the wall, from a deadline to the beginning of its step: it is the scheduler's.
-Computing time is what a processor spent on the step: it is the model's. A deadline is missed where a step was not
-finished one period after it; only where the computing time alone exceeds the period is that the model's fault.
+Lateness is the wall-clock time from a deadline to the start of its step; it measures the scheduler. Computing time is
+the processor time of the step; it measures the model. A deadline is missed if its step is not finished one period
+later. The model causes a miss only if its computing time alone exceeds the period.
 """
 
 from __future__ import annotations
@@ -15,48 +15,49 @@ from numba import njit
 from numpy.typing import NDArray
 
 from palpate.describe import Described, Fact
-from palpate.realtime.clock import ABSOLUTE
+from palpate.realtime.clock import HAS_ABSOLUTE_SLEEP
 
-__all__ = ["Distribution", "Statistics", "Tally", "count_step"]
+__all__ = ["Distribution", "Histograms", "Statistics", "count_step"]
 
-LOWEST, DECADES, BINS_PER_DECADE = 1e-7, 8, 40  # from 0.1 us to 10 s, each bin 6 % wide
+FIRST_EDGE, DECADES, BINS_PER_DECADE = 1e-7, 8, 40  # [s]: bins from 0.1 us to 10 s, each 6 % wide
 BINS = DECADES * BINS_PER_DECADE
-EDGES = LOWEST * 10 ** (np.arange(BINS + 1) / BINS_PER_DECADE)
-COMPUTING, LATENESS = 0, 1
-MISSED, OVERRUN, DROPPED = 0, 1, 2
-TOLERATED = 0.01  # share of steps that may compute for longer than a period
+EDGES = FIRST_EDGE * 10 ** (np.arange(BINS + 1) / BINS_PER_DECADE)
+COMPUTING, LATENESS = 0, 1  # rows of `Histograms.bins`
+MISSED, OVERRUN, DROPPED = 0, 1, 2  # indices in `Histograms.counts`
+MAX_OVERRUN_SHARE = 0.01  # of the steps at a sustained rate
 
 
-class Tally(NamedTuple):
-    """What the loop counts.
+class Histograms(NamedTuple):
+    """Counts of the loop, by computing time and lateness.
 
     Parameters
     ----------
     bins : (2, BINS) int64
-        Steps by computing time and by lateness.
-    most : (2,) float64 [s]
+        Steps per bin, by computing time and by lateness.
+    maxima : (2,) float64 [s]
+        Largest computing time and lateness.
     counts : (3,) int64
-        Deadlines missed, steps that computed for longer than a period, periods without a step.
+        Missed deadlines, steps that computed for longer than a period, periods without a step.
     """
 
     bins: NDArray[np.int64]
-    most: NDArray[np.float64]
+    maxima: NDArray[np.float64]
     counts: NDArray[np.int64]
 
     @classmethod
-    def new(cls) -> Tally:
-        """Count nothing yet."""
+    def zeros(cls) -> Histograms:
+        """Make empty histograms."""
         return cls(np.zeros((2, BINS), dtype=np.int64), np.zeros(2), np.zeros(3, dtype=np.int64))
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Set all counts to zero."""
         for array in self:
             array[:] = 0
 
 
 @njit(cache=True)
-def count_step(tally, computing, lateness, ended, deadline, period):  # type: ignore[no-untyped-def]
-    """Count a step; return the next deadline [ns], the first one of the grid whose period has not gone by.
+def count_step(histograms, computing, lateness, ended, deadline, period):  # type: ignore[no-untyped-def]
+    """Count a step and return the next deadline [ns]: the first on the grid whose period is not over.
 
     Parameters
     ----------
@@ -64,26 +65,26 @@ def count_step(tally, computing, lateness, ended, deadline, period):  # type: ig
     ended, deadline, period : int [ns]
     """
     for k, seconds in ((COMPUTING, computing), (LATENESS, lateness)):
-        place = int(BINS_PER_DECADE * np.log10(max(seconds, LOWEST) / LOWEST))
-        tally.bins[k, min(place, BINS - 1)] += 1
-        tally.most[k] = max(tally.most[k], seconds)
+        bin_index = int(BINS_PER_DECADE * np.log10(max(seconds, FIRST_EDGE) / FIRST_EDGE))
+        histograms.bins[k, min(bin_index, BINS - 1)] += 1
+        histograms.maxima[k] = max(histograms.maxima[k], seconds)
     behind = (ended - deadline) // period
     if behind > 0:
-        tally.counts[MISSED] += 1
-        tally.counts[DROPPED] += behind - 1
+        histograms.counts[MISSED] += 1
+        histograms.counts[DROPPED] += behind - 1
     if computing > 1e-9 * period:
-        tally.counts[OVERRUN] += 1
+        histograms.counts[OVERRUN] += 1
     return deadline + max(behind, 1) * period
 
 
 @dataclass(frozen=True)
 class Distribution(Described):
-    """Durations, counted in logarithmic bins.
+    """Histogram of durations in logarithmic bins.
 
     Parameters
     ----------
     edges : (b + 1,) array [s]
-        The first and the last bin hold what lies beyond them, too.
+        The first and the last bin also count durations beyond them.
     counts : (b,) array
     maximum : float [s]
     """
@@ -100,13 +101,13 @@ class Distribution(Described):
         ]
 
     def percentile(self, percent: float) -> float:
-        """Return the duration [s] that so many of a hundred do not exceed, rounded up to the edge of a bin."""
+        """Return a percentile [s] of the durations, rounded up to the edge of a bin."""
         total = int(self.counts.sum())
         if total == 0:
             return 0.0
-        place = int(np.searchsorted(np.cumsum(self.counts), percent / 100 * total * (1 - 1e-12)))
-        last = place == len(self.counts) - 1
-        return self.maximum if last else min(float(self.edges[place + 1]), self.maximum)
+        found = int(np.searchsorted(np.cumsum(self.counts), percent / 100 * total * (1 - 1e-12)))
+        last = found == len(self.counts) - 1
+        return self.maximum if last else min(float(self.edges[found + 1]), self.maximum)
 
     @property
     def percentiles(self) -> dict[float, float]:
@@ -116,21 +117,21 @@ class Distribution(Described):
 
 @dataclass(frozen=True)
 class Statistics(Described):
-    """How an engine kept its deadlines since it was started.
+    """Deadline statistics of an engine since its start.
 
     Parameters
     ----------
     period : float [s]
     count : int
-        Steps.
+        Number of steps.
     missed : int
         Steps that were not finished one period after their deadline.
     dropped : int
-        Periods that went by without a step, as the step before took so long; the body's time stands still in them.
+        Periods without a step, because the previous step took too long; model time stands still in them.
     overrun : int
         Steps whose computing time alone exceeded the period.
     computing, lateness : Distribution
-        Computing time of the steps, and how long after their deadline they began.
+        Computing time of the steps, and the delay from their deadlines to their starts.
     """
 
     period: float
@@ -142,12 +143,12 @@ class Statistics(Described):
     lateness: Distribution
 
     @classmethod
-    def of(cls, tally: Tally, period: float) -> Statistics:
-        """Read a tally, while it goes on or not; its numbers may then differ by a step."""
+    def from_histograms(cls, histograms: Histograms, period: float) -> Statistics:
+        """Read histograms; while the loop runs, the numbers may differ by one step."""
         computing, lateness = (
-            Distribution(EDGES, tally.bins[k].copy(), float(tally.most[k])) for k in (COMPUTING, LATENESS)
+            Distribution(EDGES, histograms.bins[k].copy(), float(histograms.maxima[k])) for k in (COMPUTING, LATENESS)
         )
-        missed, overrun, dropped = (int(tally.counts[k]) for k in (MISSED, OVERRUN, DROPPED))
+        missed, overrun, dropped = (int(histograms.counts[k]) for k in (MISSED, OVERRUN, DROPPED))
         return cls(period, int(computing.counts.sum()), missed, dropped, overrun, computing, lateness)
 
     def _facts(self) -> list[Fact]:
@@ -157,32 +158,36 @@ class Statistics(Described):
             ("deadlines missed", self.missed, ""),
             ("computing time, median", self.computing.percentile(50), "s"),
             ("99 %", self.computing.percentile(99), "s"),
-            ("rate held", self.held if self.count else None, ""),
+            ("rate sustained", self.sustained if self.count else None, ""),
             ("steps longer than a period", self.overrun, ""),
             ("periods dropped", self.dropped, ""),
             ("verdict", self.verdict, ""),
         ]
 
     @property
-    def held(self) -> bool:
-        """Whether the rate can be held: no more than 1 % of the steps compute for longer than a period."""
-        return self.overrun <= TOLERATED * self.count
+    def sustained(self) -> bool:
+        """Whether the model sustains the rate: at most 1 % of the steps compute for longer than a period."""
+        return self.overrun <= MAX_OVERRUN_SHARE * self.count
 
     @property
     def verdict(self) -> str:
-        """Say whether the rate is held, and what is at fault if not."""
+        """Text that states whether the rate is sustained, and the cause if not."""
         if not self.count:
-            return "no step has been taken yet"
+            return "no steps yet"
         usual, slow = 1e3 * self.computing.percentile(50), 1e3 * self.computing.percentile(99)
         took = f"steps compute for {usual:.3g} ms (99 %: {slow:.3g} ms), the period is {1e3 * self.period:.3g} ms"
         late = self.missed - self.overrun
-        if not self.held:
-            text = f"{1 / self.period:g} Hz cannot be held: {took}; take fewer modes or a lower rate"
-        elif late > TOLERATED * self.count:
+        if not self.sustained:
+            text = f"{1 / self.period:g} Hz is not sustained: {took}; use fewer modes or a lower rate"
+        elif late > MAX_OVERRUN_SHARE * self.count:
             text = (
-                f"{1 / self.period:g} Hz is within the model's reach ({took}), but other threads and programs kept "
-                f"{late} of {self.count} steps from their deadlines; leave the engine a processor of its own"
+                f"{1 / self.period:g} Hz is within the model's capacity ({took}), but other threads and programs "
+                f"delayed {late} of {self.count} steps past their deadlines; reserve a processor for the engine"
             )
         else:
-            text = f"{1 / self.period:g} Hz is held: {took}; {self.missed} of {self.count} deadlines were missed"
-        return text if ABSOLUTE else f"{text} (without clock_nanosleep: this system's waits are less exact)"
+            text = f"{1 / self.period:g} Hz is sustained: {took}; {self.missed} of {self.count} deadlines were missed"
+        return (
+            text
+            if HAS_ABSOLUTE_SLEEP
+            else f"{text} (this system has no clock_nanosleep, so its sleeps are less precise)"
+        )

@@ -22,10 +22,10 @@ from websockets.asyncio.client import connect
 
 import palpate as pt
 from palpate.app.bench.chromium import Chromium
-from palpate.app.view.address import LOOPBACK, hosts, listening
-from palpate.app.view.page import Page
-from palpate.app.view.server import Server
-from palpate.app.view.session import Session
+from palpate.app.view.server.address import LOOPBACK, allowed_hosts, open_listener
+from palpate.app.view.server.page import Page
+from palpate.app.view.server.server import Server
+from palpate.app.view.session.session import Session
 
 TOKEN = "a-token-of-tests"
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
@@ -128,9 +128,9 @@ class Site:
     """A server in a thread of its own."""
 
     def __init__(self, show, folder=None):
-        self.listener = listening(LOOPBACK, 18765)
+        self.listener = open_listener(LOOPBACK, 18765)
         self.port = self.listener.getsockname()[1]
-        page = Page(hosts(LOOPBACK, self.port), *([folder] if folder else []))
+        page = Page(allowed_hosts(LOOPBACK, self.port), *([folder] if folder else []))
         self.server, self.loop, ready = Server(show, page, TOKEN), asyncio.new_event_loop(), threading.Event()
         self.thread = threading.Thread(target=self._run, args=(ready,), daemon=True)
         self.thread.start()
@@ -154,10 +154,10 @@ class Site:
 
     @contextlib.asynccontextmanager
     async def client(self, *, token=TOKEN, draws=True, greet=True, **options):
-        options = {"subprotocols": ["palpate.v1"], "max_size": None, **options}
+        options = {"subprotocols": ["palpate.v2"], "max_size": None, **options}
         async with connect(f"ws://{LOOPBACK}:{self.port}/session", **options) as socket:
             own = Client(socket, draws)
-            await own.say(type="hello", protocol=1, token=token)
+            await own.say(type="hello", protocol=2, token=token)
             if greet:
                 await own.hear_until(lambda c: c.geometry is not None)
             yield own

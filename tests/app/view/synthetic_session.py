@@ -80,7 +80,7 @@ class SyntheticSession:
 
         async def run():
             self.stop = asyncio.Event()
-            async with serve(self._session, "127.0.0.1", 0, process_request=self._file, subprotocols=["palpate.v1"],
+            async with serve(self._session, "127.0.0.1", 0, process_request=self._file, subprotocols=["palpate.v2"],
                              compression=None, max_size=2**16) as server:  # fmt: skip
                 self.port = server.sockets[0].getsockname()[1]
                 ready.set()
@@ -136,19 +136,19 @@ class SyntheticSession:
         units = {"displacement": ("mm", 1e3), "stress": ("kPa", 1e-3), "pressure": ("kPa", 1e-3)}
         modulus = {"name": "shear modulus", "unit": "kPa", "value": 2.2, "low": 0.5, "high": 8.0, "live": True}
         return {
-            "type": "hello", "protocol": 1, "title": "Synthetic", "driver": viewer is self.driver,
+            "type": "hello", "protocol": 2, "title": "Synthetic", "driver": viewer is self.driver,
             "viewers": len(self.viewers), "mode": "live", "vertices": len(self.rest),
             "triangles": len(self.triangles), "spacing": 0.004,
             "bounds": self.bounds.tolist(), "tools": ["sphere", "capsule", "grasp"], "tool": self.tool,
             "scalars": [{"name": name, "unit": unit, "factor": factor} for name, (unit, factor) in units.items()],
             "materials": [modulus],
-            "rate": 1000, "trained": {"force_error": 0.05}, "overlay": False, **self.more,
+            "rate": 1000, "training_errors": {"force_error": 0.05}, "overlay": False, **self.more,
         }  # fmt: skip
 
     def _status(self, viewer):
         return {
             "type": "status", "driver": viewer is self.driver, "viewers": len(self.viewers), "state": self.state,
-            "recording": self.recording, "tool": self.tool, "speed": self.speed, "paused_because": None,
+            "recording": self.recording, "tool": self.tool, "speed": self.speed, "pause_reason": None,
         }  # fmt: skip
 
     def _tell(self):

@@ -9,13 +9,13 @@ import pytest
 
 import palpate as pt
 from palpate.app.bench.chromium import find_chromium
-from palpate.app.bench.drawn import FinelyDrawn, centred, divided
+from palpate.app.bench.subdivided_surface import SubdividedSession, subdivide, subdivide_at_centroids
 from palpate.app.cli import main
 
 
 def test_dividing_a_triangle_keeps_its_area_and_its_sense():
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.2, 0.7, 0.3]])
-    triangles, weights = divided(np.array([[0, 1, 2]], dtype=np.uint32), 3)
+    triangles, weights = subdivide(np.array([[0, 1, 2]], dtype=np.uint32), 3)
     points = weights @ corners
     assert (len(points), len(triangles)) == (6, 4)
     np.testing.assert_array_equal(points[:3], corners)
@@ -27,7 +27,7 @@ def test_dividing_a_triangle_keeps_its_area_and_its_sense():
 
 def test_a_triangle_divided_at_its_centroid_keeps_its_area_and_its_sense():
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.2, 0.7, 0.3], [1.0, 1.0, 0.0]])
-    triangles, weights = centred(np.array([[0, 1, 2], [1, 3, 2]], dtype=np.uint32), 4, 1)
+    triangles, weights = subdivide_at_centroids(np.array([[0, 1, 2], [1, 3, 2]], dtype=np.uint32), 4, 1)
     points = weights @ corners
     assert (len(points), len(triangles)) == (5, 4)
     np.testing.assert_array_equal(triangles[-1], [1, 3, 2])
@@ -38,7 +38,7 @@ def test_a_triangle_divided_at_its_centroid_keeps_its_area_and_its_sense():
 
 
 def test_a_finer_surface_moves_linearly_between_the_vertices_of_the_coarse_one(session):
-    coarse, drawn = session.surface, FinelyDrawn(session, 2000)
+    coarse, drawn = session.surface, SubdividedSession(session, 2000)
     fine = drawn.surface
     assert len(fine.rest) == 2000
     edges = np.sort(fine.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -50,7 +50,7 @@ def test_a_finer_surface_moves_linearly_between_the_vertices_of_the_coarse_one(s
     np.testing.assert_allclose(moved_finely.mean(axis=0), fine._weights.mean(axis=0) @ moved, rtol=1e-5, atol=1e-8)
     stress = fine.scalar("stress", state, moved_finely)
     np.testing.assert_allclose(stress[: len(moved)], coarse.scalar("stress", state, moved), rtol=1e-6)
-    assert drawn.tools == session.tools  # the rest is the session's
+    assert drawn.tool_kinds == session.tool_kinds  # the rest is the session's
 
 
 @pytest.mark.skipif(find_chromium() is None, reason="no Chromium on this machine; on Debian: apt-get install chromium")
@@ -72,7 +72,7 @@ def test_the_command_measures_a_press(model, tmp_path, capsys):
     assert report == json.loads((tmp_path / "report.json").read_text())
     assert report["vertices"] == 500
     assert report["errors"] == []
-    assert report["page"]["pictures"] > 2
+    assert report["page"]["frames"] > 2
     assert 0 < report["page"]["median"] <= report["page"]["p95"]
     assert report["largest_force"] > 0
     assert report["engine"]["periods"] > 100

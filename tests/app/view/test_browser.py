@@ -16,7 +16,7 @@ import palpate.app
 
 sys.path.append(str(Path(__file__).parent))
 
-from browser_hands import NARROW, WIDE, around, middle, needs_chromium, opening, picture, press
+from browser_input import NARROW, WIDE, around, middle, needs_chromium, opening, picture, press
 from synthetic_session import SyntheticSession
 
 PAGE = Path(palpate.app.__file__).parent / "view" / "page"
@@ -62,7 +62,7 @@ def test_a_drag_presses_and_letting_go_ends_the_force(opened):
         sleep(0.02)
     tab.wait(f"palpate.force > {1.5 * first}")  # deeper is more
     assert float(tab.evaluate("document.getElementById('force').textContent")) > 0
-    assert tab.evaluate("palpate.stage.arrow.group.visible && palpate.stage.tool.group.visible")
+    assert tab.evaluate("palpate.scene.arrow.group.visible && palpate.scene.tool.group.visible")
     tab.mouse("Released", x, y)
     tab.wait("palpate.force === 0")
     tab.wait("document.getElementById('force').textContent === '0.00'")
@@ -71,10 +71,10 @@ def test_a_drag_presses_and_letting_go_ends_the_force(opened):
 def test_what_is_pressed_moves_in_the_picture(opened, synthetic):
     tab = opened()
     sleep(0.5)
-    before = tab.evaluate("[...palpate.stage.organ.positions]")
+    before = tab.evaluate("[...palpate.scene.body.positions]")
     x, y = press(tab, 60)
     tab.wait("palpate.force > 0.05")
-    moved = np.array(tab.evaluate("[...palpate.stage.organ.positions]")) - before
+    moved = np.array(tab.evaluate("[...palpate.scene.body.positions]")) - before
     assert 0.001 < np.linalg.norm(moved.reshape(-1, 3), axis=1).max() < synthetic.size
     tab.mouse("Released", x, y)
 
@@ -83,23 +83,23 @@ def test_the_wheel_presses_deeper_while_held_and_zooms_otherwise(opened):
     tab = opened()
     x, y = press(tab, 0)
     before = tab.wait("palpate.force > 0.05 && palpate.force")
-    eye = tab.evaluate("palpate.stage.orbit.goal.distance")
+    eye = tab.evaluate("palpate.scene.orbitCamera.goal.distance")
     tab.mouse("Wheel", x, y, deltaX=0, deltaY=-240)
     tab.wait(f"palpate.force > {before} + 0.5")
-    assert tab.evaluate("palpate.stage.orbit.goal.distance") == eye
+    assert tab.evaluate("palpate.scene.orbitCamera.goal.distance") == eye
     tab.mouse("Released", x, y)
     tab.mouse("Wheel", x, y, "none", deltaX=0, deltaY=240)
-    tab.wait(f"palpate.stage.orbit.goal.distance > {1.05 * eye}")
+    tab.wait(f"palpate.scene.orbitCamera.goal.distance > {1.05 * eye}")
 
 
 def test_the_right_button_turns_the_eye_and_presses_nothing(opened):
     tab = opened()
     x, y = middle(tab)
-    before = tab.evaluate("palpate.stage.orbit.goal.azimuth")
+    before = tab.evaluate("palpate.scene.orbitCamera.goal.azimuth")
     tab.mouse("Pressed", x, y, "right")
     tab.mouse("Moved", x + 60, y, "right")
     tab.mouse("Released", x + 60, y, "right")
-    assert tab.evaluate("palpate.stage.orbit.goal.azimuth") == pytest.approx(before - 0.36, abs=0.05)
+    assert tab.evaluate("palpate.scene.orbitCamera.goal.azimuth") == pytest.approx(before - 0.36, abs=0.05)
     assert tab.evaluate("palpate.force") == 0
 
 
@@ -133,7 +133,7 @@ def test_keys_press_move_let_go_and_reset(opened, synthetic):
     tab.wait("palpate.force === 0")
     assert {"type": "control", "action": "reset"} in synthetic.received
     tab.key("p")
-    tab.wait("document.getElementById('pause-text').textContent === 'Go on'")
+    tab.wait("document.getElementById('pause-text').textContent === 'Resume'")
 
 
 def test_one_finger_presses_and_two_zoom(opened):
@@ -144,11 +144,11 @@ def test_one_finger_presses_and_two_zoom(opened):
     tab.wait("palpate.force > 0.05")
     tab.touch("End")
     tab.wait("palpate.force === 0")
-    far = tab.evaluate("palpate.stage.orbit.goal.distance")
+    far = tab.evaluate("palpate.scene.orbitCamera.goal.distance")
     tab.touch("Start", (x - 20, y), (x + 20, y))
     tab.touch("Move", (x - 40, y), (x + 40, y))
     tab.touch("End")
-    assert tab.evaluate("palpate.stage.orbit.goal.distance") < 0.8 * far
+    assert tab.evaluate("palpate.scene.orbitCamera.goal.distance") < 0.8 * far
     assert tab.evaluate("palpate.force") == 0
 
 
@@ -168,11 +168,11 @@ def test_a_second_viewer_watches(opened):
     assert second.evaluate("palpate.driver") is False
     assert second.evaluate("document.getElementById('watching').hidden") is False
     x, y = press(first)
-    second.wait("palpate.force > 0.05 && palpate.stage.tool.group.visible")
+    second.wait("palpate.force > 0.05 && palpate.scene.tool.group.visible")
     first.mouse("Released", x, y)
     second.wait("palpate.force === 0")
     own_x, own_y = press(second)  # is told that it only watches
-    second.wait("palpate.notices.said.includes('Someone else holds the tool.')")
+    second.wait("palpate.statusLine.shown.includes('Another viewer controls the tool.')")
     assert second.evaluate("palpate.force") == 0
     second.mouse("Released", own_x, own_y)
 
@@ -182,7 +182,7 @@ def test_a_dropped_connection_comes_back(opened, synthetic):
     synthetic.drop()
     tab.wait("document.getElementById('connection').textContent === 'Not connected'")
     tab.wait("document.getElementById('connection').textContent.startsWith('Live')")
-    assert tab.evaluate("document.getElementById('notice').hidden") is True
+    assert tab.evaluate("document.getElementById('message').hidden") is True
     x, y = press(tab)
     tab.wait("palpate.force > 0.05")
     tab.mouse("Released", x, y)
@@ -191,7 +191,7 @@ def test_a_dropped_connection_comes_back(opened, synthetic):
 
 def test_an_address_with_another_token_is_said_to_have_expired(browser, synthetic):
     tab = browser.open(synthetic.address[:-2], *WIDE)
-    tab.wait("!!document.getElementById('notice')?.textContent.includes('expired')", 60)  # the page may be loading yet
+    tab.wait("!!document.getElementById('message')?.textContent.includes('expired')", 60)  # the page may be loading yet
     tab.close()
 
 

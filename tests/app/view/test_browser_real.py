@@ -18,14 +18,14 @@ import pytest
 from palpate import load
 from palpate.app.run.liver import cache
 from palpate.app.train.campaign import MODEL
-from palpate.app.view.messages import checked
-from palpate.app.view.recording import ERRORS, load_recording, save_recording
-from palpate.app.view.replay import Replay
-from palpate.app.view.session import Session
+from palpate.app.view.session.messages import validate_message
+from palpate.app.view.session.recording import ERROR_NAMES, load_recording, save_recording
+from palpate.app.view.session.replay import Replay
+from palpate.app.view.session.session import Session
 
 sys.path.append(str(Path(__file__).parent))
 
-from browser_hands import NARROW, hold, needs_chromium, opening, picture
+from browser_input import NARROW, hold, needs_chromium, opening, picture
 from view_scenes import BALL, MIDDLE
 
 pytestmark = needs_chromium
@@ -53,10 +53,8 @@ def test_a_real_body_is_pressed_let_go_and_reset(pressed_body, session):
     tab.wait("palpate.force > 0.02")
     tab.evaluate("document.getElementById('reset').click()")
     tab.wait("palpate.force === 0")
-    tab.wait(
-        "Math.max(...palpate.stage.organ.positions.map((x, k) => Math.abs(x - palpate.stage.organ.rest[k]))) < 1e-6"
-    )
-    assert tab.evaluate("palpate.notices.errors") == []
+    tab.wait("Math.max(...palpate.scene.body.positions.map((x, k) => Math.abs(x - palpate.scene.body.rest[k]))) < 1e-6")
+    assert tab.evaluate("palpate.statusLine.errors") == []
 
 
 def test_a_real_body_answers_every_tool_without_a_complaint(pressed_body):
@@ -68,24 +66,24 @@ def test_a_real_body_answers_every_tool_without_a_complaint(pressed_body):
         tab.wait(f"palpate.force > 0.01 && palpate.session.state.tool === '{kind}'")
         tab.mouse("Released", x, y)
         tab.wait("palpate.force === 0")
-    assert tab.evaluate("palpate.notices.errors") == []
+    assert tab.evaluate("palpate.statusLine.errors") == []
 
 
 @pytest.fixture
 def recording(session, ball, until, tmp_path):
     """A recorded press, with the same press moved by a millimetre as the full model's."""
     path = tmp_path / "press.h5"
-    session.record()
-    session.handle(checked(ball))
+    session.start_recording()
+    session.handle(validate_message(ball))
     for depth in (0.0, 0.003, 0.005):
-        session.handle(checked({"type": "pose", "position": [*MIDDLE[:2], MIDDLE[2] + BALL + 0.002 - depth]}))
+        session.handle(validate_message({"type": "pose", "position": [*MIDDLE[:2], MIDDLE[2] + BALL + 0.002 - depth]}))
         before = len(session._recorder.times)
         until(lambda before=before: len(session._recorder.times) > before + 20)
     session.finish_recording(path, wait=True)
     own = load_recording(path)
-    positions = np.array([session.surface.rest + m.displacements(session.surface) for m in own.moments]) + 1e-3
+    positions = np.array([session.surface.rest + m.displacements(session.surface) for m in own.snapshots]) + 1e-3
     full = {"times": own.times, "positions": positions, "force": np.zeros((len(own.times), 3))}
-    full["errors"] = dict.fromkeys(ERRORS, 0.0)
+    full["errors"] = dict.fromkeys(ERROR_NAMES, 0.0)
     save_recording(path, replace(own, full=full))
     return load_recording(path)
 
@@ -96,19 +94,19 @@ def test_a_real_recording_is_replayed_with_the_full_model_over_it(browser, site_
         tab = open_tab(site_of(show).address)
         tab.wait("palpate.session.state.newtons > 0.05")
         assert tab.evaluate("document.getElementById('connection').textContent").startswith("Replay")
-        assert tab.evaluate("palpate.stage.tool.group.visible")
+        assert tab.evaluate("palpate.scene.tool.group.visible")
         tab.evaluate("document.getElementById('play').click()")
         tab.wait("palpate.session.state.state === 'paused'")
-        most = max(range(len(recording.moments)), key=lambda k: recording.moments[k].force[2])
-        at, newtons = float(recording.times[most]) + 1e-4, float(np.linalg.norm(recording.moments[most].force))
+        most = max(range(len(recording.snapshots)), key=lambda k: recording.snapshots[k].force[2])
+        at, newtons = float(recording.times[most]) + 1e-4, float(np.linalg.norm(recording.snapshots[most].force))
         seek = f"(e => {{ e.step = 'any'; e.value = {at}; e.oninput({{ target: e }}); }})"
         tab.evaluate(f"{seek}(document.getElementById('time'))")
         tab.wait(f"Math.abs(palpate.session.state.newtons - {newtons}) < 1e-9")
-        assert tab.evaluate("palpate.stage.overlay.lines.visible") is False
+        assert tab.evaluate("palpate.scene.overlay.lines.visible") is False
         tab.evaluate("document.getElementById('overlay').click()")
-        assert tab.evaluate("palpate.stage.overlay.lines.visible") is True
-        shown = np.array(tab.evaluate("[...palpate.stage.overlay.place.array]")).reshape(-1, 3)
-        own = np.array(tab.evaluate("[...palpate.stage.organ.positions]")).reshape(-1, 3)
+        assert tab.evaluate("palpate.scene.overlay.lines.visible") is True
+        shown = np.array(tab.evaluate("[...palpate.scene.overlay.place.array]")).reshape(-1, 3)
+        own = np.array(tab.evaluate("[...palpate.scene.body.positions]")).reshape(-1, 3)
         np.testing.assert_allclose(shown, own + 1e-3, atol=1e-6)
         tab.evaluate("document.getElementById('play').click()")
         tab.wait(f"palpate.session.state.time !== {float(recording.times[most])}")

@@ -12,8 +12,8 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.app.view.recording import load_recording, save_recording
-from palpate.app.view.session import Session
+from palpate.app.view.session.recording import load_recording, save_recording
+from palpate.app.view.session.session import Session
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +35,14 @@ def ended(monkeypatch):
             os.kill(os.getpid(), number)
         save_recording(path, recording)
 
-    monkeypatch.setattr("palpate.app.view.session.save_recording", saving)
+    monkeypatch.setattr("palpate.app.view.session.session.save_recording", saving)
 
     def send(number, *, begin=False):
         def wait():
             while not made:
                 time.sleep(0.01)
             if begin:
-                made[0].record()
+                made[0].start_recording()
             while made[0]._recorder is None or len(made[0]._recorder.times) < 5:
                 time.sleep(0.01)
             sent.extend([number] if number != signal.SIGINT else [])
@@ -67,7 +67,7 @@ def test_a_recording_survives_the_signals_that_end_a_program(file, tmp_path, end
     finally:
         signal.signal(number, before)
     assert end.value.code == 128 + number
-    assert len(load_recording(tmp_path / "run.h5").moments) >= 5
+    assert len(load_recording(tmp_path / "run.h5").snapshots) >= 5
 
 
 def test_a_recording_of_the_page_survives_the_end_of_the_server(file, tmp_path, ended, monkeypatch, capsys):
@@ -79,7 +79,7 @@ def test_a_recording_of_the_page_survives_the_end_of_the_server(file, tmp_path, 
     finally:
         signal.signal(signal.SIGINT, before)
     (written,) = (tmp_path / "out" / "view").glob("*.h5")
-    assert len(load_recording(written).moments) >= 5
+    assert len(load_recording(written).snapshots) >= 5
     assert "recorded" in capsys.readouterr().err
 
 
@@ -89,16 +89,16 @@ def test_a_recording_costs_no_other_file(file, tmp_path, assert_refused):
     assert_refused([*view, str(file)], "record must end in .h5")
     assert_refused([*view, str(tmp_path / "r.vtkhdf")], "record must end in .h5")
     (tmp_path / "link.h5").symlink_to(file)
-    assert_refused([*view, str(tmp_path / "link.h5")], "another file than the one that is shown")
+    assert_refused([*view, str(tmp_path / "link.h5")], "another file than the model")
     (tmp_path / "text.h5").write_text("precious")
-    assert_refused([*view, str(tmp_path / "text.h5")], "text.h5 exists and is none")
+    assert_refused([*view, str(tmp_path / "text.h5")], "text.h5 is another file")
     with h5py.File(tmp_path / "other.h5", "w") as other:
         other.attrs["format"] = "another"
-    assert_refused([*view, str(tmp_path / "other.h5")], "other.h5 exists and is none")
+    assert_refused([*view, str(tmp_path / "other.h5")], "other.h5 is another file")
     (tmp_path / "folder.h5").mkdir()
-    assert_refused([*view, str(tmp_path / "folder.h5")], "folder.h5 exists and is none")
+    assert_refused([*view, str(tmp_path / "folder.h5")], "folder.h5 is another file")
     (tmp_path / "beside.vtkhdf").write_text("precious")
-    assert_refused([*view, str(tmp_path / "beside.h5")], "beside.vtkhdf exists and is none")
+    assert_refused([*view, str(tmp_path / "beside.h5")], "beside.vtkhdf is another file")
     assert file.read_bytes() == content
     assert (tmp_path / "text.h5").read_text() == (tmp_path / "beside.vtkhdf").read_text() == "precious"
     assert main([*view, str(tmp_path / "new.h5")]) == 0
@@ -112,7 +112,7 @@ def test_a_recording_costs_no_other_file(file, tmp_path, assert_refused):
         (b'{"time": 0, "type": "release"}\n' + b"[" * 30_000, "line 2"),
         (b'{"time": 1e999, "type": "release"}', "line 1"),
         (b'{"time": true, "type": "release"}', "line 1"),
-        (b'{"time": 0, "type": "force", "rate": 1}', "a script knows"),
+        (b'{"time": 0, "type": "force", "rate": 1}', "in a script"),
     ],
 )
 def test_scripts_that_are_none_are_refused(file, tmp_path, assert_refused, content, said):

@@ -1,4 +1,4 @@
-"""A headless Chromium that draws in software, driven over its DevTools protocol: the page is tried in it."""
+"""A headless Chromium with software rendering, controlled by its DevTools protocol."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from palpate.faults import InputError
 
 __all__ = ["Chromium", "Tab", "find_chromium"]
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 OPTIONS = [
     "--headless=new", "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-extensions", "--hide-scrollbars", "--mute-audio",
     "--remote-debugging-port=0",
 ]  # fmt: skip
-PATIENCE = 60.0  # [s] for the browser to start or answer
+RESPONSE_TIMEOUT = 60.0  # [s] for the browser to start or answer
 
 
 def find_chromium() -> str | None:
     """Return the path of an installed Chromium, or None."""
-    return next((path for name in NAMES if (path := shutil.which(name))), None)
+    return next((path for name in PROGRAMS if (path := shutil.which(name))), None)
 
 
 class Chromium:
-    """A browser with a profile of its own, gone when the block ends.
+    """A browser with a temporary profile; a context manager that ends it.
 
     Raises
     ------
     InputError
-        No Chromium is installed, or it does not start.
+        Chromium is not installed, or does not start.
     """
 
     def __init__(self) -> None:
         program = find_chromium()
         if program is None:
-            raise InputError("no Chromium found (chromium or google-chrome); on Debian: apt-get install chromium")
+            raise InputError("Chromium must be installed, got none; on Debian: apt-get install chromium")
         self._folder = tempfile.TemporaryDirectory(prefix="palpate-chromium-", ignore_cleanup_errors=True)
         command = [program, *OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -78,7 +78,7 @@ class Chromium:
     def open(
         self, address: str, width: int = 1280, height: int = 800, *, dark: bool = False, contact_state: bool = False
     ) -> Tab:
-        """Open a page in a window [px] of its own."""
+        """Open a page in a new window of a size [px]."""
         target = self.call("Target.createTarget", {"url": "about:blank", "newWindow": True})["targetId"]
         session = self.call("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
         tab = self._tabs[session] = Tab(self, session, target)
@@ -89,41 +89,41 @@ class Chromium:
         tab.call("Emulation.setEmulatedMedia", {"features": [scheme]})
         if contact_state:
             tab.call("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
-        tab.call("Emulation.setFocusEmulationEnabled", {"enabled": True})  # as if each window were in front
+        tab.call("Emulation.setFocusEmulationEnabled", {"enabled": True})  # each window behaves as the focused one
         tab.call("Page.navigate", {"url": address})
         return tab
 
     def call(self, method: str, parameters: dict[str, Any] | None = None, session: str | None = None) -> dict[str, Any]:
-        """Send a command and return its result; what happens meanwhile goes to the tabs."""
+        """Send a command and return its result; events received meanwhile go to the tabs."""
         self._count += 1
         message: dict[str, Any] = {"id": self._count, "method": method, "params": parameters or {}}
         if session:
             message["sessionId"] = session
         self._socket.send(json.dumps(message))
         while True:
-            answer = json.loads(self._socket.recv(timeout=PATIENCE))
+            answer = json.loads(self._socket.recv(timeout=RESPONSE_TIMEOUT))
             if answer.get("id") == self._count:
                 if "error" in answer:
                     raise RuntimeError(f"{method}: {answer['error'].get('message')}")
                 return dict(answer["result"])
             if answer.get("sessionId") in self._tabs:
-                self._tabs[answer["sessionId"]].noted(answer.get("method", ""), answer.get("params", {}))
+                self._tabs[answer["sessionId"]].handle_event(answer.get("method", ""), answer.get("params", {}))
 
 
 def _connection(process: subprocess.Popen[bytes], told: Path) -> Any:
     from websockets.sync.client import connect
 
-    end = monotonic() + PATIENCE
+    end = monotonic() + RESPONSE_TIMEOUT
     while monotonic() < end and process.poll() is None:
         if told.is_file() and len(lines := told.read_text().split()) == 2:
             address = f"ws://127.0.0.1:{lines[0]}{lines[1]}"
-            return connect(address, max_size=None, compression=None, open_timeout=PATIENCE)
+            return connect(address, max_size=None, compression=None, open_timeout=RESPONSE_TIMEOUT)
         sleep(0.05)
-    raise InputError("Chromium did not start")
+    raise InputError(f"Chromium must start within {RESPONSE_TIMEOUT:g} s, got no answer; run it for its errors")
 
 
 class Tab:
-    """A page in the browser; `relative_errors` are those of its console and its scripts."""
+    """A page in the browser; `relative_errors` has the errors of its console and scripts."""
 
     def __init__(self, browser: Chromium, session: str, target: str) -> None:
         self._browser, self._session, self._target = browser, session, target
@@ -133,8 +133,8 @@ class Tab:
         """Send a command to this page."""
         return self._browser.call(method, parameters, self._session)
 
-    def noted(self, method: str, parameters: dict[str, Any]) -> None:
-        """Take an event."""
+    def handle_event(self, method: str, parameters: dict[str, Any]) -> None:
+        """Process an event."""
         if method == "Runtime.exceptionThrown":
             details = parameters["exceptionDetails"]
             self.errors.append(details.get("exception", {}).get("description", details["text"]))
@@ -148,7 +148,7 @@ class Tab:
         self._browser.call("Target.closeTarget", {"targetId": self._target})
 
     def resize(self, width: int, height: int, scale: float = 1.0) -> None:
-        """Give the window another size [px]."""
+        """Resize the window [px]."""
         sizes = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", sizes)
 
@@ -158,12 +158,13 @@ class Tab:
         Raises
         ------
         RuntimeError
-            It threw.
+            The expression threw an exception.
         """
         asked = {"expression": expression, "returnByValue": True, "awaitPromise": True}
         answer = self.call("Runtime.evaluate", asked)
         if "exceptionDetails" in answer:
-            raise RuntimeError(answer["exceptionDetails"].get("exception", {}).get("description", "it threw"))
+            exception = answer["exceptionDetails"].get("exception", {})
+            raise RuntimeError(exception.get("description", "the expression threw an exception"))
         return answer["result"].get("value")
 
     def wait(self, expression: str, seconds: float = 20.0) -> Any:
@@ -172,7 +173,7 @@ class Tab:
         Raises
         ------
         TimeoutError
-            It was not in so many seconds.
+            The expression was not true within the time.
         """
         end = monotonic() + seconds
         while monotonic() < end:
@@ -188,18 +189,18 @@ class Tab:
         self.call("Input.dispatchMouseEvent", given | more)
 
     def touch(self, kind: str, *points: tuple[float, float]) -> None:
-        """Send a touch event: ``"Start"``, ``"Move"`` or ``"End"``, with where all fingers are."""
+        """Send a touch event: ``"Start"``, ``"Move"`` or ``"End"``, with the positions of all fingers."""
         fingers = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(points)]
         self.call("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": fingers})
 
     def key(self, key: str) -> None:
-        """Press and let go a key, by its name or its character."""
+        """Press and release a key, given by its name or its character."""
         text = {"text": key} if len(key) == 1 else {}
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", {"type": kind, "key": key, **(text if kind == "keyDown" else {})})
 
     def screenshot(self, path: Path | None = None) -> bytes:
-        """Return the page as PNG, and write it to a file."""
+        """Return the page as PNG, and write it to a file if given."""
         picture = base64.b64decode(self.call("Page.captureScreenshot", {"format": "png"})["data"])
         if path is not None:
             path.write_bytes(picture)

@@ -74,7 +74,7 @@ def run_realtime(
     InputError
         A parameter out of range, or a model that takes no such tool.
     ReproduceError
-        The state ran away; the black box is kept.
+        The state diverged; the black box is kept.
     OSError
         A file could not be read or written.
     """
@@ -117,8 +117,8 @@ def _stepped(engine: Engine, hand: Poses, seconds: float, black_box: Path, conso
                 DummyDevice(_watched(hand, shown)).prepare(engine, seconds)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("in real time") from None
-    if engine.state == "ran away":
-        raise ReproduceError(f"the state ran away; what happened before is in {black_box}")
+    if engine.state == "diverged":
+        raise ReproduceError(f"the state diverged; what happened before is in {black_box}")
     engine.dump(black_box)
     return engine.statistics()
 
@@ -165,7 +165,7 @@ def _timing(statistics: Statistics) -> dict[str, Any]:
         "dropped": statistics.dropped,
         "computing": _distribution(statistics.computing),
         "lateness": _distribution(statistics.lateness),
-        "held": statistics.held,
+        "sustained": statistics.sustained,
         "verdict": statistics.verdict,
     }
 

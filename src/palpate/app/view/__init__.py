@@ -1,1 +1,1 @@
-"""A body in real time behind a page: the session that owns the engine, its recordings, and the server."""
+"""`palpate view` and `palpate replay`: sessions in real time, recordings, and the server of the page."""

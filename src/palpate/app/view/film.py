@@ -1,4 +1,4 @@
-"""Pictures and films of a recording, drawn off-screen."""
+"""Pictures and movies of a recording, rendered off-screen."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from palpate.app.pictures import COLOURS, check_drawing, off_screen
-from palpate.app.view.frames import colour_range
-from palpate.app.view.recording import Recording
-from palpate.app.view.snapshot import UNITS, Snapshot
+from palpate.app.view.server.frames import colour_range
+from palpate.app.view.session.recording import Recording
+from palpate.app.view.session.snapshot import UNITS, Snapshot
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file
 from palpate.reduction.realtime.display_surface import Surface
 
-__all__ = ["FILMS", "Draw", "check_film", "check_picture", "drawn", "write_film", "write_picture"]
+__all__ = ["MOVIE_SUFFIXES", "Draw", "RecordingPlotter", "check_movie", "check_picture", "write_movie", "write_picture"]
 
 Floats = NDArray[np.float64]
 Draw = Callable[[int], Any]
 
-FILMS = (".gif", ".mp4")
-RATE = 25  # frames a second
-PIXELS = 720
-TOWARDS = np.array([0.35, -0.85, 0.4])  # from the body to the camera
-ROOM = 1.25  # of the picture over the body
-FULL, TOOL = "#d95f02", "#555555"
+MOVIE_SUFFIXES = (".gif", ".mp4")
+FRAME_RATE = 25  # [Hz]
+PIXELS = 720  # height of a picture
+VIEW_DIRECTION = np.array([0.35, -0.85, 0.4])  # from the body to the camera
+VIEW_MARGIN = 1.25  # width of the picture relative to the body
+FULL_MODEL_COLOUR, TOOL_COLOUR = "#d95f02", "#555555"
 
 
 def check_picture() -> None:
@@ -38,65 +38,65 @@ def check_picture() -> None:
         require(package, "drawing a recording")
 
 
-def check_film(path: Path) -> None:
-    """Check that a film of that name can be made, before anything is drawn.
+def check_movie(path: Path) -> None:
+    """Check that a movie with this name can be written.
 
     Raises
     ------
     InputError
-        Its ending is no film's, or what makes such films is not installed.
+        The suffix is not supported, or its encoder is not installed.
     """
-    if path.suffix.lower() not in FILMS:
-        raise InputError(f"movie = {str(path)!r}: allowed are names that end in {' or '.join(FILMS)}")
+    if path.suffix.lower() not in MOVIE_SUFFIXES:
+        raise InputError(f"movie must end in {' or '.join(MOVIE_SUFFIXES)}, got {str(path)!r}; choose another name")
     check_picture()
     if path.suffix.lower() == ".mp4":
-        require("imageio_ffmpeg", f"movie = {str(path)!r}")
+        require("imageio_ffmpeg", f"movie {path}")
 
 
 def write_picture(path: Path, recording: Recording, draw: Draw) -> None:
-    """Draw the moment of the largest force on the tool, with the full model's surface as a net where it was run."""
+    """Draw the snapshot of the largest force on the tool, with the full model as a wireframe if it was run."""
     import imageio.v3 as imageio
 
-    forces = [float(np.linalg.norm(moment.force)) for moment in recording.moments]
+    forces = [float(np.linalg.norm(snapshot.force)) for snapshot in recording.snapshots]
     with whole_file(path) as partial:
         imageio.imwrite(partial, draw(int(np.argmax(forces))))
 
 
-def write_film(
+def write_movie(
     path: Path, recording: Recording, draw: Draw, progress: Callable[[float, float], None] | None = None
 ) -> None:
-    """Draw a whole recording, as fast as it was."""
+    """Write a movie of a whole recording, in real time."""
     import imageio
 
     maker: Any = imageio
-    check_film(path)
-    count = max(1, int(recording.times[-1] * RATE))
-    options: dict[str, Any] = {"duration": 1000 / RATE, "loop": 0}
+    check_movie(path)
+    count = max(1, int(recording.times[-1] * FRAME_RATE))
+    options: dict[str, Any] = {"duration": 1000 / FRAME_RATE, "loop": 0}
     if path.suffix.lower() == ".mp4":
-        options = {"fps": RATE, "macro_block_size": 4}  # pictures whose sides are multiples of it stay as they are
+        options = {"fps": FRAME_RATE, "macro_block_size": 4}  # of the pictures' sides, which are not resized
     with whole_file(path) as partial, maker.get_writer(partial, **options) as writer:
-        for k in range(count):
-            at = k / RATE
+        for index in range(count):
+            at = index / FRAME_RATE
             writer.append_data(draw(int(np.searchsorted(recording.times, at, side="right")) - 1))
             if progress is not None:
                 progress(at, at)
 
 
-class drawn:
-    """A plotter with the body in it; yields a function that draws a moment as pixels (h, w, 3).
+class RecordingPlotter:
+    """Context of a plotter; yields a function that draws the snapshot of an index as pixels (h, w, 3).
 
     Parameters
     ----------
     recording : Recording
     scalar : str
-        What colours tell.
+        Scalar that colours the body.
 
     Raises
     ------
     InputError
         The body has no such scalar.
     DrawingError
-        This machine cannot draw.
+        This machine cannot render.
     """
 
     def __init__(self, recording: Recording, scalar: str) -> None:
@@ -104,36 +104,36 @@ class drawn:
         self.recording, self.scalar, self.surface = recording, scalar, Surface(recording.model)
         if scalar not in self.surface.scalars:
             allowed = ", ".join(map(repr, self.surface.scalars))
-            raise InputError(f"scalar = {scalar!r}: allowed are {allowed}")
+            raise InputError(f"scalar must be one of {allowed}, got {scalar!r}; choose one of these")
 
     def __enter__(self) -> Callable[[int], Any]:
         import pyvista
 
-        surface, towards = self.surface, TOWARDS / np.linalg.norm(TOWARDS)
+        surface, direction = self.surface, VIEW_DIRECTION / np.linalg.norm(VIEW_DIRECTION)
         low, high = surface.rest.min(axis=0).astype(float), surface.rest.max(axis=0).astype(float)
-        width = ROOM * float(np.linalg.norm(high - low))
-        self._window = off_screen(width, 0.75 * width, 0.5 * (low + high), towards, PIXELS)
+        width = VIEW_MARGIN * float(np.linalg.norm(high - low))
+        self._window = off_screen(width, 0.75 * width, 0.5 * (low + high), direction, PIXELS)
         plotter: Any = self._window.__enter__()
         faces = np.column_stack([np.full(len(surface.triangles), 3), surface.triangles]).ravel()
         body: Any = pyvista.PolyData(surface.rest.astype(float), faces)
         unit, factor = UNITS[self.scalar]
-        moments = self.recording.moments
-        most = factor * self._most(moments)
-        body["shown"] = np.zeros(len(surface.rest))
-        low_end = -most if self.scalar == "pressure" else 0.0
+        snapshots = self.recording.snapshots
+        largest = factor * self._largest_value(snapshots)
+        body["scalar"] = np.zeros(len(surface.rest))
+        low_end = -largest if self.scalar == "pressure" else 0.0
         plotter.add_mesh(
-            body, scalars="shown", clim=(low_end, most), cmap=COLOURS, smooth_shading=True, ambient=0.35,
+            body, scalars="scalar", clim=(low_end, largest), cmap=COLOURS, smooth_shading=True, ambient=0.35,
             scalar_bar_args={"title": f"{self.scalar} [{unit}]", "color": "black"},
         )  # fmt: skip
-        net = self._net(plotter, pyvista, faces)
-        tools = self._tools(plotter, pyvista)
+        full_model = self._add_full_model(plotter, pyvista, faces)
+        tools = self._add_tools(plotter, pyvista)
 
         def draw(frame: int) -> Any:
-            moment = moments[frame]
-            moved = moment.displacements(surface)
-            body.points = (surface.rest + moved).astype(float)
-            body["shown"] = factor * moment.scalar(surface, self.scalar, moved)
-            net(frame)
+            snapshot = snapshots[frame]
+            displacements = snapshot.displacements(surface)
+            body.points = (surface.rest + displacements).astype(float)
+            body["scalar"] = factor * snapshot.scalar(surface, self.scalar, displacements)
+            full_model(frame)
             tools(frame)
             plotter.render()
             return np.asarray(plotter.screenshot(return_img=True))[..., :3]
@@ -143,48 +143,50 @@ class drawn:
     def __exit__(self, *error: Any) -> None:
         self._window.__exit__(*error)
 
-    def _most(self, moments: list[Snapshot]) -> float:
-        few = moments[:: max(1, len(moments) // 50)]
-        ends = [colour_range(m.scalar(self.surface, self.scalar, m.displacements(self.surface)))[1] for m in few]
+    def _largest_value(self, snapshots: list[Snapshot]) -> float:
+        sample = snapshots[:: max(1, len(snapshots) // 50)]
+        ends = [colour_range(m.scalar(self.surface, self.scalar, m.displacements(self.surface)))[1] for m in sample]
         return max(*ends, 1e-12)
 
-    def _net(self, plotter: Any, pyvista: Any, faces: Any) -> Callable[[int], None]:
-        """Return a function that puts the full model's surface, drawn as a net, to a frame."""
+    def _add_full_model(self, plotter: Any, pyvista: Any, faces: Any) -> Callable[[int], None]:
+        """Add the full model as a wireframe; return a function that updates it to a frame."""
         full = self.recording.full
         if not full:
             return lambda frame: None
-        net = pyvista.PolyData(full["positions"][0].astype(float), faces)
-        plotter.add_mesh(net, style="wireframe", color=FULL, line_width=1.0, opacity=0.6)
-        plotter.add_text("net: full model", position="upper_left", font_size=10, color=FULL)
+        full_model = pyvista.PolyData(full["positions"][0].astype(float), faces)
+        plotter.add_mesh(full_model, style="wireframe", color=FULL_MODEL_COLOUR, line_width=1.0, opacity=0.6)
+        plotter.add_text("wireframe: full model", position="upper_left", font_size=10, color=FULL_MODEL_COLOUR)
 
-        def put(frame: int) -> None:
+        def update(frame: int) -> None:
             nearest = int(np.argmin(np.abs(full["times"] - self.recording.times[frame])))
-            net.points = full["positions"][nearest].astype(float)
+            full_model.points = full["positions"][nearest].astype(float)
 
-        return put
+        return update
 
-    def _tools(self, plotter: Any, pyvista: Any) -> Callable[[int], None]:
-        """Return a function that shows the tool of a frame where it is, if it has a shape."""
-        starts = [tool["frame"] for tool in self.recording.tools]
-        shown: list[tuple[Any, Any, Any] | None] = []
+    def _add_tools(self, plotter: Any, pyvista: Any) -> Callable[[int], None]:
+        """Add the tools; return a function that shows the tool of a frame."""
+        starts = [tool["start"] for tool in self.recording.tools]
+        meshes: list[tuple[Any, Any, Any] | None] = []
         for tool in self.recording.tools:
             radius, half = tool["radius"], 0.5 * tool["length"]
             if tool["kind"] in ("none", "group"):
-                shown.append(None)
+                meshes.append(None)
                 continue
             solid = pyvista.Sphere(radius=radius if tool["kind"] != "grasp" else 0.3 * radius)
             if tool["kind"] == "capsule":
                 solid.points[:, 2] += np.where(solid.points[:, 2] > 0, half, -half)
-            shown.append((plotter.add_mesh(solid, color=TOOL, smooth_shading=True), np.array(solid.points), solid))
+            meshes.append(
+                (plotter.add_mesh(solid, color=TOOL_COLOUR, smooth_shading=True), np.array(solid.points), solid)
+            )
 
-        def put(frame: int) -> None:
-            moment, own = self.recording.moments[frame], int(np.searchsorted(starts, frame, side="right")) - 1
-            for k, parts in enumerate(shown):
+        def update(frame: int) -> None:
+            snapshot, present = self.recording.snapshots[frame], int(np.searchsorted(starts, frame, side="right")) - 1
+            for index, parts in enumerate(meshes):
                 if parts is None:
                     continue
                 actor, points, solid = parts
-                actor.visibility = k == own and moment.tool != "none"
-                turn = Rotation.from_quat(moment.quaternion, scalar_first=True)
-                solid.points = moment.position + turn.apply(points)
+                actor.visibility = index == present and snapshot.tool != "none"
+                rotation = Rotation.from_quat(snapshot.quaternion, scalar_first=True)
+                solid.points = snapshot.position + rotation.apply(points)
 
-        return put
+        return update

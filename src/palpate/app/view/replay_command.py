@@ -1,4 +1,4 @@
-"""``palpate replay``: a recording on the page, as a picture, as a film, or run again on the full model."""
+"""Command ``palpate replay``: shows or draws a recording, or replays it on the full model."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.console import Console, count_nodes, percent, print_plain, quantities_table
-from palpate.app.view.address import LOOPBACK, PORT
-from palpate.app.view.film import check_film, check_picture, drawn, write_film, write_picture
-from palpate.app.view.fullrun import full_model, path_of, run_full
-from palpate.app.view.recording import Recording, load_recording, save_recording
-from palpate.app.view.replay import Replay
+from palpate.app.view.film import RecordingPlotter, check_movie, check_picture, write_movie, write_picture
+from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK
+from palpate.app.view.session.full_model_replay import full_model, replay_on_full_model, tool_path
+from palpate.app.view.session.recording import Recording, load_recording, save_recording
+from palpate.app.view.session.replay import Replay
 from palpate.dynamics.run.progress import progress_bar
 from palpate.extras import require
 from palpate.faults import InputError
@@ -29,7 +29,7 @@ def replay(
     png: Path | None = None,
     movie: Path | None = None,
     scalar: str = "displacement",
-    port: int = PORT,
+    port: int = DEFAULT_PORT,
     host: str = LOOPBACK,
     browser: bool = True,
 ) -> int:
@@ -38,25 +38,38 @@ def replay(
     Parameters
     ----------
     file : path
-        Of a recording.
+        File of a recording.
     full : bool
-        Run the tool's path on the full model first, print the errors, and keep the full model's surface in the file.
+        First replay the tool's path on the full model, print the errors, and store its surface in the file.
     scene : str, optional
-        Scene of the full model, ``"module:function"``, where it is not one of palpate's; see
-        `palpate.app.view.fullrun.full_model`.
+        Scene of the full model, ``"module:function"``, if it is not one of palpate's; see
+        `palpate.app.view.session.full_model_replay.full_model`.
     png, movie : path, optional
-        Draw the moment of the largest force, or all, instead of serving a page.
+        Draw the snapshot of the largest force, or all snapshots, instead of serving a page.
     scalar : str
-        What colours in pictures tell.
+        Scalar that colours the pictures.
     port, host, browser
-        As for `palpate.app.view.command.view`; what is raised, too, and DivergenceError where the full model left the
-        range of sensible states. Returns 0.
+        As for `palpate.app.view.command.view`.
+
+    Returns
+    -------
+    int
+        0.
+
+    Raises
+    ------
+    InputError, FileFormatError, FileNotFoundError
+        An option is out of range, or the file is not a recording.
+    OSError
+        A file cannot be written.
+    DivergenceError
+        The full model diverged.
     """
     console = Console()
     if movie is not None:
-        check_film(movie)
+        check_movie(movie)
     if png is not None and png.suffix.lower() != ".png":
-        raise InputError(f"png = {str(png)!r}: allowed is a name that ends in .png")
+        raise InputError(f"png must end in .png, got {str(png)!r}; choose another name")
     if png is not None:
         check_picture()
     elif movie is None and not full:
@@ -65,46 +78,48 @@ def replay(
         if path is not None:
             check_folder(path.parent, name)
             if path.exists() and file.exists() and os.path.samefile(path, file):
-                raise InputError(f"{name} would replace the recording {str(file)!r} itself; choose another name")
+                raise InputError(f"{name} must not replace the recording, got {str(path)!r}; choose another name")
     if scene is not None and not full:
-        raise InputError("scene is for the run of the full model: add --full, or leave --scene out")
+        raise InputError(f"scene must be left out without --full, got {scene!r}; add --full")
     recording = load_recording(file)
     if full:
-        recording = replace(recording, full=_run_full(recording, scene, console))
+        recording = replace(recording, full=_replay_full(recording, scene, console))
         save_recording(file, recording)
     if png is not None or movie is not None:
         _draw(recording, scalar, png, movie, console)
     elif not full:
-        from palpate.app.view.stand import serve_show
+        from palpate.app.view.server.host import serve_source
 
-        serve_show(Replay(recording), console, port, host, browser)
+        serve_source(Replay(recording), console, port, host, browser)
     return 0
 
 
 def _draw(recording: Recording, scalar: str, png: Path | None, movie: Path | None, console: Console) -> None:
-    with drawn(recording, scalar) as draw:
+    with RecordingPlotter(recording, scalar) as draw:
         if png is not None:
             write_picture(png, recording, draw)
             console.say(f"drew {png}")
         if movie is not None:
-            with progress_bar("film", float(recording.times[-1]), True) as shown:
-                write_film(movie, recording, draw, shown)
+            with progress_bar("movie", float(recording.times[-1]), True) as shown:
+                write_movie(movie, recording, draw, shown)
             console.say(f"drew {movie}")
 
 
-def _run_full(recording: Recording, scene: str | None, console: Console) -> dict[str, Any]:
-    path_of(recording)  # what cannot be run is refused before a model is made
-    with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
+def _replay_full(recording: Recording, scene: str | None, console: Console) -> dict[str, Any]:
+    tool_path(recording)  # refuses unsuitable recordings before the model is made
+    with console.status(
+        "preparing the full model (the first run on a machine compiles it, which takes a minute or two)"
+    ):
         model = full_model(recording, scene)
-    console.say(f"running the recorded path on {count_nodes(len(model.cloud))} of the full model ...")
-    full = run_full(recording, model)
-    told = full["errors"]
+    console.say(f"replaying the recorded path on {count_nodes(len(model.cloud))} of the full model ...")
+    full = replay_on_full_model(recording, model)
+    errors = full["errors"]
     rows = {
-        "displacement of the surface, root mean square": percent(told["displacement"]),
-        "displacement, largest distance over the largest": percent(told["largest"]),
-        "force on the tool, mean distance over the largest": percent(told["force"]),
-        "largest force over the full model's": f"{1 + told['peak']:.3f}",
-        "computing time of the full model over the recorded time": f"{told['wall_seconds'] / told['seconds']:.3g}",
+        "displacement of the surface, root mean square": percent(errors["displacement"]),
+        "displacement, largest error over the largest": percent(errors["largest"]),
+        "force on the tool, mean error over the largest": percent(errors["force"]),
+        "largest force over the full model's": f"{1 + errors['peak']:.3f}",
+        "computing time of the full model over the recorded time": f"{errors['wall_seconds'] / errors['seconds']:.3g}",
     }
     table = quantities_table(f"{recording.title}: recorded against the full model", ["error"],
                              {name: [value] for name, value in rows.items()})  # fmt: skip

@@ -1,0 +1,121 @@
+// The scene: renderer, camera, body mesh, tool glyphs, and shadow.
+import * as three from "three";
+import { Shadow } from "./shadow.js";
+import { ForceArrow, SurfaceMarker, ToolGlyph } from "./toolGlyphs.js";
+import { OrbitCamera } from "./camera.js";
+import { BodyMesh, Overlay } from "./bodyMesh.js";
+import { pick } from "./pick.js";
+import { AdaptiveResolution } from "./adaptiveResolution.js";
+
+/** Whether WebGL renders in software; null without WebGL 2. */
+function usesSoftwareRendering() {
+  const context = document.createElement("canvas").getContext("webgl2");
+  if (!context) return null;
+  const info = context.getExtension("WEBGL_debug_renderer_info");
+  const name = context.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : context.RENDERER);
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
+export class Scene {
+  constructor(canvas) {
+    this.canvas = canvas;
+    const software = usesSoftwareRendering();
+    if (software === null) throw new Error("The page needs WebGL 2, which this browser does not support.");
+    this.orbitCamera = new OrbitCamera();
+    this.fine = !software || this.orbitCamera.still; // a still image may take longer
+    this.renderer = new three.WebGLRenderer({ canvas, antialias: this.fine, alpha: true, powerPreference: "high-performance" });
+    this.renderer.setClearAlpha(0);
+    this.resolution = new AdaptiveResolution(this.fine ? Math.min(devicePixelRatio, 2) : 1, this.orbitCamera.still);
+    this.graph = new three.Scene();
+    this.tool = new ToolGlyph(1, this.fine);
+    this.ghost = new ToolGlyph(0.5, this.fine);
+    this.arrow = new ForceArrow("#0b7285");
+    this.marker = new SurfaceMarker("#0b7285");
+    this.shadow = new Shadow(this.renderer, this.fine);
+    this.graph.add(this.shadow.plane, this.tool.group, this.ghost.group, this.arrow.group, this.marker.mesh);
+    this.body = this.overlay = null;
+    this.dirty = true;
+    new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
+    this.resize();
+  }
+
+  get camera() {
+    return this.orbitCamera.camera;
+  }
+
+  /** Replace the body mesh; the camera stays if the body is the same after a new connection. */
+  setBody(geometry) {
+    const known = this.body?.rest;
+    const same = known?.length === geometry.positions.length && known.every((part, k) => part === geometry.positions[k]);
+    if (this.body) {
+      this.graph.remove(this.body.mesh, this.overlay.lines);
+      this.body.dispose();
+    }
+    this.body = new BodyMesh(this.renderer, geometry, { fine: this.fine });
+    this.overlay = new Overlay(this.body, this.accent ?? "#0b7285");
+    this.graph.add(this.body.mesh, this.overlay.lines);
+    this.shadow.fit(this.body);
+    if (!same) this.orbitCamera.fitSphere(this.body.sphere);
+    this.dirty = true;
+  }
+
+  get size() {
+    return this.body ? 2 * this.body.sphere.radius : 1;
+  }
+
+  setColours(accent, dark) {
+    this.accent = accent;
+    this.arrow.setColour(accent);
+    this.marker.material.color.set(accent);
+    this.overlay?.lines.material.color.set(accent);
+    this.shadow.strength = dark ? 0.6 : 0.2;
+    this.dirty = true;
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(this.resolution.ratio);
+    this.renderer.setSize(width, height, false);
+    this.height = height;
+    this.width = width;
+    this.orbitCamera.resize(width / height, height);
+    this.dirty = true;
+  }
+
+  /** Normalised device coordinates (-1..1) of a pointer event. */
+  deviceCoordinates(event) {
+    const box = this.canvas.getBoundingClientRect();
+    return [(2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height];
+  }
+
+  pick(x, y) {
+    return this.body && pick(this.body, this.camera, x, y);
+  }
+
+  /** Pixel coordinates of a point in space. */
+  project(point) {
+    const { x, y } = new three.Vector3(...point).project(this.camera);
+    return [(0.5 + 0.5 * x) * this.width, (0.5 - 0.5 * y) * this.height];
+  }
+
+  metresPerPixel(point) {
+    return this.orbitCamera.metresPerPixel(this.height, point?.distanceTo(this.camera.position));
+  }
+
+  /** Render if anything has changed in the last seconds; returns whether it did. */
+  draw(seconds) {
+    const moved = this.orbitCamera.update(seconds);
+    if (!moved && !this.dirty) return false;
+    this.dirty = false;
+    if (this.resolution.addFrame(seconds)) this.resize();
+    if (this.body) {
+      this.body.material.uniforms.viewMatrixOf.value.copy(this.camera.matrixWorldInverse);
+      this.shadow.update(this.body, this.camera);
+      this.body.cullBackFaces(this.camera.position);
+    }
+    this.renderer.render(this.graph, this.camera);
+    return true;
+  }
+}

@@ -1,0 +1,70 @@
+"""WebSocket connections: a limited number, closed within a time limit, without log output."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection
+from websockets.frames import Frame, Opcode
+from websockets.protocol import Event
+
+__all__ = ["CLOSE_TIMEOUT", "MAX_CONNECTIONS", "CountedConnection", "client_logger", "close_connection", "unsent_bytes"]
+
+MAX_CONNECTIONS = 128  # including those that have not sent hello
+CLOSE_TIMEOUT = 2.0  # [s] for the closing handshake
+MAX_REASON_BYTES = 120  # of a closing frame, which has room for 123
+
+
+class CountedConnection(ServerConnection):
+    """A connection that is counted from its first byte; connections beyond `MAX_CONNECTIONS` are aborted."""
+
+    def __init__(self, *arguments: Any, counted: set[CountedConnection], **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._counted, self.pings = counted, 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._counted.add(self)
+        if len(self._counted) > MAX_CONNECTIONS:
+            self.transport.abort()
+
+    def process_event(self, event: Event) -> None:
+        self.pings += isinstance(event, Frame) and event.opcode is Opcode.PING
+        super().process_event(event)
+
+    def send_data(self) -> None:
+        """Write all pending data at once: thousands of pings may await answers after the client has left."""
+        pending = self.protocol.data_to_send()
+        data, ends = b"".join(pending), [b""] * pending.count(b"")
+        self.protocol.writes = [data, *ends] if data else ends
+        super().send_data()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._counted.discard(self)
+        super().connection_lost(exc)
+
+
+def client_logger() -> logging.Logger:
+    """Return a silent logger for errors of clients, any of which could otherwise flood the terminal."""
+    log = logging.getLogger("palpate.clients")
+    if not log.handlers:
+        log.addHandler(logging.NullHandler())
+    log.propagate = False
+    return log
+
+
+def unsent_bytes(socket: ServerConnection) -> int:
+    """Return the number of bytes in the send buffer of a connection."""
+    return int(socket.transport.get_write_buffer_size())
+
+
+async def close_connection(socket: ServerConnection, code: int, reason: str = "") -> None:
+    """Close a connection with a code and a shortened reason; abort it after `CLOSE_TIMEOUT`."""
+    short = reason.encode("utf-8", "backslashreplace")[:MAX_REASON_BYTES].decode("utf-8", "ignore")
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(CLOSE_TIMEOUT):
+            await socket.close(code, short)
+    socket.transport.abort()

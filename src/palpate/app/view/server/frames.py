@@ -1,0 +1,72 @@
+"""Binary frames of the protocol; docs/protocol.md describes every byte."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.view.session.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.reduction.realtime.display_surface import Surface
+
+__all__ = [
+    "FORCE", "GEOMETRY", "OVERLAY", "STATE", "colour_range", "force_frame", "geometry_frame", "overlay_body",
+    "pack_frame", "state_body",
+]  # fmt: skip
+
+Singles = NDArray[np.float32]
+
+GEOMETRY, STATE, OVERLAY, FORCE = 1, 2, 3, 4
+HEADER = struct.Struct("<4I")
+RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
+
+
+def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: int = 0) -> bytes:
+    """Return a frame: a header of 16 bytes and the body."""
+    return HEADER.pack(kind, sequence % 2**32, vertices, triangles) + body
+
+
+def geometry_frame(surface: Surface) -> bytes:
+    """Return the geometry frame of a surface: positions at rest and triangles."""
+    body = surface.rest.astype("<f4").tobytes() + surface.triangles.astype("<u4").tobytes()
+    return pack_frame(GEOMETRY, 0, len(surface.rest), body, len(surface.triangles))
+
+
+def state_body(surface: Surface, snapshot: Snapshot, scalar: str) -> bytes:
+    """Return the body of a state frame, without the header, which has a sequence number of each viewer."""
+    displacements = snapshot.displacements(surface)
+    values, low, high = np.zeros(0, dtype="<f4"), 0.0, 0.0
+    if scalar != "none":
+        values = snapshot.scalar(surface, scalar, displacements).astype("<f4")
+        low, high = colour_range(values)
+    numbers = np.array(
+        [
+            snapshot.time, snapshot.trust, *snapshot.force, *snapshot.moment, *snapshot.position, *snapshot.quaternion,
+            snapshot.kinetic, snapshot.strain, snapshot.computing, snapshot.lateness, snapshot.steps,
+            STATES.index(snapshot.state), TOOL_KINDS.index(snapshot.tool), low, high, snapshot.sequence,
+        ], dtype="<f8",
+    )  # fmt: skip
+    return numbers.tobytes() + (surface.rest + displacements).astype("<f4").tobytes() + values.tobytes()
+
+
+def colour_range(values: Singles) -> tuple[float, float]:
+    """Return the colour range of a scalar: from 0, or symmetric if there are negative values."""
+    high = float(np.percentile(np.abs(values), RANGE_PERCENTILE)) if len(values) else 0.0
+    return (-high if len(values) and values.min() < 0 else 0.0), high
+
+
+def overlay_body(positions: Singles) -> bytes:
+    """Return the body of an overlay frame: positions (n, 3) [m] of the full model."""
+    return positions.astype("<f4").tobytes()
+
+
+def force_frame(snapshot: Snapshot, sequence: int) -> bytes:
+    """Return a force frame: 23 numbers for the program of a haptic device."""
+    numbers = np.array(
+        [
+            snapshot.time, snapshot.trust, *snapshot.device_force, *snapshot.moment, *snapshot.stiffness.ravel(),
+            *snapshot.position, snapshot.steps, STATES.index(snapshot.state), snapshot.sequence,
+        ], dtype="<f8",
+    )  # fmt: skip
+    return pack_frame(FORCE, sequence, 0, numbers.tobytes())

@@ -1,0 +1,335 @@
+"""The server: viewers watch a session, and one of them drives it. See docs/protocol.md."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import json
+import logging
+import socket
+import time
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from palpate.app.view.server import frames
+from palpate.app.view.server.connection import (
+    CLOSE_TIMEOUT,
+    CountedConnection,
+    client_logger,
+    close_connection,
+    unsent_bytes,
+)
+from palpate.app.view.server.page import Page
+from palpate.app.view.server.streams import Streams
+from palpate.app.view.server.view_source import ViewSource
+from palpate.app.view.server.viewer import VIEWER_TOO_SLOW, Viewer
+from palpate.app.view.session.messages import MAX_MESSAGE_BYTES, PROTOCOL, Message, parse_message
+from palpate.faults import InputError
+from palpate.files import shortened
+
+__all__ = ["SUBPROTOCOL", "Server"]
+
+SUBPROTOCOL = Subprotocol("palpate.v2")
+WRONG_TOKEN, INVALID_MESSAGES, TOO_MANY_VIEWERS = 4401, 4400, 4429  # closing codes; also VIEWER_TOO_SLOW
+GOING_AWAY, SERVER_ERROR = 1001, 1011
+HELLO_TIMEOUT = 5.0  # [s]
+PING_INTERVAL, PING_TIMEOUT = 5.0, 10.0  # [s]
+DRIVER_TIMEOUT = 10.0  # [s] without a message of the driver after which another viewer may drive
+NO_VIEWERS, VIEWERS_LEFT = "no viewers", "viewers left"  # reasons of a pause
+TICK_INTERVAL, STATISTICS_INTERVAL = 0.1, 0.5  # [s]
+MAX_VIEWERS = 16
+MAX_UNSENT_BYTES = 2**22  # of a connection, in addition to two geometry frames
+BATCH_SIZE = 32  # messages read before other tasks run
+MAX_PINGS = 100  # of a connection between two ticks
+MAX_MESSAGE_RATE = 2000  # [1/s] of a viewer; further messages wait
+LOG = logging.getLogger(__name__)
+DRIVER_MESSAGES = ("pose", "tool", "release", "control", "speed", "material", "record", "replay")
+
+
+class Server:
+    """Serves the page and the socket.
+
+    Parameters
+    ----------
+    source : Session or Replay
+    page : Page
+    token : str
+        Secret that admits a viewer.
+    """
+
+    def __init__(self, source: ViewSource, page: Page, token: str) -> None:
+        self.source, self.page, self._token = source, page, token
+        self.viewers: list[Viewer] = []
+        self.driver: Viewer | None = None
+        self._connections: set[CountedConnection] = set()
+        self._last_status = ""
+        self._streams = Streams(source)
+        self._logged: set[str] = set()
+        self._max_unsent = MAX_UNSENT_BYTES + 2 * len(frames.geometry_frame(source.surface))
+
+    async def run(self, listening: socket.socket, ready: Callable[[], None] = lambda: None) -> None:
+        """Serve on a listening socket until cancelled; calls `ready` once clients are answered."""
+        async with serve(
+            self._serve_connection, sock=listening, process_request=self._answer_request,
+            subprotocols=[SUBPROTOCOL], compression=None, max_size=MAX_MESSAGE_BYTES, max_queue=32,
+            server_header=None, close_timeout=CLOSE_TIMEOUT,
+            ping_interval=PING_INTERVAL, ping_timeout=PING_TIMEOUT, logger=client_logger(),
+            create_connection=partial(CountedConnection, counted=self._connections),  # type: ignore[arg-type]
+        ):  # fmt: skip
+            ready()
+            try:
+                await self._run_clock()
+            finally:
+                closing = [close_connection(each, GOING_AWAY, "the session ended") for each in self._connections]
+                await asyncio.gather(*closing)
+
+    async def _answer_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        return self.page.answer(request)
+
+    # periodic work
+
+    async def _run_clock(self) -> None:
+        last_statistics = 0.0
+        if not self.viewers:
+            self.source.pause(NO_VIEWERS)
+        while True:
+            try:
+                self.source.tick()
+                if time.monotonic() - last_statistics > STATISTICS_INTERVAL:
+                    last_statistics = time.monotonic()
+                    self._broadcast({"type": "statistics", **self.source.statistics()})
+                while self.source.notifications:
+                    self._broadcast(self.source.notifications.pop(0))
+                self._broadcast_status()
+            except Exception as error:  # of the source; it must not end the server or a viewer
+                self._log_error("the session", error)
+            self._close_stalled()
+            await asyncio.sleep(TICK_INTERVAL)
+
+    def _close_stalled(self) -> None:
+        """Abort connections that do not read; close those of unresponsive viewers."""
+        for connection in list(self._connections):
+            if unsent_bytes(connection) > self._max_unsent or connection.pings > MAX_PINGS:
+                connection.transport.abort()
+            connection.pings = 0
+        for viewer in self._ready_viewers():
+            if viewer.is_unresponsive and not viewer.closing:
+                viewer.closing = True
+                self._schedule(viewer, close_connection(viewer.socket, VIEWER_TOO_SLOW, "frames are not acknowledged"))
+
+    def _log_error(self, where: str, error: BaseException) -> None:
+        """Log an unexpected error; the same error only once."""
+        text = shortened(f"{where} failed: {type(error).__name__}: {error}", 200)
+        if text not in self._logged:
+            self._logged.add(text)
+            LOG.error("%s; the server continues", text, exc_info=error if LOG.isEnabledFor(logging.DEBUG) else None)
+
+    def _broadcast_status(self) -> None:
+        status = self.source.status()
+        tool = {name: value for name, value in status["tool"].items() if name not in ("position", "quaternion")}
+        text = repr(({**status, "tool": tool}, len(self.viewers), id(self.driver)))
+        if text == self._last_status:
+            return
+        self._last_status = text
+        for viewer in self._ready_viewers():
+            self._schedule(viewer, self._send_to(viewer, _to_json(self._status_message(viewer, status))))
+
+    def _status_message(self, viewer: Viewer, status: dict[str, Any]) -> dict[str, Any]:
+        properties = {"driver": viewer is self.driver, "viewers": len(self.viewers), "recording": False}
+        return {"type": "status", **properties, **status}
+
+    def _ready_viewers(self) -> list[Viewer]:
+        return [viewer for viewer in self.viewers if viewer.ready]
+
+    def _broadcast(self, message: dict[str, Any]) -> None:
+        text = _to_json(message)
+        for viewer in self._ready_viewers():
+            self._schedule(viewer, self._send_to(viewer, text))
+
+    def _schedule(self, viewer: Viewer, work: Coroutine[Any, Any, None]) -> None:
+        """Run a coroutine for a viewer in the background; it must have a time limit."""
+
+        def done(task: asyncio.Future[None]) -> None:
+            viewer.tasks.discard(task)
+            if not task.cancelled() and (error := task.exception()) is not None:
+                self._log_error("a viewer's connection", error)
+
+        task = asyncio.ensure_future(work)
+        viewer.tasks.add(task)
+        task.add_done_callback(done)
+
+    @staticmethod
+    async def _send_to(viewer: Viewer, text: str) -> None:
+        with contextlib.suppress(ConnectionClosed):
+            await viewer.send(text)
+
+    # viewers
+
+    async def _serve_connection(self, connection: ServerConnection) -> None:
+        """Serve a connection until it ends; an unexpected error ends only this connection."""
+        try:
+            viewer = await self._admit(connection)
+            if viewer is not None:
+                await self._serve_viewer(viewer)
+        except* ConnectionClosed:
+            pass
+        except* Exception as errors:
+            self._log_error("a viewer's connection", _first_error(errors))
+            await close_connection(connection, SERVER_ERROR, "internal error; see the log of the server")
+
+    async def _serve_viewer(self, viewer: Viewer) -> None:
+        try:
+            self._add_viewer(viewer)
+            await viewer.send_message(self._hello_message(viewer))
+            await viewer.send(frames.geometry_frame(self.source.surface))
+            await viewer.send_message(self._status_message(viewer, self.source.status()))
+            viewer.ready = True
+            async with asyncio.TaskGroup() as group:
+                senders = (self._streams.send_states, self._streams.send_forces)
+                streams = [group.create_task(send(viewer)) for send in senders]
+                processing = group.create_task(self._process_queue(viewer))
+                await self._receive(viewer)
+                viewer.queue.close()
+                await processing
+                for stream in streams:
+                    stream.cancel()
+        finally:
+            self._remove_viewer(viewer)
+
+    async def _admit(self, connection: ServerConnection) -> Viewer | None:
+        """Wait for hello with the token and return the viewer; otherwise close the connection and return None."""
+        try:
+            async with asyncio.timeout(HELLO_TIMEOUT):
+                hello = parse_message(await connection.recv())
+        except TimeoutError:
+            await close_connection(connection, WRONG_TOKEN, f"hello must arrive within {HELLO_TIMEOUT:g} s")
+            return None
+        except InputError as error:
+            await close_connection(connection, WRONG_TOKEN, str(error))
+            return None
+        if hello["type"] != "hello" or not hmac.compare_digest(hello["token"].encode(), self._token.encode()):
+            await close_connection(connection, WRONG_TOKEN, "wrong token; open the address that palpate view prints")
+            return None
+        if hello["protocol"] != PROTOCOL:
+            reason = f"protocol must be {PROTOCOL}, got {hello['protocol']}; reload the page"
+            await close_connection(connection, INVALID_MESSAGES, reason)
+            return None
+        if len(self.viewers) >= MAX_VIEWERS:
+            await close_connection(connection, TOO_MANY_VIEWERS, f"at most {MAX_VIEWERS} viewers; close another page")
+            return None
+        return Viewer(connection)
+
+    def _add_viewer(self, viewer: Viewer) -> None:
+        self.viewers.append(viewer)
+        if self.driver is None:
+            self.driver, viewer.last_drive = viewer, time.monotonic()
+        if len(self.viewers) == 1 and self.source.pause_reason in (NO_VIEWERS, VIEWERS_LEFT):
+            with contextlib.suppress(InputError):  # a diverged state waits for a reset
+                self.source.resume()
+
+    def _remove_viewer(self, viewer: Viewer) -> None:
+        self.viewers.remove(viewer)
+        for task in list(viewer.tasks):
+            task.cancel()
+        try:
+            if viewer is self.driver:
+                self.driver = None
+                self.source.release()
+        finally:
+            if not self.viewers:
+                self.source.pause(VIEWERS_LEFT)
+
+    def _hello_message(self, viewer: Viewer) -> dict[str, Any]:
+        surface = self.source.surface
+        return {
+            "type": "hello", "protocol": PROTOCOL, "title": self.source.title, "driver": viewer is self.driver,
+            "viewers": len(self.viewers), "mode": self.source.mode, "vertices": len(surface.rest),
+            "triangles": len(surface.triangles), "spacing": surface.model.cloud.spacing,
+            "bounds": [surface.rest.min(axis=0).tolist(), surface.rest.max(axis=0).tolist()], **self.source.hello(),
+        }  # fmt: skip
+
+    # messages of viewers
+
+    async def _receive(self, viewer: Viewer) -> None:
+        """Receive messages of a viewer until it leaves."""
+        count, batch_start = 0, time.monotonic()
+        async for text in viewer.socket:
+            count, viewer.last_message = count + 1, time.monotonic()
+            if count % BATCH_SIZE == 0:  # lets other tasks run during a flood of messages
+                await asyncio.sleep(max(0.0, batch_start + BATCH_SIZE / MAX_MESSAGE_RATE - time.monotonic()))
+                batch_start = time.monotonic()
+            try:
+                message = parse_message(text)
+            except InputError as error:
+                if viewer.count_invalid_message():
+                    await close_connection(viewer.socket, INVALID_MESSAGES, "too many invalid messages")
+                    return
+                await viewer.send_message({"type": "error", "reason": str(error)})
+                continue
+            viewer.invalid_messages = 0
+            await viewer.queue.put(message)
+
+    async def _process_queue(self, viewer: Viewer) -> None:
+        while (message := await viewer.queue.get()) is not None:
+            try:
+                await self._process(viewer, message)
+            except InputError as error:
+                await viewer.send_message({"type": "error", "reason": str(error)})
+            await asyncio.sleep(0)
+
+    async def _process(self, viewer: Viewer, message: Message) -> None:
+        kind = message["type"]
+        if kind == "ack":
+            if not viewer.acknowledge(message["sequence"]):
+                raise InputError(
+                    f"ack: sequence must be at most {viewer.sent}, got {message['sequence']}; acknowledge sent frames"
+                )
+        elif kind == "latency":
+            await viewer.send_message(message)
+        elif kind == "show":
+            allowed = (*self.source.surface.scalars, "none")
+            if message["scalar"] not in allowed:
+                names = ", ".join(map(repr, allowed))
+                raise InputError(f"show: scalar must be one of {names}, got {message['scalar']!r}; choose one of these")
+            viewer.scalar = message["scalar"]
+        elif kind == "force":
+            viewer.set_force_rate(message["rate"])
+        elif kind == "drive":
+            self._grant_control(viewer)
+        elif kind in DRIVER_MESSAGES:
+            if viewer is not self.driver:
+                raise InputError(f"{kind}: sender must be the driver, got another viewer; send 'drive' first")
+            viewer.last_drive = time.monotonic()
+            self.source.handle(message)
+        else:
+            raise InputError(f"type must not be {kind!r} after the first message; see docs/protocol.md")
+
+    def _grant_control(self, viewer: Viewer) -> None:
+        now = time.monotonic()
+        if self.driver is not None and self.driver is not viewer and now - self.driver.last_drive < DRIVER_TIMEOUT:
+            raise InputError(
+                f"drive: the driver must be silent for {DRIVER_TIMEOUT:g} s, got "
+                f"{now - self.driver.last_drive:.1f} s; try again later"
+            )
+        if self.driver is not viewer:
+            self.source.release()
+        self.driver, viewer.last_drive = viewer, now
+
+
+def _to_json(message: dict[str, Any]) -> str:
+    return json.dumps(message, allow_nan=False)
+
+
+def _first_error(errors: BaseExceptionGroup) -> BaseException:
+    """Return the first error in a group of groups."""
+    error: BaseException = errors
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return error

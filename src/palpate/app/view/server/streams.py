@@ -1,0 +1,105 @@
+"""Streams of state and force frames to viewers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from typing import Any, NamedTuple
+
+from palpate.app.view.server import frames
+from palpate.app.view.server.view_source import ViewSource
+from palpate.app.view.server.viewer import Viewer
+
+__all__ = ["Streams"]
+
+STATE_INTERVAL = 1 / 60  # [s] between state frames of a viewer
+PRECISE_WAIT = 0.01  # [s]: shorter waits use the system's sleep
+POLL_INTERVAL = 0.01  # [s] between checks for a new state
+UNCHANGED_INTERVAL = 0.1  # [s] between force frames of the same period
+MAX_BACKLOG = 0.005  # [s] of force frames that are sent late; older ones are dropped
+
+
+class _CachedState(NamedTuple):
+    """Body of a state frame, its key, when it was made [s], and the time of its snapshot [s]."""
+
+    key: Any
+    created: float
+    time: float
+    body: bytes
+
+
+class Streams:
+    """Sends frames of a view source to viewers.
+
+    Parameters
+    ----------
+    source : Session or Replay
+    """
+
+    def __init__(self, source: ViewSource) -> None:
+        self.source = source
+        self._states: dict[str, _CachedState] = {}
+
+    async def send_states(self, viewer: Viewer) -> None:
+        """Send the newest state whenever it has changed and the viewer has acknowledged earlier frames."""
+        sent_key: Any = None
+        while True:
+            await viewer.may_send_frame.wait()
+            start = time.monotonic()
+            state = self._state(viewer.scalar)
+            if state.key == sent_key:
+                await asyncio.sleep(POLL_INTERVAL)
+                continue
+            sent_key, sequence, vertices = state.key, viewer.next_frame(), len(self.source.surface.rest)
+            positions = self.source.overlay(state.time)
+            if positions is not None:
+                overlay = frames.overlay_body(positions)
+                await viewer.send(frames.pack_frame(frames.OVERLAY, sequence, vertices, overlay))
+            await viewer.send(frames.pack_frame(frames.STATE, sequence, vertices, state.body))
+            await asyncio.sleep(max(0.0, start + STATE_INTERVAL - time.monotonic()))
+
+    def _state(self, scalar: str) -> _CachedState:
+        """Return the newest state with a scalar, shared between viewers for half a state interval."""
+        snapshot = self.source.snapshot()
+        key = (scalar, snapshot.steps, snapshot.time, snapshot.state, snapshot.tool, snapshot.sequence,
+               *snapshot.position)  # fmt: skip
+        cached = self._states.get(scalar)
+        if cached is None or (cached.key != key and time.monotonic() - cached.created > 0.5 * STATE_INTERVAL):
+            body = frames.state_body(self.source.surface, snapshot, scalar)
+            cached = self._states[scalar] = _CachedState(key, time.monotonic(), snapshot.time, body)
+        return cached
+
+    async def send_forces(self, viewer: Viewer) -> None:
+        """Send force frames at the viewer's rate, and at a low rate while the period does not change."""
+        sequence, due, steps, sent = 0, 0.0, -1, 0.0
+        while True:
+            if viewer.force_rate_changed.is_set() or viewer.force_rate == 0.0:
+                await viewer.force_rate_changed.wait()
+                viewer.force_rate_changed.clear()
+                due = time.monotonic()
+                continue
+            if await _wait_for(viewer.force_rate_changed, due - time.monotonic()):
+                continue
+            due = max(due + 1 / viewer.force_rate, time.monotonic() - MAX_BACKLOG)
+            snapshot = self.source.snapshot()
+            if snapshot.steps == steps and time.monotonic() - sent < UNCHANGED_INTERVAL:
+                continue
+            steps, sent, sequence = snapshot.steps, time.monotonic(), sequence + 1
+            await viewer.send(frames.force_frame(snapshot, sequence))
+
+
+async def _wait_for(event: asyncio.Event, seconds: float) -> bool:
+    """Wait for an event for at most a duration [s]; return whether it occurred.
+
+    Short waits are precise to a fraction of a millisecond; asyncio rounds its timeouts up to whole milliseconds.
+    """
+    if 0.0 < seconds < PRECISE_WAIT:
+        await asyncio.to_thread(time.sleep, seconds)
+    elif seconds > 0.0:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await event.wait()
+    else:
+        await asyncio.sleep(0)
+    return event.is_set()

@@ -1,0 +1,51 @@
+"""The interface between the server and what it shows: a session or a replay."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from palpate.app.view.session.messages import Message
+from palpate.app.view.session.snapshot import Snapshot
+from palpate.reduction.realtime.display_surface import Surface
+
+__all__ = ["ViewSource"]
+
+
+class ViewSource(Protocol):
+    """A session or a replay."""
+
+    mode: str
+    title: str
+    surface: Surface
+    pause_reason: str | None
+    notifications: list[dict[str, Any]]  # messages still to be sent to all viewers
+
+    def snapshot(self) -> Snapshot:
+        """Return the present snapshot."""
+
+    def hello(self) -> dict[str, Any]:
+        """Return the constant properties for `hello`."""
+
+    def status(self) -> dict[str, Any]:
+        """Return the properties that change rarely, for `status`."""
+
+    def statistics(self) -> dict[str, Any]:
+        """Return deadline statistics."""
+
+    def handle(self, message: Message) -> None:
+        """Execute a message of the driver."""
+
+    def tick(self) -> None:
+        """Do periodic work; called several times a second."""
+
+    def pause(self, reason: str | None = None) -> None:
+        """Pause."""
+
+    def resume(self) -> None:
+        """Resume."""
+
+    def release(self) -> None:
+        """Put the tool away."""
+
+    def overlay(self, time: float) -> Any:
+        """Return positions (n, 3) of the full model at the time of a snapshot, or None."""

@@ -1,0 +1,234 @@
+"""Replay of a recorded tool path on the full model, and the errors of the recorded reduced model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from palpate.app.view.session.recording import MAX_DURATION, Recording
+from palpate.app.view.session.snapshot import Snapshot
+from palpate.dynamics.contact.tools import Capsule, Contact, Grasp, Sphere
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.trajectory import Trajectory
+from palpate.faults import InputError
+from palpate.files import shortened
+from palpate.reduction.realtime.display_surface import Surface
+from palpate.scenes.training import TRAINING, search_current_folder, training_scene, typed
+
+__all__ = ["full_model", "replay_errors", "replay_on_full_model", "tool_path"]
+
+Floats = NDArray[np.float64]
+
+MAX_INITIAL_DISPLACEMENT = 0.02  # of the body when the tool comes, as a fraction of the spacing
+POINT_TOLERANCE = 1e-6  # between equal points of two bodies, as a fraction of the spacing
+MIN_SNAPSHOTS = 3
+TOOL_NAME = "tool"
+
+
+def full_model(recording: Recording, trusted_scene: str | None = None) -> Model:
+    """Return the full model of the scene that the recorded model was trained on.
+
+    Names in a file are never imported: without `trusted_scene` the scene must be one of palpate's own.
+
+    Parameters
+    ----------
+    recording : Recording
+    trusted_scene : str, optional
+        Scene that the user trusts, ``"module:function"``; it must equal the one in the recording.
+
+    Raises
+    ------
+    InputError
+        The recording names no scene, a scene other than `trusted_scene`, or a scene that is not palpate's; or the
+        scene's body is not the recorded one.
+    """
+    scene_record = recording.model.report.get("scene")
+    if not scene_record:
+        raise InputError(
+            "recording must have a model that names its training scene, got one without; train the model by "
+            "`palpate train SCENE`"
+        )
+    scene = scene_record["name"]
+    if trusted_scene is not None and trusted_scene != scene:
+        raise InputError(f"scene must be {scene!r}, on which the recorded model was trained, got {trusted_scene!r}")
+    if trusted_scene is None and scene not in TRAINING:
+        raise InputError(
+            f"scene of the recording must be one of {', '.join(TRAINING)}, got {shortened(scene)!r}; names in a file "
+            "are not imported: add --scene MODULE:FUNCTION if you trust that module"
+        )
+    if trusted_scene is not None:
+        search_current_folder()
+    parameters, cloud = typed(scene, scene_record["parameters"]), recording.model.cloud
+    if "spacing" in parameters and not np.isclose(parameters["spacing"], cloud.spacing, rtol=1e-6):
+        raise InputError(
+            f"spacing of the scene must be that of the recorded body, {cloud.spacing:g} m, got "
+            f"{parameters['spacing']:g} m; record the session again"
+        )
+    model = training_scene(scene, scene_record["parameters"]).model
+    points, tolerance = model.cloud.points, POINT_TOLERANCE * cloud.spacing
+    if points.shape != cloud.points.shape or not np.allclose(points, cloud.points, atol=tolerance):
+        raise InputError(
+            f"body of scene {scene!r} must be the recorded one, got different points; record the session again"
+        )
+    return model
+
+
+def tool_path(recording: Recording) -> tuple[slice, dict[str, Any]]:
+    """Return the range of snapshots with an active tool, and the description of the tool.
+
+    Raises
+    ------
+    InputError
+        The recording has no active tool or several ones, the body was not at rest at first, the session was reset, or
+        the moduli were changed.
+    """
+    active = np.array([snapshot.tool != "none" for snapshot in recording.snapshots])
+    if not active.any():
+        raise InputError("recording must have an active tool, got none; record a press or a grasp")
+    first, last = int(np.argmax(active)), len(active) - int(np.argmax(active[::-1]))
+    part = slice(first, last)
+    ends = [tool["start"] for tool in recording.tools[1:]] + [len(active)]
+    tools = [tool for tool, end in zip(recording.tools, ends, strict=True) if tool["start"] < last and end > first]
+    if not active[part].all() or len(tools) > 1:
+        raise InputError(
+            "recording must have a single press or grasp, got a tool that was released or changed; record one at a time"
+        )
+    snapshots, kind = recording.snapshots[part], tools[0]["kind"]
+    _check_path(recording, snapshots, kind)
+    return part, tools[0]
+
+
+def _check_path(recording: Recording, snapshots: list[Snapshot], kind: str) -> None:
+    """Raise InputError for a path that the full model cannot follow."""
+    model, times = recording.model, np.array([snapshot.time for snapshot in snapshots])
+    if any(snapshot.tool != kind for snapshot in snapshots):
+        raise InputError(f"tools of the snapshots must all be {kind!r}, got another one; record the session again")
+    if kind == "group" and len(model.data.prescribed) != 1:
+        raise InputError(
+            f"model must have one prescribed group, got {len(model.data.prescribed)}; record the session again"
+        )
+    if times[-1] - times[0] > 2 * MAX_DURATION:
+        raise InputError(
+            f"model time of a recording must be at most {2 * MAX_DURATION:g} s, got {times[-1] - times[0]:g} s; "
+            "record the session again"
+        )
+    if any(snapshot.modulus_ratio != 1.0 for snapshot in snapshots):
+        raise InputError("modulus_ratio must be 1 for --full, got another one; record without changing the moduli")
+    if np.any(np.diff(times) < 0):
+        raise InputError("time must not decrease for --full, got a reset of the session; record without a reset")
+    displacement = float(np.abs(snapshots[0].displacements(Surface(model))).max())
+    limit = MAX_INITIAL_DISPLACEMENT * model.cloud.spacing
+    if displacement > limit:
+        raise InputError(
+            f"initial displacement must be at most {1e3 * limit:.2g} mm for --full, got {1e3 * displacement:.2g} mm; "
+            "let the body come to rest before the tool touches it"
+        )
+
+
+def replay_on_full_model(recording: Recording, model: Model | None = None) -> dict[str, Any]:
+    """Run the recorded tool path on the full model.
+
+    Parameters
+    ----------
+    recording : Recording
+    model : Model, optional
+        By default the model of the scene.
+
+    Returns
+    -------
+    dict
+        ``"times"`` (f,) [s] of the recording, ``"positions"`` (f, n, 3) [m] of the surface, ``"force"`` (f, 3) [N] on
+        the tool, and ``"errors"``, the result of `replay_errors`.
+
+    Raises
+    ------
+    InputError
+        The recording is not suitable.
+    DivergenceError
+        The full model diverged.
+    """
+    part, tool = tool_path(recording)
+    model = model or full_model(recording)
+    snapshots = recording.snapshots[part]
+    model_times = np.array([snapshot.time for snapshot in snapshots])
+    keep = np.concatenate([[True], np.diff(model_times) > 0])  # one snapshot of a pause
+    times, wall = model_times[keep] - model_times[0], recording.times[part][keep]
+    snapshots = [snapshot for snapshot, kept in zip(snapshots, keep, strict=True) if kept]
+    if len(times) < MIN_SNAPSHOTS:
+        raise InputError(
+            f"the tool must be active in at least {MIN_SNAPSHOTS} snapshots, got {len(times)}; record for longer"
+        )
+    load = _make_load(recording, tool, snapshots, times)
+    every = float(times[-1] / (len(times) - 1))
+    run = rollout(model, [load], duration=float(times[-1]), every=every)
+    surface = Surface(recording.model)
+    at = np.array([int(np.argmin(np.abs(run.times - t))) for t in times])
+    displacements = run.displacements[at][:, surface.nodes]
+    if isinstance(load, Contact):
+        displacements = np.array([surface.met(each) for each in displacements])
+    force = -run.reactions[load.group if isinstance(load, PrescribedMotion) else TOOL_NAME][at]
+    return {
+        "times": wall, "positions": (surface.rest + displacements).astype(np.float32), "force": force,
+        "errors": replay_errors(surface, snapshots, displacements, force, run),
+    }  # fmt: skip
+
+
+def _make_load(recording: Recording, tool: dict[str, Any], snapshots: list[Snapshot], times: Floats) -> Load:
+    positions = np.array([snapshot.position for snapshot in snapshots])
+    quaternions = np.array([snapshot.quaternion for snapshot in snapshots])
+    if tool["kind"] in ("sphere", "capsule"):
+        radius = tool["radius"]
+        shape = Sphere(radius) if tool["kind"] == "sphere" else Capsule(radius, tool["length"])
+        return Contact(shape, (times, positions, quaternions), friction=tool["friction"], name=TOOL_NAME)
+    rotations = Rotation.from_quat(quaternions, scalar_first=True)
+    relative = rotations * rotations[0].inv()
+    if tool["kind"] == "grasp":
+        return Grasp(
+            positions[0], tool["radius"], (times, positions, relative.as_quat(scalar_first=True)), name=TOOL_NAME
+        )
+    group = recording.model.data.prescribed[0]
+    centre = recording.model.cloud.points[recording.model.cloud.group(group)].mean(axis=0)
+    centre, rotation_at = np.pad(centre, (0, 3 - len(centre))), Slerp(times, rotations)
+
+    def displacement(points: Floats, time: float) -> Floats:
+        at = float(np.clip(time, times[0], times[-1]))
+        arms = np.pad(points, ((0, 0), (0, 3 - points.shape[1]))) - centre
+        place = np.array([np.interp(at, times, column) for column in positions.T])
+        return np.asarray(place - centre + rotation_at(at).apply(arms) - arms)
+
+    return PrescribedMotion(group, displacement)
+
+
+def replay_errors(
+    surface: Surface, snapshots: list[Snapshot], displacements: Floats, force: Floats, run: Trajectory
+) -> dict[str, float]:
+    """Return the relative errors of recorded snapshots against the full model.
+
+    Returns
+    -------
+    dict
+        ``"displacement"``: root mean square of the error over that of the displacement, over surface and time.
+        ``"largest"``: largest error of a vertex over the largest displacement. ``"force"``: mean error of the tool's
+        force over the largest force. ``"peak"``: relative error of the largest force. ``"wall_seconds"``: computing
+        time of the full model. ``"seconds"``: duration of the path.
+    """
+    recorded = np.array([snapshot.displacements(surface) for snapshot in snapshots])
+    tool_forces = np.array([snapshot.force for snapshot in snapshots])
+    size, peak = float(np.linalg.norm(displacements)), float(np.linalg.norm(force, axis=1).max())
+    if not size > 0 or not peak > 0:
+        raise InputError("tool must touch the full model for a comparison, got no contact; record a deeper press")
+    largest = float(np.linalg.norm(displacements, axis=2).max())
+    return {
+        "displacement": float(np.linalg.norm(recorded - displacements)) / size,
+        "largest": float(np.linalg.norm(recorded - displacements, axis=2).max()) / largest,
+        "force": float(np.linalg.norm(tool_forces - force, axis=1).mean()) / peak,
+        "peak": float(np.linalg.norm(tool_forces, axis=1).max()) / peak - 1.0,
+        "wall_seconds": float(run.wall_seconds),
+        "seconds": float(run.times[-1]),
+    }

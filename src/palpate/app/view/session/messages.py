@@ -1,0 +1,163 @@
+"""Messages of clients: JSON objects, validated on arrival. See docs/protocol.md."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from palpate.faults import InputError
+from palpate.files import json_of, shortened
+
+__all__ = ["MAX_MESSAGE_BYTES", "PROTOCOL", "Message", "parse_message", "validate_message"]
+
+PROTOCOL = 2
+MAX_MESSAGE_BYTES = 64 * 1024
+MAX_COORDINATE = 10.0  # [m] of a position
+MAX_TEXT_LENGTH = 200  # characters
+SEE_DOCS = "see docs/protocol.md"
+MIN_FORCE_RATE, MAX_FORCE_RATE = 1.0, 1000.0  # [Hz] of force frames
+
+Message = dict[str, Any]
+Check = Callable[[str, Any], Any]
+
+
+def _number(low: float, high: float, *, open_low: bool = False) -> Check:
+    """Return a check for a number in a range."""
+
+    def check(name: str, value: Any) -> float:
+        good = isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
+        if not good or (open_low and value == low):
+            above = "above" if open_low else "from"
+            raise InputError(f"{name} must be a number {above} {low:g} to {high:g}, got {_short(value)}; {SEE_DOCS}")
+        return float(value)
+
+    return check
+
+
+def _vector(count: int) -> Check:
+    def check(name: str, value: Any) -> list[float]:
+        if not isinstance(value, list) or len(value) != count:
+            raise InputError(f"{name} must be a list of {count} numbers, got {_short(value)}; {SEE_DOCS}")
+        return [_number(-MAX_COORDINATE, MAX_COORDINATE)(name, entry) for entry in value]
+
+    return check
+
+
+def _unit_quaternion(name: str, value: Any) -> list[float]:
+    quaternion: list[float] = _vector(4)(name, value)
+    length = math.sqrt(sum(part * part for part in quaternion))
+    if length < 1e-6:
+        raise InputError(f"{name} must be a non-zero quaternion, got {quaternion}; use [1, 0, 0, 0] for no rotation")
+    return [part / length for part in quaternion]
+
+
+def _whole_number(name: str, value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**53:
+        raise InputError(f"{name} must be a whole number from 0 to 2^53, got {_short(value)}; {SEE_DOCS}")
+    return value
+
+
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str) or len(value) > MAX_TEXT_LENGTH:
+        raise InputError(
+            f"{name} must be text of at most {MAX_TEXT_LENGTH} characters, got {_short(value)}; shorten it"
+        )
+    return value
+
+
+def _one_of(*names: str) -> Check:
+    def check(name: str, value: Any) -> str:
+        if not isinstance(value, str) or value not in names:
+            allowed = ", ".join(map(repr, names))
+            raise InputError(f"{name} must be one of {allowed}, got {_short(value)}; choose one of these")
+        return value
+
+    return check
+
+
+def _or_none(check: Check) -> Check:
+    return lambda name, value: None if value is None else check(name, value)
+
+
+def _rate(name: str, value: Any) -> float:
+    if value == 0 and not isinstance(value, bool):
+        return 0.0
+    return float(_number(MIN_FORCE_RATE, MAX_FORCE_RATE)(f"{name} (0 for no frames)", value))
+
+
+def _stamp(name: str, value: Any) -> Any:
+    good = value is None or (isinstance(value, str) and len(value) <= MAX_TEXT_LENGTH)
+    if not good and (isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)):
+        allowed = f"a finite number, text of at most {MAX_TEXT_LENGTH} characters, or null"
+        raise InputError(f"{name} must be {allowed}, got {_short(value)}; {SEE_DOCS}")
+    return value
+
+
+def _short(value: Any) -> str:
+    return shortened(repr(value))
+
+
+REQUIRED = object()  # marks a field without default
+_TOOL: dict[str, tuple[Check, Any]] = {
+    "kind": (_one_of("sphere", "capsule", "grasp"), REQUIRED),
+    "radius": (_number(1e-4, 1.0), 0.015),
+    "length": (_number(1e-4, 1.0), 0.04),
+    "friction": (_number(0.0, 2.0), 0.2),
+    "stiffness": (_or_none(_number(1.0, 1e4)), None),
+    "position": (_vector(3), REQUIRED),
+    "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
+    "sequence": (_whole_number, 0),
+}
+# fields of each type of message: check and default
+FIELDS: dict[str, dict[str, tuple[Check, Any]]] = {
+    "hello": {"protocol": (_whole_number, REQUIRED), "token": (_text, REQUIRED), "name": (_text, "")},
+    "ack": {"sequence": (_whole_number, REQUIRED)},
+    "pose": {
+        "position": (_vector(3), REQUIRED), "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),
+        "sequence": (_whole_number, 0),
+    },
+    "tool": _TOOL,
+    "release": {},
+    "drive": {},
+    "control": {"action": (_one_of("reset", "pause", "resume"), REQUIRED)},
+    "speed": {"factor": (_number(0.05, 1.0), REQUIRED)},
+    "show": {"scalar": (_one_of("displacement", "stress", "pressure", "none"), REQUIRED)},
+    "material": {"name": (_text, REQUIRED), "value": (_number(0.0, 1e12, open_low=True), REQUIRED)},
+    "record": {"action": (_one_of("start", "stop"), REQUIRED)},
+    "replay": {"action": (_one_of("play", "pause", "seek"), REQUIRED), "time": (_number(0.0, 1e6), 0.0)},
+    "force": {"rate": (_rate, REQUIRED)},
+    "latency": {"stamp": (_stamp, None)},
+}  # fmt: skip
+
+
+def parse_message(text: str | bytes) -> Message:
+    """Return a message with all its fields; adds defaults and drops unknown fields.
+
+    Raises
+    ------
+    InputError
+        The text is not a JSON object of finite numbers with at most 32 levels, the type is unknown, or a field is
+        missing or out of range.
+    """
+    if isinstance(text, bytes):
+        raise InputError("message must be text, got binary data; send JSON as text")
+    return validate_message(json_of(text))
+
+
+def validate_message(given: Any) -> Message:
+    """Return a decoded message with all its fields; see `parse_message`."""
+    if not isinstance(given, dict):
+        raise InputError(f"message must be a JSON object, got {_short(given)}; {SEE_DOCS}")
+    kind = given.get("type")
+    if not isinstance(kind, str) or kind not in FIELDS:
+        raise InputError(f"type must be one of {', '.join(FIELDS)}, got {_short(kind)}; {SEE_DOCS}")
+    message: Message = {"type": kind}
+    for name, (check, default) in FIELDS[kind].items():
+        if name in given:
+            message[name] = check(f"{kind}: {name}", given[name])
+        elif default is REQUIRED:
+            raise InputError(f"{kind}: {name} must be given, got nothing; {SEE_DOCS}")
+        else:
+            message[name] = list(default) if isinstance(default, tuple) else default
+    return message

@@ -1,0 +1,284 @@
+"""Recordings of sessions: one sealed HDF5 file with the snapshots and the model, so that it can be replayed.
+
+The values of the snapshots are in arrays of their names; the model's arrays are under ``model/``. A second file, for
+ParaView, has the surface over time.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.export import write_vtkhdf
+from palpate.app.view.session.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.files import plain, shortened
+from palpate.meshfree.cloud import Cloud
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.storage.model_file import contents, model_of
+from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
+
+__all__ = [
+    "ERROR_NAMES", "MAX_DURATION", "RECORDING_INTERVAL", "Recording", "load_recording", "read_recording",
+    "save_recording", "validate_tools",
+]  # fmt: skip
+
+Floats = NDArray[np.float64]
+
+FORMAT, VERSION = "palpate recording", 3
+REMEDY = "record the session again"
+MAX_VALUE = 1e9  # of the arrays of a recording, in SI units
+MAX_VALUE_OF = {"steps": 2.0**53, "sequence": 2.0**53, "stiffness": 1e30}  # exceptions
+MAX_TITLE_LENGTH = 200  # characters
+ERROR_NAMES = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of the replay on the full model
+TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "start"}
+RECORDING_INTERVAL = 0.01  # [s] between snapshots
+MAX_DURATION = 600.0  # [s]
+VTKHDF_INTERVAL = 0.04  # [s] between snapshots in the file for ParaView
+SNAPSHOT_ARRAYS = tuple(
+    f.name for f in fields(Snapshot) if f.name not in ("contact_nodes", "contact_forces", "tool", "state")
+)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recorded session.
+
+    Parameters
+    ----------
+    title : str
+    model : ReducedModel
+    times : (f,) array [s]
+        Wall-clock time, from 0.
+    snapshots : list of Snapshot
+        Snapshots at these times.
+    tools : list of dict
+        Descriptions of the selected tools, with ``"start"``, the index of the first snapshot of each.
+    full : dict
+        Result of `palpate.app.view.session.full_model_replay.replay_on_full_model`; empty without such a run.
+    """
+
+    title: str
+    model: ReducedModel
+    times: Floats
+    snapshots: list[Snapshot]
+    tools: list[dict[str, Any]]
+    full: dict[str, Any]
+
+
+def save_recording(path: Path, recording: Recording) -> None:
+    """Write a recording atomically, and next to it the file with its surface for ParaView.
+
+    Raises
+    ------
+    InputError
+        The recording is empty, a number is not finite, or the name is that of a file for ParaView.
+    OSError
+        A file cannot be written; the message names it.
+    """
+    if not recording.snapshots:
+        raise InputError("recording must have at least one snapshot, got none; record for longer")
+    if path.suffix == ".vtkhdf":
+        raise InputError(f"path must not end in .vtkhdf, got {str(path)!r}; use .h5")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    snapshots, model = recording.snapshots, recording.model
+    header, arrays = contents(model)
+    arrays = {f"model/{name}": values for name, values in arrays.items()}
+    arrays |= {name: np.array([getattr(each, name) for each in snapshots], dtype=float) for name in SNAPSHOT_ARRAYS}
+    arrays["trust"] = np.minimum(arrays["trust"], MAX_VALUE)  # unbounded for a body trained at rest
+    arrays |= {
+        "wall": np.array(recording.times, dtype=float),
+        "tool": np.array([TOOL_KINDS.index(each.tool) for each in snapshots], dtype="u1"),
+        "state": np.array([STATES.index(each.state) for each in snapshots], dtype="u1"),
+        "contact/start": np.cumsum([0, *(len(each.contact_nodes) for each in snapshots)], dtype="<i8"),
+        "contact/nodes": np.concatenate([each.contact_nodes for each in snapshots]).astype("<i8"),
+        "contact/forces": np.concatenate([each.contact_forces for each in snapshots]).astype("<f8"),
+    }
+    if recording.full:
+        full = recording.full
+        arrays |= {"full/times": np.array(full["times"], dtype=float), "full/force": np.array(full["force"], float)}
+        arrays |= {"full/positions": np.array(full["positions"], dtype="<f4")}
+    for name, values in arrays.items():
+        if not np.isfinite(values).all():
+            raise InputError(f"{name} of the recording must be finite, got other values; {path} was not written")
+    header_fields = {
+        "title": shortened(recording.title, MAX_TITLE_LENGTH), "tools": plain(recording.tools), "model": header,
+        "errors": plain(recording.full["errors"]) if recording.full else None,
+        "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }  # fmt: skip
+    write_sealed(path, FORMAT, VERSION, header_fields, arrays)
+    _write_surface(path.with_suffix(".vtkhdf"), recording)
+
+
+def _write_surface(path: Path, recording: Recording) -> None:
+    """Write the displacements and scalars of the surface to a file for ParaView, 25 snapshots a second."""
+    surface, cloud = Surface(recording.model), recording.model.cloud
+    nothing = np.zeros(0, dtype=np.int64)
+    cloud_shown = Cloud(
+        surface.rest.astype(float), cloud.volumes[surface.nodes], nothing, np.zeros((0, 3)), np.zeros(0), {},
+        surface.triangles.astype(np.int64), cloud.spacing,
+    )  # fmt: skip
+    kept = [0]
+    for k, at in enumerate(recording.times):
+        if at >= recording.times[kept[-1]] + VTKHDF_INTERVAL:
+            kept.append(k)
+    displacements = [recording.snapshots[k].displacements(surface) for k in kept]
+    shown: dict[str, Floats] = {"displacement": np.array(displacements, dtype=float)}
+    for name in surface.scalars[1:]:
+        values = [recording.snapshots[k].scalar(surface, name, m) for k, m in zip(kept, displacements, strict=True)]
+        shown[name] = np.array(values, dtype=float)
+    write_vtkhdf(path, cloud_shown, recording.times[kept], shown)
+
+
+def load_recording(path: Path) -> Recording:
+    """Load a recording.
+
+    Raises
+    ------
+    FileNotFoundError
+        The file does not exist.
+    FileFormatError
+        The file is not a recording, is damaged, or has values that no session writes.
+    """
+    with loading(path, REMEDY):
+        file = open_sealed(path, FORMAT, VERSION)
+        return read_recording(file)
+
+
+def read_recording(file: SealedFile) -> Recording:
+    """Return the recording in an open file.
+
+    Raises
+    ------
+    InputError
+        A value is missing, or is not one that a session writes.
+    """
+    header = file.header
+    if header.keys() != {"title", "tools", "model", "errors", "written"} or not isinstance(header["model"], dict):
+        raise InputError(f"header must be that of a recording, got {', '.join(header)!r:.80}")
+    if not isinstance(header["title"], str) or len(header["title"]) > MAX_TITLE_LENGTH:
+        raise InputError(f"title must be text of at most {MAX_TITLE_LENGTH} characters, got {header['title']!r:.80}")
+    arrays = {name: file.read(name) for name in file.arrays if not name.startswith("model/")}
+    model = model_of(header["model"], file, "model/")
+    count = len(arrays["wall"]) if "wall" in arrays and arrays["wall"].ndim else 0
+    shapes = _shapes(model, count, header["errors"] is not None)
+    if arrays.keys() != shapes.keys() or not count:
+        raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(arrays))}")
+    sizes: dict[str, int] = {}
+    for name, (kind, shape) in shapes.items():
+        wanted = tuple(sizes.setdefault(each, found) if isinstance(each, str) else each
+                       for each, found in zip(shape, arrays[name].shape, strict=False))  # fmt: skip
+        if arrays[name].ndim != len(shape) or arrays[name].shape != wanted or arrays[name].dtype != kind:
+            found = f"{arrays[name].shape} of type {arrays[name].dtype.str}"
+            raise InputError(f"array {name} must have shape {shape} and type {kind}, got {found}")
+        most = MAX_VALUE_OF.get(name, MAX_VALUE)
+        if not (np.abs(arrays[name]) <= most).all():
+            raise InputError(f"array {name} must be finite and within {most:g}, got other numbers")
+    _check_values(arrays, len(model._contact_surface.nodes))
+    tools = validate_tools(header["tools"], count)
+    start, nodes, forces = (arrays[f"contact/{name}"] for name in ("start", "nodes", "forces"))
+    parts = [slice(first, last) for first, last in pairwise(start)]
+    snapshots = [_snapshot(arrays, k, nodes[part], forces[part]) for k, part in enumerate(parts)]
+    return Recording(header["title"], model, arrays["wall"], snapshots, tools, _full(arrays, header["errors"]))
+
+
+def _shapes(model: ReducedModel, count: int, full: bool) -> dict[str, tuple[str, tuple[int | str, ...]]]:
+    """Return type and shape of each array of a recording; sizes given by name must agree between arrays."""
+    item_shapes = {
+        "force": (3,),
+        "moment": (3,),
+        "device_force": (3,),
+        "position": (3,),
+        "quaternion": (4,),
+        "stiffness": (3, 3),
+    }
+    item_shapes |= {"coordinates": (model.count,)}
+    shapes: dict[str, tuple[str, tuple[int | str, ...]]] = {
+        name: ("<f8", (count, *item_shapes.get(name, ()))) for name in SNAPSHOT_ARRAYS
+    }
+    shapes |= {"wall": ("<f8", (count,)), "tool": ("|u1", (count,)), "state": ("|u1", (count,))}
+    shapes |= {"contact/start": ("<i8", (count + 1,)), "contact/nodes": ("<i8", ("contact",))}
+    shapes |= {"contact/forces": ("<f8", ("contact", 3))}
+    if full:
+        shapes |= {"full/times": ("<f8", ("full",)), "full/force": ("<f8", ("full", 3))}
+        shapes |= {"full/positions": ("<f4", ("full", len(Surface(model).rest), 3))}
+    return shapes
+
+
+def _check_values(arrays: dict[str, Any], contact_count: int) -> None:
+    """Raise InputError for values that no session writes."""
+    for name in ("wall", "time", "steps", "sequence", "trust", "computing"):
+        _require(not np.any(arrays[name] < 0), name, "non-negative", "negative numbers")
+    for name in ("steps", "sequence"):
+        _require(not np.any(arrays[name] != np.floor(arrays[name])), name, "whole numbers", "fractions")
+    wall, start, nodes = arrays["wall"], arrays["contact/start"], arrays["contact/nodes"]
+    _require(not np.any(np.diff(wall) < 0), "wall", "increasing", "decreasing times")
+    _require(wall[-1] <= MAX_DURATION, "wall", f"at most {MAX_DURATION:g} s", f"{wall[-1]:g} s")
+    _require(not np.any(arrays["modulus_ratio"] <= 0), "modulus_ratio", "positive", "other numbers")
+    length = np.linalg.norm(arrays["quaternion"], axis=1)
+    _require(not np.any(np.abs(length - 1) > 1e-3), "quaternion", "of length 1", "other lengths")
+    for name, names in (("tool", TOOL_KINDS), ("state", STATES)):
+        _require(arrays[name].max() < len(names), name, f"below {len(names)}", str(arrays[name].max()))
+    partition = start[0] == 0 and start[-1] == len(nodes) and not np.any(np.diff(start) < 0)
+    _require(partition, "contact/start", "a partition of contact/nodes", "other indices")
+    valid = not np.any((nodes < 0) | (nodes >= contact_count))
+    _require(valid, "contact/nodes", f"from 0 to {contact_count - 1}", "other nodes")
+    if "full/times" in arrays:
+        times = arrays["full/times"]
+        _require(len(times) > 0, "full/times", "non-empty", "no times")
+        _require(not np.any(np.diff(times) < 0), "full/times", "increasing", "decreasing times")
+
+
+def _require(condition: Any, name: str, requirement: str, found: str) -> None:
+    if not condition:
+        raise InputError(f"{name} must be {requirement}, got {found}")
+
+
+def validate_tools(tools: Any, count: int) -> list[dict[str, Any]]:
+    """Return the tools of a file.
+
+    Raises
+    ------
+    InputError
+        An entry is not a tool, or the starts do not increase from 0.
+    """
+    if not isinstance(tools, list) or not tools or not all(isinstance(tool, dict) for tool in tools):
+        raise InputError(f"tools must be a list of tools, got {tools!r:.80}")
+    for tool in tools:
+        if tool.keys() != TOOL_FIELDS or tool["kind"] not in TOOL_KINDS:
+            raise InputError(f"each entry of tools must be a tool, got {tool!r:.80}")
+        for name, most in (("radius", 1.0), ("length", 1.0), ("friction", 2.0)):
+            number_in_range(f"{name} of a tool", tool[name], 0.0, most)
+        if tool["stiffness"] is not None:
+            number_in_range("stiffness of a tool", tool["stiffness"], 0.0, MAX_VALUE, open_low=True, unit="N/m")
+        integer_in_range("start of a tool", tool["start"], 0, count - 1)
+    first = [tool["start"] for tool in tools]
+    if first[0] != 0 or any(b <= a for a, b in pairwise(first)):
+        raise InputError(f"starts of tools must increase from 0, got {first!r:.80}")
+    return tools
+
+
+def _snapshot(numbers: dict[str, Any], k: int, nodes: NDArray[np.int64], forces: Floats) -> Snapshot:
+    values: dict[str, Any] = {name: np.array(numbers[name][k]) for name in SNAPSHOT_ARRAYS}
+    for name in values:
+        if values[name].ndim == 0:
+            values[name] = int(values[name]) if name in ("steps", "sequence") else float(values[name])
+    values |= {"contact_nodes": nodes, "contact_forces": forces, "tool": TOOL_KINDS[numbers["tool"][k]]}
+    return Snapshot(**values, state=STATES[numbers["state"][k]])
+
+
+def _full(arrays: dict[str, Any], errors: Any) -> dict[str, Any]:
+    """Return the results of the full model; empty without a run."""
+    if errors is None:
+        return {}
+    if not isinstance(errors, dict) or errors.keys() != {*ERROR_NAMES}:
+        raise InputError(f"errors must have the fields {', '.join(ERROR_NAMES)}, got {errors!r:.80}")
+    values = {name: number_in_range(f"{name} of errors", errors[name], -MAX_VALUE, MAX_VALUE) for name in ERROR_NAMES}
+    return {**{name: arrays[f"full/{name}"] for name in ("times", "positions", "force")}, "errors": values}

@@ -1,0 +1,142 @@
+"""Replay of a recording for the page: play, pause, and seek."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.view.session.messages import Message
+from palpate.app.view.session.recording import Recording
+from palpate.app.view.session.snapshot import Snapshot, scalar_descriptions, training_errors
+from palpate.faults import InputError
+from palpate.reduction.realtime.display_surface import Surface
+
+__all__ = ["Replay"]
+
+
+class Replay:
+    """Plays a recording in a loop, in place of a session.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+
+    mode = "replay"
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording, self.title = recording, recording.title
+        self.surface = Surface(recording.model)
+        self.duration = float(recording.times[-1])
+        self.pause_reason: str | None = None
+        self.notifications: list[dict[str, Any]] = []
+        self.speed = 1.0
+        self._at, self._since, self._playing = 0.0, time.monotonic(), True
+
+    @property
+    def time(self) -> float:
+        """Playback time [s]; starts again at the end of the recording."""
+        if not self._playing:
+            return self._at
+        elapsed = self._at + self.speed * (time.monotonic() - self._since)
+        return elapsed % self.duration if self.duration > 0 else 0.0
+
+    @property
+    def frame(self) -> int:
+        """Index of the newest snapshot at the playback time."""
+        return max(0, int(np.searchsorted(self.recording.times, self.time, side="right")) - 1)
+
+    def snapshot(self) -> Snapshot:
+        """Return the present snapshot, with the time of the recording."""
+        frame = self.frame
+        return replace(
+            self.recording.snapshots[frame], state="running" if self._playing else "paused",
+            time=float(self.recording.times[frame]),
+        )  # fmt: skip
+
+    def hello(self) -> dict[str, Any]:
+        """Return the constant properties for `hello`."""
+        return {
+            "tools": [], "tool": self._describe_tool(), "materials": [], "rate": None,
+            "training_errors": training_errors(self.recording.model),
+            "scalars": scalar_descriptions(self.surface), "duration": self.duration,
+            "overlay": bool(self.recording.full),
+            "errors": self.recording.full.get("errors"),
+        }  # fmt: skip
+
+    def _describe_tool(self) -> dict[str, Any]:
+        frame = self.frame
+        tool = [tool for tool in self.recording.tools if tool["start"] <= frame][-1]
+        snapshot = self.recording.snapshots[frame]
+        return {
+            **tool, "active": snapshot.tool != "none", "position": snapshot.position.tolist(),
+            "quaternion": snapshot.quaternion.tolist(),
+        }  # fmt: skip
+
+    def overlay(self, time: float) -> NDArray[np.float32] | None:
+        """Return the full model's positions (n, 3) [m] at a time of the recording [s], or None without a run."""
+        full = self.recording.full
+        if not full:
+            return None
+        return np.asarray(full["positions"][int(np.argmin(np.abs(full["times"] - time)))])
+
+    def status(self) -> dict[str, Any]:
+        """Return the properties that change rarely, for `status`."""
+        return {
+            "state": "running" if self._playing else "paused", "tool": self._describe_tool(), "speed": self.speed,
+            "pause_reason": self.pause_reason, "materials": [],
+        }  # fmt: skip
+
+    def statistics(self) -> dict[str, Any]:
+        """Return the computing times of the recorded periods."""
+        computing = 1e3 * np.array([snapshot.computing for snapshot in self.recording.snapshots])
+        return {
+            "median_ms": float(np.median(computing)), "p99_ms": float(np.percentile(computing, 99)), "misses": 0,
+            "periods": len(computing),
+        }  # fmt: skip
+
+    def handle(self, message: Message) -> None:
+        """Execute a message of the driver.
+
+        Raises
+        ------
+        InputError
+            The message is for live sessions.
+        """
+        kind, action = message["type"], message.get("action")
+        if kind == "speed":
+            self._seek(self.time)
+            self.speed = message["factor"]
+        elif kind == "replay" and action == "seek":
+            self._seek(min(message["time"], self.duration))
+        elif action in ("play", "resume"):
+            self.resume()
+        elif action == "pause":
+            self.pause()
+        elif action == "reset":
+            self._seek(0.0)
+        elif kind != "release":
+            raise InputError(f"type must be a message of replays, got {kind!r}; a replay takes no tool")
+
+    def _seek(self, at: float) -> None:
+        self._at, self._since = at, time.monotonic()
+
+    def tick(self) -> None:
+        """Do nothing: a replay needs no periodic work."""
+
+    def pause(self, reason: str | None = None) -> None:
+        """Pause playback."""
+        self._seek(self.time)
+        self._playing, self.pause_reason = False, reason
+
+    def resume(self) -> None:
+        """Resume playback."""
+        self._seek(self.time)
+        self._playing, self.pause_reason = True, None
+
+    def release(self) -> None:
+        """Do nothing: a replay has no tool to release."""

@@ -1,0 +1,418 @@
+"""A session: a body in real time, the tool of its user, and recordings; independent of server and page."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.view.session.messages import Message
+from palpate.app.view.session.recorder import Recorder
+from palpate.app.view.session.recording import Recording, save_recording
+from palpate.app.view.session.snapshot import Snapshot, scalar_descriptions, training_errors
+from palpate.app.view.session.tool_control import (
+    NO_ROTATION,
+    SelectedTool,
+    ToolWorkspace,
+    compose_rotations,
+    make_forceps,
+    tool_shape,
+)
+from palpate.dynamics.contact.tools import Contact, Forceps, Sphere, Tool
+from palpate.faults import InputError
+from palpate.realtime.engine import Engine
+from palpate.realtime.observable import Observation, make_observable
+from palpate.realtime.record import Reading
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.change_tool import change_tool
+from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.model import realtime_model
+
+__all__ = ["Session"]
+
+Floats = NDArray[np.float64]
+
+RATE = 1000.0  # [Hz]
+MAX_TOOL_SPEED = 0.5  # [m/s]
+MAX_READS = 1000  # attempts to read the engine and the model in the same period
+SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
+AWAY = 10.0  # [m] beyond the body, where an absent tool is
+NO_TOOL = SelectedTool("none", None)
+MODULUS = "shear modulus"
+MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
+
+
+class Session:
+    """A reduced model in an `Engine`, with the tool of a user.
+
+    Messages must come from one thread at a time; `snapshot` may be called from any thread.
+
+    Parameters
+    ----------
+    model : ReducedModel
+        A model with tool contact, or with one prescribed group.
+    title : str
+    rate : float [Hz]
+
+    Raises
+    ------
+    InputError
+        The model takes no tool.
+    """
+
+    mode = "live"
+
+    def __init__(self, model: ReducedModel, title: str, rate: float = RATE) -> None:
+        self.model, self.title, self.rate = model, title, rate
+        self.surface = Surface(model)
+        self._workspace = ToolWorkspace(self.surface)
+        self.accepts_tools = not model.data.prescribed and model.data.compliance is not None
+        away = model.cloud.points.max(axis=0) + AWAY
+        contact = Contact(Sphere(model.cloud.spacing), away) if self.accepts_tools else None
+        self._realtime_model = realtime_model(model, contact=contact)
+        self._tool_origin, self._tool_rotation = np.zeros(3), NO_ROTATION  # when the tool was put down
+        self.tool, self.selected_tool = NO_TOOL, NO_TOOL
+        if self.accepts_tools:
+            change_tool(self._realtime_model, None, np.concatenate([np.zeros(3), NO_ROTATION]))
+        else:
+            centre = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
+            self._tool_origin[: len(centre)] = centre
+            self.tool = self.selected_tool = SelectedTool("group", None)
+        self._observable = make_observable(self._realtime_model)
+        self.engine = Engine(self._observable, rate, max_speed=MAX_TOOL_SPEED)
+        self.engine._warned = True  # every frame has the trust number
+        self.pause_reason: str | None = None
+        self.speed, self.modulus_ratio = 1.0, 1.0
+        self.notifications: list[dict[str, Any]] = []  # messages still to be sent to all viewers
+        self.folder = Path("out/view")  # of recordings
+        self._recorder: Recorder | None = None
+        self._path: Path | None = None  # of the present recording, if given
+        self._writers: list[threading.Thread] = []
+        self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
+
+    # queries
+
+    def snapshot(self) -> Snapshot:
+        """Return the results of the last period, from the engine and the observable model."""
+        with self._lock:
+            reading, observed = self._read_period()
+            return Snapshot(
+                time=reading.time, steps=reading.steps, force=reading.force, moment=reading.moment,
+                stiffness=reading.stiffness, trust=reading.trust, position=self._tool_origin + observed.tool_position,
+                quaternion=compose_rotations(self._tool_rotation, reading.quaternion), sequence=reading.sequence,
+                kinetic=reading.kinetic, strain=reading.strain, computing=reading.computing, lateness=reading.lateness,
+                coordinates=observed.coordinates, state=reading.state, device_force=observed.device_force,
+                contact_nodes=observed.contact_nodes, contact_forces=observed.contact_forces,
+                modulus_ratio=observed.modulus_ratio,
+                tool=self.tool.kind,
+            )  # fmt: skip
+
+    def _read_period(self) -> tuple[Reading, Observation]:
+        """Return values of the same period, or of adjacent ones if the processor is too busy."""
+        for _ in range(MAX_READS):
+            reading, observation = self.engine.read(), self._observable.observe()
+            if np.array_equal(reading.coordinates, observation.coordinates):
+                break
+        return reading, observation
+
+    def hello(self) -> dict[str, Any]:
+        """Return the constant properties for `hello`."""
+        return {
+            "tools": self.tool_kinds, "tool": self._describe_tool(), "materials": self._materials(), "rate": self.rate,
+            "scalars": scalar_descriptions(self.surface), "training_errors": training_errors(self.model),
+            "overlay": False,
+        }  # fmt: skip
+
+    def _materials(self) -> list[dict[str, Any]]:
+        """Return the adjustable parameters: the shear modulus, unless the tissue has relaxation times."""
+        if self.model.material.prony is not None:
+            return []
+        modulus = 1e-3 * float(self.model.material.shear_modulus)
+        return [{"name": MODULUS, "unit": "kPa", "value": self.modulus_ratio * modulus,
+                 "low": MIN_MODULUS_RATIO * modulus, "high": MAX_MODULUS_RATIO * modulus, "live": True}]  # fmt: skip
+
+    def _describe_tool(self) -> dict[str, Any]:
+        return self._describe_period()[1]
+
+    def _describe_period(self) -> tuple[Snapshot, dict[str, Any]]:
+        with self._lock:
+            now, active = self.snapshot(), self.tool is self.selected_tool
+            return now, self.selected_tool.describe(now.position, now.quaternion, active)
+
+    def overlay(self, time: float) -> None:
+        """Return None: a session has no full model to show."""
+        return None
+
+    def status(self) -> dict[str, Any]:
+        """Return the properties that change rarely, for `status`."""
+        return {
+            "state": self.engine.state, "tool": self._describe_tool(), "speed": self.speed,
+            "pause_reason": self.pause_reason, "recording": self._recorder is not None,
+            "materials": self._materials(),
+        }  # fmt: skip
+
+    def statistics(self) -> dict[str, Any]:
+        """Return the deadline statistics since the engine's start."""
+        statistics = self.engine.statistics()
+        computing = statistics.computing
+        return {
+            "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
+            "misses": statistics.missed, "periods": statistics.count,
+        }  # fmt: skip
+
+    @property
+    def tool_kinds(self) -> list[str]:
+        """Kinds of tools that a user may select."""
+        return ["sphere", "capsule", "grasp"] if self.accepts_tools else []
+
+    # commands
+
+    def handle(self, message: Message) -> None:
+        """Execute a validated message of the driver.
+
+        Raises
+        ------
+        InputError
+            The message cannot be executed; the error gives the reason.
+        """
+        kind = message["type"]
+        if kind == "pose":
+            self._move_tool(message)
+        elif kind == "tool":
+            self._select_tool(message)
+        elif kind == "release":
+            self.release()
+        elif kind == "control":
+            {"reset": self.reset, "pause": self.pause, "resume": self.resume}[message["action"]]()
+        elif kind == "material":
+            self._set_modulus(message["name"], 1e3 * message["value"])
+        elif kind == "record":
+            self.start_recording() if message["action"] == "start" else self.finish_recording()
+        elif kind == "speed":
+            with self._lock:
+                self.engine.slow_down(message["factor"])
+                self.speed = message["factor"]
+        else:
+            raise InputError(f"type must be a message of live sessions, got {kind!r}; see docs/protocol.md")
+
+    def start(self) -> None:
+        """Start the engine."""
+        self.engine.start()
+
+    def stop(self) -> None:
+        """Stop the engine."""
+        self.engine.stop()
+
+    def close(self) -> None:
+        """Stop the engine, finish the present recording, and wait until all recordings are written."""
+        self.stop()
+        if self._recorder is not None:
+            self.finish_recording()
+        for writer in self._writers:
+            writer.join()
+
+    def pause(self, reason: str | None = None) -> None:
+        """Pause the engine."""
+        self.engine.pause()
+        self.pause_reason = reason
+
+    def resume(self) -> None:
+        """Resume or start the engine."""
+        if self.engine.state == "diverged":
+            raise InputError("state must be finite to resume, got a diverged state; reset the session")
+        if self.engine.state == "stopped":
+            self.engine.start()
+        self.engine.resume()
+        self.pause_reason = None
+
+    def reset(self) -> None:
+        """Set the body to rest and put the tool away."""
+        with self._lock:
+            running = self.engine.state in ("running", "diverged")
+            self.engine.pause()
+            if self.accepts_tools:
+                self._set_tool(NO_TOOL, self._tool_origin, NO_ROTATION)
+            self.engine.reset()
+            self._observable.set_state(self._realtime_model.rest, np.zeros(3))
+            if running:
+                self.resume()
+
+    def release(self) -> None:
+        """Put the tool away; a prescribed group returns to its place at rest."""
+        if not self.accepts_tools:
+            self.engine.set_pose(np.zeros(3))
+        elif self.tool is not NO_TOOL:
+            with self._lock:
+                snapshot = self.snapshot()
+                self._change_tool(NO_TOOL, snapshot.position, snapshot.quaternion)
+
+    # recordings
+
+    def start_recording(self, path: Path | None = None) -> None:
+        """Start a recording.
+
+        Parameters
+        ----------
+        path : path, optional
+            File of the recording; by default a new file in the session's folder.
+
+        Raises
+        ------
+        InputError
+            A recording is in progress.
+        """
+        if self._recorder is not None:
+            raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
+        self._recorder, self._path = Recorder(self._describe_period), path
+
+    def finish_recording(self, path: Path | None = None, wait: bool = False) -> None:
+        """Stop the recording and write it in its own thread; `notifications` then has its path.
+
+        Parameters
+        ----------
+        path : path, optional
+            By default the path given to `start_recording`.
+        wait : bool
+            Whether to wait until the file is written.
+
+        Raises
+        ------
+        InputError
+            No recording is in progress.
+        """
+        if self._recorder is None:
+            raise InputError("record must be 'start' without a recording, got 'stop'; start one first")
+        recorder, self._recorder = self._recorder, None
+        recorder.stop()
+        recording = Recording(
+            self.title, self.model, np.array(recorder.times), recorder.snapshots, recorder.tools, {}
+        )  # fmt: skip
+        writer = threading.Thread(target=self._write, args=(path or self._path, recording), name="palpate writer")
+        self._writers = [*(each for each in self._writers if each.is_alive()), writer]
+        writer.start()
+        if wait:
+            writer.join()
+
+    def _write(self, path: Path | None, recording: Recording) -> None:
+        given = path
+        try:
+            path = given or _create_file(self.folder)
+            save_recording(path, recording)
+        except (InputError, OSError) as error:
+            written = given is None and path is not None and path.stat().st_size > 0
+            lost = "the file for ParaView" if written else "the recording"
+            self.notifications.append({"type": "error", "reason": f"{lost} was not written: {error}"})
+            if path is not None and given is None and not written:
+                path.unlink(missing_ok=True)
+        else:
+            self.notifications.append({"type": "recorded", "file": str(path), "frames": len(recording.times)})
+
+    def tick(self) -> None:
+        """Pause if the machine slept or the program was stopped; to be called several times a second."""
+        now = (time.time(), time.monotonic())
+        slept = max(now[0] - self._last_tick[0], now[1] - self._last_tick[1]) > SLEEP_TIME
+        self._last_tick = now
+        if slept and self.engine.state == "running":
+            self.pause("sleep")
+
+    def _set_modulus(self, name: str, modulus: float) -> None:
+        if name != MODULUS or not self._materials():
+            allowed = repr(MODULUS) if self._materials() else "left out for tissue that relaxes"
+            raise InputError(f"material: name must be {allowed}, got {name!r}; see docs/protocol.md")
+        own = float(self.model.material.shear_modulus)
+        if not MIN_MODULUS_RATIO <= modulus / own <= MAX_MODULUS_RATIO:
+            low, high = 1e-3 * MIN_MODULUS_RATIO * own, 1e-3 * MAX_MODULUS_RATIO * own
+            raise InputError(
+                f"{name} must be from {low:g} to {high:g} kPa, got {1e-3 * modulus:g} kPa; choose a value in this range"
+            )
+        with self._lock, self._pause_engine():
+            self._observable.set_modulus_ratio(modulus / own)
+            self.modulus_ratio = modulus / own
+
+    # the tool
+
+    @contextlib.contextmanager
+    def _pause_engine(self) -> Iterator[None]:
+        """Pause the engine within a context."""
+        running = self.engine.state == "running"
+        self.engine.pause()
+        try:
+            yield
+        finally:
+            if running:
+                self.engine.resume()
+
+    def _move_tool(self, message: Message) -> None:
+        position = self._workspace.nearest_position(np.array(message["position"]))
+        quaternion = np.array(message["quaternion"])
+        with self._lock:
+            if self.accepts_tools and self.tool is NO_TOOL and not self._restore_tool(position, quaternion):
+                return
+            rotation = compose_rotations(self._tool_rotation, quaternion, invert_first=True)
+            self.engine.set_pose(position - self._tool_origin, rotation, message["sequence"])
+
+    def _restore_tool(self, position: Floats, quaternion: Floats) -> bool:
+        """Put the selected tool down again if it is outside the body; return whether it was."""
+        shape = self.selected_tool.shape
+        if shape is None or isinstance(shape, Forceps):
+            return False
+        if not self._workspace.is_outside(self._displacements(), shape, np.concatenate([position, quaternion])):
+            return False
+        self._change_tool(self.selected_tool, position, quaternion)
+        return True
+
+    def _select_tool(self, message: Message) -> None:
+        if not self.accepts_tools:
+            raise InputError("tool must be the model's prescribed group, got another tool; use a model with contact")
+        position = self._workspace.nearest_position(np.array(message["position"]))
+        quaternion = np.array(message["quaternion"])
+        shape: Tool
+        if message["kind"] == "grasp":
+            shape, position = make_forceps(self.surface, self._displacements(), position, message["radius"])
+        else:
+            shape = tool_shape(message)
+            if not self._workspace.is_outside(self._displacements(), shape, np.concatenate([position, quaternion])):
+                raise InputError("tool must be outside the body, got a position inside; put it down outside")
+        self.selected_tool = SelectedTool(
+            message["kind"], shape, message["radius"], message["length"], message["friction"], message["stiffness"]
+        )
+        self._change_tool(self.selected_tool, position, quaternion, message["sequence"])
+
+    def _displacements(self) -> Floats:
+        return self.snapshot().displacements(self.surface).astype(float)
+
+    def _change_tool(
+        self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int | None = None
+    ) -> None:
+        """Replace the tool; the body continues from its present state."""
+        with self._lock, self._pause_engine():
+            self._set_tool(tool, position, quaternion, self.engine.read().sequence if sequence is None else sequence)
+
+    def _set_tool(self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int = 0) -> None:
+        grasps = isinstance(tool.shape, Forceps)  # forceps rotate the nodes they grasp as much as they are rotated
+        rotation = NO_ROTATION if grasps else quaternion
+        change_tool(self._realtime_model, tool.shape, np.concatenate([position, rotation]), tool.friction)
+        self._observable.set_coupling(tool.stiffness)
+        self._observable.set_state(self.engine.read().coordinates, np.zeros(3))
+        self.engine.place_tool(np.zeros(3), rotation, sequence)
+        self.tool, self._tool_origin = tool, np.array(position)
+        self._tool_rotation = quaternion if grasps else NO_ROTATION
+
+
+def _create_file(folder: Path) -> Path:
+    """Create an empty file with a unique name for a recording."""
+    folder.mkdir(parents=True, exist_ok=True)
+    stem = time.strftime("recording-%Y%m%d-%H%M%S")
+    for number in itertools.count(1):
+        path = folder / (f"{stem}.h5" if number == 1 else f"{stem}-{number}.h5")
+        with contextlib.suppress(FileExistsError):
+            path.touch(exist_ok=False)
+            break
+    return path

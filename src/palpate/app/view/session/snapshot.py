@@ -1,0 +1,83 @@
+"""Snapshot of a session: the results of one period that are drawn, sent, and recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.realtime.record import PeriodRecord
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.display_surface import Surface
+
+__all__ = ["STATES", "TOOL_KINDS", "UNITS", "Snapshot", "scalar_descriptions", "training_errors"]
+
+Floats = NDArray[np.float64]
+
+STATES = ("stopped", "running", "paused", "diverged")
+UNITS = {
+    "displacement": ("mm", 1e3),
+    "stress": ("kPa", 1e-3),
+    "pressure": ("kPa", 1e-3),
+}  # display unit, factor from SI
+TOOL_KINDS = ("none", "sphere", "capsule", "grasp", "group")
+MAX_FINITE = 1e30  # replaces infinities
+MODES_ONLY = "excludes the local indentation at the tool"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot(PeriodRecord):
+    """Results of one period; the tool's position is in the body's frame.
+
+    Parameters
+    ----------
+    device_force : (3,) array [N]
+        Force on the haptic device, transmitted by the virtual coupling if there is one.
+    contact_nodes, contact_forces : (e,) int array, (e, 3) array [N]
+        Contact nodes of the model's contact surface, and the forces on them for the model's own moduli.
+    modulus_ratio : float
+        Moduli relative to the model's own.
+    tool : str
+        One of `TOOL_KINDS`.
+    """
+
+    device_force: Floats
+    contact_nodes: NDArray[np.int64]
+    contact_forces: Floats
+    modulus_ratio: float
+    tool: str
+
+    def displacements(self, surface: Surface) -> NDArray[np.float32]:
+        """Return finite displacements (n, 3) [m] of a surface's vertices."""
+        grasps = self.tool == "grasp"
+        displacements = surface.displacements(self.coordinates, self.contact_nodes, self.contact_forces, grasps)
+        return np.nan_to_num(displacements, nan=0.0, posinf=MAX_FINITE, neginf=-MAX_FINITE)
+
+    def scalar(self, surface: Surface, name: str, displacements: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return a finite scalar (n,) at every vertex, given the displacements (n, 3) [m]; see `Surface.scalar`.
+
+        The scalar is 0 at a vertex with an undefined stress, which occurs in an inverted body.
+        """
+        with np.errstate(all="ignore"):
+            values = surface.scalar(name, self.coordinates, displacements)
+            values = values if name == "displacement" else np.float32(self.modulus_ratio) * values
+        return np.nan_to_num(values, nan=0.0, posinf=MAX_FINITE, neginf=-MAX_FINITE)
+
+
+def scalar_descriptions(surface: Surface) -> list[dict[str, Any]]:
+    """Return the descriptions of a surface's scalars for `hello`; ``"note"`` states what a scalar excludes."""
+    local = surface.model.data.compliance is not None
+    return [
+        {"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1],
+         "note": MODES_ONLY if local and name != "displacement" else None}
+        for name in surface.scalars
+    ]  # fmt: skip
+
+
+def training_errors(model: ReducedModel) -> dict[str, Any] | None:
+    """Return a model's mean errors on held-out runs for `hello`, or None without such runs."""
+    errors = model.report.get("held_out", {}).get("mean", {})
+    described = {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
+    return described if errors else None

@@ -1,0 +1,144 @@
+"""Tool control of a session: the selected tool, and the places where a tool may be put."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.view.session.messages import Message
+from palpate.dynamics.contact.geometry import gaps
+from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
+from palpate.faults import InputError
+from palpate.reduction.realtime.display_surface import Surface
+
+__all__ = ["NO_ROTATION", "SelectedTool", "ToolWorkspace", "compose_rotations", "make_forceps", "tool_shape"]
+
+Floats = NDArray[np.float64]
+
+WORKSPACE_MARGIN = 0.3  # [m] around the body
+MAX_PENETRATION = 0.25  # of a vertex into a tool that is put down, as a fraction of the spacing
+NO_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class SelectedTool:
+    """A tool with the parameters of its message.
+
+    Parameters
+    ----------
+    kind : str
+        One of `palpate.app.view.session.snapshot.TOOL_KINDS`.
+    shape : Tool or None
+        None for no tool, or for a group of nodes that the model prescribes.
+    radius, length : float [m]
+    friction : float
+        Coefficient of friction.
+    stiffness : float or None [N/m]
+        Stiffness of the virtual coupling; None for a rigid coupling.
+    """
+
+    kind: str
+    shape: Tool | None
+    radius: float = 0.0
+    length: float = 0.0
+    friction: float = 0.0
+    stiffness: float | None = None
+
+    def describe(self, position: Floats, quaternion: Floats, active: bool) -> dict[str, Any]:
+        """Return the description of the tool for the protocol; an inactive one is selected but put away."""
+        return {
+            "kind": self.kind, "active": active, "radius": self.radius, "length": self.length,
+            "friction": self.friction, "stiffness": self.stiffness, "position": [float(x) for x in position],
+            "quaternion": [float(x) for x in quaternion],
+        }  # fmt: skip
+
+
+def compose_rotations(first: Floats, second: Floats, invert_first: bool = False) -> Floats:
+    """Return the quaternion (4,), w x y z, of the second rotation after the first one or its inverse."""
+    a, b, c, d = (-first if invert_first else first).tolist()
+    a = -a if invert_first else a
+    w, x, y, z = second.tolist()
+    return np.array(
+        [w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c,
+         w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a]
+    )  # fmt: skip
+
+
+def tool_shape(message: Message) -> Tool:
+    """Return the sphere or capsule of a message of type ``"tool"``."""
+    if message["kind"] == "sphere":
+        return Sphere(message["radius"])
+    return Capsule(message["radius"], message["length"])
+
+
+def make_forceps(surface: Surface, displacements: Floats, position: Floats, radius: float) -> tuple[Forceps, Floats]:
+    """Return forceps that grasp the deformed body, and their position (3,) [m].
+
+    Parameters
+    ----------
+    surface : Surface
+    displacements : (n, 3) array [m]
+        Displacements of the surface.
+    position : (3,) array [m]
+        The forceps grasp the vertex nearest to this position.
+    radius : float [m]
+        Radius around the vertex within which nodes are grasped, at rest.
+
+    Raises
+    ------
+    InputError
+        The position is not near the surface, or the nodes around it are fixed.
+    """
+    model = surface.model
+    vertices = surface.rest + displacements
+    vertex = int(np.argmin(np.linalg.norm(vertices - position, axis=1)))
+    distance = float(np.linalg.norm(vertices[vertex] - position))
+    limit = max(radius, 2 * model.cloud.spacing)
+    if distance > limit:
+        raise InputError(
+            f"position of a grasp must be within {1e3 * limit:.3g} mm of the surface, got {1e3 * distance:.3g} mm; "
+            "choose a point on the surface"
+        )
+    point = surface.rest[vertex].astype(float)
+    near = np.flatnonzero(np.linalg.norm(model.cloud.points - point, axis=1) <= radius * (1 + 1e-9))
+    fixed = [model.cloud.group(name) for name in model.fixed]
+    if fixed and np.isin(near, np.concatenate(fixed)).any():
+        raise InputError("position of a grasp must be away from the support, got fixed nodes; choose another place")
+    return Forceps(radius, tuple(point), np.inf), vertices[vertex].astype(float)
+
+
+class ToolWorkspace:
+    """The region around a body in which a tool may be.
+
+    Parameters
+    ----------
+    surface : Surface
+    """
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+        self.low, self.high = surface.rest.min(axis=0) - WORKSPACE_MARGIN, surface.rest.max(axis=0) + WORKSPACE_MARGIN
+        self._max_depth = MAX_PENETRATION * surface.model.cloud.spacing
+
+    def nearest_position(self, position: Floats) -> Floats:
+        """Return the nearest position [m] inside the workspace."""
+        return np.clip(position, self.low, self.high)
+
+    def is_outside(self, displacements: Floats, tool: Tool, pose: Floats) -> bool:
+        """Return whether a tool is outside a body whose vertices have displacements (n, 3) [m]."""
+        vertices = np.ascontiguousarray(self.surface.rest + displacements, dtype=float)
+        distance = np.zeros(len(vertices))
+        gaps(tool.kind, np.array(tool.sizes), pose, vertices, distance)
+        if distance.min() < -self._max_depth:
+            return False
+        nearest = int(np.argmin(distance))
+        return bool((pose[:3] - vertices[nearest]) @ self._normal(vertices, nearest) > 0)
+
+    def _normal(self, vertices: Floats, vertex: int) -> Floats:
+        """Return an outward normal at a vertex, not normalised."""
+        around = self.surface.triangles[(self.surface.triangles == vertex).any(axis=1)]
+        a, b, c = (vertices[around[:, k]] for k in range(3))
+        return np.asarray(np.cross(b - a, c - a).sum(axis=0))

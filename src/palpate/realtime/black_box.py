@@ -1,0 +1,94 @@
+"""Black box: a ring buffer with the records of the last seconds, and its HDF5 file."""
+
+from __future__ import annotations
+
+import io
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from palpate.files import whole_file
+from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
+from palpate.realtime.record import HEADER, HEADER_SIZE, UNITS
+
+__all__ = ["MAX_COORDINATES", "RingBuffer", "append_record", "latest_records", "write_black_box"]
+
+Floats = NDArray[np.float64]
+
+MAX_COORDINATES = 64  # reduced coordinates stored of each record
+FORMAT, VERSION = "palpate black box", 2
+
+
+class RingBuffer(NamedTuple):
+    """The most recent records; a new record replaces the oldest one.
+
+    Parameters
+    ----------
+    written : flags
+        Element 0 counts the records written since the buffer was made.
+    records : (r, w) float64
+        Record k is stored in row k modulo r.
+    """
+
+    written: NDArray[np.int64]
+    records: Floats
+
+    @classmethod
+    def empty(cls, count: int, coordinates: int) -> RingBuffer:
+        """Make a buffer for `count` records with up to `MAX_COORDINATES` coordinates each."""
+        return cls(make_flags(), np.zeros((count + 1, HEADER_SIZE + min(coordinates, MAX_COORDINATES))))
+
+
+@njit(cache=True)
+def append_record(buffer, record):  # type: ignore[no-untyped-def]
+    """Append the first numbers of a record, as many as the buffer stores."""
+    written = get_flag(buffer.written, 0)
+    row = written % buffer.records.shape[0]
+    release_fence()  # a reader that sees new numbers below also sees that the old record is being replaced
+    for i in range(buffer.records.shape[1]):
+        buffer.records[row, i] = record[i]
+    set_flag(buffer.written, 0, written + 1)
+
+
+def latest_records(buffer: RingBuffer) -> Floats:
+    """Return the stored records (k, w), oldest first; safe while another thread appends."""
+    capacity = len(buffer.records) - 1  # one row may be incomplete
+    before = get_flag(buffer.written, 0)
+    records = buffer.records[np.arange(max(0, before - capacity), before) % len(buffer.records)]
+    acquire_fence()
+    replaced = get_flag(buffer.written, 0) - capacity - max(0, before - capacity)  # while they were copied
+    return np.asarray(records[max(0, replaced) :])
+
+
+def write_black_box(path: str | Path, buffer: RingBuffer, attributes: dict[str, Any]) -> None:
+    """Write the records of a ring buffer to an HDF5 file atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+    buffer : RingBuffer
+    attributes : dict
+        Attributes of the file.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written; the message names it.
+    """
+    import h5py
+
+    records, path, content = latest_records(buffer), Path(path), io.BytesIO()
+    headers = np.ascontiguousarray(records[:, :HEADER_SIZE]).view(HEADER)[:, 0]
+    with h5py.File(content, "w") as file:  # in memory, because HDF5 does not survive a full disk
+        for name in HEADER.names or ():
+            file[name] = headers[name]
+            if name in UNITS:
+                file[name].attrs["unit"] = UNITS[name]
+        file["coordinates"] = records[:, HEADER_SIZE:]
+        file.attrs.update(format=FORMAT, version=VERSION, written=time.strftime("%Y-%m-%dT%H:%M:%S%z"), **attributes)
+    with whole_file(path) as partial:
+        partial.write_bytes(content.getvalue())

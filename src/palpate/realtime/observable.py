@@ -1,0 +1,272 @@
+"""Observable model: publishes its contact forces, with an optional virtual coupling and a variable stiffness.
+
+The record of the engine has the coordinates of a period but not the contact forces on the surface. An observable model
+publishes both in one slot after every period, so that readers need no lock and receive values of one period.
+
+A virtual coupling is a spring and a damper between the pose p of a haptic device and the position x of the tool:
+
+    m dv/dt = K (p - x) + B (dp/dt - v) + f,
+
+where m is a small mass of the tool and f the force of the body. The spring and the damper are evaluated at the end of a
+period and f at its start (symplectic Euler). The coupling is passive if B > K' h / 2 and m > K' h^2 / 4, for a body of
+stiffness K' and a period h. Rotations are not coupled: the tool follows them directly.
+
+Multiplying all moduli by s at constant density is a change of time scale: M q'' = s f(q) in t is M q'' = f(q) in
+sqrt(s) t, with forces and energies multiplied by s. This is exact for every law without relaxation times. Rayleigh
+damping scales with it: each vibration decays in the same number of its own periods.
+
+A jump of s changes the strain energy, and repeated jumps in phase with a vibration add energy without bound. The
+modulus ratio therefore changes slowly compared with vibrations.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.faults import number_in_range
+from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
+from palpate.realtime.exchange import Slot, publish, snapshot
+from palpate.realtime.loop import engine_sources, function_key
+from palpate.reduction.realtime.model import RealtimeModel
+
+__all__ = ["ObservableModel", "Observation", "VirtualCoupling", "make_observable"]
+
+Floats = NDArray[np.float64]
+
+MAX_CONTACT_NODES = 4096  # contact nodes published in a period
+DEVICE_FORCE, TOOL_POSITION, CONTACT_COUNT, MODULUS_RATIO, COORDINATES = 0, 3, 6, 7, 8  # offsets in `values`
+CONTACT_SIZE = 4  # values of a contact: node, force (3,)
+PRESENT, TARGET = 0, 1  # indices in `modulus_ratio`
+MAX_RATIO_RATE = 5.0  # [1/s]: largest rate of the logarithm of the modulus ratio, in model time
+STIFFNESS, DAMPING, MASS = range(3)  # indices in `VirtualCoupling.parameters`
+TOOL_MASS = 0.05  # [kg] of a coupled tool
+
+
+class VirtualCoupling(NamedTuple):
+    """State of the spring and damper between a haptic device and the tool.
+
+    Parameters
+    ----------
+    parameters : (3,) array
+        Stiffness [N/m], 0 for a rigid coupling; damping [N s/m]; mass [kg].
+    position, velocity : (3,) arrays [m], [m/s]
+        Displacement and velocity of the tool.
+    device : (3,) array [m]
+        Displacement of the device at the end of the last period.
+    force : (3,) array [N]
+        Force of the body on the tool.
+    """
+
+    parameters: Floats
+    position: Floats
+    velocity: Floats
+    device: Floats
+    force: Floats
+
+
+class ObservableData(NamedTuple):
+    """Data of an observable model.
+
+    Parameters
+    ----------
+    inner : tuple
+        Data of the model inside.
+    slot : Slot
+        Published values.
+    values : array
+        Values to be published next.
+    coupling : VirtualCoupling
+    target : (l,) array
+        Tool coordinates that the model inside receives.
+    tangent : (l, l) array
+        Contact stiffness of the model inside.
+    modulus_ratio : (2,) array
+        Present and requested ratio of the moduli to the model's own.
+    """
+
+    inner: Any
+    slot: Slot
+    values: Floats
+    coupling: VirtualCoupling
+    target: Floats
+    tangent: Floats
+    modulus_ratio: Floats
+
+
+class Observation(NamedTuple):
+    """Published values of one period.
+
+    Parameters
+    ----------
+    coordinates, contact_nodes, contact_forces : arrays
+        Arguments of `palpate.reduction.realtime.display_surface.Surface.displacements`; the forces are those of the model's own moduli.
+    tool_position : (3,) array [m]
+        Displacement of the tool, which differs from the device's with a virtual coupling.
+    device_force : (3,) array [N]
+        Force on the haptic device.
+    modulus_ratio : float
+        Moduli relative to the model's own.
+    """
+
+    coordinates: Floats
+    contact_nodes: NDArray[np.int64]
+    contact_forces: Floats
+    tool_position: Floats
+    device_force: Floats
+    modulus_ratio: float
+
+
+class ObservableModel(NamedTuple):
+    """A real-time model for the engine; see `palpate.realtime.Realtime`."""
+
+    advance: Any
+    stiffness: Any
+    data: ObservableData
+    rest: Floats
+    tool: Floats
+
+    def observe(self) -> Observation:
+        """Return the values that the last period published; may be called from any thread."""
+        values, end = snapshot(self.data.slot), COORDINATES + len(self.rest)
+        contacts = values[end:].reshape(-1, CONTACT_SIZE)[: int(values[CONTACT_COUNT])]
+        return Observation(
+            coordinates=values[COORDINATES:end],
+            contact_nodes=contacts[:, 0].astype(np.int64),
+            contact_forces=contacts[:, 1:],
+            tool_position=values[TOOL_POSITION : TOOL_POSITION + 3],
+            device_force=values[DEVICE_FORCE : DEVICE_FORCE + 3],
+            modulus_ratio=float(values[MODULUS_RATIO]),
+        )
+
+    def set_state(self, coordinates: Floats, position: Floats) -> None:
+        """Restart from coordinates, with the tool at rest at a displacement (3,) [m]; the engine must not run."""
+        data, coupling = self.data, self.data.coupling
+        for array in (coupling.velocity, coupling.force, data.values):
+            array[:] = 0.0
+        coupling.position[:], coupling.device[:] = position, position
+        data.values[MODULUS_RATIO] = data.modulus_ratio[PRESENT]
+        data.values[TOOL_POSITION : TOOL_POSITION + 3] = position
+        data.values[COORDINATES : COORDINATES + len(self.rest)] = coordinates
+        publish(data.slot, data.values)
+
+    def set_modulus_ratio(self, ratio: float) -> None:
+        """Multiply all moduli by a ratio from 0.1 to 10, at constant density; the engine must not run.
+
+        The moduli change gradually, by at most a factor of e in 0.2 s of model time.
+
+        Raises
+        ------
+        InputError
+            The ratio is out of range.
+        """
+        self.data.modulus_ratio[TARGET] = number_in_range("ratio", ratio, 0.1, 10.0)
+
+    def set_coupling(self, stiffness: float | None) -> None:
+        """Couple the tool by a critically damped spring [N/m], or rigidly if None; the engine must not run.
+
+        Raises
+        ------
+        InputError
+            The stiffness is not from 1 to 10,000 N/m.
+        """
+        parameters = self.data.coupling.parameters
+        if stiffness is None:
+            parameters[:] = 0.0
+            return
+        stiffness = number_in_range("stiffness", stiffness, 1.0, 1e4, unit="N/m")
+        parameters[:] = stiffness, 2.0 * np.sqrt(stiffness * TOOL_MASS), TOOL_MASS
+
+
+def make_observable(model: RealtimeModel) -> ObservableModel:
+    """Return an observable model that shares the data of a real-time model."""
+    advance, stiffness = _compile(model.advance, model.stiffness)
+    contacts = min(MAX_CONTACT_NODES, len(model.data.contact_state.node))
+    values = np.zeros(COORDINATES + len(model.rest) + CONTACT_SIZE * contacts)
+    tools = len(model.tool)
+    data = ObservableData(
+        inner=model.data,
+        slot=Slot.zeros(len(values)),
+        values=values,
+        coupling=VirtualCoupling(*np.zeros((5, 3))),
+        target=np.zeros(tools),
+        tangent=np.zeros((tools, tools)),
+        modulus_ratio=np.ones(2),
+    )
+    observable = ObservableModel(advance, stiffness, data, model.rest, model.tool)
+    observable.set_state(model.rest, np.zeros(3))
+    return observable
+
+
+@cache
+def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
+    """Compile the functions of an observable model."""
+    digest = law_digest("observable", function_key(inner_advance), function_key(inner_stiffness), *engine_sources())
+
+    @law_njit(digest)
+    def move_coupled_tool(coupling, target, values, period):  # type: ignore[no-untyped-def]
+        """Advance the coupled tool by a period; write its position to `target` and the device's force."""
+        stiffness, damping = coupling.parameters[STIFFNESS], coupling.parameters[DAMPING]
+        mass = coupling.parameters[MASS]
+        effective_mass = mass + period * damping + period * period * stiffness
+        for i in range(3):
+            wanted = target[i]
+            rate = (wanted - coupling.device[i]) / period
+            force = stiffness * (wanted - coupling.position[i]) + damping * rate + coupling.force[i]
+            coupling.velocity[i] = (mass * coupling.velocity[i] + period * force) / effective_mass
+            coupling.position[i] += period * coupling.velocity[i]
+            spring = stiffness * (wanted - coupling.position[i]) + damping * (rate - coupling.velocity[i])
+            values[DEVICE_FORCE + i] = -spring
+            coupling.device[i] = wanted
+            target[i] = coupling.position[i]
+
+    @law_njit(digest)
+    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+        for k in range(target.shape[0]):
+            data.target[k] = target[k]
+        coupled = data.coupling.parameters[STIFFNESS] > 0.0
+        if coupled:
+            move_coupled_tool(data.coupling, data.target, data.values, period)
+        before, most = data.modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
+        ratio = min(max(data.modulus_ratio[TARGET], before / most), before * most)
+        if ratio != before:
+            for m in range(v.shape[0]):
+                v[m] *= np.sqrt(before / ratio)
+            data.modulus_ratio[PRESENT] = ratio
+        inner_advance(data.inner, q, v, data.target, period * np.sqrt(ratio), report)
+        if report[STATUS] != 0.0:
+            return
+        report[KINETIC] *= ratio
+        report[STRAIN] *= ratio
+        for k in range(FORCES, report.shape[0]):
+            report[k] *= ratio
+        values, contact_state = data.values, data.inner.contact_state
+        for i in range(3):
+            data.coupling.force[i] = -report[FORCES + i]
+            values[TOOL_POSITION + i] = data.target[i]
+            if not coupled:
+                values[DEVICE_FORCE + i] = data.coupling.force[i]
+        for m in range(q.shape[0]):
+            values[COORDINATES + m] = q[m]
+        at = COORDINATES + q.shape[0]
+        count = min(contact_state.numbers[0], (values.shape[0] - at) // CONTACT_SIZE)
+        values[CONTACT_COUNT], values[MODULUS_RATIO] = count, ratio
+        for e in range(count):
+            values[at] = contact_state.node[e]
+            for i in range(3):
+                values[at + 1 + i] = contact_state.push[e, i]  # for the model's own moduli
+            at += CONTACT_SIZE
+        publish(data.slot, values[:at])
+
+    @law_njit(digest)
+    def stiffness(data, q, out):  # type: ignore[no-untyped-def]
+        inner_stiffness(data.inner, q, data.tangent)
+        for i in range(out.shape[0]):
+            for j in range(out.shape[1]):
+                out[i, j] = data.modulus_ratio[PRESENT] * data.tangent[i, j]
+
+    return advance, stiffness

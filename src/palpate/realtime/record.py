@@ -1,0 +1,133 @@
+"""The record of one period: an array of float64 that the engine publishes and the black box stores.
+
+A record holds the fields of `HEADER`, then m coordinates, then m velocities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.describe import Described, Fact
+
+__all__ = ["HEADER", "HEADER_SIZE", "UNITS", "PeriodRecord", "Reading", "field_offset"]
+
+Floats = NDArray[np.float64]
+
+HEADER = np.dtype(
+    [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
+    + [(name, "f8") for name in ("trust", "worst_trust", "clamped", "limited", "sequence", "kinetic", "strain")]
+    + [("position", "f8", 3), ("quaternion", "f8", 4), ("force", "f8", 3), ("moment", "f8", 3)]
+    + [("stiffness", "f8", (3, 3))]
+)
+HEADER_SIZE = HEADER.itemsize // 8
+UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
+UNITS |= {"force": "N", "moment": "N m", "stiffness": "N/m"}
+
+
+def field_offset(name: str) -> int:
+    """Return the index in a record at which a field of `HEADER` begins."""
+    return int(dict(HEADER.fields or {})[name][1]) // 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodRecord(Described):
+    """Results of one period.
+
+    Parameters
+    ----------
+    time : float [s]
+        Model time since the last reset.
+    steps : int
+        Periods since the last reset.
+    force, moment : (3,) arrays [N], [N m]
+        Force and moment of the body on the tool, about the tool's reference point.
+    stiffness : (3, 3) array [N/m]
+        Contact stiffness: the derivative of the tool's force on the body by the tool's displacement. It is
+        updated every few periods, and is zero for a model without a stiffness function.
+    trust : float
+        Trust number; above 1 the model was not trained on such states.
+    position, quaternion : (3,) array [m] and (4,) array
+        Pose of the tool, which follows the requested pose at a limited speed.
+    sequence : int
+        Sequence number of the newest pose that the period used, as passed to `Engine.set_pose`.
+    kinetic, strain : float [J]
+        Kinetic and strain energy.
+    computing, lateness : float [s]
+        Computing time of the step, and the delay between its deadline and its start.
+    coordinates : (m,) array
+        Reduced coordinates.
+    state : str
+        ``"stopped"``, ``"running"``, ``"paused"`` or ``"diverged"``. After a divergence the other
+        fields keep the last valid values.
+    """
+
+    time: float
+    steps: int
+    force: Floats
+    moment: Floats
+    stiffness: Floats
+    trust: float
+    position: Floats
+    quaternion: Floats
+    sequence: int
+    kinetic: float
+    strain: float
+    computing: float
+    lateness: float
+    coordinates: Floats
+    state: str
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("engine", self.state, ""),
+            ("time", self.time, "s"),
+            ("force", self.force, "N"),
+            ("moment", self.moment, "N m"),
+            ("trust", self.trust, ""),
+            ("computing time", self.computing, "s"),
+            ("lateness", self.lateness, "s"),
+            ("steps", self.steps, ""),
+            ("coordinates", len(self.coordinates), ""),
+        ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading(PeriodRecord):
+    """Results of one period as the engine returns them; the pose is relative to the tool at rest.
+
+    A force above the engine's limit is scaled down together with the moment.
+
+    Parameters
+    ----------
+    worst_trust : float
+        Largest trust number since the last reset; `palpate.ReducedModel.expected_error` converts it to an error.
+    clamped : bool
+        Whether the engine keeps the tool away from states that the model was not trained on.
+    limited : bool
+        Whether the force was scaled down to the engine's limit.
+    velocities : (m,) array
+        Velocities of the reduced coordinates.
+    """
+
+    worst_trust: float
+    clamped: bool
+    limited: bool
+    velocities: Floats
+
+    @classmethod
+    def from_record(cls, record: Floats, state: str) -> Reading:
+        """Read a record (HEADER_SIZE + 2 m,)."""
+        header = record[:HEADER_SIZE].view(HEADER)[0]
+        names = ("time", "trust", "worst_trust", "kinetic", "strain", "computing", "lateness")
+        numbers: dict[str, Any] = {name: float(header[name]) for name in names}
+        numbers |= {name: int(header[name]) for name in ("steps", "sequence")}
+        arrays = {name: header[name].copy() for name in ("force", "moment", "stiffness", "position", "quaternion")}
+        coordinates, velocities = record[HEADER_SIZE:].reshape(2, -1).copy()
+        return cls(
+            **numbers, **arrays, clamped=bool(header["clamped"]), limited=bool(header["limited"]),
+            coordinates=coordinates, velocities=velocities, state=state,
+        )  # fmt: skip

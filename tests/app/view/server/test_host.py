@@ -1,0 +1,81 @@
+"""Messages of the host: a busy port, a public address, no page, no browser."""
+
+from __future__ import annotations
+
+import asyncio
+import urllib.request
+
+import pytest
+
+from palpate.app.console import Console
+from palpate.app.view.server import host
+from palpate.app.view.server.address import LOOPBACK, open_listener
+from palpate.app.view.server.page import Page
+
+
+@pytest.fixture
+def served(session, monkeypatch, capsys):
+    """A function that serves a session until clients are answered, and returns what was said, by line."""
+
+    async def run(own, ready):
+        ready()
+        own._listener.close()
+
+    def serve(port=18970, address=LOOPBACK, browser=True):
+        monkeypatch.setattr(host.Host, "run", run)
+        host.serve_source(session, Console(), port, address, browser)
+        return capsys.readouterr().err.splitlines()
+
+    return serve
+
+
+def test_a_busy_port_is_said(served):
+    busy = open_listener(LOOPBACK, 18970)
+    port = busy.getsockname()[1]
+    first, second, *_ = served(port, browser=False)
+    busy.close()
+    taken = int(first.rpartition(" ")[2])
+    assert first == f"port {port} is busy; using {taken}"
+    assert port < taken < port + 20
+    assert second.startswith(f"open http://{LOOPBACK}:{taken}/#")
+
+
+def test_without_a_browser_the_address_is_there_to_be_opened(served, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("palpate.app.view.server.address.sys.platform", "linux")
+    address, no_browser = served()
+    assert "/#" in address
+    assert no_browser == "no browser was found: open the address yourself"
+
+
+def test_an_address_that_others_reach_is_warned_of(served, monkeypatch):
+    monkeypatch.setattr(host, "is_loopback", lambda name: False)
+    assert served(browser=False)[0].startswith(f"WARNING: other machines can reach {LOOPBACK}")
+
+
+def test_a_copy_without_a_page_says_so(served, monkeypatch, tmp_path):
+    monkeypatch.setattr(host, "Page", lambda names: Page(names, tmp_path))
+    assert served(browser=True)[0].startswith("the page was not built")
+
+
+def test_the_address_is_answered_until_interrupted(session, monkeypatch, capsys):
+    own = host.Host(session, port=18970)
+
+    async def visit():
+        ready = asyncio.Event()
+        serving = asyncio.create_task(own.run(ready.set))
+        await ready.wait()
+        page = await asyncio.to_thread(lambda: urllib.request.urlopen(own.address, timeout=10).read())
+        serving.cancel()
+        return page
+
+    assert b"<!doctype html" in asyncio.run(visit()).lower()
+
+    async def interrupted(own, ready):
+        own._listener.close()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(host.Host, "run", interrupted)
+    host.serve_source(session, Console(), 18970, LOOPBACK, False)  # ends without a word
+    assert "Traceback" not in capsys.readouterr().err

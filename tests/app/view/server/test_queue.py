@@ -1,0 +1,51 @@
+"""What a client has said: poses give way to newer ones, all else stays, in its order."""
+
+from __future__ import annotations
+
+import asyncio
+
+from palpate.app.view.server.queue import MAX_MESSAGES, MessageQueue
+
+
+def pose(number):
+    return {"type": "pose", "sequence": number}
+
+
+def emptied(*messages):
+    async def run():
+        queue = MessageQueue()
+        for message in messages:
+            await queue.put(message)
+        queue.close()
+        found = []
+        while (message := await queue.get()) is not None:
+            found.append(message)
+        return found
+
+    return asyncio.run(run())
+
+
+def test_of_poses_that_wait_the_newest_is_left():
+    assert emptied(pose(1), pose(2), pose(3)) == [pose(3)]
+
+
+def test_nothing_overtakes_what_is_no_pose():
+    release, ack = {"type": "release"}, {"type": "ack", "sequence": 1}
+    said = [pose(1), pose(2), release, pose(3), ack, pose(4), pose(5)]
+    assert emptied(*said) == [pose(2), release, pose(3), ack, pose(5)]
+
+
+def test_who_says_too_much_waits():
+    async def run():
+        queue, release = MessageQueue(), {"type": "release"}
+        for _ in range(MAX_MESSAGES):
+            await queue.put(release)
+        late = asyncio.create_task(queue.put(pose(1)))
+        await asyncio.sleep(0)
+        assert not late.done()
+        for _ in range(MAX_MESSAGES):
+            assert await queue.get() == release
+        await late
+        assert await queue.get() == pose(1)
+
+    asyncio.run(run())

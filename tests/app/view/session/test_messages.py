@@ -1,0 +1,83 @@
+"""What clients may say, and how everything else is refused."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import palpate as pt
+from palpate.app.view.session.messages import parse_message
+
+
+def test_what_is_missing_has_its_default_and_what_is_unknown_is_left_out():
+    message = parse_message('{"type": "pose", "position": [0, 0.01, -0.02], "colour": "red"}')
+    assert message == {
+        "type": "pose", "position": [0.0, 0.01, -0.02], "quaternion": [1.0, 0.0, 0.0, 0.0], "sequence": 0,
+    }  # fmt: skip
+
+
+def test_quaternions_become_unit_ones():
+    turn = parse_message('{"type": "pose", "position": [0, 0, 0], "quaternion": [0, 0, 3, 4]}')["quaternion"]
+    assert turn == pytest.approx([0, 0, 0.6, 0.8])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "not valid JSON"),
+        ("{", "not valid JSON"),
+        ("[" * 30_000, "32 nested levels"),
+        ('{"type": "latency", "stamp": ' + "[" * 40 + "]" * 40 + "}", "32 nested levels"),
+        ('{"type": "release", "type": "release"}', "same key twice"),
+        ('{"type": "latency", "stamp": 1e999}', "not finite"),
+        ('{"type": "latency", "stamp": ' + "9" * 5000 + "}", "not valid JSON"),
+        ('{"type": "latency", "stamp": [1]}', "must be a finite number, text"),
+        ('{"type": "latency", "stamp": true}', "must be a finite number, text"),
+        (json.dumps({"type": "latency", "stamp": "x" * 201}), "at most 200"),
+        ('{"type": "hello", "protocol": 2, "token": "\\ud800"}', "surrogate"),
+        ('{"type": "force", "rate": 1e-300}', "from 1 to 1000"),
+        ('{"type": "force", "rate": 0.01}', "from 1 to 1000"),
+        ('{"type": "force", "rate": 1001}', "from 1 to 1000"),
+        ('{"type": "force", "rate": false}', "from 1 to 1000"),
+        ("[]", "JSON object"),
+        ("{}", "got None"),
+        ('{"type": ["pose"]}', "type must be one of"),
+        ('{"type": "fly"}', "type must be one of hello, ack"),
+        ('{"type": "pose"}', "position must be given"),
+        ('{"type": "pose", "position": [0, 0]}', "list of 3"),
+        ('{"type": "pose", "position": [0, 0, NaN]}', "NaN is not a number"),
+        ('{"type": "pose", "position": [0, 0, 1e400]}', "not finite"),
+        ('{"type": "pose", "position": [0, 0, true]}', "from -10 to 10"),
+        ('{"type": "pose", "position": [0, 0, "1"]}', "from -10 to 10"),
+        ('{"type": "pose", "position": [0, 0, 0], "quaternion": [0, 0, 0, 0]}', "non-zero quaternion"),
+        ('{"type": "ack", "sequence": -1}', "from 0 to 2"),
+        ('{"type": "ack", "sequence": 1.5}', "whole number"),
+        ('{"type": "tool", "kind": "laser", "position": [0, 0, 0]}', "'sphere', 'capsule', 'grasp'"),
+        ('{"type": "tool", "kind": "sphere", "position": [0, 0, 0], "radius": -1}', "radius"),
+        ('{"type": "speed", "factor": 0}', "0.05 to 1"),
+        ('{"type": "material", "name": "x", "value": 0}', "value"),
+        (json.dumps({"type": "hello", "protocol": 2, "token": "x" * 1000}), "at most 200"),
+        (b"\x00\x01", "binary"),
+    ],
+)
+def test_others_are_refused(text, said):
+    with pytest.raises(pt.InputError, match=said):
+        parse_message(text)
+
+
+@pytest.mark.parametrize("stamp", [None, 0, -1.5, 2**53, "text"])
+def test_a_stamp_comes_back_as_it_is(stamp):
+    assert parse_message(json.dumps({"type": "latency", "stamp": stamp})) == {"type": "latency", "stamp": stamp}
+
+
+def test_rates_are_none_or_from_one_to_a_thousand():
+    messages = [parse_message(json.dumps({"type": "force", "rate": rate})) for rate in (0, 1, 1000)]
+    assert [message["rate"] for message in messages] == [0.0, 1.0, 1000.0]
+
+
+def test_what_is_refused_is_shown_without_what_cannot_be_printed():
+    with pytest.raises(pt.InputError) as refused:
+        parse_message(json.dumps({"type": "\U0001f9e0" * 1000}))
+    assert len(str(refused.value)) < 400
+    str(refused.value).encode()

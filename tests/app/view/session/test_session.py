@@ -1,0 +1,270 @@
+"""What a session does with the tool in a hand."""
+
+from __future__ import annotations
+
+import runpy
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from view_scenes import BALL, MIDDLE, SIZE
+
+import palpate as pt
+from palpate.app.view.session.messages import validate_message
+from palpate.app.view.session.recording import load_recording
+from palpate.app.view.session.session import Session
+
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
+PRESSED = MIDDLE + np.array([0, 0, BALL - 0.003])
+
+
+def pose(position, **more):
+    return validate_message({"type": "pose", "position": list(position), **more})
+
+
+def calm(moment):
+    return moment.force[2] > 0.01 and moment.kinetic < 1e-4 * moment.strain
+
+
+@pytest.fixture
+def pressed(session, ball, until):
+    """A session whose ball stands 3 mm deep."""
+    session.handle(validate_message(ball))
+    session.handle(pose(PRESSED))
+    until(lambda: session.snapshot().position[2] == pytest.approx(PRESSED[2]))
+    until(lambda: calm(session.snapshot()))
+    return session
+
+
+def test_a_press_is_felt_and_seen_and_a_release_gives_way(pressed, until):
+    moment = pressed.snapshot()
+    moved = moment.displacements(pressed.surface)
+    assert moment.tool == "sphere"
+    assert len(moment.contact_nodes) > 0
+    middle = int(np.argmin(np.linalg.norm(pressed.surface.rest - MIDDLE, axis=1)))
+    assert -0.0035 < moved[middle, 2] < -0.0025  # the ball's lowest point is 3 mm deep
+    np.testing.assert_allclose(moment.device_force, moment.force, atol=1e-3 * abs(moment.force[2]))  # held firmly
+    pressed.release()
+    until(lambda: not pressed.snapshot().force.any())
+    until(lambda: np.abs(pressed.snapshot().displacements(pressed.surface)).max() < 1e-4)
+    assert pressed.snapshot().tool == "none"
+
+
+def test_forces_on_nodes_are_of_the_same_period_as_the_force_on_the_tool(pressed):
+    for _ in range(50):
+        moment = pressed.snapshot()
+        assert moment.state == "running"
+        np.testing.assert_allclose(-moment.contact_forces.sum(axis=0), moment.force, atol=0.05 * abs(moment.force[2]))
+
+
+def test_a_released_ball_comes_back_where_it_is_outside(pressed, until):
+    pressed.release()
+    pressed.handle(pose(PRESSED))  # inside: it stays away
+    assert pressed.snapshot().tool == "none"
+    pressed.handle(pose(ABOVE))
+    assert pressed.snapshot().tool == "sphere"
+    np.testing.assert_allclose(pressed.snapshot().position, ABOVE)
+    pressed.handle(pose(PRESSED))
+    until(lambda: pressed.snapshot().force[2] > 0.01)
+
+
+def test_reset_is_rest(pressed):
+    pressed.reset()
+    moment = pressed.snapshot()
+    assert not moment.displacements(pressed.surface).any()
+    assert moment.tool == "none"
+    assert moment.time < 0.1
+    assert moment.state == "running"
+
+
+def test_another_tool_goes_on_from_the_present_state(pressed, until):
+    before = pressed.snapshot()
+    began = time.perf_counter()
+    aside = [0.040, 0.008, SIZE[2] + 0.02]
+    capsule = {"type": "tool", "kind": "capsule", "radius": 0.01, "length": 0.01, "position": aside}
+    pressed.handle(validate_message(capsule))
+    took = time.perf_counter() - began
+    moment = pressed.snapshot()
+    assert moment.tool == "capsule"
+    assert moment.steps >= before.steps
+    assert took < 2.0  # nothing is compiled or made anew
+    np.testing.assert_allclose(moment.position, aside)
+
+
+def test_a_grasp_pulls_and_lets_go(session, until):
+    session.handle(validate_message({"type": "tool", "kind": "grasp", "radius": 0.008, "position": MIDDLE.tolist(),
+                            "quaternion": [0.0, 1.0, 0.0, 0.0]}))  # fmt: skip
+    held = session.snapshot()
+    np.testing.assert_allclose(held.position, MIDDLE, atol=1e-6)
+    np.testing.assert_allclose(np.abs(held.quaternion), [0.0, 1.0, 0.0, 0.0], atol=1e-9)
+    session.handle(pose(MIDDLE + np.array([0, 0, 0.003]), quaternion=[0.0, 1.0, 0.0, 0.0]))
+    until(lambda: session.snapshot().position[2] == pytest.approx(MIDDLE[2] + 0.003))
+    until(lambda: session.snapshot().force[2] < -0.05)  # the body pulls it down
+    moment = session.snapshot()
+    middle = int(np.argmin(np.linalg.norm(session.surface.rest - MIDDLE, axis=1)))
+    np.testing.assert_allclose(moment.displacements(session.surface)[middle], [0, 0, 0.003], atol=1e-4)
+    session.release()
+    until(lambda: not session.snapshot().force.any())
+    session.handle(pose(ABOVE))  # forceps do not come back by themselves
+    assert session.snapshot().tool == "none"
+
+
+@pytest.mark.parametrize(
+    ("tool", "said"),
+    [
+        ({"kind": "sphere", "position": [0.024, 0.024, 0.012]}, "outside the body"),
+        ({"kind": "sphere", "radius": 0.003, "position": [0.024, 0.024, 0.015]}, "outside the body"),
+        ({"kind": "grasp", "position": [0.024, 0.024, 0.09]}, "mm of the surface"),
+        ({"kind": "grasp", "position": [0.0, 0.024, 0.006], "radius": 0.008}, "away from the support"),
+    ],
+)
+def test_a_tool_is_put_only_where_it_can_be(session, tool, said):
+    with pytest.raises(pt.InputError, match=said):
+        session.handle(validate_message({"type": "tool", **tool}))
+
+
+def test_slow_motion_is_slow(session, until):
+    session.handle(validate_message({"type": "speed", "factor": 0.1}))
+    first = session.snapshot()
+    until(lambda: session.snapshot().steps >= first.steps + 100)
+    last = session.snapshot()
+    assert last.time - first.time == pytest.approx(1e-4 * (last.steps - first.steps), rel=1e-6)
+
+
+def test_pause_stands_still_and_a_sleeping_machine_pauses(session, monkeypatch, until):
+    session.handle(validate_message({"type": "control", "action": "pause"}))
+    still = session.snapshot().steps
+    time.sleep(0.05)
+    assert session.snapshot().steps == still
+    session.handle(validate_message({"type": "control", "action": "resume"}))
+    until(lambda: session.snapshot().steps > still)
+    session.tick()
+    assert session.status()["state"] == "running"
+    now = time.time()
+    monkeypatch.setattr(
+        "palpate.app.view.session.session.time.time", lambda: now + 3600.0
+    )  # the lid was closed for an hour
+    session.tick()
+    assert session.status()["state"] == "paused"
+    assert session.status()["pause_reason"] == "sleep"
+
+
+def test_twice_the_moduli_are_twice_the_force_at_the_same_depth(pressed, until):
+    begun = pressed.snapshot().steps  # a body that swings is still for a moment, too: wait until it has swung out
+    until(lambda: pressed.snapshot().steps > begun + 2000 and calm(pressed.snapshot()))
+    soft = pressed.snapshot()
+    own = pressed.hello()["materials"][0]
+    assert own["value"] == pytest.approx(4.0)  # 2 C1
+    pressed.handle(validate_message({"type": "material", "name": "shear modulus", "value": 8.0}))
+    until(lambda: pressed.snapshot().steps > soft.steps + 2000 and calm(pressed.snapshot()))
+    firm = pressed.snapshot()
+    assert firm.force[2] == pytest.approx(2 * soft.force[2], rel=0.02)
+    assert firm.strain == pytest.approx(2 * soft.strain, rel=0.02)
+    np.testing.assert_allclose(
+        firm.displacements(pressed.surface), soft.displacements(pressed.surface), atol=0.02 * 0.003
+    )
+    stress = [m.scalar(pressed.surface, "stress", m.displacements(pressed.surface)) for m in (soft, firm)]
+    assert np.linalg.norm(stress[1]) == pytest.approx(
+        2 * np.linalg.norm(stress[0]), rel=0.1
+    )  # modes still ring a little
+    with pytest.raises(pt.InputError, match="must be from 1 to 16 kPa"):
+        pressed.handle(validate_message({"type": "material", "name": "shear modulus", "value": 100.0}))
+
+
+def test_moduli_that_change_to_and_fro_make_no_motion(session, until):
+    """In step with the body's vibrations, jumps would: this body ran away in half a second."""
+    session.handle(validate_message({"type": "tool", "kind": "grasp", "radius": 0.008, "position": MIDDLE.tolist()}))
+    session.handle(pose(MIDDLE + np.array([-0.0151, -0.0120, 0.0057])))
+    for k in range(60):
+        session.handle(validate_message({"type": "material", "name": "shear modulus", "value": (1.0, 16.0)[k % 2]}))
+        begun = session.snapshot().steps
+        until(lambda begun=begun: session.snapshot().steps >= begun + 15)
+    moment = session.snapshot()
+    assert moment.state == "running"
+    assert moment.kinetic < 0.01 * moment.strain
+    assert 0.25 <= moment.modulus_ratio <= 4.0
+    session.handle(validate_message({"type": "material", "name": "shear modulus", "value": 16.0}))
+    until(lambda: session.snapshot().modulus_ratio == 4.0)
+
+
+def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, until):
+    session.handle(validate_message({**ball, "stiffness": 200.0}))
+    session.handle(pose(PRESSED))
+    until(lambda: session.snapshot().steps > 500 and calm(session.snapshot()))
+    moment = session.snapshot()
+    np.testing.assert_allclose(moment.force[2], 200.0 * (moment.position - PRESSED)[2], rtol=0.05)
+    np.testing.assert_allclose(moment.device_force[2], moment.force[2], rtol=0.05)
+
+
+def test_a_coupling_makes_no_energy(model):
+    """The example's books, in periods of 1 ms without a clock."""
+    path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
+    example = runpy.run_path(str(path))
+    books = example["balance"](model, 300.0, radius=BALL, depth=0.004)
+    most = books["body"].max()
+    assert most > 1e-4  # [J]: it was pressed
+    assert books["work"].min() > -1e-3 * most  # the hand never gets more than it gave
+    assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
+    assert books["work"][-1] > 0.0
+
+
+def test_a_model_without_tools_is_refused(model):
+    bare = pt.ReducedModel(replace(model.data, compliance=None))
+    with pytest.raises(pt.InputError, match="the engine moves one tool"):
+        Session(bare, "Bare")
+
+
+def test_recordings_of_one_second_have_names_of_their_own(session, tmp_path, monkeypatch, until):
+    monkeypatch.setattr("palpate.app.view.session.session.time.strftime", lambda form: "recording-now")
+    session.folder = tmp_path / "recordings"
+    for _ in range(3):
+        session.start_recording()
+        until(lambda: len(session._recorder.times) > 1)
+        session.finish_recording()
+    session.start_recording()
+    until(lambda: len(session._recorder.times) > 1)
+    session.close()  # ends the one that goes on, and returns when all are written
+    names = ["recording-now", "recording-now-2", "recording-now-3", "recording-now-4"]
+    assert sorted(path.stem for path in session.folder.glob("*.h5")) == names
+    assert sorted(path.stem for path in session.folder.glob("*.vtkhdf")) == names
+    assert sorted(news["file"] for news in session.notifications) == sorted(
+        str(session.folder / f"{n}.h5") for n in names
+    )
+    assert all(load_recording(path).snapshots for path in session.folder.glob("*.h5"))
+
+
+def test_a_recording_that_cannot_be_written_leaves_nothing_behind(session, tmp_path, monkeypatch, until):
+    def full(path, recording):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
+    session.folder = tmp_path
+    session.start_recording()
+    session.finish_recording(wait=True)
+    assert session.notifications == [{"type": "error", "reason": "the recording was not written: no space left"}]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_stays_where_only_the_file_for_paraview_is_lost(session, tmp_path, monkeypatch, until):
+    def full(path, recording):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("palpate.app.view.session.recording._write_surface", full)
+    session.folder = tmp_path
+    session.start_recording()
+    until(lambda: len(session._recorder.times) > 1)
+    session.finish_recording(wait=True)
+    reason = "the file for ParaView was not written: no space left"
+    assert session.notifications == [{"type": "error", "reason": reason}]
+    (path,) = tmp_path.iterdir()
+    assert load_recording(path).snapshots
+
+
+def test_a_recording_goes_where_it_was_to_go_whoever_ends_it(session, tmp_path, until):
+    session.start_recording(tmp_path / "all.h5")
+    until(lambda: len(session._recorder.times) > 1)
+    session.handle(validate_message({"type": "record", "action": "stop"}))
+    session.close()
+    assert session.notifications[0]["file"] == str(tmp_path / "all.h5")
