@@ -28,8 +28,8 @@ demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	$(BIN)/palpate reproduce beam --out $(OUT)
 	@echo "The report, the figures and the files for ParaView are in $(abspath $(OUT)):"
 	@ls -1 $(OUT)
-	@echo "Next, a liver to press on a page in the browser; its first start trains a model, in some minutes:"
-	@echo "  $(BIN)/palpate view liver"
+	@echo "Next, press and pull that beam on a page in the browser:"
+	@echo "  $(BIN)/palpate view beam"
 
 test: $(VENV)/.installed-test ## run the tests
 	$(BIN)/python -m pytest $(PYTEST_ARGS)

@@ -565,7 +565,7 @@ def command_kind(folder: Path) -> Trial:
     """Return trials of command lines: options of the parser with odd values, and files of other kinds."""
     import argparse
 
-    from palpate.app.cli import _parser, main
+    from palpate.app.cli import build_parser, main
 
     def leaves(parser: Any, words: list[str]) -> list[tuple[list[str], Any]]:
         for action in parser._actions:
@@ -573,7 +573,7 @@ def command_kind(folder: Path) -> Trial:
                 return [leaf for name, sub in action.choices.items() for leaf in leaves(sub, [*words, name])]
         return [(words, parser)]
 
-    commands = leaves(_parser(), [])
+    commands = leaves(build_parser(), [])
     values = [
         "nan",
         "inf",

@@ -1,202 +1,154 @@
-"""The command line: what it prints, what it leaves, how it fails."""
+"""The command line: start, help, defaults, suggestions, names of options in messages, interrupts."""
 
 from __future__ import annotations
 
-import json
+import argparse
 import os
+import re
+import signal
 import subprocess
 import sys
-from contextlib import nullcontext
+from types import SimpleNamespace
 
-import h5py
-import numpy as np
 import pytest
 
-import palpate as pt
-from palpate.app.beam.reproduce import FIGURES, FILES
-from palpate.app.cli import main
-from palpate.app.pictures import DrawingError, check_drawing
-from palpate.files import check_space
-
-COARSE = ["reproduce", "beam", "--spacing", str(0.02 / 3), "--load", "2"]
+from palpate.app.cli import build_parser, main
+from palpate.app.common.arguments import Parser, add_command, in_option_words
+from palpate.app.common.exit_status import system_error
+from palpate.scenes.training import TRAINING
 
 
-@pytest.fixture(scope="module")
-def study(run_study, tmp_path_factory):
-    """A coarse study: its folder, report, standard output and standard error."""
-    return run_study([*COARSE, "--modes", "4", "2", "2"], tmp_path_factory.mktemp("study") / "results" / "beam")
+def leaves(parser, before=()):
+    """The commands of a parser: their words, and their own parsers."""
+    inner = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    if not inner:
+        yield before, parser
+    for action in inner:
+        for name, own in action.choices.items():
+            yield from leaves(own, (*before, name))
 
 
-def test_every_file_is_there_and_no_other(study):
-    out = study[0]
-    assert {path.name for path in out.iterdir()} == set(FILES)
+COMMANDS = dict(leaves(build_parser()))
+STUDIES = [words for words in COMMANDS if words[0] not in ("view", "replay", "laws")]
 
 
-@pytest.mark.parametrize("name", FIGURES)
-def test_every_figure_is_a_picture_with_something_on_it(study, assert_drawn, name):
-    assert_drawn(study[0] / name)
-
-
-def test_standard_output_is_the_report_and_nothing_else(study):
-    _, report, stdout, stderr = study
-    assert json.loads(stdout) == report
-    assert "projected, 4 modes at 496 nodes" in stderr
-    assert "hyper-reduced, 4 modes at" in stderr
-
-
-def test_the_report_says_what_was_run_and_on_what(study):
-    report = study[1]
-    expected = {"spacing": 0.02 / 3, "load": 2.0, "poisson": 0.49, "duration": 1.0, "every": 0.01}
-    assert report["parameters"] == pytest.approx(expected)
-    assert report["nodes"] == 31 * 4 * 4
-    assert report["machine"]["versions"]["palpate"] == pt.__version__
-    assert report["machine"]["cpu_count"] == os.cpu_count()
-    assert report["stability"]["step"] > 0
-    assert report["missing"] == {}
-
-
-def test_the_pulled_end_moves_as_a_slender_bar_does(study):
-    full = study[1]["full"]
-    young = 2 * 61.2e3 * 1.49
-    assert full["peak_tip_displacement"] == pytest.approx(2.0 * 0.2 / (young * 0.02**2), rel=0.05)
-    assert full["peak_tip_time"] == pytest.approx(0.5, abs=0.02)
-    assert full["load_at_peak"] == pytest.approx(2.0)
-    assert full["reaction_at_peak"] == pytest.approx(2.0, rel=0.05)
-    assert full["energy_balance"] < 0.03
-    assert full["real_time_factor"] == pytest.approx(1.0 / full["wall_seconds"])
-
-
-def by_series(report):
-    """The entries of the reduced runs of each series, in the order of the report."""
-    names = ("projected", "hyper-reduced")
-    assert {entry["series"] for entry in report["reduced"]} == set(names)
-    return [[entry for entry in report["reduced"] if entry["series"] == name] for name in names]
-
-
-def test_every_reduced_model_of_both_series_is_reported_once_in_order(study):
-    report = study[1]
-    for entries in by_series(report):
-        assert [entry["modes"] for entry in entries] == [2, 4]
-        assert entries[1]["projection_error"] < entries[0]["projection_error"]
-        for entry in entries:
-            assert not entry["failed"]
-            assert set(entry["errors"]) == {"displacement", "velocity", "energy", "reaction"}
-            # no run in the space of the modes is nearer than the projection, up to the norm's choice
-            assert 0 < entry["projection_error"] <= 1.1 * entry["errors"]["displacement"]
-            assert entry["ratio"] == pytest.approx(entry["wall_seconds"] / report["full"]["wall_seconds"])
-            assert entry["steps"] >= 100
-            assert entry["seconds_per_step"] == pytest.approx(entry["wall_seconds"] / entry["steps"])
-
-
-def test_projected_models_know_all_nodes_and_hyper_reduced_ones_few(study):
-    report = study[1]
-    projected, sampled = by_series(report)
-    assert all(entry["nodes"] == report["nodes"] for entry in projected)
-    assert all(0 < entry["nodes"] < report["nodes"] / 5 for entry in sampled)
-
-
-def test_the_energy_form_stands_beside_the_strong_form_and_says_what_hyper_reduced_models_follow(study):
-    report = study[1]
-    energy = report["energy_form"]
-    # two discretisations of one body, which shrink to one with the spacing
-    assert energy["peak_tip_displacement"] == pytest.approx(report["full"]["peak_tip_displacement"], rel=0.05)
-    assert abs(energy["energy_balance"]) < 1e-3
-    assert 0 < energy["errors"]["displacement"] < 0.5
-    _, sampled = by_series(report)
-    against = sampled[1]["errors_against"]["energy form"]
-    assert against["displacement"] < 0.5 * sampled[1]["errors"]["displacement"]
-    assert against["displacement"] < 0.1
-
-
-def test_singular_values_descend_and_claims_of_the_paper_are_listed(study):
-    report = study[1]
-    values = np.array(report["singular_values"])
-    assert len(values) == report["snapshots"] == 101
-    assert np.all(np.diff(values) <= 0)
-    assert [claim["figure"] for claim in report["paper"]] == ["Figure 3"] * 2 + ["Figure 4"] + ["Figure 5"] * 2
-    assert report["paper"][0]["holds"] is None  # not run with 6 modes
-
-
-def test_the_snapshots_and_the_export_agree(study):
-    out = study[0]
-    run = pt.Trajectory.load(out / "full.h5")
-    assert run.complete
-    with h5py.File(out / "beam.vtkhdf") as file:
-        exported = file["VTKHDF/PointData/displacement"][:].reshape(run.displacements.shape)
-        np.testing.assert_array_equal(exported, run.displacements)
-        assert set(file["VTKHDF/PointData"]) == {"displacement", "velocity", "von_mises"}
-        stress = file["VTKHDF/PointData/von_mises"][:].reshape(101, -1)
-    middle = np.abs(run.points[:, 0] - 0.1) < 0.02  # far from the ends the stress is the force over the area
-    assert stress[50, middle].mean() == pytest.approx(2.0 / 0.02**2, rel=0.05)
+def test_nothing_but_the_name_prints_the_help_with_the_first_three_steps(capsys):
+    assert main([]) == 0
+    printed = capsys.readouterr().out
+    steps = [re.search(rf"^  (palpate .*?)  +{step}: ", printed, re.MULTILINE) for step in ("first", "second", "third")]
+    assert [step[1] for step in steps] == ["palpate reproduce beam", "palpate view beam", "palpate train liver"]
+    for step in steps:
+        build_parser().parse_args(step[1].split()[1:])
 
 
 @pytest.mark.parametrize(
-    ("option", "named", "allowed"),
+    ("line", "parts"),
     [
-        (["--spacing", "0.01"], "spacing = 0.01", "0.00666667] m"),
-        (["--spacing", "nan"], "spacing = nan", "0.00666667] m"),
-        (["--poisson", "0.6"], "poisson = 0.6", "0.499]"),
-        (["--load", "0"], "load = 0.0", "(0, 1000] N"),
-        (["--modes", "0"], "modes = 0", "from 1 to 100"),
-        (["--modes", "2", "-3"], "modes = -3", "from 1 to 100"),
-        (["--modes", "1000"], "modes = 1000", "from 1 to 100"),
-        (["--modes", "two"], "argument --modes", "'two'"),
+        ("check --spacng 0.01 x.stl", ["palpate check: '--spacng'", "mean --spacing?", "(see palpate check --help)"]),
+        ("run liver --realtme", ["'--realtme'", "mean --realtime?", "(see palpate run liver --help)"]),
+        ("fit --boundz=C1=1 x", ["'--boundz'", "mean --bounds?", "(see palpate fit --help)"]),
+        ("train beam --xyz red", ["'--xyz' is not an option of palpate train (see palpate train --help)"]),
+        ("trian beam", ["COMMAND must be one of ", "got 'trian'; did you mean train?", "(see palpate --help)"]),
+        ("run livr", ["SCENE must be one of beam, liver, got 'livr'; did you mean liver?"]),
+        ("run", ["SCENE must be given: beam, liver (see palpate run --help)"]),
+        ("reproduce membrane --after hodl", ["--after must be one of", "did you mean hold?"]),
+        ("laws more", ["palpate laws: 'more' is not expected here (see palpate laws --help)"]),
+        ("reproduce beam --load", ["--load must be followed by a value"]),
+        ("reproduce beam --load=", ["--load must be a number, got ''"]),
+        ("laws --json=1", ["--json must be given without a value, got '1'"]),
+        ("train beam --folder out", ["--folder is now called --out; give --out instead"]),
+        ("view livr", ["SCENE|FILE must be liver, beam, membrane", "got 'livr'; did you mean liver?"]),
+        ("fit NeoHooken pyproject.toml", ["LAW must be one of", "did you mean NeoHookean?"]),
+        ("reproduce beam --poisson 0.6", ["palpate: --poisson "]),
+        ("reproduce membrane --tool-radius -1", ["palpate: --tool-radius "]),
+        ("train beam --held-out -1", ["palpate: --held-out "]),
+        ("train beam --set spacing=1", ["palpate: --set spacing "]),
+        ("check nowhere.stl", ["FILE must be an existing file, got 'nowhere.stl'; there is no such file"]),
+        ("view nowhere.rom", ["nowhere.rom"]),
     ],
 )
-def test_bad_values_are_refused_in_one_line_and_leave_nothing(tmp_path, assert_refused, option, named, allowed):
-    out = tmp_path / "results"
-    assert_refused([*COARSE, "--out", str(out), *option], named, allowed)
-    assert not out.exists()
+def test_what_is_wrong_is_named_in_the_words_of_the_command_line(line, parts, assert_refused, tmp_path):
+    words = line.split()
+    given = [*words, "--out", str(tmp_path / "out")] if words[0] == "train" and "--folder" not in words else words
+    assert_refused(given, *parts)
 
 
-def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path, assert_refused):
-    place = tmp_path / "results"
-    place.write_text("mine")
-    for out in (place, place / "beam"):
-        assert_refused([*COARSE, "--out", str(out)], "out = ", "is not a folder")
-    assert place.read_text() == "mine"
-    assert list(tmp_path.iterdir()) == [place]
+def test_a_part_of_a_surface_is_asked_for_by_its_option(assert_refused, tmp_path):
+    triangles = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{}f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    own = triangles.format("o left\n")
+    (tmp_path / "two.obj").write_text(own + own.replace("left", "right"))
+    line = ["check", str(tmp_path / "two.obj"), "--units", "m", "--out", str(tmp_path / "out")]
+    assert_refused(line, "choose one with --part: left, right")
 
 
-def test_a_folder_that_cannot_be_written_is_refused(tmp_path, assert_refused, monkeypatch):
-    def refuse(*_arguments, **_options):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("palpate.files.TemporaryDirectory", refuse)  # the superuser may write anywhere
-    assert_refused([*COARSE, "--out", str(tmp_path / "results")], "out = ", "cannot be written (permission denied)")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_disk_without_room_is_refused(tmp_path):
-    with pytest.raises(pt.InputError, match=r"this run writes about 1000000000000 MB"):
-        check_space(tmp_path / "results", 10**18)
+@pytest.fixture
+def parser():
+    commands = Parser("palpate").add_subparsers()
+    own = add_command(commands, "carve", lambda: print, summary="", description="")
+    own.add_argument("file", metavar="FILE")
+    own.add_argument("--tool-radius")
+    own.add_argument("--part")
+    own.add_argument("--set", dest="given")
+    own.synonyms["mend"] = "--repair"
+    own.assignments["given"] = "--set"
+    return own
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "said"),
+    ("message", "expected"),
     [
-        (KeyboardInterrupt(), 130, "interrupted in the full run"),
-        (pt.DivergenceError("ran away"), 1, "diverged: ran away"),
+        ("tool_radius must be positive, got -1", "--tool-radius must be positive, got -1"),
+        ("tool_radius = -1 is out of range", "--tool-radius = -1 is out of range"),
+        ("it has two parts: choose one with part='a'", "it has two parts: choose one with --part 'a'"),
+        ("choose one with part=: a, b", "choose one with --part: a, b"),
+        ("close it with mend=True, or by hand", "close it with --repair, or by hand"),
+        ("file must be a surface", "FILE must be a surface"),
+        ("depth must be positive", "--set depth must be positive"),
+        ("the file is truncated; the part=1.5 of it is left", "the file is truncated; the --part 1.5 of it is left"),
+        ("liver.part must be closed; counterpart=3", "liver.part must be closed; counterpart=3"),
+        ("a part must be closed", "a part must be closed"),
     ],
 )
-def test_a_full_run_that_stops_keeps_its_frames_and_says_where(tmp_path, capsys, stop_after, error, code, said):
-    stop_after(0.045, error)
-    assert main([*COARSE, "--out", str(tmp_path)]) == code
-    captured = capsys.readouterr()
-    last = captured.err.splitlines()[-1]
-    assert last.startswith("palpate: ")
-    assert said in last
-    assert str(tmp_path / "full.partial.h5") in last
-    assert "Traceback" not in captured.err
-    kept = pt.Trajectory.load(tmp_path / "full.partial.h5")
-    assert not kept.complete
-    np.testing.assert_allclose(kept.times, np.arange(5) * 0.01)
+def test_arguments_of_the_library_are_called_as_their_options(parser, message, expected):
+    assert in_option_words(message, parser, {"given": ["depth=-1"]}) == expected
 
 
-def test_a_machine_that_cannot_draw_is_told_what_to_install(monkeypatch):
-    monkeypatch.setattr("palpate.app.pictures.PROBE", "import os; os.abort()")
-    with pytest.raises(DrawingError, match="apt-get install libegl1 libgl1-mesa-dri"):
-        check_drawing()
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_option_is_described_and_shows_its_default_in_one_form(words):
+    parser = COMMANDS[words]
+    for action in parser._actions:
+        assert action.help, action
+        text = parser._get_formatter()._expand_help(action)
+        own = action.default
+        if action.dest != "help" and own not in (None, []) and not isinstance(own, bool):
+            shown = " ".join(map(str, own)) if isinstance(own, list) else own
+            shown = f"{shown:g}" if isinstance(shown, float) else shown
+            assert text.endswith(f" (default: {shown})"), text
+        assert text.count("(default: ") <= 1
+        assert not re.search(r"\((?!default: |[a-z]+ only)[\w., ]*\d[\w., ]*\)$", text), text
+
+
+@pytest.mark.parametrize("command", ["train", "view"])
+def test_the_help_names_every_scene_to_train_on(command):
+    (scene,) = (action for action in COMMANDS[command,]._actions if not action.option_strings)
+    assert set(TRAINING) <= set(re.findall(r"[a-z]+", scene.help))
+
+
+@pytest.mark.parametrize("words", STUDIES, ids=" ".join)
+def test_every_study_takes_its_folder_by_one_name(words):
+    options = COMMANDS[words]._option_string_actions
+    assert {"--out", "--json"} <= options.keys()
+    assert options["--out"].metavar == "FOLDER"
+
+
+def test_errors_of_the_system_are_told_in_words(tmp_path):
+    with pytest.raises(FileNotFoundError) as missing:
+        (tmp_path / "nowhere").read_text()
+    assert system_error(missing.value) == f"there is no file {str(tmp_path / 'nowhere')!r}"
+    assert system_error(PermissionError(13, "Permission denied", "locked")) == "'locked': permission denied"
+    assert (
+        system_error(OSError("cannot write here; choose another folder")) == "cannot write here; choose another folder"
+    )
 
 
 @pytest.mark.parametrize(
@@ -210,42 +162,50 @@ def test_help_and_version_load_nothing_heavy(option):
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(run.stderr.split())
-    assert not loaded & {"numba", "numpy", "scipy", "h5py", "matplotlib", "pyvista", "vtkmodules", "rich"}
+    assert not loaded & {
+        "numba",
+        "numpy",
+        "scipy",
+        "h5py",
+        "matplotlib",
+        "pyvista",
+        "vtkmodules",
+        "rich",
+        "argcomplete",
+    }
     assert "palpate" in run.stdout
 
 
-def test_laws_are_listed_for_people_and_for_machines(capsys):
+@pytest.mark.parametrize("swallows", [False, True])
+def test_an_interrupt_while_modules_are_imported_is_one_line(swallows, tmp_path):
+    """A slow module in the place of one that every study imports, which may turn an interrupt into another error."""
+    kind = "BaseException" if swallows else "ZeroDivisionError"
+    begin = "print('importing', flush=True)\n    import time; time.sleep(60)"
+    text = f"try:\n    {begin}\nexcept {kind}:\n    raise ImportError"
+    (tmp_path / "rich.py").write_text(text)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
+    command = [sys.executable, "-m", "palpate", "reproduce", "beam", "--out", str(tmp_path / "out")]
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    ) as process:  # fmt: skip
+        assert process.stdout.readline() == "importing\n"
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said == "palpate: interrupted\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_completion_is_loaded_only_where_a_shell_asks_for_it(monkeypatch, capsys):
+    asked = []
+    monkeypatch.setitem(sys.modules, "argcomplete", SimpleNamespace(autocomplete=asked.append))
+    assert main([]) == 0
+    assert asked == []
+    capsys.readouterr()
+    monkeypatch.setenv("_ARGCOMPLETE", "1")
     assert main(["laws"]) == 0
-    text = capsys.readouterr().out
-    assert main(["laws", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    laws, fibres, relaxation = found["laws"], found["fibre_laws"], found["relaxation"]
-    assert len(laws) >= 11
-    for law in (*laws, *fibres, relaxation):
-        assert f"\n{law['name']}\n" in text
-        assert law["energy"] in text
-        assert {"name", "unit", "range"} == set(law["parameters"][0])
-    for law in laws:
-        getattr(pt.materials, law["name"])(**law["example"], density=1000.0, poisson=0.4)
-    for law in fibres:
-        getattr(pt.materials, law["name"])(**law["example"], directions=(1.0, 0.0, 0.0))
-    given = {"C1": 5e3, "density": 1000.0, "poisson": 0.4}
-    pt.materials.NeoHookean(**given, prony=pt.materials.Prony(**relaxation["example"]))
-    for form in found["volumetric"]:
-        assert f"U = {form['energy']}" in text
-        law = pt.materials.NeoHookean(**given, volumetric=form["name"])
-        assert (law == pt.materials.NeoHookean(**given)) == form["default"]
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "low_open"), [("shares", "", True), ("times", "s", True), ("bulk_shares", "", False)]
-)
-def test_the_listed_ranges_of_a_relaxation_are_those_it_keeps(capsys, kind, name, low_open):
-    main(["laws", "--json"])
-    relaxation = json.loads(capsys.readouterr().out)["relaxation"]
-    entry = next(p for p in relaxation["parameters"] if p["name"] == kind)
-    assert entry == {"name": kind, "unit": name, "range": f"{'(' if low_open else '['}0, inf)"}
-    for value, allowed in ((-1e-9, False), (0.0, not low_open), (1e-9, True)):
-        numbers = {"shares": 0.5, "times": 0.1, "bulk_shares": 0.2, kind: value}
-        with nullcontext() if allowed else pytest.raises(pt.InputError, match=kind):
-            pt.materials.Prony(**numbers)
+    assert isinstance(asked[0], Parser)
+    monkeypatch.setitem(sys.modules, "argcomplete", None)
+    assert main(["laws"]) == 1
+    assert capsys.readouterr().out == ""

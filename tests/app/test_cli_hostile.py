@@ -11,8 +11,7 @@ import sys
 import pytest
 
 import palpate as pt
-from palpate.app import cli
-from palpate.app.cli import main
+from palpate.app.cli import build_parser, main
 
 WORDS = (
     "", " ", "-1", "0", "nan", "inf", "-inf", "1e999", "1e-320", "5e-324", "1e-9", "1e308", "1" + "0" * 400, "0x10",
@@ -36,10 +35,11 @@ def idle(monkeypatch, tmp_path):
 
     for place in (
         "palpate.scenes.beam.Solid", "palpate.scenes.grasp.Solid", "palpate.scenes.push.Membrane",
-        "palpate.scenes.membrane.Membrane", "palpate.scenes.liver.fill", "palpate.app.run.quick.reduce",
+        "palpate.scenes.membrane.Membrane", "palpate.scenes.liver.fill", "palpate.app.models.quick_training.reduce",
         "palpate.app.bench.command.large_case", "palpate.app.bench.page.find_chromium", "palpate.app.fit.command.fit",
-        "palpate.app.run.liver.cached", "palpate.app.train.command.opened", "palpate.app.compare.command.BODIES",
-        "palpate.app.view.command._session", "palpate.app.view.stand.serve_show",
+        "palpate.app.run.liver.load_cached_liver", "palpate.app.train.command.open_campaign",
+        "palpate.app.compare.command.BODIES",
+        "palpate.app.view.command._session", "palpate.app.view.server.host.serve_source",
     ):  # fmt: skip
         monkeypatch.setattr(place, {"beam": stop, "liver": stop} if place.endswith("BODIES") else stop)
     monkeypatch.setattr("palpate.app.train.command.check_dask", stop)
@@ -56,7 +56,7 @@ def leaves(parser, before=()):
             yield from leaves(own, (*before, name))
 
 
-COMMANDS = dict(leaves(cli._parser()))
+COMMANDS = dict(leaves(build_parser()))
 
 
 def command_line(words, parser, tried, value):
@@ -108,8 +108,8 @@ def test_pipes_and_folders_are_no_files_to_read(option, idle, tmp_path, assert_r
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for place in (pipe, tmp_path):
-        assert_refused([*option.split(), str(place)], str(place), "is not a regular file")
-    assert_refused([*option.split(), str(tmp_path / "none")], str(tmp_path / "none"))
+        assert_refused([*option.split(), str(place)], str(place), "must be a regular file")
+    assert_refused([*option.split(), str(tmp_path / "none")], str(tmp_path / "none"), "must be an existing file")
 
 
 @pytest.mark.parametrize("text", [b"\xff\xfe", b"[" * 100_000, b'{"type": "pose", "time": 1e999}', b"[9, " * 20])
@@ -120,10 +120,10 @@ def test_scripts_that_are_none_are_refused_by_line(text, idle, tmp_path, assert_
 
 
 def test_an_internal_error_is_one_line_and_its_traceback_lies_in_a_file(monkeypatch, capsys, tmp_path):
-    def fail(options):
+    def fail(as_json):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr(cli, "perform", fail)
+    monkeypatch.setattr("palpate.app.laws.command.laws", fail)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     code, said = outcome(["laws"], capsys)
     (file,) = tmp_path.iterdir()
@@ -137,10 +137,10 @@ def test_an_internal_error_is_one_line_and_its_traceback_lies_in_a_file(monkeypa
 
 
 def test_memory_that_runs_out_is_said_in_one_line(monkeypatch, capsys):
-    def fail(options):
+    def fail(as_json):
         raise MemoryError
 
-    monkeypatch.setattr(cli, "perform", fail)
+    monkeypatch.setattr("palpate.app.laws.command.laws", fail)
     code, said = outcome(["laws"], capsys)
     assert code == 1
     assert said == ["palpate: out of memory; take a larger spacing, fewer modes, or fewer snapshots"]

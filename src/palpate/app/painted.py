@@ -1,7 +1,7 @@
 """Painted meshes: points with labels or weights, from what modelling programs write.
 
 VTK's readers crash on damaged files, and wait or take all memory on others. So a process of its own, with limits of
-time and memory, reads the file and hands arrays back.
+time and memory, reads the file and returns arrays.
 """
 
 from __future__ import annotations

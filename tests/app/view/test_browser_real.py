@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from palpate import load
-from palpate.app.run.liver import cache
+from palpate.app.models.cache import cache_folder
 from palpate.app.train.campaign import MODEL
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.recording import ERROR_NAMES, load_recording, save_recording
@@ -116,7 +116,7 @@ def test_a_real_recording_is_replayed_with_the_full_model_over_it(browser, site_
 def test_pictures_of_the_documentation(browser, session, site_of):
     folder = Path(os.environ["PALPATE_SCREENSHOTS"])
     folder.mkdir(parents=True, exist_ok=True)
-    kept = cache() / MODEL
+    kept = cache_folder() / MODEL
     show = Session(load(kept), "Liver") if kept.is_file() else session
     show.start()
     try:

@@ -123,4 +123,5 @@ def test_scripts_that_are_none_are_refused(file, tmp_path, assert_refused, conte
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes of a name")
 def test_a_script_that_is_a_pipe_is_refused_at_once(file, tmp_path, assert_refused):
     os.mkfifo(tmp_path / "script.jsonl")
-    assert_refused(["view", str(file), "--headless", "--script", str(tmp_path / "script.jsonl")], "not a regular file")
+    script = str(tmp_path / "script.jsonl")
+    assert_refused(["view", str(file), "--headless", "--script", script], "must be a regular file")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
-from palpate.app.console import Console
+from palpate.app.common.console import Console
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.run.model import Model
@@ -33,7 +33,7 @@ MANY, SAMPLED = 64, 256  # modes and nodes of the large model
 BODIES = (10, 27)  # nodes along the edges of a block: 1,000 and 19,683 nodes
 EDGE = 0.05  # [m]
 FRAMES, LASTING, STEP = 24, 0.006, 0.9  # of a training run of the block: snapshots, time [s], share of the stable step
-LOOSE = 0.1  # what the cubature may miss: the model is for timing alone, and its nodes are spread to SAMPLED
+LOOSE = 0.1  # tolerance of the cubature: the model is for timing alone, and its nodes are repeated up to SAMPLED
 LARGE = 256_000_000  # bytes that no cache holds
 CHUNK = 50  # steps that `rollout` takes at once
 

@@ -110,12 +110,12 @@ class Chromium:
                 self._tabs[answer["sessionId"]].handle_event(answer.get("method", ""), answer.get("params", {}))
 
 
-def _connection(process: subprocess.Popen[bytes], told: Path) -> Any:
+def _connection(process: subprocess.Popen[bytes], port_file: Path) -> Any:
     from websockets.sync.client import connect
 
     end = monotonic() + RESPONSE_TIMEOUT
     while monotonic() < end and process.poll() is None:
-        if told.is_file() and len(lines := told.read_text().split()) == 2:
+        if port_file.is_file() and len(lines := port_file.read_text().split()) == 2:
             address = f"ws://127.0.0.1:{lines[0]}{lines[1]}"
             return connect(address, max_size=None, compression=None, open_timeout=RESPONSE_TIMEOUT)
         sleep(0.05)

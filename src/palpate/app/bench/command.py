@@ -6,21 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.bench.cases import beam_case, large_case
-from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.report import machine
+from palpate.app.common.console import Console, quantities_table
+from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.faults import DivergenceError, integer_in_range
-from palpate.files import check_folder, plain, whole_file, write_json
+from palpate.files import check_folder, plain
 
 __all__ = ["FILES", "bench"]
 
-FILES = ("report.json", "table.md")
+FILES = REPORTS
 MOST_REPEATS = 1000
 # spacings [m], rounds (0: as many as asked for) and forms of the full model
 SMALL, FINE = (0.005, 0, ("strong", "energy")), (0.0025, 1, ("energy",))
 
 
 def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = False) -> int:
-    """Measure speeds and leave them in a folder as JSON and as a table in Markdown.
+    """Measure speeds and leave a report in a folder.
 
     Parameters
     ----------
@@ -58,20 +58,14 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
     for spacing, rounds, forms in (SMALL, FINE) if fine else (SMALL,):
         try:
             report["beam"].append(beam_case(spacing, rounds or repeats, forms, console))
-        except DivergenceError as error:  # what was measured stays
+        except DivergenceError as error:  # what was measured before is kept
             console.say(f"beam, {1e3 * spacing:g} mm: failed: {' '.join(str(error).split())}")
     report = plain(report)
-    rows = _rows(report)
+    threads = report["machine"]["threads"]
+    title = f"Speed: medians of {repeats} rounds; full models on {threads} threads, reduced ones on one"
+    table = quantities_table(title, ["here"], {name: [value] for name, value in _rows(report).items()})
     out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "report.json", report)
-    with whole_file(out / "table.md") as partial:
-        partial.write_text(_markdown(rows), encoding="utf-8")
-    if as_json:
-        print_json(report)
-    else:
-        threads = report["machine"]["threads"]
-        title = f"Speed: medians of {repeats} rounds; full models on {threads} threads, reduced ones on one"
-        print_plain([quantities_table(title, ["here"], {name: [value] for name, value in rows.items()})], out, FILES)
+    deliver(report, [table], out, FILES, as_json)
     return 0
 
 
@@ -120,8 +114,3 @@ def _large_rows(large: dict[str, Any]) -> dict[str, str]:
         ),
         f"{name}: the same in `rollout`": f"{large['step_ratio']:.3g} ({rolled[1]:.3g} / {rolled[0]:.3g} us)",
     }
-
-
-def _markdown(rows: dict[str, str]) -> str:
-    lines = ["| quantity | here |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())]
-    return "\n".join(lines) + "\n"

@@ -13,15 +13,15 @@ from typing import Any
 
 from palpate.app.bench.chromium import Chromium, Tab, find_chromium
 from palpate.app.bench.subdivided_surface import SubdividedSession
-from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.report import machine
+from palpate.app.common.console import Console, quantities_table
+from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.files import check_folder, plain, write_json
+from palpate.files import check_folder, plain
 
 __all__ = ["FILES", "bench_page"]
 
-FILES = ("report.json",)
+FILES = REPORTS
 WINDOW_SIZE = (640, 480)  # [px] of the window
 SETTLING_TIME = 3.0  # [s] after the first frame
 MAX_SECONDS = 600.0  # [s]
@@ -38,7 +38,7 @@ def bench_page(
     Parameters
     ----------
     model : str
-        Scene or file, as for `palpate.app.view.opening.opened`.
+        Scene or file, as for `palpate.app.models.loader.open_model`.
     vertices : int
         Least number of vertices of the subdivided surface, from 100 to 10^6.
     seconds : float [s]
@@ -80,20 +80,17 @@ def bench_page(
         source.stop()
     report["vertices"] = len(source.surface.rest)
     out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "report.json", report)
-    if as_json:
-        print_json(report)
-    else:
-        rows = {name: [value] for name, value in _rows(report).items()}
-        print_plain([quantities_table("Page in headless Chromium, software rendering", ["here"], rows)], out, FILES)
+    rows = {name: [value] for name, value in _rows(report).items()}
+    table = quantities_table("Page in headless Chromium, software rendering", ["here"], rows)
+    deliver(report, [table], out, FILES, as_json)
     return 0
 
 
 def _make_source(model: str, vertices: int, console: Console) -> SubdividedSession:
-    from palpate.app.view.opening import opened
+    from palpate.app.models.loader import open_model
     from palpate.app.view.session.session import Session
 
-    body, title = opened(model, console)
+    body, title = open_model(model, console)
     with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
         session = Session(body, title)
     if not session.tool_kinds:

@@ -17,7 +17,7 @@ __all__ = ["force_seconds", "median_seconds", "read_seconds", "step_seconds"]
 
 Call = Callable[[], Any]
 
-LONG = 0.02  # [s] at least what a compiled loop takes, so that calling it counts for nothing
+LOOP_SECONDS = 0.02  # [s] least time of a compiled loop, so that the time of its call is negligible
 PARTS = 64  # that are read side by side
 
 
@@ -63,7 +63,7 @@ def _reader(parallel: bool) -> Any:
 
 
 def _enough(once: float) -> int:
-    return max(1, int(np.ceil(LONG / once)))
+    return max(1, int(np.ceil(LOOP_SECONDS / once)))
 
 
 def _per_count(call: Callable[[int], Any]) -> tuple[Call, int]:
@@ -97,19 +97,21 @@ def force_seconds(model: ReducedModel, repeats: int = 15) -> tuple[float, float]
 
 def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 2000, repeats: int = 15) -> list[float]:
     """Return the median times [s] of an explicit step of some models, all steps in one compiled call, in turn."""
-    return [seconds / steps for seconds in median_seconds(*(_compiled(*run, steps) for run in runs), repeats=repeats)]
+    return [
+        seconds / steps for seconds in median_seconds(*(_compile_loop(*run, steps) for run in runs), repeats=repeats)
+    ]
 
 
-def _compiled(model: ReducedModel, prepared: PreparedLoads, state: State, steps: int) -> Call:
+def _compile_loop(model: ReducedModel, prepared: PreparedLoads, state: State, steps: int) -> Call:
     """Return a call of the compiled steps, with what `ReducedModel.advance` gives them."""
     step, given = model.stable_step(state, prepared), []
     explicit = model._explicit
 
-    def noted(*arguments: Any) -> Any:
+    def record(*arguments: Any) -> Any:
         given.append(arguments)
         return explicit(*arguments)
 
-    model._explicit = noted
+    model._explicit = record
     try:
         model.advance(state, prepared, step, steps)
     finally:

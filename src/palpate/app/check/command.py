@@ -1,4 +1,4 @@
-"""``palpate check``: what is wrong with a surface, and the cloud that fills it."""
+"""``palpate check``: find the faults of a surface, and fill it with a cloud."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from palpate.app.check.picture import draw_cloud, draw_surface
-from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.pictures import DrawingError, check_drawing
-from palpate.app.report import machine
+from palpate.app.common.console import Console, quantities_table
+from palpate.app.common.rendering import DrawingError, check_drawing
+from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.faults import InputError
-from palpate.files import check_folder, plain, whole_file, write_json
+from palpate.files import check_folder, plain
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.meshfree.gate import nearest_spacing
@@ -24,7 +24,7 @@ from palpate.meshfree.surfaces import Surface
 
 __all__ = ["FILES", "check"]
 
-FILES = ("report.json", "report.md", "surface.png", "cloud.png")
+FILES = (*REPORTS, "surface.png", "cloud.png")
 NODES = 4000  # about, where no spacing is given
 
 
@@ -80,7 +80,7 @@ def check(
         "surface": _surface_entry(surface, found),
         "machine": machine(),
     }
-    cloud = _filled(surface, found, spacing, seed, report, console)
+    cloud = _fill(surface, found, spacing, seed, report, console)
     out.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         (out / name).unlink(missing_ok=True)
@@ -91,14 +91,16 @@ def check(
             draw_cloud(cloud, out / "cloud.png")
     except DrawingError as error:
         console.say(f"no pictures: {error}")
-    _deliver(plain(report), out, as_json)
+    report = plain(report)
+    table = quantities_table(report["title"], ["value"], {name: [value] for name, value in _rows(report).items()})
+    deliver(report, [table, *_remarks(report)], out, FILES, as_json)
     return 0 if cloud is not None else 1
 
 
-def _filled(
+def _fill(
     surface: Surface, found: SurfaceReport, spacing: float, seed: int, report: dict[str, Any], console: Console
 ) -> Cloud | None:
-    """The cloud, noted in the report; nothing where the surface cannot be filled, and the report says why."""
+    """Return the cloud and add it to the report; return None, with the reason there, if filling is refused."""
     if found.errors:
         return None
     with console.status("filling it (the first time on a machine compiles: half a minute)"), warnings.catch_warnings():
@@ -173,21 +175,3 @@ def _remarks(report: dict[str, Any]) -> list[str]:
     if "refused" in report:
         remarks.append(f"refused: {report['refused']}")
     return remarks or ["nothing is wrong with the surface"]
-
-
-def _deliver(report: dict[str, Any], out: Path, as_json: bool) -> None:
-    write_json(out / "report.json", report)
-    rows, remarks = _rows(report), _remarks(report)
-    lines = [f"# {report['title']}", "", "| quantity | value |", "|---|---|"]
-    lines += [f"| {name} | {value} |" for name, value in rows.items()]
-    lines += ["", *(f"- {remark}" for remark in remarks), ""]
-    for name in ("surface.png", "cloud.png"):
-        if (out / name).is_file():
-            lines += [f"![{Path(name).stem}]({name})", ""]
-    with whole_file(out / "report.md") as partial:
-        partial.write_text("\n".join(lines), encoding="utf-8")
-    if as_json:
-        print_json(report)
-    else:
-        table = quantities_table(report["title"], ["value"], {name: [value] for name, value in rows.items()})
-        print_plain([table, *remarks], out, [name for name in FILES if (out / name).is_file()])

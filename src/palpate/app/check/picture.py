@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.figures import BLUE, ORANGE, figure, heading, scale_bar
-from palpate.app.pictures import off_screen, surface
+from palpate.app.common.figures import BLUE, ORANGE, figure, heading, scale_bar
+from palpate.app.common.rendering import off_screen, surface
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.gate import nearest_spacing
 from palpate.meshfree.surface_checks import SurfaceReport

@@ -1,4 +1,4 @@
-"""The bodies that are compared: how they are made, pushed a little and pushed far, and by what nonlinear model."""
+"""Bodies of a comparison: model, small and large load, and nonlinear reduced model."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ SMALL_PULL, LARGE_PULL = 0.1, 100.0  # [N] of the beam; the large one is the pap
 SMALL_WAY, LARGE_WAY = 2e-4, 0.02  # [m] of the liver's tool; the large one is the training's deepest press
 TOOL = "tool"
 LASTING = 0.6  # [s] of the liver's tool, out and back
-GRIP = 2.0  # spacings: radius of what the tool holds
+GRIP = 2.0  # [spacings] radius of the nodes that the tool holds
 
 
 @dataclass(frozen=True)
 class ComparedBody:
-    """A body that is compared.
+    """A body of a comparison.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class ComparedBody:
         As of `palpate.lti.linearise`.
     duration, every : float [s]
     nonlinear : function
-        Of the run with the large load and a number of modes, a nonlinear reduced model; and what it is called.
+        Returns the nonlinear reduced model of a run with the large load and a number of modes; and its name.
     nonlinear_name : str
     """
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from palpate.app.common.arguments import suggestion
+from palpate.app.common.console import Console
+from palpate.app.common.report import REPORTS, deliver
 from palpate.app.compare.bodies import BODIES
 from palpate.app.compare.figures import draw_comparison
 from palpate.app.compare.measure import compare_methods, prepare_comparison
-from palpate.app.compare.report import build_report, tables, write_markdown
-from palpate.app.console import Console, print_json, print_plain
+from palpate.app.compare.report import build_report, full_table, tables
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
-from palpate.files import check_folder, write_json
+from palpate.files import check_folder
 from palpate.reduction.lti.pymor_bridge import need_pymor
 from palpate.reduction.lti.reductors import METHODS, PYMOR
 
@@ -42,7 +44,7 @@ def compare(
     modes : list of int
         Sizes.
     methods : list of str, optional
-        Of `METHODS`; by default all but the low-rank solver, which these lightly damped bodies are not made for.
+        Of `METHODS`; by default all but the low-rank solver, which does not suit these lightly damped bodies.
     condense : int, optional
         As of `Reduction`.
     out : path
@@ -58,7 +60,9 @@ def compare(
     chosen = methods or [name for name in METHODS if name != LOW_RANK]
     unknown = [name for name in chosen if name not in METHODS]
     if unknown:
-        raise InputError(f"methods = {unknown[0]!r}: allowed are {', '.join(METHODS)}")
+        raise InputError(
+            f"methods must be some of {', '.join(METHODS)}, got {unknown[0]!r}{suggestion(unknown[0], list(METHODS))}"
+        )
     sizes = sorted({integer_in_range("modes", size, 1, 200) for size in modes})
     needing = [name for name in chosen if name in PYMOR]
     if needing:
@@ -74,10 +78,6 @@ def compare(
     report = build_report(made)
     out.mkdir(parents=True, exist_ok=True)
     figures = draw_comparison(made, report, out)
-    write_json(out / "report.json", report)
-    write_markdown(report, out / "report.md", figures)
-    if as_json:
-        print_json(report)
-    else:
-        print_plain(tables(report), out, ["report.md", "report.json", *figures])
+    written = [*report["summary"], full_table(report)]
+    deliver(report, tables(report), out, [*REPORTS, *figures], as_json, written=written)
     return 1 if all(entry["failed"] for entry in report["methods"]) else 0

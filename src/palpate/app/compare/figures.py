@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from palpate.app.compare.measure import Comparison
-from palpate.app.figures import (
+from palpate.app.common.figures import (
     BLUE,
     GREEN,
     GREY,
@@ -22,6 +21,7 @@ from palpate.app.figures import (
     legend_below,
     percent_axis,
 )
+from palpate.app.compare.measure import Comparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +35,7 @@ STYLES = {
     "hankel": (RED, "x", "--"), "pod": (ORANGE, "D", "-"), "sobt": (PINK, "o", "-"), "sobt-p": (PINK, "^", "--"),
     "sobt-v": (SKY, "v", "--"), "sobt-pv": (SKY, "s", ":"), "sobt-vp": (YELLOW, "<", ":"), "sobt-fv": (GREY, ">", "--"),
 }  # fmt: skip
-SHOWN = 8  # modes of the frequency responses that are drawn
+SHOWN_MODES = 8  # modes of the frequency responses that are drawn
 
 
 def draw_comparison(made: Comparison, report: dict[str, Any], out: Path) -> list[str]:
@@ -90,7 +90,7 @@ def _draw_errors(report: dict[str, Any], path: Path) -> None:
 def _draw_response(made: Comparison, path: Path) -> None:
     outputs, inputs = made.reduction.scales
     with figure(path, (9.6, 7.2)) as drawn:
-        heading(drawn, f"Frequency response with {SHOWN} modes: {made.body.title}")
+        heading(drawn, f"Frequency response with {SHOWN_MODES} modes: {made.body.title}")
         upper, lower = drawn.subplots(2, 1, sharex=True)
         size = np.linalg.norm(outputs[:, None] * made.response * inputs, 2, axis=(1, 2))
         upper.loglog(made.frequencies, size, color="black", lw=2.4, label="the linear body")
@@ -113,7 +113,7 @@ def _draw_response(made: Comparison, path: Path) -> None:
 
 
 def _nearest(made: Comparison) -> int:
-    sizes = sorted({modes for _, modes in made.models}, key=lambda modes: abs(modes - SHOWN))
+    sizes = sorted({modes for _, modes in made.models}, key=lambda modes: abs(modes - SHOWN_MODES))
     return sizes[0] if sizes else 0
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.app.common.console import Console, percent
 from palpate.app.compare.bodies import ComparedBody
-from palpate.app.console import Console, percent
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
@@ -32,13 +32,13 @@ POINTS, WHOLE, RESONANCES = (
     24,
 )  # frequencies: of the condensed body, of the whole one, and resonances among them
 ROUNDS, STEPS = 7, 2000  # of the timing of a step
-LEAST = 1e-2  # what an input counts at least, beside the one that the run drives most
+LEAST_WEIGHT = 1e-2  # least weight of an input, over that of the input that the run drives most
 PERIOD = 1e-3  # [s] of the step that is timed
 
 
 @dataclass
 class Comparison:
-    """What is compared, and what came out.
+    """Models of a comparison, and their results.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def prepare_comparison(body: ComparedBody, condense: int | None, console: Consol
     console.say(f"linearised {system.order} unknowns: {perf_counter() - start:.1f} s")
     training = (body.loads(body.small), body.duration, body.every)
     sizes = input_sizes(system, body.loads(body.small), body.duration)
-    emphasis = np.maximum(sizes / sizes.max(), LEAST)
+    emphasis = np.maximum(sizes / sizes.max(), LEAST_WEIGHT)
     made = Comparison(body, system, Reduction(system, condense=condense, training=training, emphasis=emphasis))
     for name, size in zip(LOADS, (body.small, body.large), strict=True):
         run = rollout(body.model, body.loads(size), duration=body.duration, every=body.every)
@@ -115,20 +115,20 @@ def compare_methods(made: Comparison, methods: list[str], sizes: list[int], cons
                 entry |= {"failed": True, "reason": " ".join(str(error).split())}
                 console.say(f"{method}, {size} modes: failed: {entry['reason']}")
             else:
-                entry |= _measured(made, model)
+                entry |= _model_entry(made, model)
                 made.models[method, size] = model
-                shown = ", ".join(f"{name} load {_shown(entry['errors'][name])}" for name in LOADS)
+                shown = ", ".join(f"{name} load {_error_text(entry['errors'][name])}" for name in LOADS)
                 console.say(f"{method}, {size} modes: {shown}")
             made.entries.append(entry)
     for size in sizes:
         made.nonlinear.append(_nonlinear(made, size, console))
 
 
-def _shown(found: dict[str, Any] | None) -> str:
+def _error_text(found: dict[str, Any] | None) -> str:
     return "failed" if found is None else f"displacement error {percent(found['displacement'])}"
 
 
-def _measured(made: Comparison, model: LinearModel) -> dict[str, Any]:
+def _model_entry(made: Comparison, model: LinearModel) -> dict[str, Any]:
     """Measure a linear model."""
     s = 1j * made.frequencies
     outputs, inputs = made.reduction.scales
@@ -188,5 +188,5 @@ def _nonlinear(made: Comparison, size: int, console: Console) -> dict[str, Any]:
         return entry | {"failed": True, "reason": " ".join(str(error).split())}
     entry["offline_seconds"] = perf_counter() - start
     entry["errors"] = {name: _run_errors(made, model, name) for name in LOADS}
-    console.say(f"{body.nonlinear_name}, {size} modes: large load {_shown(entry['errors']['large'])}")
+    console.say(f"{body.nonlinear_name}, {size} modes: large load {_error_text(entry['errors']['large'])}")
     return entry

@@ -1,19 +1,18 @@
-"""The report of a comparison: for machines, as tables, and what it comes to in plain words."""
+"""Report of a comparison: figures, tables, and a summary in sentences."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from palpate.app.common.console import Table, percent, quantities_table
+from palpate.app.common.report import machine
 from palpate.app.compare.measure import LOADS, Comparison
-from palpate.app.console import percent, quantities_table
-from palpate.app.report import machine
-from palpate.files import plain, whole_file
+from palpate.files import plain
 
-__all__ = ["build_report", "summary", "tables", "write_markdown"]
+__all__ = ["build_report", "full_table", "summary", "tables"]
 
 HEADINGS = (
     "states", "offline s", "shared s", "us/step", "step kB", "stable", "small: displ.", "velocity", "energy", "force",
@@ -29,7 +28,7 @@ WHEN = {
     "modal": "resonances, whose poles it keeps; statics converge slowly",
     "irka": "few modes, where its poles turn out stable and its errors small",
 }
-PRINTED = (1, 3, 5, 6, 9, 10, 11, 14)  # of these, what a terminal has room for
+PRINTED = (1, 3, 5, 6, 9, 10, 11, 14)  # of these, the columns that fit into a terminal
 NAMED = {6: "small: displ.", 9: "force", 11: "large: displ.", 14: "force"}
 QUANTITIES = ("displacement", "velocity", "energy", "reaction")
 
@@ -106,15 +105,15 @@ def _rows(report: dict[str, Any]) -> dict[str, list[str]]:
     return rows
 
 
-def tables(report: dict[str, Any]) -> list[Any]:
-    """Return a table of what matters most, and the summary; `write_markdown` writes all of it."""
+def tables(report: dict[str, Any]) -> list[Table | str]:
+    """Return a table of what matters most, and the summary; `full_table` has all figures."""
     rows = {name: [cells[k] for k in PRINTED] for name, cells in _rows(report).items()}
     headings = [HEADINGS[k] if k not in NAMED else NAMED[k] for k in PRINTED]
     return [quantities_table(report["title"], headings, rows, first="method"), *report["summary"]]
 
 
 def summary(report: dict[str, Any]) -> list[str]:
-    """Say in plain words what was found: every sentence is read off the figures."""
+    """Return sentences about the figures of the report."""
     done = [entry for entry in report["methods"] if not entry["failed"]]
     about, lines = report["parameters"], []
     size = max((entry["modes"] for entry in done), default=0)
@@ -137,8 +136,8 @@ def summary(report: dict[str, Any]) -> list[str]:
     large = best("large", "displacement")
     if large:
         value, name = large[0]
-        beside = {method: missed for missed, method in small}.get(name)
-        also = f"; at the small load it misses {percent(beside)}" if beside is not None else ""
+        at_small = {method: missed for missed, method in small}.get(name)
+        also = f"; at the small load it misses {percent(at_small)}" if at_small is not None else ""
         lines.append(
             f"At {about['large']:g} {about['unit']} every linear method misses: with {size} modes {name} is nearest "
             f"and errs by {percent(value)} in displacements{also}. The worst errs by {percent(large[-1][0])}."
@@ -163,11 +162,6 @@ def summary(report: dict[str, Any]) -> list[str]:
     return lines
 
 
-def write_markdown(report: dict[str, Any], path: Path, figures: list[str]) -> None:
-    """Write the report for people, whole or not at all."""
-    lines = [f"# {report['title']}", "", *(f"- {line}" for line in report["summary"]), ""]
-    lines += [f"| method | {' | '.join(HEADINGS)} |", f"|---|{'---|' * len(HEADINGS)}"]
-    lines += [f"| {name} | {' | '.join(cells)} |" for name, cells in _rows(report).items()]
-    lines += ["", *(f"![{name}]({name})" for name in figures), ""]
-    with whole_file(path) as partial:
-        partial.write_text("\n".join(lines), encoding="utf-8")
+def full_table(report: dict[str, Any]) -> Table:
+    """Return the table of all figures, for `report.md`."""
+    return quantities_table(report["title"], HEADINGS, _rows(report), first="method")

@@ -1,4 +1,4 @@
-"""``palpate fit``: the parameters of a law from measured curves, with a report and a picture."""
+"""``palpate fit``: find the parameters of a law from measured curves, with a report and a picture."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from palpate.app.console import Console, print_json, print_plain, quantities_table
+from palpate.app.common.arguments import suggestion
+from palpate.app.common.console import Console, Table, quantities_table
+from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.fit.figure import draw_fit
-from palpate.app.report import machine
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range
-from palpate.files import check_folder, plain, write_json
+from palpate.files import check_folder, plain
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.fitting import Fit, fit
 from palpate.tissue.materials import Material
@@ -22,7 +23,7 @@ from palpate.tissue.parameters import field_metadata, is_sequence, own_fields
 
 __all__ = ["FILES", "fit_law"]
 
-FILES = ("report.json", "fit.png")
+FILES = (*REPORTS, "fit.png")
 MOST_STARTS = 1000
 
 
@@ -65,23 +66,23 @@ def fit_law(
     Raises
     ------
     InputError
-        An unknown law, an assignment that is none, a file that cannot be read as curves, or as for `fit`.
+        An unknown law, an assignment that is not one, a file that cannot be read as curves, or as for `fit`.
     FileNotFoundError
         There is no such file.
     OSError
         A file could not be written.
     """
     kind, starts = _law(law), integer_in_range("starts", starts, 1, MOST_STARTS)
-    curves = [_named(curve, path, len(data)) for path in data for curve in read_measurements(path)]
+    curves = [_with_file_name(curve, path, len(data)) for path in data for curve in read_measurements(path)]
     require("matplotlib", "palpate fit")
     check_folder(out)
     with Console().status(f"fitting {kind.__name__} to {len(curves)} curve{'' if len(curves) == 1 else 's'}"):
         found = fit(
             kind,
             curves,
-            start=_shaped(kind, _numbers("start", start)),
+            start=_law_arguments(kind, _numbers("start", start)),
             bounds=_pairs(_numbers("bounds", bounds)),
-            fixed=_shaped(kind, _numbers("fix", fixed)),
+            fixed=_law_arguments(kind, _numbers("fix", fixed)),
             starts=starts,
             seed=seed,
             density=density,
@@ -89,12 +90,8 @@ def fit_law(
         )
         report = plain(_report(found, data))
     out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "report.json", report)
     draw_fit(found, out / "fit.png")
-    if as_json:
-        print_json(report)
-    else:
-        print_plain(_tables(found), out, FILES)
+    deliver(report, _tables(found), out, FILES, as_json)
     return 0
 
 
@@ -104,11 +101,12 @@ def _law(name: str) -> type[Material]:
     for own, law in concrete.items():
         if own.lower() == wanted:
             return law
-    raise InputError(f"law = {name!r} is unknown: allowed are {', '.join(sorted(concrete))}")
+    known = sorted(concrete)
+    raise InputError(f"law must be one of {', '.join(known)}, got {name!r}{suggestion(name, known)}")
 
 
 def _numbers(option: str, assignments: Sequence[str]) -> dict[str, list[float]]:
-    """Numbers by name from words such as ``alpha=2,-2``."""
+    """Return numbers by name from words such as ``alpha=2,-2``."""
     found = {}
     for word in assignments:
         name, equals, values = word.partition("=")
@@ -117,26 +115,28 @@ def _numbers(option: str, assignments: Sequence[str]) -> dict[str, list[float]]:
         except ValueError:
             equals = ""
         if not equals or not name.strip():
-            raise InputError(f"--{option} {word}: give NAME=NUMBER, or several numbers with commas between")
+            raise InputError(
+                f"--{option} must be NAME=NUMBER, or several numbers with commas between, got {word!r:.60}"
+            )
     return found
 
 
 def _pairs(numbers: dict[str, list[float]]) -> dict[str, tuple[float, float]]:
     for name, values in numbers.items():
         if len(values) != 2:
-            raise InputError(f"--bounds {name}: give two numbers, NAME=LEAST,LARGEST, not {len(values)}")
+            raise InputError(f"--bounds {name} must be two numbers, NAME=LOW,HIGH, got {len(values)}")
     return {name: (values[0], values[1]) for name, values in numbers.items()}
 
 
-def _shaped(law: type[Material], given: dict[str, list[float]]) -> dict[str, float | tuple[float, ...]]:
-    """A number for a field that is one, a sequence for a field of several; what is unknown is for `fit` to refuse."""
+def _law_arguments(law: type[Material], given: dict[str, list[float]]) -> dict[str, float | tuple[float, ...]]:
+    """Return a number for a field that is one, a sequence for a field of several; `fit` refuses unknown names."""
     single = {
         name for name in given if len(given[name]) == 1 and not (name in own_fields(law) and is_sequence(law, name))
     }
     return {name: values[0] if name in single else tuple(values) for name, values in given.items()}
 
 
-def _named(curve: Measurement, path: Path, files: int) -> Measurement:
+def _with_file_name(curve: Measurement, path: Path, files: int) -> Measurement:
     return curve if files == 1 else replace(curve, name=f"{path.stem}, {curve.name}")
 
 
@@ -160,7 +160,7 @@ def _report(found: Fit, data: Sequence[Path]) -> dict[str, Any]:
     }
 
 
-def _tables(found: Fit) -> list[Any]:
+def _tables(found: Fit) -> list[Table | str]:
     errors, material = found.standard_errors, found.material
     law = type(material)
     units = {name: field_metadata(law, name).get("unit", "") for name in found.parameters}

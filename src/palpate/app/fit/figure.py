@@ -1,4 +1,4 @@
-"""The picture of a fit: what was measured, and what the law says."""
+"""Picture of a fit: measured points, and the curves of the law."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, RED, SKY, figure, heading
+from palpate.app.common.figures import BLUE, GREEN, ORANGE, PINK, RED, SKY, figure, heading
 from palpate.tissue.fitting import Fit
 from palpate.tissue.homogeneous import nominal_stress, rest
 from palpate.tissue.measurements import Measurement

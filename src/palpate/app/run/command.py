@@ -9,16 +9,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from palpate.app.console import Console, count_nodes, percent, print_json, print_plain, quantities_table
-from palpate.app.report import machine
+from palpate.app.common.console import Console, Table, count_nodes, percent, quantities_table
+from palpate.app.common.exit_status import RunError
+from palpate.app.common.preparation import prepare
+from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.run.grasp import run_grasp
-from palpate.app.study import ReproduceError, prepare
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import DivergenceError, InputError, integer_in_range
-from palpate.files import plain, write_json
+from palpate.files import plain
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
 from palpate.reduction.training.reduce import hyper_reduce
@@ -27,35 +28,35 @@ from palpate.scenes.scene import Scene
 
 __all__ = ["FILES", "run_beam"]
 
-FILES = ("report.json", "full.h5", "reduced.h5")
+FILES = (*REPORTS, "full.h5", "reduced.h5")
 SNAPSHOTS = round(DURATION / EVERY)
-OF_A_MODEL = ("modes", "spacing", "poisson")
-ONLY_REALTIME = ("seconds", "rate", "model")
+MODEL_PARAMETERS = ("modes", "spacing", "poisson")
+REALTIME_OPTIONS = ("seconds", "rate", "model")
 
 
 def run_beam(*, realtime: bool = False, **options: Any) -> int:
-    """Run the beam as the command line says: see `run_once` and `palpate.app.run.grasp.run_grasp`.
+    """Run the beam, once or in real time: see `run_once` and `palpate.app.run.grasp.run_grasp`.
 
     Parameters
     ----------
     realtime : bool
     options : mapping
-        Of either; None where the command line does not say.
+        Of either; None where the command line gives none.
 
     Raises
     ------
     InputError
-        An option that the kind of run does not know, or a parameter out of range.
+        An option that the kind of run does not have, or a parameter out of range.
     """
     given = {name: value for name, value in options.items() if value is not None}
     if realtime and "load" in given:
-        raise InputError(f"load = {given['load']:g}: in real time a tool moves the end; leave --load out")
-    for name in ONLY_REALTIME:
+        raise InputError(f"load must be left out in real time, got {given['load']:g}; a tool moves the end instead")
+    for name in REALTIME_OPTIONS:
         if not realtime and name in given:
-            raise InputError(f"{name} = {given[name]} is for runs in real time: add --realtime, or leave it out")
-    for name in OF_A_MODEL:
+            raise InputError(f"{name} must be left out of a single run, got {given[name]}; or add --realtime")
+    for name in MODEL_PARAMETERS:
         if "model" in given and name in given:
-            raise InputError(f"{name} = {given[name]}: a model from a file has its own; leave that or the file out")
+            raise InputError(f"{name} must be left out with --model, got {given[name]}; the file's model has its own")
     return run_grasp(**given) if realtime else run_once(**given)
 
 
@@ -81,7 +82,7 @@ def run_once(
         energy form, which the reduced one samples.
     out : path
     as_json : bool
-        As for `palpate.app.beam.reproduce.reproduce_beam`.
+        As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
 
     Returns
     -------
@@ -92,7 +93,7 @@ def run_once(
     ------
     InputError
         A parameter out of range, or a folder that cannot be written.
-    ReproduceError
+    RunError
         A run diverged; the frames until then are kept.
     OSError
         A file could not be written.
@@ -102,7 +103,7 @@ def run_once(
     console = Console()
     doubles = 6 if modes is None else 12
     scene = prepare(lambda: _scene(spacing, load, poisson, modes is not None), out, doubles, console)
-    for name in FILES:  # of an earlier run: what stands in the folder belongs together
+    for name in FILES:  # of an earlier run: all files of a folder belong together
         (out / name).unlink(missing_ok=True)
     runs, reduced = {"full": _run(scene, scene.model, console, out / "full.h5")}, None
     if modes is not None:
@@ -113,11 +114,7 @@ def run_once(
         runs["reduced"] = _run(scene, reduced, console)
         runs["reduced"].save(out / "reduced.h5")
     report = _report(scene, runs, reduced)
-    write_json(out / "report.json", report)
-    if as_json:
-        print_json(report)
-    else:
-        print_plain([_table(report)], out, [name for name in FILES if (out / name).is_file()])
+    deliver(report, [_table(report)], out, FILES, as_json)
     return 0
 
 
@@ -137,7 +134,7 @@ def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | Non
         "form": cast(Solid, scene.model).form,
         "machine": machine(),
         "model": model and model.report,
-        "runs": {name: _described(run, scene) for name, run in runs.items()},
+        "runs": {name: _run_entry(run, scene) for name, run in runs.items()},
     }
     if len(runs) == 2:
         report["errors"] = relative_errors(runs["full"], runs["reduced"]).as_dict()
@@ -151,17 +148,17 @@ def _run(scene: Scene, model: Model, console: Console, file: Path | None = None)
     kept = f"; the frames until then are kept in {file}" if file else ""
     try:
         step = min(scene.every, model.stable_step(model.state(prepared), prepared))
-        rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles what is left
+        rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
         run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file)
     except DivergenceError as error:
-        raise ReproduceError(f"the {model.name} model diverged: {error}{kept}") from error
+        raise RunError(f"the {model.name} model diverged: {error}{kept}") from error
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"in the {model.name} run{kept}") from None
     console.say(f"{model.name} model: {run.wall_seconds:.3g} s, {int(run.steps[-1])} steps")
     return run
 
 
-def _described(run: Trajectory, scene: Scene) -> dict[str, Any]:
+def _run_entry(run: Trajectory, scene: Scene) -> dict[str, Any]:
     peaks = {name: float(np.linalg.norm(force, axis=1).max()) for name, force in run.reactions.items()}
     return {
         "nodes": len(run.points),
@@ -176,7 +173,7 @@ def _described(run: Trajectory, scene: Scene) -> dict[str, Any]:
     }
 
 
-def _table(report: dict[str, Any]) -> Any:
+def _table(report: dict[str, Any]) -> Table:
     runs = report["runs"].values()
     rows = {
         "computing time": [f"{run['wall_seconds']:.3g} s" for run in runs],

@@ -1,12 +1,12 @@
-"""``palpate run beam --realtime``: the beam, grasped by a moving hand, reduced on a few short motions of it."""
+"""``palpate run beam --realtime``: the beam, whose end a tool moves, reduced on a few short motions of it."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from palpate.app.console import Console
-from palpate.app.run.quick import trained
+from palpate.app.common.console import Console
+from palpate.app.models.quick_training import train_quickly
 from palpate.app.run.realtime import Poses, run_realtime
 from palpate.faults import integer_in_range
 from palpate.reduction.hyper.model import ReducedModel
@@ -19,7 +19,7 @@ __all__ = ["run_grasp"]
 
 LASTING, EVERY = 0.4, 0.005  # [s] of a training run
 MOST_MODES = 96
-SEED, SLOW = 1000, 3.0  # of the hand's motion, which was not trained on, [s]
+SEED, SLOW = 1000, 3.0  # seed and duration [s] of a motion of the tool that was not trained on
 
 
 def run_grasp(
@@ -30,7 +30,7 @@ def run_grasp(
     model: Path | None = None,
     **options: Any,
 ) -> int:
-    """Train or load a reduced beam, let a hand move its free end for some seconds, and report how the rate was kept.
+    """Train or load a reduced beam, move its free end for some seconds, and report how the rate was kept.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def run_grasp(
     ------
     InputError, FileFormatError
         A parameter out of range; a file that holds no reduced model that a tool holds.
-    ReproduceError
+    RunError
         The state ran away; the black box is kept.
     OSError
         A file could not be read or written.
@@ -63,8 +63,8 @@ def run_grasp(
     def scene() -> TrainingScene:
         return grasped_beam(spacing, poisson, LASTING, EVERY)
 
-    def made(console: Console) -> tuple[ReducedModel, Poses, None]:
-        body = load(model) if model is not None else trained(scene, modes, console)
+    def make(console: Console) -> tuple[ReducedModel, Poses, None]:
+        body = load(model) if model is not None else train_quickly(scene, modes, console)
         return body, Hand(SEED, SLOW), None
 
-    return run_realtime(made, title="Beam in real time", about={"file": model and str(model)}, **options)
+    return run_realtime(make, title="Beam in real time", about={"file": model and str(model)}, **options)

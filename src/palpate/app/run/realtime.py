@@ -1,4 +1,4 @@
-"""A model stepped at a fixed rate while a tool moves, and how the rate was kept: ``palpate run ... --realtime``."""
+"""``palpate run ... --realtime``: step a model at a fixed rate while a tool moves, and report how the rate was kept."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.console import Console, percent, print_json, print_plain, quantities_table
-from palpate.app.report import machine
-from palpate.app.study import ReproduceError
+from palpate.app.common.console import Console, Table, percent, quantities_table
+from palpate.app.common.exit_status import RunError
+from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.run.progress import progress_bar
 from palpate.faults import number_in_range
-from palpate.files import check_folder, check_space, plain, write_json
+from palpate.files import check_folder, check_space, plain
 from palpate.realtime.device import DummyDevice
 from palpate.realtime.engine import Engine
 from palpate.realtime.statistics import Distribution, Statistics
@@ -28,16 +28,20 @@ __all__ = ["FILES", "Poses", "run_realtime"]
 Poses = Callable[[float], Any]  # at times [s], as `palpate.DummyDevice` takes them
 
 BLACK_BOX = "black_box.h5"
-FILES = ("report.json", BLACK_BOX)
-LONGEST, SLOWEST, FASTEST = 600.0, 50.0, 20_000.0  # [s], [Hz]: what the engine's black box and periods allow
-BINS = 20  # of the engine's histogram in one line of the printed one: half a decade
-BAR = 24  # characters of the longest line
-ROW = 1000  # bytes of a period in the black box, at most
-SHOWN = 0.1  # [s] between two updates of the progress bar
+FILES = (*REPORTS, BLACK_BOX)
+LONGEST_RUN, LOWEST_RATE, HIGHEST_RATE = (
+    600.0,
+    50.0,
+    20_000.0,
+)  # [s], [Hz]: limits of black box and periods
+BINS_PER_LINE = 20  # of the engine's histogram in one line of the printed one: half a decade
+BAR_WIDTH = 24  # characters of the longest line
+BYTES_PER_PERIOD = 1000  # bytes of a period in the black box, at most
+UPDATE_INTERVAL = 0.1  # [s] between two updates of the progress bar
 
 
 def run_realtime(
-    made: Callable[[Console], tuple[ReducedModel, Poses, Contact | None]],
+    make: Callable[[Console], tuple[ReducedModel, Poses, Contact | None]],
     *,
     title: str,
     about: Mapping[str, Any],
@@ -46,13 +50,13 @@ def run_realtime(
     out: Path,
     as_json: bool = False,
 ) -> int:
-    """Step a model at a fixed rate for some seconds while a hand moves its tool, and report how the rate was kept.
+    """Step a model at a fixed rate for some seconds while its tool moves, and report how the rate was kept.
 
     Parameters
     ----------
-    made : function
-        Called once all else is checked; returns the model, the hand, and the tool that touches the body: None for one
-        that holds the model's driven group.
+    make : function
+        Called after all checks; returns the model, the poses of the tool, and the tool that touches the body, or None
+        for one that moves the model's driven group.
     title : str
     about : mapping
         More of the report's parameters.
@@ -62,7 +66,7 @@ def run_realtime(
         From 50 to 20000.
     out : path
     as_json : bool
-        As for `palpate.app.beam.reproduce.reproduce_beam`.
+        As for `palpate.app.studies.beam.reproduce.reproduce_beam`.
 
     Returns
     -------
@@ -73,72 +77,68 @@ def run_realtime(
     ------
     InputError
         A parameter out of range, or a model that takes no such tool.
-    ReproduceError
+    RunError
         The state diverged; the black box is kept.
     OSError
         A file could not be read or written.
     """
-    seconds = number_in_range("seconds", seconds, 0.0, LONGEST, open_low=True, unit="s")
-    rate = number_in_range("rate", rate, SLOWEST, FASTEST, unit="Hz")
+    seconds = number_in_range("seconds", seconds, 0.0, LONGEST_RUN, open_low=True, unit="s")
+    rate = number_in_range("rate", rate, LOWEST_RATE, HIGHEST_RATE, unit="Hz")
     check_folder(out)
-    check_space(out, round(seconds * rate * ROW))
+    check_space(out, round(seconds * rate * BYTES_PER_PERIOD))
     console = Console()
-    body, hand, contact = made(console)
+    body, poses, contact = make(console)
     with console.status("making the engine ready (the first run on a machine compiles it: about a minute)"):
         ready = realtime_model(body, contact=contact)
         out.mkdir(parents=True, exist_ok=True)
         engine = Engine(ready, rate, history=seconds, black_box=out / BLACK_BOX)
-    statistics = _stepped(engine, hand, seconds, out / BLACK_BOX, console)
+    statistics = _step_engine(engine, poses, seconds, out / BLACK_BOX, console)
     report = {
         "title": f"{title}, {rate:g} Hz",
         "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, **about},
         "material": asdict(body.material),
         "machine": machine(),
         "model": body.report,
-        "felt": _felt(out / BLACK_BOX, body),
+        "tool": _observations(out / BLACK_BOX, body),
         "timing": _timing(statistics),
     }
     report = plain(report)
-    write_json(out / "report.json", report)
-    if as_json:
-        print_json(report)
-    else:
-        print_plain([*_tables(report, statistics), *_verdict(report)], out, FILES)
+    deliver(report, [*_tables(report, statistics), *_verdict(report)], out, FILES, as_json)
     return 0
 
 
-def _stepped(engine: Engine, hand: Poses, seconds: float, black_box: Path, console: Console) -> Statistics:
-    """Let an engine step while a hand moves its tool; leave the black box, and return how the rate was kept."""
+def _step_engine(engine: Engine, poses: Poses, seconds: float, black_box: Path, console: Console) -> Statistics:
+    """Run an engine while its tool moves; write the black box, and return the statistics."""
     console.say(f"{1 / engine.period:g} Hz for {seconds:g} s ...")
     with warnings.catch_warnings(), progress_bar("real time", seconds, True) as shown:
-        warnings.simplefilter("ignore", RuntimeWarning)  # about trust: the report tells it
+        warnings.simplefilter("ignore", RuntimeWarning)  # about trust: the report has it
         try:
             with engine:
-                DummyDevice(_watched(hand, shown)).prepare(engine, seconds)
+                DummyDevice(_with_progress(poses, shown)).prepare(engine, seconds)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("in real time") from None
     if engine.state == "diverged":
-        raise ReproduceError(f"the state diverged; what happened before is in {black_box}")
+        raise RunError(f"the state diverged; what happened before is in {black_box}")
     engine.dump(black_box)
     return engine.statistics()
 
 
-def _watched(hand: Poses, shown: Callable[[float, float], None]) -> Poses:
-    """Return the hand's path, which tells now and then how far it is."""
+def _with_progress(poses: Poses, shown: Callable[[float, float], None]) -> Poses:
+    """Return the poses of a tool by a function that also updates the progress bar."""
     last = 0.0
 
     def path(time: float) -> Any:
         nonlocal last
-        if time > last + SHOWN:
+        if time > last + UPDATE_INTERVAL:
             last = time
             shown(time, time)
-        return hand(time)
+        return poses(time)
 
     return path
 
 
-def _felt(black_box: Path, body: ReducedModel) -> dict[str, Any]:
-    """Return what the tool felt, and how well the model knew the states: over all periods."""
+def _observations(black_box: Path, body: ReducedModel) -> dict[str, Any]:
+    """Return forces on the tool and error indicators over all periods."""
     calibrate_indicator = "trust" in body.report.get("held_out", {})
     import h5py
 
@@ -183,22 +183,22 @@ def _distribution(times: Distribution) -> dict[str, Any]:
     }
 
 
-def _tables(report: dict[str, Any], statistics: Statistics) -> list[Any]:
-    timing, felt = report["timing"], report["felt"]
+def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table]:
+    timing, tool = report["timing"], report["tool"]
     both = [timing["computing"], timing["lateness"]]
     names = {"50": "median", "95": "95 %", "99": "99 %", "99.9": "99.9 %"}
     rows = {name: [_microseconds(each["percentiles"][key]) for each in both] for key, name in names.items()}
     rows["largest"] = [_microseconds(each["maximum"]) for each in both]
     title = f"{report['title']}, {timing['periods']} periods"
     single = {
-        "largest force on the tool": f"{felt['largest_force']:.3g} N",
-        "farthest that the tool went": f"{1e3 * felt['largest_displacement']:.3g} mm",
-        "steps of the model in a period": f"{felt['mean_steps_per_period']:.2g}",
+        "largest force on the tool": f"{tool['largest_force']:.3g} N",
+        "farthest that the tool went": f"{1e3 * tool['largest_displacement']:.3g} mm",
+        "steps of the model in a period": f"{tool['mean_steps_per_period']:.2g}",
         "trust number, median; largest (above 1: not trained on)": (
-            f"{felt['median_trust']:.2f}; {felt['largest_trust']:.2f}"
+            f"{tool['median_trust']:.2f}; {tool['largest_trust']:.2f}"
         ),
-        "share of periods above 1": percent(felt["untrained_share"]),
-        "displacement error of held-out runs at the largest, median; 95 %": _expected(felt["expected_error"]),
+        "share of periods above 1": percent(tool["untrained_share"]),
+        "displacement error of held-out runs at the largest, median; 95 %": _error_text(tool["expected_error"]),
     }
     if "held_out" in report["model"]:
         error = report["model"]["held_out"]["mean"].get("reaction")
@@ -210,8 +210,8 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Any]:
     ]
 
 
-def _expected(error: list[float | None] | None) -> str:
-    """Write a median and a percentile; none is known where the model was not tried on such states."""
+def _error_text(error: list[float | None] | None) -> str:
+    """Write a median and a percentile; neither exists where the model was not tried on such states."""
     if error is None or None in error:
         return "not known: none had so large a number" if error else "not measured"
     return "; ".join(f"{part:.2%}" for part in error)
@@ -224,12 +224,12 @@ def _microseconds(seconds: float) -> str:
 def _histogram(statistics: Statistics) -> dict[str, list[str]]:
     """Return lines of a histogram: upper end of the times, and for each kind the periods and a bar."""
     kinds = [statistics.computing, statistics.lateness]
-    counts = np.array([np.add.reduceat(kind.counts, np.arange(0, len(kind.counts), BINS)) for kind in kinds])
+    counts = np.array([np.add.reduceat(kind.counts, np.arange(0, len(kind.counts), BINS_PER_LINE)) for kind in kinds])
     filled = np.flatnonzero(counts.any(axis=0))
-    ends = kinds[0].edges[BINS::BINS]
+    ends = kinds[0].edges[BINS_PER_LINE::BINS_PER_LINE]
     rows = {}
     for k in range(filled[0], filled[-1] + 1) if filled.size else ():
-        bars = ["#" * int(np.ceil(BAR * count / counts.max())) for count in counts[:, k]]
+        bars = ["#" * int(np.ceil(BAR_WIDTH * count / counts.max())) for count in counts[:, k]]
         rows[f"up to {_microseconds(ends[k])}"] = [
             f"{count:>6} {bar}" for count, bar in zip(counts[:, k], bars, strict=True)
         ]
@@ -237,7 +237,7 @@ def _histogram(statistics: Statistics) -> dict[str, list[str]]:
 
 
 def _verdict(report: dict[str, Any]) -> list[str]:
-    """Say whether the rate is held, and apart what the computation took and what the scheduler added."""
+    """Return sentences about the computation, the scheduler, and whether the rate was kept."""
     timing = report["timing"]
     period, computing, late = timing["period"], timing["computing"], timing["lateness"]
     over, lost = timing["missed_by_computing"], timing["missed"] - timing["missed_by_computing"]

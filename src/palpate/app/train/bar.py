@@ -8,7 +8,7 @@ from typing import Self
 import rich.console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from palpate.app.console import Console
+from palpate.app.common.console import Console
 from palpate.app.train.folder import Job
 from palpate.app.train.work import Outcome
 
@@ -42,12 +42,12 @@ class Bar:
         self._bar.stop()
 
     def at(self, job: Job, time: float) -> None:
-        """Take note of the time [s] that a run has reached."""
+        """Update the time [s] that a run has reached."""
         self._reached[job] = time
         self._show()
 
     def done(self, outcome: Outcome) -> None:
-        """Take note of what came of a run."""
+        """Count a run that has ended."""
         job, self._ended = outcome["job"], self._ended + 1
         self.at(job, self._durations[job])
         if "failed" in outcome:

@@ -1,16 +1,16 @@
-"""The two halves of a campaign: the runs that are not there yet, and the model of all of them."""
+"""The two halves of a campaign: make the missing runs, and train a model on all of them."""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from contextlib import closing
 
-from palpate.app.console import Console, count_nodes
-from palpate.app.study import ReproduceError
+from palpate.app.common.console import Console, count_nodes
+from palpate.app.common.exit_status import RunError
 from palpate.app.train.bar import Bar
 from palpate.app.train.cluster import run_on_cluster
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
-from palpate.app.train.local import run_here
+from palpate.app.train.local import run_local
 from palpate.app.train.work import Outcome
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.solid.model import Solid
@@ -35,7 +35,7 @@ def make_runs(
     workers: int = 1,
     cluster: str | None = None,
 ) -> None:
-    """Make what runs are left, and say how they go.
+    """Make the missing runs, and print their progress.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def make_runs(
     try:
         with Bar(paths, console) as shown:
             if cluster is None:
-                outcomes: Generator[Outcome] = run_here(folder, left, workers, shown.at)
+                outcomes: Generator[Outcome] = run_local(folder, left, workers, shown.at)
             else:
                 outcomes = run_on_cluster(folder, left, cluster, console)
             with closing(outcomes):  # stops what still runs, however this ends
@@ -68,7 +68,9 @@ def make_runs(
                     shown.done(outcome)
     except KeyboardInterrupt:
         done = len(wanted) - len(folder.left(wanted))
-        raise KeyboardInterrupt(f"{done} of {len(wanted)} runs are kept; the same command goes on from there") from None
+        raise KeyboardInterrupt(
+            f"{done} of {len(wanted)} runs are kept; the same command continues from there"
+        ) from None
 
 
 def make_model(
@@ -81,7 +83,7 @@ def make_model(
 ) -> ReducedModel:
     """Train on the runs that were finished, read from their files, and keep the model in the folder.
 
-    Its report says under ``"scene"`` what it was trained for.
+    Its report names the scene and its parameters under ``"scene"``.
 
     Parameters
     ----------
@@ -95,7 +97,7 @@ def make_model(
 
     Raises
     ------
-    ReproduceError
+    RunError
         No training run was finished.
     InputError
         As `palpate.hyper_reduce`.
@@ -111,7 +113,7 @@ def make_model(
     tried = [(scene.path(job.seed)[0], folder.file(job)) for job in done if job.kind == HELD_OUT]
     if not learned:
         reason = (folder.fault(wanted[0]) or {}).get("reason", "see its worker")
-        raise ReproduceError(f"no training run was finished; the first: {reason}; {folder.runs} holds what they did")
+        raise RunError(f"no training run was finished; the first: {reason}; {folder.runs} holds their frames")
     paths = [(scene.path(job.seed)[0], folder.file(job)) for job in done if job.kind == TRAINED]
     touched = [trial for trial in paths if any(isinstance(load, Contact | Grasp) for load in trial[0])]
     share = scene.cubature if cubature is None else cubature

@@ -6,7 +6,7 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
-from palpate.app.console import Console
+from palpate.app.common.console import Console
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.work import Outcome, perform, record_fault
 from palpate.extras import require
@@ -14,7 +14,7 @@ from palpate.faults import InputError
 
 __all__ = ["check_dask", "run_on_cluster"]
 
-ANSWER = 20.0  # [s] within which a scheduler has to answer
+ANSWER_SECONDS = 20.0  # [s] within which a scheduler has to answer
 
 
 def check_dask() -> None:
@@ -23,7 +23,7 @@ def check_dask() -> None:
 
 
 def run_on_cluster(folder: Folder, jobs: Sequence[Job], address: str, console: Console) -> Generator[Outcome]:
-    """Make runs on the workers of a cluster; yield what came of each when it is done.
+    """Make runs on the workers of a cluster; yield the outcome of each when it is done.
 
     The scheduler gives the runs of a worker that dies to others.
 
@@ -63,6 +63,8 @@ def _client(address: str) -> Any:
 
     where = {"scheduler_file": address} if Path(address).is_file() else {"address": address}
     try:
-        return Client(**where, timeout=ANSWER, set_as_default=False)
+        return Client(**where, timeout=ANSWER_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InputError(f"cluster = {address!r}: no Dask scheduler answers there ({error})") from error
+        raise InputError(
+            f"cluster must be the address of a Dask scheduler, got {address!r}; none answers there ({error})"
+        ) from error

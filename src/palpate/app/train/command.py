@@ -1,4 +1,4 @@
-"""``palpate train``: many runs along random paths, and a reduced model of all of them."""
+"""``palpate train``: make many runs along random paths, and train a reduced model on all of them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 
-from palpate.app.console import Console
+from palpate.app.common.console import Console
 from palpate.app.train.campaign import make_model, make_runs
 from palpate.app.train.cluster import check_dask
-from palpate.app.train.folder import MOST_PATHS, jobs, manifest_of, opened
-from palpate.app.train.report import deliver
+from palpate.app.train.folder import MOST_PATHS, jobs, manifest_of, open_campaign
+from palpate.app.train.report import report_campaign
 from palpate.faults import InputError, brief, integer_in_range, number_in_range
 from palpate.files import check_folder
 from palpate.scenes.training import search_current_folder, training_scene
@@ -33,10 +33,10 @@ def train(
     cubature: float | None = None,
     workers: int | None = None,
     cluster: str | None = None,
-    folder: Path,
+    out: Path,
     as_json: bool = False,
 ) -> int:
-    """Make the runs of a campaign that are not there yet, and train a reduced model on all.
+    """Make the missing runs of a campaign, and train a reduced model on all of them.
 
     Parameters
     ----------
@@ -51,12 +51,13 @@ def train(
     modes : int
         Size of the reduced model.
     cubature : float, optional
-        As for `palpate.hyper_reduce`: what its sampled forces may miss of the whole ones; by default the scene's.
+        As for `palpate.hyper_reduce`: relative error of the sampled forces; by default the scene's.
     workers : int, optional
         Processes of one thread each on this machine; by default 1.
     cluster : str, optional
         Address of a Dask scheduler, or the path of its file, instead.
-    folder : path
+    out : path
+        Folder of the campaign.
     as_json : bool
         Print the report as JSON instead of a table.
 
@@ -69,7 +70,7 @@ def train(
     ------
     InputError
         A parameter out of range, or the folder of another campaign.
-    ReproduceError
+    RunError
         No training run was finished.
     OSError
         A file could not be written.
@@ -85,23 +86,23 @@ def train(
     if cluster is not None:
         check_dask()
         if workers is not None:
-            raise InputError(f"workers = {workers}: a cluster has its own; leave --workers or --cluster out")
+            raise InputError(f"workers must be left out with --cluster, got {workers}; a cluster has its own")
     workers = integer_in_range("workers", 1 if workers is None else workers, 1, MOST_WORKERS)
     parameters = _parameters(given)
-    check_folder(folder, "folder")
+    check_folder(out)
     console = Console()
     with console.status("making the model ready (the first run on a machine compiles it: a minute or two)"):
         if ":" in scene:
             search_current_folder()
         made = training_scene(scene, parameters)
-    with opened(folder, manifest_of(scene, made, seed)) as own:
+    with open_campaign(out, manifest_of(scene, made, seed)) as own:
         began = perf_counter()
         make_runs(own, made, wanted, console, workers, cluster)
         seconds = {"runs": perf_counter() - began}
         began = perf_counter()
         model = make_model(own, made, wanted, console, modes, cubature)
         seconds["training"] = perf_counter() - began
-        deliver(own, made, wanted, model, seconds, as_json)
+        report_campaign(own, made, wanted, model, seconds, as_json)
     return 0
 
 
@@ -110,6 +111,6 @@ def _parameters(given: Sequence[str]) -> dict[str, str]:
     for pair in given:
         name, sign, value = pair.partition("=")
         if not sign:
-            raise InputError(f"set = {brief(pair)}: needed is NAME=VALUE, such as spacing=0.005")
+            raise InputError(f"--set must be NAME=VALUE, got {brief(pair)}; give one such as spacing=0.005")
         parameters[name] = value
     return parameters

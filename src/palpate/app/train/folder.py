@@ -1,6 +1,6 @@
-"""A campaign's folder: which runs there are to be, and which there are.
+"""Folder of a campaign: which runs it needs, and which of them exist.
 
-``campaign.json`` says whose folder it is. ``runs/`` holds a file for every run that was finished, and for every one
+``campaign.json`` identifies the campaign. ``runs/`` holds a file for every run that was finished, and for every one
 that failed a ``.failed.json`` with the reason and, as far as it came, a ``.failed.h5``. Every name there stands for a
 whole file. What is being written has a hidden name that ends in ``.partial``.
 """
@@ -23,10 +23,10 @@ from palpate.files import digest_of, read_sealed_json, regular_file, write_seale
 from palpate.scenes.scene import TrainingScene
 from palpate.sealed import loading
 
-__all__ = ["HELD_OUT", "MOST_PATHS", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "opened"]
+__all__ = ["HELD_OUT", "MOST_PATHS", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "open_campaign"]
 
 FORMAT, VERSION = "palpate campaign", 2
-LARGEST = 1 << 20  # bytes of a manifest, or of the record of a failed run
+LARGEST_RECORD = 1 << 20  # bytes of a manifest, or of the record of a failed run
 TRAINED, HELD_OUT = "train", "held_out"
 STRIDE, MOST_PATHS = 1_000_000, 500_000  # seeds of a campaign, and of either kind of run in it
 
@@ -53,13 +53,13 @@ def jobs(seed: int, paths: int, held_out: int) -> list[Job]:
 
 
 def manifest_of(name: str, scene: TrainingScene, seed: int) -> dict[str, Any]:
-    """Return what tells one campaign's folder from another's."""
+    """Return the manifest, which distinguishes one campaign's folder from another's."""
     return {
         "format": FORMAT,
         "version": VERSION,
         "palpate": __version__,
         "scene": name,
-        "title": scene.title,  # what its paths are: they may change from version to version
+        "title": scene.title,  # of its paths, which may change from version to version
         "parameters": dict(scene.parameters),
         "seed": seed,
         "every": scene.every,
@@ -124,7 +124,7 @@ class Folder:
         if not path.exists():
             return None
         with loading(path, "delete the file, and the same command runs it again"):
-            record = read_sealed_json(path, "record of a failed run", LARGEST)
+            record = read_sealed_json(path, "record of a failed run", LARGEST_RECORD)
             if record.keys() != {"seed", "reason", "retry"} or not isinstance(record["reason"], str):
                 raise InputError("this is not the record of a failed run")
         return record
@@ -146,7 +146,7 @@ class Folder:
             )
 
     def left(self, wanted: Sequence[Job]) -> list[Job]:
-        """Return those of some runs that there is no result of."""
+        """Return the runs that have no result yet."""
         return [job for job in wanted if not self.file(job).exists() and self.fault(job) is None]
 
     def check(self) -> None:
@@ -155,8 +155,8 @@ class Folder:
 
 
 @contextmanager
-def opened(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
-    """Make a folder a campaign's own, or go on with one that is; nobody else can meanwhile.
+def open_campaign(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
+    """Make a folder a campaign's own, or continue the one there; lock it against other processes meanwhile.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def opened(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
     if own.exists():
         folder.check()
     elif folder.runs.exists():
-        raise InputError(f"{path} holds runs, but no campaign.json that tells whose: choose another folder")
+        raise InputError(f"{path} holds runs, but no campaign.json; choose another folder")
     folder.runs.mkdir(parents=True, exist_ok=True)
     if (path / ".lock").exists():
         regular_file(path / ".lock", "lock")  # opening a pipe would wait
@@ -182,9 +182,9 @@ def opened(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
 
 def _read(path: Path) -> dict[str, Any]:
     if not path.exists():
-        raise InputError(f"there is no {path}")
+        raise InputError(f"{path} does not exist")
     with loading(path, "choose another folder"):
-        found = read_sealed_json(path, FORMAT, LARGEST)
+        found = read_sealed_json(path, FORMAT, LARGEST_RECORD)
         if found.get("format") != FORMAT or not isinstance(found.get("parameters"), dict):
             raise InputError(f"this is not a {FORMAT}")
     return found
@@ -204,8 +204,8 @@ def _compare(path: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) ->
     ]
     if differing:
         raise InputError(
-            f"{path} is the folder of another campaign: {'; '.join(differing)}. Choose another folder, or go on with "
-            "that campaign as it was begun; nothing was changed"
+            f"{path} is the folder of another campaign: {'; '.join(differing)}. Choose another folder, or continue "
+            "that campaign with its own parameters; nothing was changed"
         )
 
 

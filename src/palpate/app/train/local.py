@@ -17,7 +17,7 @@ from typing import Any
 from palpate.app.train.folder import Folder, Job
 from palpate.app.train.work import Outcome, Watch, perform, record_fault
 
-__all__ = ["run_here"]
+__all__ = ["run_local"]
 
 THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 AT, DONE, STOPPED, DIED = "at", "done", "stopped", "died"
@@ -30,8 +30,8 @@ class _Worker:
     pipe: Connection
     job: Job
 
-    def heard(self) -> tuple[str, Any]:
-        """Return what the process says, or that it died, with its exit code."""
+    def receive(self) -> tuple[str, Any]:
+        """Return the next message of the process, or that it died, with its exit code."""
         try:
             said: tuple[str, Any] = self.pipe.recv()
             return said
@@ -39,7 +39,7 @@ class _Worker:
             self.process.join()
             return DIED, self.process.exitcode
 
-    def went_on(self, waiting: deque[Job]) -> bool:
+    def send_next(self, waiting: deque[Job]) -> bool:
         """Give the process the next run, or let it end when there is none."""
         job = waiting.popleft() if waiting else None
         with suppress(BrokenPipeError):  # it died meanwhile: heard next
@@ -51,8 +51,8 @@ class _Worker:
         return True
 
 
-def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -> Generator[Outcome]:
-    """Make runs in processes of this machine; yield what came of each when it is done.
+def run_local(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -> Generator[Outcome]:
+    """Make runs in processes of this machine; yield the outcome of each when it is done.
 
     A process that dies is replaced, and its run tried once more.
 
@@ -65,17 +65,17 @@ def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) ->
     try:
         while waiting or busy:
             while waiting and len(busy) < workers:
-                busy.append(_started(folder, waiting.popleft()))
+                busy.append(_start_worker(folder, waiting.popleft()))
             ready = wait([worker.pipe for worker in busy])
             for worker in [worker for worker in busy if worker.pipe in ready]:
-                kind, said = worker.heard()
+                kind, said = worker.receive()
                 if kind == AT:
                     watch(worker.job, said)
                 elif kind == STOPPED:
                     raise OSError(said)
                 elif kind == DONE:
                     yield said
-                    if not worker.went_on(waiting):
+                    if not worker.send_next(waiting):
                         busy.remove(worker)
                 else:
                     busy.remove(worker)
@@ -92,7 +92,7 @@ def run_here(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) ->
             worker.process.join()
 
 
-def _started(folder: Folder, job: Job) -> _Worker:
+def _start_worker(folder: Folder, job: Job) -> _Worker:
     """Start a process and give it a first run."""
     context = get_context("spawn")  # a fork would copy locks that other threads hold
     own, other = context.Pipe()
@@ -121,7 +121,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _serve(pipe: Connection, folder: Folder) -> None:
-    """Make runs until told to stop."""
+    """Make runs until the parent sends no more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     Thread(target=_end_with_parent, daemon=True).start()
     while (job := pipe.recv()) is not None:

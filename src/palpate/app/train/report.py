@@ -1,4 +1,4 @@
-"""What a campaign leaves for people and machines: report.json, report.md and a figure."""
+"""Report of a campaign: runs, the reduced model and its errors, with a figure."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.console import Console, count_nodes, percent, print_json, print_plain, quantities_table
-from palpate.app.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
-from palpate.app.report import machine
+from palpate.app.common.console import Console, Table, count_nodes, percent, quantities_table
+from palpate.app.common.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
+from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.app.train.campaign import MODEL
 from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import InputError
-from palpate.files import plain, whole_file, write_json
+from palpate.files import plain
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import HELD_SHARE
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["FILES", "deliver"]
+__all__ = ["FILES", "report_campaign"]
 
 FIGURE = "errors.png"
-FILES = (MODEL, "report.json", "report.md", FIGURE, "campaign.json", "runs")
+FILES = (MODEL, *REPORTS, FIGURE, "campaign.json", "runs")
 TOUCH = {
     "force": "force on tools, median",
     "force_95": "force on tools, 95th percentile",
@@ -31,7 +31,7 @@ TOUCH = {
 KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
 
-def deliver(
+def report_campaign(
     folder: Folder,
     scene: TrainingScene,
     wanted: Sequence[Job],
@@ -40,7 +40,7 @@ def deliver(
     as_json: bool,
 ) -> None:
     """Write the report and the figure into the folder, and print it as JSON or as a table."""
-    runs = [_described(folder, scene, job) for job in wanted]
+    runs = [_run_entry(folder, scene, job) for job in wanted]
     report = plain(
         {
             "title": f"Training: {scene.title}",
@@ -55,27 +55,19 @@ def deliver(
     )
     held = [run["name"] for run in runs if run["kind"] == HELD_OUT and not run["failed"]]
     (folder.path / FIGURE).unlink(missing_ok=True)  # of an earlier model
-    pictures = []
     if held:
         try:
             _draw(folder, report, held)
-            pictures = [FIGURE]
         except InputError as error:  # a worker's installation need not draw
             Console().say(f"{FIGURE} is missing: {error}")
-    write_json(folder.path / "report.json", report)
-    rows = _rows(report)
-    with whole_file(folder.path / "report.md") as partial:
-        partial.write_text(_markdown(report, rows, held, pictures), encoding="utf-8")
-    if as_json:
-        print_json(report)
-        return
-    told = [quantities_table(report["title"], ["here"], {name: [value] for name, value in rows.items()})]
+    table = quantities_table(report["title"], ["here"], {name: [value] for name, value in _rows(report).items()})
     failed = [f"{run['name']} failed: {run['reason']}" for run in runs if run["failed"]]
-    print_plain([*told, *failed], folder.path, [name for name in FILES if (folder.path / name).exists()])
+    written = [table, *_details(report, held)]
+    deliver(report, [table, *failed], folder.path, FILES, as_json, written=written)
 
 
-def _described(folder: Folder, scene: TrainingScene, job: Job) -> dict[str, Any]:
-    """What the folder says of a run, and the kinds of its loads."""
+def _run_entry(folder: Folder, scene: TrainingScene, job: Job) -> dict[str, Any]:
+    """Return the entry of a run in the report: its frames, cost and kinds of loads."""
     loads = [type(load).__name__ for load in scene.path(job.seed)[0]]
     entry: dict[str, Any] = {"name": job.name, "kind": job.kind, "seed": job.seed, "loads": loads}
     entry |= {"failed": True, "reason": None}
@@ -120,7 +112,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
         "runs on disk": f"{sizes['run_bytes'] / 1e6:.1f} MB",
         "snapshots trained on": str(model["snapshots"]),
         "modes": str(model["modes"]),
-        "nodes sampled; what they may miss of the forces": f"{model['nodes']}; {model['cubature']:.2g}",
+        "nodes sampled; relative error of their forces": f"{model['nodes']}; {model['cubature']:.2g}",
         "projection error": percent(model["projection_error"]),
         "time to train and try the model": f"{report['seconds']['training']:.4g} s",
         "model on disk": f"{sizes['model_bytes'] / 1e6:.2f} MB",
@@ -139,7 +131,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
 
 
 def _by_load(report: dict[str, Any]) -> dict[str, str]:
-    """Errors of forces for every kind of load, where the held-out paths have several."""
+    """Return errors of forces for every kind of load, where the held-out paths have several."""
     held = [run["loads"] for run in report["runs"] if run["kind"] == HELD_OUT and not run["failed"]]
     found: dict[str, list[float]] = {}
     for loads, run in zip(held, report["model"]["held_out"]["runs"], strict=True):
@@ -154,7 +146,7 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
 
 
 def _touch_rows(found: dict[str, Any]) -> dict[str, str]:
-    """Say what tools on the surface of a body miss; nothing where none touches it."""
+    """Return errors of tools on the surface of a body; nothing where none touches it."""
     if "contact" not in found:
         return {}
     errors = {name: (found["contact"]["mean"][name], found["contact"]["percentile_95"][name]) for name in TOUCH}
@@ -166,39 +158,34 @@ def _touch_rows(found: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _touch_table(found: dict[str, Any], held: Sequence[str]) -> list[str]:
-    """The same of every held-out path whose tools touch the body, as lines of Markdown."""
+def _touch_table(found: dict[str, Any], held: Sequence[str]) -> list[Table]:
+    """Return the same for every held-out path whose tools touch the body."""
     if "contact" not in found:
         return []
-    lines = ["", "Frames with at least a tenth of a tool's largest force:", ""]
-    lines += [f"| held-out path | {' | '.join(TOUCH.values())} |", "|---" * (len(TOUCH) + 1) + "|"]
     touched = [(name, run) for name, run in zip(held, found["runs"], strict=True) if "force" in run]
-    return lines + [f"| {name} | {' | '.join(percent(run[k]) for k in TOUCH)} |" for name, run in touched]
+    rows = {name: [percent(run[k]) for k in TOUCH] for name, run in touched}
+    title = "Frames with at least a tenth of a tool's largest force"
+    return [quantities_table(title, list(TOUCH.values()), rows, first="held-out path")]
 
 
-def _markdown(report: dict[str, Any], rows: Mapping[str, str], held: Sequence[str], pictures: Sequence[str]) -> str:
-    lines = [f"# {report['title']}", "", "| | |", "|---|---|"]
-    lines += [f"| {name} | {value} |" for name, value in rows.items()]
-    parameters = ", ".join(f"{name} = {value}" for name, value in report["campaign"]["parameters"].items())
-    lines += ["", f"Scene `{report['campaign']['scene']}` with {parameters}; seed {report['campaign']['seed']}."]
+def _details(report: dict[str, Any], held: Sequence[str]) -> list[Table | str]:
+    """Return the scene, the errors of every held-out path, and the runs that failed, for `report.md`."""
+    campaign = report["campaign"]
+    parameters = ", ".join(f"{name} = {value}" for name, value in campaign["parameters"].items())
+    blocks: list[Table | str] = [f"Scene `{campaign['scene']}` with {parameters}; seed {campaign['seed']}."]
     if held:
-        lines += [line for name in pictures for line in ("", f"![Errors on held-out paths]({name})")]
-        lines += ["", f"| held-out path | loads | {' | '.join(KINDS)} |"]
-        lines += ["|---" * (len(KINDS) + 2) + "|"]
-        loads = {run["name"]: ", ".join(run["loads"]) for run in report["runs"]}
+        rows, loads = {}, {run["name"]: ", ".join(run["loads"]) for run in report["runs"]}
         for name, run in zip(held, report["model"]["held_out"]["runs"], strict=True):
-            told = [run["reason"], *[""] * (len(KINDS) - 1)] if run["failed"] else [percent(run[k]) for k in KINDS]
-            lines.append(f"| {name} | {loads[name]} | {' | '.join(told)} |")
-        lines += _touch_table(report["model"]["held_out"], held)
-    failed = [run for run in report["runs"] if run["failed"]]
-    if failed:
-        lines += ["", "Runs of the full model that failed:", ""]
-        lines += [f"- {run['name']}, after {run['simulated']:.4g} s: {run['reason']}" for run in failed]
-    return "\n".join(lines) + "\n"
+            failed = [run["reason"], *[""] * (len(KINDS) - 1)] if run["failed"] else None
+            rows[name] = [loads[name], *(failed or [percent(run[k]) for k in KINDS])]
+        blocks.append(quantities_table("Errors on held-out paths", ["loads", *KINDS], rows, first="held-out path"))
+        blocks += _touch_table(report["model"]["held_out"], held)
+    failures = [run for run in report["runs"] if run["failed"]]
+    return blocks + [f"{run['name']} failed after {run['simulated']:.4g} s: {run['reason']}" for run in failures]
 
 
 def _draw(folder: Folder, report: dict[str, Any], held: Sequence[str]) -> None:
-    """Draw the errors of every held-out path, and what errors trust numbers have meant."""
+    """Draw the errors of every held-out path, and those that trust numbers have meant."""
     found = report["model"]["held_out"]
     with figure(folder.path / FIGURE, (9.0, 4.6)) as drawn:
         heading(drawn, "Errors on paths that were not trained on")

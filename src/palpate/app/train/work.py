@@ -1,4 +1,4 @@
-"""What a worker does, wherever it is: build the scene once, and make runs."""
+"""Work of a worker, on this machine or in a cluster: build the scene once, and make runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from palpate.scenes.training import training_scene
 __all__ = ["Outcome", "Watch", "perform", "record_fault"]
 
 Outcome = dict[str, Any]  # "job", "seconds", and if it failed "failed" with the reason
-Watch = Callable[[Job, float], None]  # told of a run the simulated time it has reached [s]
+Watch = Callable[[Job, float], None]  # takes a run and the simulated time that it has reached [s]
 
 _one_at_a_time = Lock()  # a model is stepped in place
 
@@ -87,14 +87,14 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
     except Exception as error:  # whatever it is: the other runs go on
         if partial.exists():
             settle(partial, place.failed(job))
-        told = str(error) if isinstance(error, DivergenceError | InputError) else f"{type(error).__name__}: {error}"
-        return record_fault(place, job, " ".join(told.split()), retry=False)
+        reason = str(error) if isinstance(error, DivergenceError | InputError) else f"{type(error).__name__}: {error}"
+        return record_fault(place, job, " ".join(reason.split()), retry=False)
     settle(partial, place.file(job))
     place.reason(job).unlink(missing_ok=True)  # of a worker that died
     return {"job": job, "seconds": perf_counter() - began}
 
 
 def record_fault(place: Folder, job: Job, reason: str, *, retry: bool) -> Outcome:
-    """Write down why a run failed, and whether to try it again when the campaign goes on."""
+    """Record why a run failed, and whether a continued campaign tries it again."""
     write_sealed_json(place.reason(job), {"seed": job.seed, "reason": reason, "retry": retry})
     return {"job": job, "failed": reason}

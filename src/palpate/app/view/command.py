@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from palpate.app.console import Console, print_json, print_plain, quantities_table
-from palpate.app.view.opening import opened
+from palpate.app.common.console import Console, print_json, print_plain, quantities_table
+from palpate.app.models.loader import open_model
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.recording import FORMAT
@@ -43,7 +43,7 @@ def view(
     Parameters
     ----------
     what : str
-        As of `palpate.app.view.opening.opened`.
+        As of `palpate.app.models.loader.open_model`.
     port : int
         The next free one is used if it is busy.
     host : str
@@ -96,7 +96,7 @@ def view(
 @contextlib.contextmanager
 def _session(what: str, record: Path | None, console: Console) -> Iterator[Session]:
     """Yield a running session; stop it at the end, and write its recordings."""
-    model, title = opened(what, console)
+    model, title = open_model(what, console)
     with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
         session = Session(model, title)
     session.start()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from palpate.app.pictures import COLOURS, check_drawing, off_screen
+from palpate.app.common.rendering import COLOURS, check_drawing, off_screen
 from palpate.app.view.server.frames import colour_range
 from palpate.app.view.session.recording import Recording
 from palpate.app.view.session.snapshot import UNITS, Snapshot

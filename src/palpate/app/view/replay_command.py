@@ -7,8 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from palpate.app.console import Console, count_nodes, percent, print_plain, quantities_table
-from palpate.app.view.film import RecordingPlotter, check_movie, check_picture, write_movie, write_picture
+from palpate.app.common.console import Console, count_nodes, percent, print_plain, quantities_table
+from palpate.app.view.film import (
+    RecordingPlotter,
+    check_movie,
+    check_picture,
+    write_movie,
+    write_picture,
+)
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK
 from palpate.app.view.session.full_model_replay import full_model, replay_on_full_model, tool_path
 from palpate.app.view.session.recording import Recording, load_recording, save_recording

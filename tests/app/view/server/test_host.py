@@ -7,7 +7,7 @@ import urllib.request
 
 import pytest
 
-from palpate.app.console import Console
+from palpate.app.common.console import Console
 from palpate.app.view.server import host
 from palpate.app.view.server.address import LOOPBACK, open_listener
 from palpate.app.view.server.page import Page

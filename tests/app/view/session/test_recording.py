@@ -171,7 +171,7 @@ def test_films_that_cannot_be_made_are_refused(recorded, tmp_path, assert_refuse
 
 def test_what_is_no_recording_is_refused(recorded, tmp_path, assert_refused):
     path, _, _ = recorded
-    assert_refused(["replay", str(tmp_path / "none.h5")], "no recording at")
+    assert_refused(["replay", str(tmp_path / "none.h5")], "FILE.h5 must be an existing file")
     (tmp_path / "text.h5").write_text("hello")
     assert_refused(["replay", str(tmp_path / "text.h5")], "is not a palpate recording")
     content = path.read_bytes()

@@ -7,7 +7,7 @@ import contextlib
 import secrets
 from collections.abc import Callable
 
-from palpate.app.console import Console
+from palpate.app.common.console import Console
 from palpate.app.view.server.address import (
     DEFAULT_PORT,
     LOOPBACK,

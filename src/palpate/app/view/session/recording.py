@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.export import write_vtkhdf
+from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.view.session.snapshot import STATES, TOOL_KINDS, Snapshot
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain, shortened

@@ -1,0 +1,39 @@
+"""Parser of ``palpate check``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from palpate.app.common.arguments import Command, add_command, add_output, existing_file, number, whole
+
+__all__ = ["add_check"]
+
+
+def _load() -> Command:
+    from palpate.app.check.command import check
+
+    return check
+
+
+def add_check(commands: Any) -> None:
+    """Add the command to those of a parser."""
+    check = add_command(
+        commands,
+        "check",
+        _load,
+        summary="examine the surface of an organ and fill it with nodes",
+        description="Read a closed surface (STL, OBJ, PLY, OFF, GLB, VTK), list its faults, and fill it with nodes if "
+        "it has none. Leave a report with pictures in a folder. See docs/organs.md.",
+    )
+    check.synonyms["mend"] = "--repair"
+    add = check.add_argument
+    add("file", type=existing_file, metavar="FILE", help="file of the surface")
+    text = "distance between nodes [m] (default: one that gives about 4,000 nodes)"
+    add("--spacing", type=number, metavar="M", help=text)
+    add("--part", metavar="NAME", help="part to read from a file of several")
+    text = "unit of length in the file (default: guessed, with a warning)"
+    add("--units", choices=("m", "cm", "mm", "in"), help=text)
+    text = "close small holes, turn triangles, smooth folds, and remove specks"
+    add("--repair", action="store_true", help=text)
+    add("--seed", type=whole, default=0, metavar="K", help="seed of the nodes' positions")
+    add_output(check, "out/check")

@@ -1,0 +1,229 @@
+"""Words of the command line: parsers, types of options, and the options that several commands share.
+
+Only the standard library is imported here, so that ``palpate --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import stat
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+from unicodedata import category
+
+from palpate.app.common.exit_status import BAD_INPUT, one_line
+
+__all__ = [
+    "LOAD", "PARSER", "Command", "Parser", "add_command", "add_json", "add_output", "existing_file",
+    "in_option_words", "number", "path", "suggestion", "unprintable_word", "whole",
+]  # fmt: skip
+
+Command = Callable[..., int]  # takes the options by name, and returns the exit code
+
+LOAD, PARSER = " load", " parser"  # names that no option has
+LONGEST_WORD, LONGEST_NAME = 4095, 255  # characters; bytes of a name in a folder
+UNPRINTABLE = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs
+LARGEST_WHOLE = 2**53  # whole numbers beyond are not exact in the reports
+COMPLAINTS = {  # of argparse, in the form of palpate's own messages
+    r"argument (\S+): (must .*)": r"\1 \2",
+    r"argument (\S+): expected one argument": r"\1 must be followed by a value",
+    r"argument (\S+): expected at least one argument": r"\1 must be followed by at least one value",
+    r"argument (\S+): ignored explicit argument (.*)": r"\1 must be given without a value, got \2",
+    r"argument (\S+): (.*)": r"\1: \2",
+    r"the following arguments are required: (.*)": r"\1 must be given",
+}
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Help in which every default stands in the same form after the sentence about its option."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        text, value = action.help or "", action.default
+        if "(default:" in text or value in (None, argparse.SUPPRESS, []) or isinstance(value, bool):
+            return text
+        shown = " ".join(map(str, value)) if isinstance(value, list) else value
+        return f"{text} (default: {f'{shown:g}' if isinstance(shown, float) else shown})"
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that complains in one line, names the nearest known word, and refers to the help of its own command.
+
+    Attributes
+    ----------
+    renamed : dict of str to str
+        Options of earlier versions, and those that took their places.
+    synonyms : dict of str to str
+        Arguments of the library, and the options of other names that they come from.
+    assignments : dict of str to str
+        Destinations of options whose values are ``NAME=X``, and these options.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        options.setdefault("formatter_class", _Formatter)
+        super().__init__(*arguments, **options)
+        self.renamed: dict[str, str] = {}
+        self.synonyms: dict[str, str] = {}
+        self.assignments: dict[str, str] = {}
+
+    def error(self, message: str) -> NoReturn:
+        for pattern, words in COMPLAINTS.items():
+            if re.fullmatch(pattern, message, re.DOTALL):
+                message = re.sub(pattern, words, message, flags=re.DOTALL)
+                break
+        if self._choices() and message.endswith("must be given"):
+            message = f"{message}: {', '.join(self._choices())}"
+        self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)} (see {self.prog} --help)\n")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        words = list(args or ())
+        if not self._choices():  # those of a command with others inside belong to the inner ones
+            for word in words[: words.index("--")] if "--" in words else words:
+                self._check_option(word)
+        found, left = super().parse_known_args(words, namespace)
+        if left:
+            self.error(f"{left[0]!r:.60} is not expected here")
+        return found, left
+
+    def _choices(self) -> list[str]:
+        """Return the names of the commands inside this one."""
+        inner = [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
+        return [name for action in inner for name in action.choices]
+
+    def _check_option(self, word: str) -> None:
+        """Complain about an option that the command does not have."""
+        name, known = word.partition("=")[0], list(self._option_string_actions)
+        if not name.startswith("--") or " " in word or any(each.startswith(name) for each in known):
+            return
+        if name in self.renamed:
+            self.error(f"{name} is now called {self.renamed[name]}; give {self.renamed[name]} instead")
+        self.error(f"{name!r:.60} is not an option of {self.prog}{suggestion(name, known)}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            known = [str(choice) for choice in action.choices]
+            raise argparse.ArgumentError(
+                action, f"must be one of {', '.join(known)}, got {value!r:.60}{suggestion(str(value), known)}"
+            )
+
+
+def suggestion(word: str, known: Sequence[str]) -> str:
+    """Return the question whether the nearest of some known words is meant, if one is near."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(word[:60], known, 1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def add_command(commands: Any, name: str, load: Callable[[], Command], *, summary: str, description: str) -> Parser:
+    """Add a command to those of a parser.
+
+    Parameters
+    ----------
+    commands : subparsers
+        As `argparse.ArgumentParser.add_subparsers` returns them.
+    name : str
+    load : function
+        Imports and returns the function that runs the command.
+    summary : str
+        Of a line, for the help of all commands.
+    description : str
+        For the help of this one.
+    """
+    parser: Parser = commands.add_parser(name, help=summary, description=description)
+    parser.set_defaults(**{LOAD: load, PARSER: parser})
+    return parser
+
+
+def add_output(parser: argparse.ArgumentParser, out: str) -> None:
+    """Add the options about results that every study has: its folder, and JSON in place of tables."""
+    parser.add_argument("--out", type=path, default=Path(out), metavar="FOLDER", help="folder for the results")
+    add_json(parser, "the report")
+
+
+def add_json(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the option that prints JSON for other programs."""
+    parser.add_argument("--json", action="store_true", dest="as_json", help=f"print {what} as JSON, for other programs")
+
+
+def path(text: str) -> Path:
+    """Return a path that a file system takes."""
+    if not text or any(len(os.fsencode(part)) > LONGEST_NAME for part in text.split("/")):
+        raise argparse.ArgumentTypeError(f"must be a path of names of 1 to {LONGEST_NAME} bytes, got {text!r:.60}")
+    return Path(text)
+
+
+def existing_file(text: str) -> Path:
+    """Return the path of a regular file: a pipe or a device would let its reader wait."""
+    found = path(text)
+    try:
+        kind = os.stat(found).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        raise argparse.ArgumentTypeError(f"must be an existing file, got {text!r}; there is no such file") from None
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise argparse.ArgumentTypeError(f"must be a file that can be read, got {text!r} ({why})") from None
+    if not stat.S_ISREG(kind):
+        what = "a folder" if stat.S_ISDIR(kind) else "a pipe, socket or device"
+        raise argparse.ArgumentTypeError(f"must be a regular file, got {text!r}, which is {what}")
+    return found
+
+
+def whole(text: str) -> int:
+    """Return a whole number that is exact in every report."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = LARGEST_WHOLE + 1
+    if abs(value) > LARGEST_WHOLE:
+        raise argparse.ArgumentTypeError(f"must be a whole number of at most 2^53, got {text!r:.60}")
+    return value
+
+
+def number(text: str) -> float:
+    """Return a number; its range is for the command to check."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a number, got {text!r:.60}") from None
+
+
+def unprintable_word(words: Sequence[str]) -> str | None:
+    """Return a complaint about the first word that is not printable text of a sensible length, or None."""
+    for k, word in enumerate(words):
+        if len(word) > LONGEST_WORD or any(category(letter) in UNPRINTABLE for letter in word):
+            return (
+                f"argument {k + 1} must be printable text of at most {LONGEST_WORD} characters, got "
+                f"{word!r:.60}; rename the file or leave such characters out"
+            )
+    return None
+
+
+def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) -> str:
+    """Return a message of the library with its arguments called as the options of a command that they come from.
+
+    ``spacing must be ...`` becomes ``--spacing must be ...``, and ``choose one with part='left'`` becomes ``choose one
+    with --part 'left'``; ``spacing must be ...`` becomes ``--set spacing must be ...`` where it was set so.
+    """
+    names = {
+        pair.partition("=")[0]: f"{option} {pair.partition('=')[0]}"
+        for place, option in parser.assignments.items()
+        for pair in options[place]
+    }
+    names |= {action.dest: _option_name(action) for action in parser._actions} | parser.synonyms
+    known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
+
+    def keyword(match: re.Match[str]) -> str:
+        value = match[2]
+        return names[match[1]] + ("" if value in ("", "True") else f" {value}")
+
+    message = re.sub(rf"^({known})(?= (?:must|=|is|cannot) |:)", lambda match: names[match[1]], message)
+    return re.sub(rf"(?<![\w.-])({known})=(True|[\w'\"]*)", keyword, message)
+
+
+def _option_name(action: argparse.Action) -> str:
+    if action.option_strings:
+        return max(action.option_strings, key=len)
+    return action.metavar if isinstance(action.metavar, str) else action.dest.upper()

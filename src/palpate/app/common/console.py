@@ -1,0 +1,110 @@
+"""Terminal: progress on standard error, results on standard output."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import rich.console
+import rich.table
+from rich.box import SIMPLE_HEAD
+
+__all__ = ["Console", "Table", "count_nodes", "percent", "print_json", "print_plain", "quantities_table"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under headings, for a terminal and for a report.
+
+    Parameters
+    ----------
+    title : str
+    columns : sequence of str
+        Headings.
+    rows : sequence of sequences of str
+        As long as `columns`.
+    justify : sequence of "left" or "right"
+        For every column.
+    wraps : bool
+        Whether a terminal may break the lines of a cell.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    justify: Sequence[Literal["left", "right"]]
+    wraps: bool = True
+
+
+class Console:
+    """Lines about the work in progress, on standard error."""
+
+    def __init__(self) -> None:
+        self._console = rich.console.Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """Print one line."""
+        self._console.print(text)
+
+    @contextmanager
+    def status(self, text: str) -> Iterator[None]:
+        """Show a line while the block runs; where the output is not a terminal, print it once."""
+        if self._console.is_terminal:
+            with self._console.status(text):
+                yield
+        else:
+            self.say(f"{text} ...")
+            yield
+
+
+def print_json(report: dict[str, Any]) -> None:
+    """Print a report on standard output, for machines."""
+    json.dump(report, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def print_plain(tables: Sequence[Any], out: Path, files: Sequence[str]) -> None:
+    """Print tables or lines, and where the files lie, if there are any, on standard output."""
+    console = rich.console.Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = 100
+    for table in tables:
+        console.print(_printable(table) if isinstance(table, Table) else table)
+    if files:
+        console.print(f"In {out}: {', '.join(files)}", soft_wrap=True)
+
+
+def quantities_table(
+    title: str,
+    columns: Sequence[str],
+    rows: Mapping[str, Sequence[str]],
+    first: str = "quantity",
+    justify: Literal["left", "right"] = "right",
+) -> Table:
+    """Return a table of quantities by name, one value or more for each."""
+    lines = [(name, *values) for name, values in rows.items()]
+    return Table(title, (first, *columns), lines, ("left", *[justify] * len(columns)))
+
+
+def _printable(table: Table) -> rich.table.Table:
+    shown = rich.table.Table(title=table.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    for heading, justify in zip(table.columns, table.justify, strict=True):
+        shown.add_column(heading, justify=justify, no_wrap=not table.wraps)
+    for row in table.rows:
+        shown.add_row(*row)
+    return shown
+
+
+def count_nodes(nodes: int) -> str:
+    """Return how many nodes, in words."""
+    return f"{nodes} node{'' if nodes == 1 else 's'}"
+
+
+def percent(value: float) -> str:
+    """Return a share in per cent."""
+    return f"{value:.2%}" if value < 10 else "> 1000%"

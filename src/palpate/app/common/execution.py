@@ -1,0 +1,135 @@
+"""Run a command line: parse it, import the command, call it, and turn whatever it raises into an exit status."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from palpate.app.common.arguments import LOAD, PARSER, Parser, in_option_words, unprintable_word
+from palpate.app.common.exit_status import (
+    BAD_INPUT,
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    RunError,
+    complain,
+    report_defect,
+    silence_output,
+    system_error,
+)
+
+__all__ = ["execute"]
+
+
+def execute(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
+    """Run a command line.
+
+    Parameters
+    ----------
+    build_parser : function
+        Returns the parser, whose commands were added by `palpate.app.common.arguments.add_command`.
+    words : sequence of str
+
+    Returns
+    -------
+    int
+        The exit code; there is one line on standard error if it is not 0.
+
+    Raises
+    ------
+    SystemExit
+        The words are no command line of the parser; or a signal ends the program.
+    """
+    try:
+        code = _run(build_parser, words)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # whoever read the output has enough
+        return silence_output()
+    except OSError as error:  # standard output cannot be written
+        silence_output()
+        return complain(f"cannot write the output: {error.strerror or error}", FAILED)
+
+
+def _run(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
+    if why := unprintable_word(words):
+        return complain(why, BAD_INPUT)
+    parser = build_parser()
+    if "_ARGCOMPLETE" in os.environ:
+        return _complete(parser)
+    try:
+        options = vars(parser.parse_args(words))
+    except SystemExit as end:  # after --help, --version, or a complaint
+        if end.code:
+            raise
+        return DONE
+    if LOAD not in options:  # nothing but `palpate`
+        parser.print_help()
+        return DONE
+    return _call(options.pop(PARSER), options.pop(LOAD), options)
+
+
+def _complete(parser: Parser) -> int:
+    """Answer a shell that completes a command line, and run nothing: see docs/cli.md."""
+    try:
+        import argcomplete
+    except ImportError:
+        return FAILED
+    argcomplete.autocomplete(parser)
+    return DONE
+
+
+def _call(parser: Parser, load: Callable[[], Callable[..., int]], options: dict[str, Any]) -> int:
+    """Import and run a command."""
+    try:
+        with _ending_at_interrupt():
+            command = load()
+        return command(**options)
+    except BrokenPipeError:
+        raise
+    except KeyboardInterrupt as interrupt:
+        return complain(" ".join(["interrupted", *map(str, interrupt.args)]), INTERRUPTED)
+    except MemoryError:
+        return complain("out of memory; take a larger spacing, fewer modes, or fewer snapshots", FAILED)
+    except Exception as error:
+        return _failed(error, parser, options)
+
+
+def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int:
+    """Print one line about an error; one of no known kind is a defect of palpate."""
+    from palpate.faults import DivergenceError, InputError
+
+    if isinstance(error, InputError):
+        return complain(in_option_words(str(error), parser, options), BAD_INPUT)
+    if isinstance(error, OSError):
+        return complain(system_error(error), BAD_INPUT if isinstance(error, FileNotFoundError) else FAILED)
+    if isinstance(error, RunError | DivergenceError):
+        return complain(str(error), FAILED)
+    return report_defect(error)
+
+
+@contextmanager
+def _ending_at_interrupt() -> Iterator[None]:
+    """End the program at once where it is interrupted: what is being imported may swallow `KeyboardInterrupt`."""
+    main_thread = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGINT) if main_thread else None
+    if before is not signal.default_int_handler:  # ignored, or somebody else's
+        yield
+        return
+
+    def end(number: int, frame: object) -> None:
+        with suppress(OSError):
+            os.write(2, b"palpate: interrupted\n")
+        os._exit(INTERRUPTED)
+
+    signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,65 @@
+"""How a command ends: one line on standard error, and an exit status. Only the standard library is imported here."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+
+__all__ = [
+    "BAD_INPUT", "DEBUG", "DONE", "FAILED", "INTERRUPTED", "RunError", "complain", "one_line", "report_defect",
+    "silence_output", "system_error",
+]  # fmt: skip
+
+DONE, FAILED, BAD_INPUT, DEFECT, INTERRUPTED = 0, 1, 2, 70, 130
+DEBUG = "PALPATE_DEBUG"  # environment variable: 1 prints the traceback of an internal error
+LONGEST_COMPLAINT = 1000  # characters
+
+
+class RunError(RuntimeError):
+    """A command could not be finished; the message names what is kept."""
+
+
+def complain(message: str, code: int) -> int:
+    """Print a message as one line on standard error; return the exit code."""
+    with suppress(OSError):
+        print(f"palpate: {one_line(message)}", file=sys.stderr)
+    return code
+
+
+def one_line(message: str) -> str:
+    """Return a message as one line of printable characters."""
+    line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in " ".join(message.split()))
+    return line if len(line) <= LONGEST_COMPLAINT else line[: LONGEST_COMPLAINT - 3] + "..."
+
+
+def system_error(error: OSError) -> str:
+    """Return what the operating system refused, in words instead of its number."""
+    if error.errno is None or error.strerror is None or error.filename is None:
+        return str(error)
+    if isinstance(error, FileNotFoundError):
+        return f"there is no file {str(error.filename)!r}"
+    return f"{str(error.filename)!r}: {error.strerror.lower()}"
+
+
+def report_defect(error: Exception) -> int:
+    """Report an error that is none of the known ones, and leave its traceback in a file; return the exit code."""
+    import tempfile
+    import traceback
+
+    if os.environ.get(DEBUG) == "1":
+        traceback.print_exception(error)
+        return DEFECT
+    where = f"what {DEBUG}=1 prints"
+    with suppress(OSError):
+        handle, where = tempfile.mkstemp(prefix="palpate-error-", suffix=".txt")
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write("".join(traceback.format_exception(error)))
+    return complain(f"internal error: {type(error).__name__}: {error}; report it with {where}", DEFECT)
+
+
+def silence_output() -> int:
+    """Discard what is still written to a standard output that takes nothing; return the exit code."""
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return FAILED

@@ -1,0 +1,102 @@
+"""Rendering of surfaces off-screen."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.extras import require
+from palpate.faults import InputError
+from palpate.meshfree.cloud import Cloud
+
+__all__ = ["COLOURS", "PIXELS", "DrawingError", "check_drawing", "off_screen", "surface"]
+
+Floats = NDArray[np.float64]
+
+COLOURS = "cividis"  # one that colour-blind people read as others do
+PIXELS = 2000  # across a picture
+
+# VTK opens its graphics libraries only when it draws, and crashes where one is missing: let another process try.
+PROBE = """
+import vtkmodules.vtkRenderingOpenGL2
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
+window = vtkRenderWindow()
+window.SetOffScreenRendering(1)
+window.AddRenderer(vtkRenderer())
+window.Render()
+raise SystemExit(0 if window.SupportsOpenGL() else 3)
+"""
+
+
+class DrawingError(RuntimeError):
+    """VTK cannot draw on this machine; the message names what to install."""
+
+
+def check_drawing() -> None:
+    """Check that PyVista is installed and VTK can draw without a display, by default through EGL.
+
+    Raises
+    ------
+    DrawingError
+        It cannot.
+    """
+    try:
+        for package in ("pyvista", "matplotlib"):
+            require(package, "drawing surfaces")
+    except InputError as error:
+        raise DrawingError(str(error)) from error
+    os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    try:
+        probe = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=120, check=False)
+        works = probe.returncode == 0
+    except subprocess.TimeoutExpired:
+        works = False
+    if not works:
+        raise DrawingError(
+            "VTK cannot draw off-screen on this machine; on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"
+        )
+
+
+def surface(cloud: Cloud, points: Floats) -> Any:
+    """Return the surface triangles of a cloud as PyVista's, their corners at `points` (n, 3) [m]."""
+    import pyvista
+
+    return pyvista.PolyData(points, np.column_stack([np.full(len(cloud.triangles), 3), cloud.triangles]).ravel())
+
+
+@contextmanager
+def off_screen(width: float, height: float, middle: Floats, towards: Floats, pixels: int = PIXELS) -> Iterator[Any]:
+    """Yield a PyVista plotter on white that looks at `middle` in a parallel projection.
+
+    Parameters
+    ----------
+    width, height : float [m]
+        What the picture spans in its plane.
+    middle : (3,) array [m]
+    towards : (3,) array
+        Direction from there to the camera; z points up.
+    pixels : int
+        Across the picture.
+    """
+    import pyvista
+
+    pv: Any = pyvista
+    plotter = pv.Plotter(off_screen=True, window_size=[pixels, round(pixels * height / width)])
+    try:
+        plotter.set_background("white")
+        plotter.camera_position = [tuple(middle + 3 * width * towards), tuple(middle), (0.0, 0.0, 1.0)]
+        plotter.enable_parallel_projection()
+        plotter.camera.parallel_scale = height / 2
+        plotter.enable_anti_aliasing("ssaa")
+        yield plotter
+    finally:
+        plotter.close()

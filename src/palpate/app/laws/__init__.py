@@ -1,0 +1,1 @@
+"""``palpate laws``: the material laws with their parameters."""

@@ -1,0 +1,28 @@
+"""Parser of ``palpate laws``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from palpate.app.common.arguments import Command, add_command, add_json
+
+__all__ = ["add_laws"]
+
+
+def _load() -> Command:
+    from palpate.app.laws.command import laws
+
+    return laws
+
+
+def add_laws(commands: Any) -> None:
+    """Add the command to those of a parser."""
+    laws = add_command(
+        commands,
+        "laws",
+        _load,
+        summary="list the material laws with their parameters, units and ranges",
+        description="List every material law, law of fibres, relaxation and volumetric part: its energy, its "
+        "parameters with units and ranges, and its source.",
+    )
+    add_json(laws, "the list")

@@ -1,0 +1,53 @@
+"""Model loader: a reduced model that takes a tool, from the name of a scene or from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from palpate.app.common.arguments import suggestion
+from palpate.app.common.console import Console
+from palpate.app.models.cache import LIVER, load_cached_liver
+from palpate.app.models.quick_training import train_quickly
+from palpate.faults import InputError
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.storage.models import load
+from palpate.scenes.training import TRAINING
+
+__all__ = ["open_model"]
+
+MODES = 24  # of the models of scenes that are trained at each start: all but the liver
+SCENES = (LIVER, *(name for name in TRAINING if name != LIVER))
+
+
+def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
+    """Return a model that takes a tool, and its title.
+
+    Parameters
+    ----------
+    what : str
+        ``"liver"``: the small model from the user's cache, trained at the first use; another scene of
+        `palpate.scenes.training.TRAINING`, trained at once; or a file of `palpate train`.
+    console : Console
+
+    Raises
+    ------
+    InputError, FileFormatError, FileNotFoundError
+        No such scene or file, or a model that takes no tool.
+    """
+    if what == LIVER:
+        return load_cached_liver(console), "Liver"
+    if what in TRAINING:
+        return train_quickly(TRAINING[what], MODES, console), what.capitalize()
+    path = Path(what)
+    if not path.suffix and not path.exists():
+        raise InputError(
+            f"what must be {', '.join(SCENES)}, or a file of palpate train, got {what!r}{suggestion(what, SCENES)}"
+        )
+    model = load(path)
+    if model.data.compliance is None and len(model.data.prescribed) != 1:
+        raise InputError(
+            f"{path} must hold a model that takes a tool, got one trained without a tool that touches it or moves one "
+            f"group (it has {len(model.data.prescribed)}); train it with a Contact, or with prescribed='GROUP'"
+        )
+    name = str(model.report.get("scene", {}).get("name", path.stem))
+    return model, name.rpartition(":")[2].replace("_", " ").capitalize()

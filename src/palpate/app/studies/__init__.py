@@ -1,0 +1,1 @@
+"""``palpate reproduce``: the examples of the paper with full and reduced models, and the paper's claims."""

@@ -1,0 +1,151 @@
+"""``palpate reproduce beam``: the paper's beam with the full model and with reduced ones (section 6.1).
+
+Next to the paper's models, projected at all nodes, are hyper-reduced ones of the same numbers of modes. These sample
+the energy form of the body, while the study's full model is the strong form: the full energy form is run too, so that
+the error of sampling can be separated from the difference of the two forms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.common.console import Console
+from palpate.app.common.preparation import prepare
+from palpate.app.common.report import REPORTS
+from palpate.app.common.vtkhdf import write_vtkhdf
+from palpate.app.studies.beam.report import ENERGY_FORM, build_report, tables
+from palpate.app.studies.report import deliver_study
+from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Phase, Study, Train, run_full, run_reduced
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.solid.model import Solid
+from palpate.extras import require
+from palpate.faults import DivergenceError, integer_in_range
+from palpate.reduction.basis.pod import pod
+from palpate.reduction.galerkin.model import galerkin
+from palpate.reduction.training.reduce import hyper_reduce
+from palpate.scenes.beam import DURATION, EVERY, beam
+
+__all__ = ["FIGURES", "FILES", "reproduce_beam", "von_mises"]
+
+Floats = NDArray[np.float64]
+
+PHASES = (Phase("full", 0.0, DURATION),)
+SERIES: dict[str, Train] = {
+    PROJECTED: lambda model, run, size: galerkin(model, run, modes=size),
+    HYPER_REDUCED: lambda model, run, size: hyper_reduce(cast(Solid, model), run, modes=size),
+}
+SNAPSHOTS = round(DURATION / EVERY)  # that move: the first shows the body at rest
+FIGURES = (
+    "figure3_error.png",
+    "figure4_time.png",
+    "figure5_ratio.png",
+    "singular_values.png",
+    "tip.png",
+    "energies.png",
+    "beam.png",
+)
+FILES = (*REPORTS, *FIGURES, "full.h5", "beam.vtkhdf")
+
+
+def reproduce_beam(
+    *, spacing: float, load: float, poisson: float, modes: Sequence[int], out: Path, as_json: bool = False
+) -> int:
+    """Run the study and leave its files in a folder.
+
+    Parameters
+    ----------
+    spacing : float [m]
+    load : float [N]
+    poisson : float
+        As for `palpate.scenes.beam.beam`.
+    modes : sequence of int
+        Sizes of the reduced models, from 1 to the 100 snapshots.
+    out : path
+        Folder for the results; made if it does not exist. A file of an earlier study is replaced by the new one.
+    as_json : bool
+        Print the report as JSON instead of a table.
+
+    Returns
+    -------
+    int
+        0, or 1 if every reduced run failed.
+
+    Raises
+    ------
+    InputError
+        A parameter out of range, or a folder that cannot be written: before anything is computed or written.
+    RunError
+        The full run diverged; its frames are kept.
+    OSError
+        A file could not be written.
+    """
+    sizes = sorted({integer_in_range("modes", m, 1, SNAPSHOTS) for m in modes})
+    require("matplotlib", "palpate reproduce beam")
+    console = Console()
+    # in full.h5 displacements and velocities, in the export those and the stress
+    scene = prepare(lambda: beam(spacing=spacing, load=load, poisson=poisson), out, 6 + 7, console)
+    study = Study(scene, PHASES, SERIES)
+    run_full(study, out, FILES, console)
+    _run_energy_form(study, console)
+    start = perf_counter()
+    singular_values = pod(study.full, scene.model.cloud.volumes, modes=1).singular_values
+    pod_seconds = perf_counter() - start
+    run_reduced(study, sizes, console)
+    report = build_report(study, singular_values, pod_seconds)
+    report["missing"] = _write_results(study, report, out, console)
+    return deliver_study(report, tables(report), out, FILES, as_json)
+
+
+def _run_energy_form(study: Study, console: Console) -> None:
+    """Run the energy form of the same body, with its own viscosity, if it can be run."""
+    scene = study.scene
+    try:
+        with console.status("making the energy form of the model ready"):
+            model = Solid(scene.model.cloud, scene.model.material, scene.model.fixed, form="energy")
+            step = model.stability.step
+            rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
+        console.say(f"full model, energy form: {scene.duration:g} s ...")
+        run = rollout(model, scene.loads, duration=scene.duration, every=scene.every)
+    except DivergenceError as error:
+        console.say(f"full model, energy form: failed: {' '.join(str(error).split())}")
+        return
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("in the run of the energy form; the full model's frames are kept in full.h5") from None
+    study.peers[ENERGY_FORM] = run
+    console.say(f"full model, energy form: {run.wall_seconds:.2f} s, {int(run.steps[-1])} steps")
+
+
+def von_mises(model: Solid, displacements: Floats) -> Floats:
+    """Return the von Mises stress [Pa] of the Cauchy stress at every node, (f, n), for displacements (f, n, 3) [m]."""
+    stresses = np.empty(displacements.shape[:2])
+    for frame, displacement in enumerate(displacements):
+        cauchy = model.cauchy_stress(displacement)
+        deviator = cauchy - np.trace(cauchy, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3
+        stresses[frame] = np.sqrt(1.5 * np.sum(deviator**2, axis=(1, 2)))
+    return stresses
+
+
+def _write_results(study: Study, report: dict[str, Any], out: Path, console: Console) -> dict[str, str]:
+    """Write the export and the figures; return why those that are missing could not be made."""
+    with console.status("writing the figures and the file for ParaView"):
+        from palpate.app.common.rendering import DrawingError
+        from palpate.app.studies.beam.figures import draw_figures
+        from palpate.app.studies.beam.picture import draw_beam
+
+        full, missing = study.full, {}
+        stress = von_mises(cast(Solid, study.scene.model), full.displacements)
+        fields = {"displacement": full.displacements, "velocity": full.velocities, "von_mises": stress}
+        write_vtkhdf(out / "beam.vtkhdf", study.scene.model.cloud, full.times, fields)
+        draw_figures(study, report, out)
+        try:
+            draw_beam(study.scene.model.cloud, full, stress, out / "beam.png")
+        except DrawingError as error:
+            missing["beam.png"] = str(error)
+            console.say(f"beam.png is missing: {error}")
+    return missing

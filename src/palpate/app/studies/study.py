@@ -1,0 +1,278 @@
+"""Study: a full model, and one or more series of reduced models trained on its run, under the same loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.app.common.console import Console, count_nodes
+from palpate.app.common.exit_status import RunError
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.trajectory import Trajectory
+from palpate.faults import DivergenceError, InputError
+from palpate.files import settle
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.training.errors import relative_errors
+from palpate.scenes.scene import Scene
+
+__all__ = [
+    "HYPER_REDUCED",
+    "PROJECTED",
+    "SHOWN_MODES",
+    "Phase",
+    "Shown",
+    "Study",
+    "Train",
+    "comparison",
+    "run_full",
+    "run_reduced",
+]
+
+Floats = NDArray[np.float64]
+Train = Callable[[NodalModel, Trajectory, int], Model]
+
+PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.galerkin`, `palpate.hyper_reduce`
+
+SHOWN_MODES = 8  # the reduced model that figures compare with the full one: the paper's choice
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a run that has reduced models of its own.
+
+    Parameters
+    ----------
+    name : str
+    start, duration : float [s]
+    step : float, optional [s]
+        Time step of the projected runs; by default the one that `palpate.rollout` chooses.
+    """
+
+    name: str
+    start: float
+    duration: float
+    step: float | None = None
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The reduced runs of a series that figures compare with the full ones.
+
+    Parameters
+    ----------
+    modes : int
+    runs : list of Trajectory
+        One for every phase.
+    """
+
+    modes: int
+    runs: list[Trajectory]
+
+
+@dataclass
+class Study:
+    """Models to run, and their results.
+
+    Parameters
+    ----------
+    scene : Scene
+    phases : sequence of Phase
+        One after the other; together they are the scene's whole run.
+    series : mapping of str to functions
+        Kinds of reduced models by name: of a full model, its run over a phase and a number of modes, each returns the
+        reduced model.
+    peers : dict of str to Trajectory
+        Other runs of the whole scene that the reduced ones are compared with, too.
+    parts : list of Trajectory
+        Runs of the full model, one for every phase.
+    full : Trajectory
+        The same joined.
+    reduced : list of dict
+        One for every series and number of modes: ``"series"``, ``"modes"``, ``"failed"``, for every phase its entry in
+        ``"phases"``, and those of the whole run in ``"joined"``.
+    shown : dict of str to Shown
+        By series; without those of which no run was finished.
+    """
+
+    scene: Scene
+    phases: Sequence[Phase]
+    series: Mapping[str, Train]
+    peers: dict[str, Trajectory] = field(default_factory=dict)
+    parts: list[Trajectory] = field(default_factory=list)
+    reduced: list[dict[str, Any]] = field(default_factory=list)
+    shown: dict[str, Shown] = field(default_factory=dict)
+    full: Trajectory = field(init=False)
+
+
+def run_full(study: Study, out: Path, files: Sequence[str], console: Console) -> None:
+    """Run the full model into ``full.h5``, streaming its frames into a file next to it until they are complete.
+
+    Parameters
+    ----------
+    study : Study
+    out : path
+        Folder.
+    files : sequence of str
+        What an earlier study may have left there; removed once the run is complete.
+    console : Console
+
+    Raises
+    ------
+    RunError
+        The run diverged; its frames are kept.
+    """
+    scene, step = study.scene, study.scene.model.stability.step
+    begun: list[Path] = []
+    try:
+        rollout(scene.model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
+        console.say(f"full model: {scene.duration:g} s, {round(scene.duration / scene.every)} snapshots ...")
+        for phase in study.phases:
+            (out / _partial_name(phase)).unlink(missing_ok=True)  # of an earlier run that was stopped
+        for phase in study.phases:
+            begun.append(out / _partial_name(phase))
+            begin: dict[str, Any] = {"start": phase.start, "file": begun[-1]}
+            begin |= _last(study.parts[-1] if study.parts else None)
+            study.parts.append(rollout(scene.model, scene.loads, duration=phase.duration, every=scene.every, **begin))
+    except DivergenceError as error:
+        raise RunError(f"the full model diverged: {error}; {_kept_frames(begun)}") from error
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"in the full run; {_kept_frames(begun)}" if begun else "") from None
+    study.full = _join(study.parts)
+    for name in files:  # of an earlier study: all files of a folder belong together
+        (out / name).unlink(missing_ok=True)
+    _keep(study, begun, out / "full.h5")
+    console.say(f"full model: {study.full.wall_seconds:.2f} s, {int(study.full.steps[-1])} steps")
+
+
+def _partial_name(phase: Phase) -> str:
+    return f"{phase.name}.partial.h5"
+
+
+def _last(run: Trajectory | None) -> dict[str, Any]:
+    """Return the initial state of a run that continues another one."""
+    return {} if run is None else {"displacement": run.displacements[-1], "velocity": run.velocities[-1]}
+
+
+def _kept_frames(partials: list[Path]) -> str:
+    return f"the frames until then are kept in {' and '.join(str(path) for path in partials if path.exists())}"
+
+
+def _join(parts: Sequence[Trajectory]) -> Trajectory:
+    return reduce(Trajectory.then, parts)
+
+
+def _keep(study: Study, partials: list[Path], path: Path) -> None:
+    """Give the complete run its name."""
+    if len(partials) == 1:
+        settle(partials[0], path)
+        return
+    study.full.save(path)
+    for partial in partials:
+        partial.unlink()
+
+
+def run_reduced(study: Study, sizes: Sequence[int], console: Console) -> None:
+    """Train and run reduced models of every series and size, each phase from its own end of the phase before."""
+    try:
+        for name in study.series:
+            for size in sizes:
+                runs = _run_size(study, name, size, console)
+                if len(runs) < len(study.phases):
+                    continue
+                shown = study.shown.get(name)
+                if shown is None or abs(size - SHOWN_MODES) < abs(shown.modes - SHOWN_MODES):
+                    study.shown[name] = Shown(size, runs)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("in the reduced runs; the full model's frames are kept in full.h5") from None
+
+
+def _run_size(study: Study, name: str, size: int, console: Console) -> list[Trajectory]:
+    """Run a reduced model of one series and size through all phases; return the runs that were finished."""
+    entry: dict[str, Any] = {"series": name, "modes": size, "failed": False, "phases": {}}
+    runs: list[Trajectory] = []
+    for phase, full in zip(study.phases, study.parts, strict=True):
+        where = f", {phase.name}" if len(study.phases) > 1 else ""
+        if entry["failed"]:
+            entry["phases"][phase.name] = {"failed": True, "reason": "the phase before it failed"}
+            continue
+        measured, run = _run_phase(study, phase, full, name, size, runs[-1] if runs else None)
+        entry["phases"][phase.name] = measured
+        if run is None:
+            entry["failed"] = True
+            console.say(f"{name}, {size} modes{where}: failed: {measured['reason']}")
+            continue
+        runs.append(run)
+        console.say(
+            f"{name}, {size} modes at {count_nodes(measured['nodes'])}{where}: {run.wall_seconds:.2f} s, "
+            f"{measured['ratio']:.2%} of the full model's time, "
+            f"displacement error {measured['errors']['displacement']:.3%}"
+        )
+    if not entry["failed"]:
+        whole = _join(runs)
+        entry["joined"] = comparison(study.full, whole)
+        entry["joined"]["errors_against"] = {
+            peer: relative_errors(run, whole).as_dict() for peer, run in study.peers.items()
+        }
+    study.reduced.append(entry)
+    return runs
+
+
+def _run_phase(
+    study: Study, phase: Phase, full: Trajectory, name: str, size: int, before: Trajectory | None
+) -> tuple[dict[str, Any], Trajectory | None]:
+    """Train and run a reduced model over a phase; return its entry in the report, and its run if it was finished."""
+    scene, begin = study.scene, {"start": phase.start} | _last(before)
+    try:
+        start = perf_counter()
+        model = study.series[name](scene.model, full, size)
+        training = perf_counter() - start
+        step = scene.model.stability.step
+        # compiles, and warms the caches
+        rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)
+        own = phase.step if name == PROJECTED else None
+        run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=own, **begin)
+    except (DivergenceError, InputError) as error:
+        return {"failed": True, "reason": " ".join(str(error).split())}, None
+    measured = {
+        "failed": False,
+        "nodes": len(model.data.cubature.nodes) if isinstance(model, ReducedModel) else len(model.cloud),
+        "projection_error": relative_errors(full, _projection(model, scene, full)).displacement,
+        "training_seconds": training,
+        "real_time_factor": phase.duration / run.wall_seconds,
+    }
+    return measured | comparison(full, run), run
+
+
+def comparison(full: Trajectory, run: Trajectory) -> dict[str, Any]:
+    """Return the errors of a run against a reference, and its cost."""
+    return {
+        "errors": relative_errors(full, run).as_dict(),
+        "error_at_end": _error_at_end(full, run),
+        "wall_seconds": run.wall_seconds,
+        "ratio": run.wall_seconds / full.wall_seconds,
+        "steps": int(run.steps[-1]),
+        "seconds_per_step": run.wall_seconds / float(run.steps[-1]),
+    }
+
+
+def _error_at_end(full: Trajectory, run: Trajectory) -> float:
+    """Return the sum of |u_full - u| over the sum of |u_full| in the last frame."""
+    missed = np.linalg.norm(run.displacements[-1] - full.displacements[-1], axis=1).sum()
+    return float(missed / np.linalg.norm(full.displacements[-1], axis=1).sum())
+
+
+def _projection(model: Model, scene: Scene, run: Trajectory) -> Trajectory:
+    """Return a run projected onto the displacements that a model can represent."""
+    prepared = model.prepare(scene.loads)
+    frames = zip(run.times, run.displacements, strict=True)
+    states = (model.state(prepared, displacement, time=float(time)) for time, displacement in frames)
+    return replace(run, displacements=np.stack([model.displacement(state, prepared) for state in states]))

@@ -1,0 +1,83 @@
+"""Parsers of ``palpate view`` and ``palpate replay``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from palpate.app.common.arguments import (
+    Command,
+    Parser,
+    add_command,
+    add_json,
+    existing_file,
+    number,
+    path,
+    whole,
+)
+
+__all__ = ["add_replay", "add_view"]
+
+
+def _load_view() -> Command:
+    from palpate.app.view.command import view
+
+    return view
+
+
+def _load_replay() -> Command:
+    from palpate.app.view.replay_command import replay
+
+    return replay
+
+
+def add_view(commands: Any) -> None:
+    """Add the command ``palpate view`` to those of a parser."""
+    view = add_command(
+        commands,
+        "view",
+        _load_view,
+        summary="press and pull a body on a page in the browser",
+        description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
+    )
+    add = view.add_argument
+    text = "liver, beam or membrane; or the file of a reduced model, such as model.rom of palpate train"
+    add("what", metavar="SCENE|FILE", help=text)
+    _add_address(view)
+    text = "record the session, and write it to this file when the session ends"
+    add("--record", type=path, metavar="FILE.h5", help=text)
+    add("--headless", action="store_true", help="serve no page: run a script, and print statistics")
+    add("--seconds", type=number, metavar="S", help="duration of a headless session [s], at most 3600 (default: 10)")
+    text = "script of a headless session: lines of JSON, see docs/protocol.md"
+    add("--script", type=existing_file, metavar="FILE", help=text)
+    add_json(view, "the statistics of a headless session")
+
+
+def add_replay(commands: Any) -> None:
+    """Add the command ``palpate replay`` to those of a parser."""
+    replay = add_command(
+        commands,
+        "replay",
+        _load_replay,
+        summary="show or export what palpate view has recorded",
+        description="Show a recording on a page, draw it, or run its tool's path on the full model. See docs/view.md.",
+    )
+    add = replay.add_argument
+    add("file", type=existing_file, metavar="FILE.h5", help="the recording")
+    text = "run the path on the full model, and print the error of the recorded model"
+    add("--full", action="store_true", help=text)
+    text = "with --full: your own scene, which the recording must name; also from the current folder"
+    add("--scene", metavar="MODULE:FUNCTION", help=text)
+    add("--png", type=path, metavar="FILE.png", help="draw the moment of the largest force into a PNG file")
+    text = "draw the whole recording into a film: .gif, or .mp4 with palpate[film]"
+    add("--movie", type=path, metavar="FILE", help=text)
+    text = "field that the colours of pictures show: displacement, stress or pressure"
+    add("--scalar", default="displacement", metavar="NAME", help=text)
+    _add_address(replay)
+
+
+def _add_address(parser: Parser) -> None:
+    add = parser.add_argument
+    add("--port", type=whole, default=8765, metavar="N", help="port of the page; the next free one if it is taken")
+    text = "address of this machine to serve the page on; any other lets other machines connect"
+    add("--host", default="127.0.0.1", metavar="ADDRESS", help=text)
+    add("--no-browser", action="store_false", dest="browser", help="open no browser, only print the address")

@@ -1,0 +1,118 @@
+"""The command ``bench``: what it measures, on bodies small enough for a test, and what it leaves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from time import sleep
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.app.bench.cases import _with_samples
+from palpate.app.bench.command import FILES
+from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
+from palpate.app.cli import main
+from palpate.scenes.beam import beam
+
+
+@pytest.fixture(scope="module")
+def sampled(bar, tissue, pull):
+    """A hyper-reduced model of the bar."""
+    full = pt.Solid(bar, tissue, fixed="x-", form="energy")
+    return pt.hyper_reduce(full, pt.rollout(full, [pull], duration=0.01, every=0.0005), modes=5)
+
+
+def test_calls_take_turns_and_the_median_forgets_a_slow_round():
+    order, slow = [], [True, False, True, False, False, False]
+
+    def first():
+        order.append("a")
+        sleep(0.05 * slow[len(order) // 2])
+
+    seconds = median_seconds(first, lambda: order.append("b"), repeats=3)
+    assert order == ["a", "b"] * 4  # once to warm up
+    assert seconds[0] < 0.05
+
+
+@pytest.mark.parametrize("count", [4, 37, 400])
+def test_nodes_in_several_parts_leave_force_and_energy_as_they_are(sampled, count):
+    own = len(sampled.data.cubature.nodes)
+    model = _with_samples(sampled, count)
+    assert len(model.data.cubature.nodes) == count
+    coordinates = 0.1 * sampled.data.trained[-1]
+    if count >= own:
+        np.testing.assert_allclose(model.force(coordinates), sampled.force(coordinates), rtol=1e-6)
+        assert model.energy(coordinates) == pytest.approx(sampled.energy(coordinates), rel=1e-6)
+    else:
+        kept = model.data.cubature.weights.sum() / sampled.data.cubature.weights.sum()
+        assert count / own < kept < 1  # the heaviest ones
+
+
+def test_times_of_compiled_loops_are_positive_and_leave_the_model_as_it_was(sampled, pull):
+    prepared = sampled.prepare([pull])
+    state = sampled.state(prepared)
+    before = sampled.advance(state, prepared, 1e-5, 10)
+    force, reading = force_seconds(sampled, repeats=2)
+    (step,) = step_seconds((sampled, prepared, state), steps=50, repeats=2)
+    assert min(force, reading, step, read_seconds(np.ones(10**4), repeats=2)) > 0
+    assert not state.coordinates.any()
+    np.testing.assert_array_equal(sampled.advance(state, prepared, 1e-5, 10).coordinates, before.coordinates)
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Let the command measure small bodies in short runs."""
+    monkeypatch.setattr(
+        "palpate.app.bench.cases.beam", lambda spacing: replace(beam(spacing=0.02 / 3, load=2.0), duration=0.05)
+    )
+    for name, value in {"BODIES": (4, 5), "MANY": 6, "SAMPLED": 24, "FEW": 3}.items():
+        monkeypatch.setattr(f"palpate.app.bench.cases.{name}", value)
+
+
+def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, capsys):
+    out = tmp_path / "results" / "bench"
+    assert main(["bench", "--repeats", "2", "--json", "--out", str(out)]) == 0
+    printed = capsys.readouterr()
+    report = json.loads(printed.out)
+    assert report == json.loads((out / "report.json").read_text())
+    assert {path.name for path in out.iterdir()} == set(FILES)
+    assert "round 2 of 2: energy" in printed.err
+    (case,), large = report["beam"], report["large"]
+    fast = case["hyper_reduced"]
+    assert case["nodes"] == 496
+    assert (fast["modes"], large["modes"], large["nodes"]) == (3, 6, 24)
+    for form in ("strong", "energy"):
+        full = case["full"][form]
+        assert full["real_time_factor"] == pytest.approx(0.05 / full["wall_seconds"])
+        assert full["steps_per_second"] == pytest.approx(full["steps"] / full["wall_seconds"])
+        assert fast["ratio"][form] == pytest.approx(fast["wall_seconds"] / full["wall_seconds"])
+    assert large["table_bytes"] == 24 * 6 * 9 * 4
+    assert large["force_over_reading"] == pytest.approx(large["force_seconds"] / large["read_seconds"])
+    expected = large["force_seconds"] / large["memory_read_seconds"]
+    assert large["force_over_memory_reading"] == pytest.approx(expected)
+    first, second = large["bodies"]
+    assert (first["nodes"], second["nodes"]) == (64, 125)
+    ratio = second["compiled_seconds_per_step"] / first["compiled_seconds_per_step"]
+    assert large["compiled_step_ratio"] == pytest.approx(ratio)
+    table = [line for line in (out / "report.md").read_text().splitlines() if line.startswith("|")]
+    assert all(line.count("|") == 3 for line in table)
+    assert f"{100 * fast['ratio']['strong']:.2g} % (strong form)" in "".join(table)
+
+
+def test_what_was_measured_before_a_run_diverged_is_kept(small, tmp_path, capsys, monkeypatch):
+    def diverged(*_):
+        raise pt.DivergenceError("no step is stable at t = 0.1 s")
+
+    monkeypatch.setattr("palpate.app.bench.command.beam_case", diverged)
+    assert main(["bench", "--repeats", "1", "--out", str(tmp_path)]) == 0
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["beam"] == []
+    assert report["large"]["force_seconds"] > 0
+    assert "5 mm: failed: no step is stable" in capsys.readouterr().err
+
+
+def test_no_rounds_are_refused_before_anything_is_measured(tmp_path, assert_refused):
+    assert_refused(["bench", "--repeats", "0", "--out", str(tmp_path / "bench")], "--repeats", "from 1")
+    assert not (tmp_path / "bench").exists()

@@ -1,0 +1,69 @@
+"""The command ``check``: what it prints, what it leaves, how it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.app.check.command import FILES
+from palpate.app.cli import main
+
+
+@pytest.fixture(scope="module")
+def liver(tmp_path_factory):
+    """The generated liver as a file, in millimetres."""
+    trimesh = pytest.importorskip("trimesh")
+    body = pt.liver_surface(0.006)
+    path = tmp_path_factory.mktemp("surface") / "liver.stl"
+    trimesh.Trimesh(1e3 * body.vertices, body.triangles, process=False).export(path)
+    return path
+
+
+def test_a_good_surface_is_filled_and_drawn(liver, run_study, tmp_path, assert_drawn):
+    out, report, stdout, _ = run_study(["check", str(liver), "--spacing", "0.012"], tmp_path / "check")
+    assert {path.name for path in out.iterdir()} == set(FILES)
+    assert json.loads(stdout) == report
+    assert report["surface"]["volume"] == pytest.approx(1.5e-3, rel=1e-4)
+    assert "taken as mm" in report["surface"]["warnings"][0]
+    assert report["surface"]["problems"] == []
+    cloud = pt.fill(pt.io.read_surface(liver, units="mm"), 0.012)
+    assert report["cloud"]["nodes"] == len(cloud)
+    assert report["cloud"]["volume"] == pytest.approx(cloud.volumes.sum())
+    assert "surface.png" in (out / "report.md").read_text()
+    for name in ("surface.png", "cloud.png"):
+        assert_drawn(out / name)
+
+
+def test_an_open_surface_is_reported_not_filled(liver, tmp_path, capsys):
+    trimesh = pytest.importorskip("trimesh")
+    body = pt.io.read_surface(liver, units="mm")
+    keep = np.ones(len(body.triangles), dtype=bool)
+    keep[:4] = False
+    trimesh.Trimesh(body.vertices, body.triangles[keep], process=False).export(tmp_path / "open.ply")
+    code = main(["check", str(tmp_path / "open.ply"), "--units", "m", "--out", str(tmp_path / "out")])
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert code == 1
+    assert [problem["name"] for problem in report["surface"]["problems"]] == ["open"]
+    assert "cloud" not in report
+    assert "the surface is open" in " ".join(capsys.readouterr().out.split())
+    assert not (tmp_path / "out" / "cloud.png").exists()
+
+
+def test_a_spacing_that_is_too_coarse_is_said(liver, tmp_path, capsys):
+    assert main(["check", str(liver), "--spacing", "0.06", "--json", "--out", str(tmp_path / "out")]) == 1
+    assert "too coarse" in json.loads(capsys.readouterr().out)["refused"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere.stl"], "nowhere.stl"),
+        (["pyproject.toml"], "not from 'toml'"),
+        ([__file__, "--units", "ell"], "--units must be one of m, cm, mm, in, got 'ell'"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(words, said, assert_refused, tmp_path):
+    assert_refused(["check", *words, "--out", str(tmp_path / "out")], said)

@@ -1,0 +1,69 @@
+"""VTK itself reads back what was written."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.app.common.vtkhdf import write_vtkhdf
+
+TIMES = np.array([0.0, 0.1, 0.3])
+
+
+@pytest.fixture
+def cloud():
+    return pt.box((0.04, 0.03, 0.03), spacing=0.01)
+
+
+@pytest.fixture
+def fields(cloud):
+    random = np.random.default_rng(0)
+    return {
+        "displacement": random.normal(size=(3, len(cloud), 3)),
+        "von_mises": random.uniform(size=(3, len(cloud))),
+    }
+
+
+def test_vtk_reads_back_the_mesh_and_two_times(tmp_path, cloud, fields):
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    path = tmp_path / "body.vtkhdf"
+    write_vtkhdf(path, cloud, TIMES, fields)
+    reader = vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    information = reader.GetOutputInformation(0)
+    key = reader.GetExecutive().TIME_STEPS()
+    np.testing.assert_allclose([information.Get(key, k) for k in range(information.Length(key))], TIMES)
+    for frame in (1, 2):
+        reader.UpdateTimeStep(TIMES[frame])
+        grid = reader.GetOutputDataObject(0)
+        np.testing.assert_array_equal(vtk_to_numpy(grid.GetPoints().GetData()), cloud.points)
+        for name, values in fields.items():
+            np.testing.assert_array_equal(vtk_to_numpy(grid.GetPointData().GetArray(name)), values[frame])
+        kinds = vtk_to_numpy(grid.GetCellTypes()) if hasattr(grid, "GetCellTypes") else None
+        inside = len(cloud) - len(np.unique(cloud.triangles))
+        assert grid.GetNumberOfCells() == len(cloud.triangles) + inside
+        if kinds is not None:
+            assert np.count_nonzero(kinds == 5) == len(cloud.triangles)
+        first = [grid.GetCell(0).GetPointId(k) for k in range(3)]
+        assert first == list(cloud.triangles[0])
+
+
+def test_a_field_of_another_shape_is_refused_and_leaves_nothing(tmp_path, cloud, fields):
+    with pytest.raises(pt.InputError, match="'von_mises' has shape"):
+        write_vtkhdf(tmp_path / "body.vtkhdf", cloud, TIMES, {"von_mises": fields["von_mises"][:, :-1]})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_field_that_is_not_finite_is_refused(tmp_path, cloud, fields):
+    fields["von_mises"][1, 3] = np.nan
+    with pytest.raises(pt.InputError, match="'von_mises' is not finite"):
+        write_vtkhdf(tmp_path / "body.vtkhdf", cloud, TIMES, fields)
+
+
+def test_an_unwritable_place_is_named(tmp_path, cloud, fields):
+    with pytest.raises(OSError, match=r"cannot write .*missing"):
+        write_vtkhdf(tmp_path / "missing" / "body.vtkhdf", cloud, TIMES, fields)

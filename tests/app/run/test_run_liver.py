@@ -1,0 +1,171 @@
+"""The liver by the command line: trained on presses of a ball, and pressed in real time, with a cache or a file."""
+
+from __future__ import annotations
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.app.cli import main
+from palpate.app.models import cache as cached_models
+from palpate.app.run import liver
+from palpate.reduction.training.errors import contact_errors
+from palpate.scenes.liver import pressed_liver
+
+COARSE = {"spacing": 0.012, "radius": 0.03, "depth": 0.012}
+REALTIME = ["run", "liver", "--realtime", "--seconds", "0.5", "--rate", "200"]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """The folder of a campaign on a very coarse liver."""
+    folder = tmp_path_factory.mktemp("campaign") / "liver"
+    given = [f"{name}={value}" for name, value in COARSE.items()]
+    sizes = ["--paths", "2", "--held-out", "1", "--modes", "8", "--cubature", "0.05"]
+    assert main(["train", "liver", "--set", *given, *sizes, "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def swift(monkeypatch):
+    """Let a press take half a second."""
+    monkeypatch.setattr(liver, "LASTING", 0.5)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache, into which next to nothing will be trained."""
+    small = {"SMALL": COARSE, "PATHS": 1, "HELD_OUT": 1, "MODES": 6, "MOST_WORKERS": 1}
+    for name, value in small.items():
+        monkeypatch.setattr(cached_models, name, value)
+    monkeypatch.setattr(cached_models, "user_cache_path", lambda name: tmp_path / name)
+    return cached_models.cache_folder()
+
+
+def test_a_campaign_presses_the_liver_and_its_report_says_how_many_nodes_it_sampled_and_why(trained):
+    report = json.loads((trained / "report.json").read_text())
+    model = pt.load(trained / "model.rom")
+    assert report["failed"] == []
+    assert report["model"]["cubature"] == 0.05
+    assert 0 < report["model"]["cubature_residual"] <= 0.05
+    assert f"{report['model']['nodes']}; 0.05" in (trained / "report.md").read_text()
+    assert report["model"]["scene"] == {"name": "liver", "parameters": report["campaign"]["parameters"]}
+    assert len(model.data.cubature.nodes) == report["model"]["nodes"] < 0.1 * len(model.cloud)
+    assert model.data.compliance is not None
+    assert 0.5 < report["model"]["compliance_explained"] <= 1
+    assert report["model"]["held_out"]["mean"]["reaction"] < 0.5
+    run = pt.Trajectory.load(trained / "runs" / "train_000000.h5")
+    assert np.linalg.norm(run.reactions["tool"], axis=1).max() > 0.05
+
+
+def test_the_report_says_what_the_ball_and_the_surface_under_it_miss(trained):
+    report, scene = json.loads((trained / "report.json").read_text()), pressed_liver(**COARSE)
+    model, found = pt.load(trained / "model.rom"), report["model"]["held_out"]
+    loads, duration = scene.path(next(run["seed"] for run in report["runs"] if run["kind"] == "held_out"))
+    full = pt.Trajectory.load(trained / "runs" / "held_out_000000.h5")
+    own = pt.rollout(model, loads, duration=duration, every=scene.every)
+    expected = contact_errors(full, own, ["tool"], model.data.compliance.nodes).as_dict()
+    assert found["runs"][0] == found["runs"][0] | {n: pytest.approx(v, rel=1e-6) for n, v in expected.items()}
+    assert found["touch"]["mean"] == pytest.approx(expected, rel=1e-6)
+    assert f"{expected['force_95']:.2%}" in (trained / "report.md").read_text()
+
+
+def test_the_ball_comes_from_outside_presses_as_deep_as_was_trained_and_leaves(trained):
+    model = pt.load(trained / "model.rom")
+    poses, ball = liver.pressing_ball(model, trained / "model.rom")
+    times = np.linspace(0.0, 2 * liver.LASTING, 81)
+    moved, turned = (np.array(part) for part in zip(*map(poses, times), strict=True))
+    np.testing.assert_array_equal(turned, np.tile([1.0, 0.0, 0.0, 0.0], (81, 1)))
+    np.testing.assert_allclose(moved[[0, 40, 80]], 0.0, atol=1e-15)  # again and again from one place
+    np.testing.assert_allclose(moved[:40], moved[40:80], atol=1e-12)
+    depth = ball.tool.radius - np.linalg.norm(model.cloud.points[:, None] - ball.motion - moved, axis=2).min(axis=0)
+    assert depth[0] < -0.003
+    assert depth[39] < 0
+    assert 2 / 3 * 0.012 - 1e-9 <= depth.max() <= 0.0125
+
+
+def test_a_model_from_a_file_is_pressed_and_the_force_is_told(trained, swift, tmp_path, capsys):
+    file = trained / "model.rom"
+    assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    report = json.loads((tmp_path / "report.json").read_text())
+    with h5py.File(tmp_path / "black_box.h5") as box:
+        force = np.linalg.norm(box["force"][:], axis=1)
+    assert report["tool"]["largest_force"] == pytest.approx(force.max())
+    assert f"largest force on the tool {force.max():.3g} N" in told
+    assert "Computation: " in told
+    assert "Verdict: 200 Hz" in told
+    model = pt.load(file)
+    poses, ball = liver.pressing_ball(model, file)
+    again = pt.tools.Contact(ball.tool, lambda time: ball.motion + poses(time)[0], friction=ball.friction)
+    run = pt.rollout(model, [again], duration=0.45, every=0.005)
+    expected = np.linalg.norm(run.reactions["tool"], axis=1).max()
+    assert 0.5 * expected < force.max() < 1.5 * expected  # periods that a busy machine drops make the tool jump
+
+
+def test_the_first_start_trains_a_model_a_stop_keeps_its_runs_and_then_it_is_there(
+    cache, swift, tmp_path, capsys, monkeypatch
+):
+    def interrupted(self, outcome):
+        raise KeyboardInterrupt
+
+    command = [*REALTIME, "--json", "--out", str(tmp_path / "out")]
+    with monkeypatch.context() as patch:
+        patch.setattr("palpate.app.train.bar.Bar.done", interrupted)
+        assert main(command) == 130
+    assert "1 of 2 runs are kept" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert main(command) == 0
+    captured = capsys.readouterr()
+    assert "2 runs, 1 of them done before" in captured.err
+    report = json.loads(captured.out)
+    assert report["model"]["modes"] == 6
+    assert report["parameters"]["file"] == str(cache / "model.rom")
+    assert report["tool"]["largest_force"] > 0.05
+    assert f"-{pt.__version__}-" in cache.name
+    assert {path.name for path in cache.iterdir()} == {"model.rom", "campaign.json", ".lock"}
+
+    def refused(*_):
+        raise pt.InputError("it was trained again")
+
+    monkeypatch.setattr(cached_models, "training_scene", refused)
+    assert main(command) == 0
+    capsys.readouterr()
+    (cache / "model.rom").write_bytes((cache / "model.rom").read_bytes()[:-1])
+    assert main(command) == 2
+    told = capsys.readouterr().err
+    assert "the file is truncated" in told
+    assert "it was trained again" in told
+    monkeypatch.setattr(cached_models, "MODES", 7)  # other parameters have another folder
+    assert not cached_models.cache_folder().exists()
+
+
+def test_a_cache_that_cannot_be_written_is_told(cache, tmp_path, assert_refused):
+    cache.parent.write_text("no folder")
+    assert_refused([*REALTIME, "--out", str(tmp_path / "out")], "cache = ", "is not a folder", "--model FILE")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_model_that_knows_no_contact_is_refused(run, held, tmp_path, assert_refused):
+    file, out = tmp_path / "bar.rom", tmp_path / "out"
+    pt.save(pt.hyper_reduce(held, run, modes=2), file)
+    assert_refused([*REALTIME, "--model", str(file), "--out", str(out)], str(file), "palpate train liver")
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        ([], ["--realtime"]),
+        (["--realtime", "--seconds", "0"], ["--seconds", "600] s"]),
+        (["--realtime", "--rate", "1"], ["--rate", "20000] Hz"]),
+        (["--realtime", "--model", "nowhere.rom"], ["--model must be an existing file", "nowhere.rom"]),
+        (["--realtime", "--model", __file__], [__file__, "not a palpate reduced model"]),
+    ],
+)
+def test_bad_options_are_refused_in_one_line_and_leave_nothing(cache, tmp_path, assert_refused, options, parts):
+    assert_refused(["run", "liver", *options, "--out", str(tmp_path / "out")], *parts)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,383 @@
+"""Training campaigns: stopped and gone on with, with failures, on workers here and on a cluster."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Event, Thread
+
+import h5py
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.app.cli import main
+from palpate.app.train import folder as folders
+from palpate.app.train.report import _by_load
+from palpate.dynamics.run.trajectory import FORMAT, VERSION
+from palpate.files import read_sealed_json, write_sealed_json
+from palpate.scenes.training import training_scene
+from palpate.sealed import open_sealed
+
+SCENE = "training_scenes:bar"
+RUNS = [*(f"train_{k:06d}.h5" for k in range(4)), "held_out_000000.h5"]
+
+
+@pytest.fixture(autouse=True)
+def known(monkeypatch):
+    """Let this process and those it starts import the scene."""
+    here = str(Path(__file__).parent)
+    monkeypatch.syspath_prepend(here)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]))
+
+
+def command(folder, *options):
+    sizes = ["--paths", "4", "--held-out", "1", "--modes", "6"]
+    return ["train", SCENE, *sizes, "--out", str(folder), *options]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The folder of a campaign that two workers have made in one go."""
+    folder = tmp_path_factory.mktemp("campaign") / "whole"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(Path(__file__).parent))
+        assert main(command(folder, "--workers", "2")) == 0
+    return folder
+
+
+def datasets(path):
+    """All that a file holds, byte by byte, less how long it took."""
+    found = {}
+    with h5py.File(path, "r") as file:
+        file.visititems(lambda name, item: found.update({name: item[:].tobytes()} if hasattr(item, "dtype") else {}))
+        found |= {name: value for name, value in file.attrs.items() if name != "wall_seconds"}
+    return found
+
+
+def assert_same_runs(folder, other):
+    for name in RUNS:
+        assert datasets(folder / "runs" / name) == datasets(other / "runs" / name)
+        assert pt.Trajectory.load(folder / "runs" / name).complete
+
+
+def contents(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def waited(condition, seconds=120.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def children(pid):
+    path = Path(f"/proc/{pid}/task/{pid}/children")
+    return path.read_text().split() if path.exists() else []
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")")[-1].split()[0] not in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def test_a_campaign_leaves_its_runs_a_model_and_a_report(whole, assert_drawn):
+    report = json.loads((whole / "report.json").read_text())
+    assert sorted(path.name for path in (whole / "runs").iterdir()) == sorted(RUNS)
+    assert [run["seed"] for run in report["runs"]] == [0, 1, 2, 3, folders.MOST_PATHS]
+    assert report["failed"] == []
+    assert report["model"]["training_runs"] == 4
+    assert report["model"]["snapshots"] == 44
+    model = pt.load(whole / "model.rom")
+    held, scene = report["model"]["held_out"]["runs"], training_scene(SCENE, {})
+    loads, duration = scene.path(folders.MOST_PATHS)
+    again = pt.rollout(model, loads, duration=duration, every=scene.every)
+    expected = pt.relative_errors(pt.Trajectory.load(whole / "runs" / RUNS[-1]), again)
+    assert len(held) == 1
+    assert held[0]["displacement"] == pytest.approx(expected.displacement, rel=1e-6)
+    assert held[0]["displacement"] < 0.3
+    text = (whole / "report.md").read_text()
+    assert "| held_out_000000 | PrescribedMotion |" in text
+    assert "held-out paths with a" not in text  # all have one kind of load
+    assert f"{report['model']['projection_error']:.2%}" in text
+    assert_drawn(whole / "errors.png")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills processes as POSIX does")
+def test_a_campaign_that_is_killed_goes_on_where_it_was(whole, tmp_path):
+    folder = tmp_path / "killed"
+    runs = folder / "runs"
+    with (tmp_path / "log").open("w") as log:
+        process = subprocess.Popen([sys.executable, "-m", "palpate", *command(folder, "--workers", "2")], stderr=log)
+        try:
+            waited(
+                lambda: (list(runs.glob("train_*.h5")) and list(runs.glob(".*.partial"))) or process.poll() is not None
+            )
+            workers = children(process.pid)
+        finally:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+    waited(lambda: not any(map(alive, workers)))  # none is left behind
+    assert process.returncode == -signal.SIGKILL
+    assert workers or not Path("/proc").exists()
+    before = {path.name: (path.stat().st_mtime_ns, path.stat().st_ino) for path in runs.glob("[!.]*")}
+    assert 1 <= len(before) < len(RUNS)
+    for name in before:
+        assert datasets(runs / name) == datasets(whole / "runs" / name)
+    assert main(command(folder)) == 0
+    assert_same_runs(folder, whole)
+    assert sorted(path.name for path in runs.iterdir()) == sorted(RUNS)  # and nothing half done
+    for name, stamp in before.items():
+        assert ((runs / name).stat().st_mtime_ns, (runs / name).stat().st_ino) == stamp
+
+
+def test_one_worker_makes_the_same_runs_as_two_in_one_go_or_more(whole, tmp_path, capsys):
+    folder = tmp_path / "grown"
+    assert main(command(folder, "--paths", "1", "--held-out", "0")) == 0
+    stamp = (folder / "runs" / RUNS[0]).stat().st_mtime_ns
+    assert json.loads((folder / "report.json").read_text())["model"]["training_runs"] == 1
+    capsys.readouterr()
+    assert main(command(folder, "--json")) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((folder / "report.json").read_text())
+    assert (folder / "runs" / RUNS[0]).stat().st_mtime_ns == stamp
+    assert_same_runs(folder, whole)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="interrupts processes as POSIX does")
+def test_an_interrupt_keeps_what_is_done(tmp_path, capsys, monkeypatch):
+    def interrupted(self, outcome):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("palpate.app.train.bar.Bar.done", interrupted)
+    assert main(command(tmp_path / "interrupted")) == 130
+    assert "1 of 5 runs are kept; the same command continues from there" in capsys.readouterr().err
+    assert (tmp_path / "interrupted" / "runs" / RUNS[0]).exists()
+    assert not multiprocessing.active_children()
+
+
+def test_runs_that_fail_are_recorded_and_the_others_go_on(tmp_path, capsys):
+    folder = tmp_path / "failing"
+    options = ["--set", "diverging=1", "--set", "deadly=2"]
+    assert main(command(folder, *options, "--json")) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["failed"] == ["train_000001", "train_000002"]
+    diverged, died = report["runs"][1:3]
+    assert "inside out" in diverged["reason"] or "stable" in diverged["reason"] or "non-finite" in diverged["reason"]
+    assert "process died 2 times (exit code 3)" in died["reason"]
+    kept = pt.Trajectory.load(folder / "runs" / "train_000001.failed.h5")
+    assert not kept.complete
+    assert len(kept.times) == diverged["frames"] >= 5
+    assert all(not name.endswith(".partial") for name in contents(folder))
+    assert report["model"]["training_runs"] == 2
+    assert "train_000001 failed after" in (folder / "report.md").read_text()
+    stamps = {path: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
+    assert main(command(folder, *options)) == 0
+    captured = capsys.readouterr()
+    assert "train_000001 failed: " in captured.out
+    changed = [path.name for path, stamp in stamps.items() if path.stat().st_mtime_ns != stamp]
+    assert changed == ["train_000002.failed.json"]  # only a process that died is tried again
+
+
+def test_errors_of_forces_are_told_apart_by_kinds_of_loads():
+    kinds = [["Contact"], ["Grasp"], ["Contact"], ["Grasp"], ["Contact"], ["Grasp"]]
+    runs = [{"kind": "train", "failed": False, "loads": ["Grasp"]}]
+    runs += [{"kind": "held_out", "failed": k == 4, "loads": loads} for k, loads in enumerate(kinds)]
+    errors = [0.1, 0.3, 0.2, 0.5, None]  # of the runs that were finished; the reduced model failed on the last
+    found = [{"failed": error is None, "reaction": error} for error in errors]
+    told = _by_load({"runs": runs, "model": {"held_out": {"runs": found}}})
+    head, tail = "error of reaction on the 2 held-out paths with a", "mean; 95 % below"
+    assert told == {f"{head} Contact, {tail}": "15.00%; 19.50%", f"{head} Grasp, {tail}": "40.00%; 49.00%"}
+
+
+def test_without_any_run_there_is_no_model(tmp_path, capsys):
+    options = ["--set", "diverging=0", "--paths", "1", "--held-out", "0"]
+    assert main(command(tmp_path / "none", *options)) == 1
+    assert "no training run was finished; the first: " in capsys.readouterr().err
+    assert (tmp_path / "none" / "runs" / "train_000000.failed.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "edit", "parts"),
+    [
+        (["--seed", "1"], {}, ["seed is 0 there, 1 here"]),
+        (["--set", "lasting=0.02"], {}, ["lasting is 0.01 there, 0.02 here"]),
+        ([], {"version": 0}, ["version is 0 there, 2 here"]),
+        ([], {"palpate": "0.0.1", "scene": "liver"}, ["palpate is '0.0.1' there", "scene is 'liver' there"]),
+        ([], {"format": "recipes"}, ["campaign.json: this is not a palpate campaign", "another folder"]),
+    ],
+)
+def test_the_folder_of_another_campaign_is_refused_untouched(tmp_path, assert_refused, options, edit, parts):
+    manifest = {
+        "format": "palpate campaign", "version": 2, "palpate": pt.__version__, "scene": SCENE,
+        "parameters": {"lasting": 0.01, "diverging": "", "deadly": ""}, "seed": 0, "every": 0.001, "nodes": 112,
+    }  # fmt: skip
+    (tmp_path / "runs").mkdir()
+    write_sealed_json(tmp_path / "campaign.json", manifest | edit)
+    (tmp_path / "runs" / "train_000000.h5").write_text("a run")
+    (tmp_path / "runs" / ".train_000001.abc.partial").write_text("a part of a run")
+    before = contents(tmp_path)
+    assert_refused(command(tmp_path, *options), *parts)
+    assert contents(tmp_path) == before
+
+
+def test_a_folder_in_use_is_refused(whole, assert_refused):
+    manifest = read_sealed_json(whole / "campaign.json", "campaign")
+    with folders.open_campaign(whole, manifest):
+        assert_refused(command(whole), "is in use by a campaign that runs")
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (b"", "not valid JSON"),
+        (b"{}", "does not match its checksum"),
+        (b"[]", "holds no JSON object"),
+        (b"[" * 100_000, "nested levels"),
+        (b'{"seed": ' + b"9" * 5000 + b"}", "not valid JSON"),
+        (b"\xff\xfe", "not text in UTF-8"),
+    ],
+)
+def test_a_damaged_manifest_is_refused_in_one_line(tmp_path, assert_refused, content, part):
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "campaign.json").write_bytes(content)
+    assert_refused(command(tmp_path), "campaign.json", part, "another folder")
+
+
+@pytest.mark.parametrize(
+    "edit", [{"parameters": []}, {"parameters": {"lasting": [1]}}, {"parameters": None}, {"scene": "os:system"}]
+)
+def test_a_forged_manifest_is_refused_and_not_followed(tmp_path, assert_refused, edit):
+    manifest = {
+        "format": "palpate campaign", "version": 2, "palpate": pt.__version__, "scene": SCENE,
+        "parameters": {"lasting": 0.01, "diverging": "", "deadly": ""}, "seed": 0, "every": 0.001, "nodes": 112,
+    }  # fmt: skip
+    (tmp_path / "runs").mkdir()
+    write_sealed_json(tmp_path / "campaign.json", manifest | edit)
+    assert_refused(command(tmp_path), "another folder" if edit.get("parameters", 1) in ([], None) else "Choose another")
+
+
+def assert_stopped(argv, capsys, *parts):
+    """Assert that a command which has begun ends with one line and exit status 2."""
+    assert main(argv) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("palpate: ")
+    assert all(part in last for part in parts)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"retry": 1}'])
+def test_a_damaged_record_of_a_failed_run_is_refused_in_one_line(whole, tmp_path, capsys, content):
+    shutil.copytree(whole, tmp_path / "copy")
+    (tmp_path / "copy" / "runs" / "train_000001.h5").unlink()
+    (tmp_path / "copy" / "runs" / "train_000001.failed.json").write_bytes(content)
+    assert_stopped(command(tmp_path / "copy"), capsys, "train_000001.failed.json", "delete the file")
+
+
+def test_runs_that_changed_places_are_refused(whole, tmp_path, capsys):
+    shutil.copytree(whole, tmp_path / "copy")
+    one, two = (tmp_path / "copy" / "runs" / f"train_00000{k}.h5" for k in (0, 1))
+    content = one.read_bytes()
+    one.write_bytes(two.read_bytes())
+    two.write_bytes(content)
+    assert_stopped(command(tmp_path / "copy"), capsys, "train_000000.h5 is the file of another run", "delete it")
+
+
+def test_a_damaged_run_is_refused(whole, tmp_path, capsys):
+    shutil.copytree(whole, tmp_path / "copy")
+    path = tmp_path / "copy" / "runs" / "train_000001.h5"
+    content = bytearray(path.read_bytes())
+    content[open_sealed(path, FORMAT, VERSION).arrays["displacements"].offset + 999] ^= 1
+    path.write_bytes(content)
+    assert_stopped(command(tmp_path / "copy"), capsys, "train_000001.h5", "does not match its checksum")
+
+
+def test_runs_of_nobody_are_refused(tmp_path, assert_refused):
+    (tmp_path / "runs").mkdir()
+    assert_refused(command(tmp_path), "holds runs, but no campaign.json")
+
+
+@pytest.mark.parametrize(
+    ("argv", "part"),
+    [
+        (["train", "horse"], "SCENE"),
+        (["train", "no.such:scene"], "No module named 'no'"),
+        (["train", "beam", "--set", "spacing"], "--set must be NAME=VALUE"),
+        (["train", "beam", "--set", "spacing=wide"], "needed is a float"),
+        (["train", "beam", "--set", "width=1"], "no parameter 'width'; it has spacing"),
+        (["train", "beam", "--set", "spacing=1"], "--set spacing"),
+        (["train", "beam", "--paths", "0"], "--paths"),
+        (["train", "beam", "--workers", "0"], "--workers"),
+        (["train", "beam", "--cubature", "2"], "--cubature"),
+    ],
+)
+def test_bad_options_are_refused(tmp_path, assert_refused, argv, part):
+    assert_refused([*argv, "--out", str(tmp_path / "new")], part)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_cluster_without_dask_says_how_to_install_it(tmp_path, assert_refused, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert_refused(command(tmp_path / "new", "--cluster", "tcp://localhost:1"), "pip install 'palpate[cluster]'")
+
+
+@pytest.fixture
+def cluster():
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed: palpate[cluster]")
+    made = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
+    with made:
+        yield made
+
+
+def test_a_cluster_that_loses_a_worker_makes_the_same_runs(whole, tmp_path, cluster):
+    folder, lost, stop = tmp_path / "cluster", [], Event()
+    first = next(iter(cluster.workers.values()))
+
+    def kill_one():
+        while not stop.wait(0.01):
+            if list((folder / "runs").glob("train_*.h5")):
+                lost.append(first.pid)
+                os.kill(first.pid, signal.SIGKILL)
+                return
+
+    killer = Thread(target=kill_one)
+    killer.start()
+    try:
+        assert main(command(folder, "--cluster", cluster.scheduler_address)) == 0
+    finally:
+        stop.set()
+        killer.join()
+    assert lost
+    assert_same_runs(folder, whole)
+    both = [pt.load(path / "model.rom").parts.basis_vectors for path in (folder, whole)]
+    np.testing.assert_array_equal(*both)
+
+
+def test_a_cluster_that_is_not_there_is_refused(tmp_path, assert_refused, monkeypatch):
+    pytest.importorskip("distributed", reason="dask.distributed is not installed: palpate[cluster]")
+    monkeypatch.setattr("palpate.app.train.cluster.ANSWER_SECONDS", 0.5)
+    assert_refused(
+        command(tmp_path / "new", "--cluster", "tcp://127.0.0.1:1"), "--cluster must be the address of a Dask scheduler"
+    )
+
+
+def test_a_run_with_times_that_no_run_has_is_refused(whole, tmp_path, capsys, forge):
+    shutil.copytree(whole, tmp_path / "copy")
+    path = tmp_path / "copy" / "runs" / "train_000000.h5"
+    forge(path, lambda header, arrays: arrays["times"].__imul__(1e9), FORMAT, VERSION)
+    assert_stopped(command(tmp_path / "copy"), capsys, "train_000000.h5 has other times", "delete it")
+
+
+def test_a_lock_that_is_a_pipe_is_refused_and_not_waited_for(whole, tmp_path, capsys):
+    shutil.copytree(whole, tmp_path / "copy")
+    (tmp_path / "copy" / ".lock").unlink(missing_ok=True)
+    os.mkfifo(tmp_path / "copy" / ".lock")
+    assert_stopped(command(tmp_path / "copy"), capsys, "not a regular file")
