@@ -13,16 +13,16 @@ BIN := $(VENV)/bin
 export PYVISTA_OFF_SCREEN ?= true
 export MPLBACKEND ?= Agg
 # The tests run side by side already; threads of linear algebra beside them only wait for each other.
-test: export OPENBLAS_NUM_THREADS ?= 1
+test test-all test-slow: export OPENBLAS_NUM_THREADS ?= 1
 ifeq ($(shell uname -s),Linux)
 export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint style types layers clean
+.PHONY: help demo test test-all test-slow lint style types layers clean
 
 help: ## show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-7s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-9s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
 
 demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	$(BIN)/palpate reproduce beam --out $(OUT)
@@ -31,8 +31,14 @@ demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	@echo "Next, press and pull that beam on a page in the browser:"
 	@echo "  $(BIN)/palpate view beam"
 
-test: $(VENV)/.installed-test ## run the tests
+test: $(VENV)/.installed-test ## run the quick tests, in some five minutes
+	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+
+test-all: $(VENV)/.installed-test ## run all tests
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-slow: $(VENV)/.installed-test ## run the tests that make test leaves out
+	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
 
 lint: style types layers ## check style, formatting, types and import layers
 

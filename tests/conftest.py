@@ -11,6 +11,18 @@ import palpate as pt
 from palpate.sealed import open_sealed, write_sealed
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark as slow what a ``quick`` mark of a test, a class or a module leaves out."""
+    for item in items:
+        values = getattr(item, "callspec", None)
+        for mark in item.iter_markers("quick"):
+            if values and any(
+                values.params.get(name, allowed[0]) not in allowed for name, allowed in mark.kwargs.items()
+            ):
+                item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session")
 def jittered_points():
     return pt.box((0.5, 0.6, 0.5), spacing=0.1, jitter=0.2).points

@@ -81,6 +81,7 @@ def outcome(line, capsys):
     return code, [text for text in capsys.readouterr().err.splitlines() if not text.endswith("...")]
 
 
+@pytest.mark.quick(words=[("fit",), ("laws",), ("run", "beam")])
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_no_value_of_any_option_ends_in_a_traceback(words, idle, capsys):
     parser = COMMANDS[words]

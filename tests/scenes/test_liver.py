@@ -50,7 +50,11 @@ def test_presses_stay_what_campaigns_have_run(block):
     ):
         (contact,), duration = block(seed)
         assert (contact.tool, contact.friction, duration) == (pt.tools.Sphere(0.025), 0.2, 0.6)
-        np.testing.assert_allclose(contact.poses(np.array([0.0, 0.25, 0.4]))[:, :3], expected, atol=1e-11)
+        places = contact.poses(np.array([0.0, 0.25, 0.4]))[:, :3]
+        np.testing.assert_allclose(places, expected, atol=1e-11)
+        gaps = np.linalg.norm(places[:, None] - block.cloud.points, axis=2).min(axis=1) - 0.025
+        assert gaps[0] > 0 > gaps[1:].max()
+        assert gaps.min() >= -0.02
 
 
 def forceps(paths, seed, times):

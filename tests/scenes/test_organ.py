@@ -29,6 +29,11 @@ def test_the_liver_is_one_closed_solid_of_the_wished_volume(liver):
     assert pt.liver_surface(0.004, volume=2e-3).volume == pytest.approx(2e-3, rel=1e-9)
 
 
+def test_a_smaller_liver_has_the_same_shape(liver):
+    smaller = pt.liver_surface(0.002, volume=1.5e-3 / 8)
+    np.testing.assert_allclose(np.ptp(smaller.vertices, axis=0), np.ptp(liver.vertices, axis=0) / 2, rtol=1e-3)
+
+
 def test_it_has_a_livers_proportions(liver):
     # adults: 20 to 25 cm wide, 13 to 17 high and deep; most of it in the right lobe
     wide, deep, high = np.ptp(liver.vertices, axis=0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from time import sleep
 
 import numpy as np
 import pytest
@@ -16,6 +15,8 @@ from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds
 from palpate.app.cli import main
 from palpate.scenes.beam import beam
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def sampled(bar, tissue, pull):
@@ -24,16 +25,20 @@ def sampled(bar, tissue, pull):
     return pt.hyper_reduce(full, pt.rollout(full, [pull], duration=0.01, every=0.0005), modes=5)
 
 
-def test_calls_take_turns_and_the_median_forgets_a_slow_round():
-    order, slow = [], [True, False, True, False, False, False]
+def test_calls_take_turns_and_the_median_ignores_a_slow_round(monkeypatch):
+    clock, order, takes = [0.0], [], [9.0, 0.2, 5.0, 0.1]  # [s], the first to warm up
+    monkeypatch.setattr("palpate.app.bench.timing.perf_counter", lambda: clock[0])
 
     def first():
+        clock[0] += takes[len(order) // 2]
         order.append("a")
-        sleep(0.05 * slow[len(order) // 2])
 
-    seconds = median_seconds(first, lambda: order.append("b"), repeats=3)
-    assert order == ["a", "b"] * 4  # once to warm up
-    assert seconds[0] < 0.05
+    def second():
+        clock[0] += 1.0
+        order.append("b")
+
+    assert median_seconds(first, second, repeats=3) == pytest.approx([0.2, 1.0])
+    assert order == ["a", "b"] * 4
 
 
 @pytest.mark.parametrize("count", [4, 37, 400])

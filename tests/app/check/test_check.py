@@ -22,6 +22,7 @@ def liver(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_a_good_surface_is_filled_and_drawn(liver, run_study, tmp_path, assert_drawn):
     out, report, stdout, _ = run_study(["check", str(liver), "--spacing", "0.012"], tmp_path / "check")
     assert {path.name for path in out.iterdir()} == set(FILES)

@@ -14,6 +14,8 @@ from palpate.app.compare import bodies
 from palpate.app.compare.bodies import ComparedBody, compared_liver
 from palpate.app.compare.report import summary
 
+pytestmark = pytest.mark.slow
+
 LASTING = 0.02
 
 

@@ -45,6 +45,7 @@ def cache(tmp_path, monkeypatch):
     return cached_models.cache_folder()
 
 
+@pytest.mark.slow
 def test_a_campaign_presses_the_liver_and_its_report_says_how_many_nodes_it_sampled_and_why(trained):
     report = json.loads((trained / "report.json").read_text())
     model = pt.load(trained / "model.rom")
@@ -61,6 +62,7 @@ def test_a_campaign_presses_the_liver_and_its_report_says_how_many_nodes_it_samp
     assert np.linalg.norm(run.reactions["tool"], axis=1).max() > 0.05
 
 
+@pytest.mark.slow
 def test_the_report_says_what_the_ball_and_the_surface_under_it_miss(trained):
     report, scene = json.loads((trained / "report.json").read_text()), pressed_liver(**COARSE)
     model, found = pt.load(trained / "model.rom"), report["model"]["held_out"]
@@ -73,6 +75,7 @@ def test_the_report_says_what_the_ball_and_the_surface_under_it_miss(trained):
     assert f"{expected['force_95']:.2%}" in (trained / "report.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_ball_comes_from_outside_presses_as_deep_as_was_trained_and_leaves(trained):
     model = pt.load(trained / "model.rom")
     poses, ball = liver.pressing_ball(model, trained / "model.rom")
@@ -87,6 +90,7 @@ def test_the_ball_comes_from_outside_presses_as_deep_as_was_trained_and_leaves(t
     assert 2 / 3 * 0.012 - 1e-9 <= depth.max() <= 0.0125
 
 
+@pytest.mark.slow
 def test_a_model_from_a_file_is_pressed_and_the_force_is_told(trained, swift, tmp_path, capsys):
     file = trained / "model.rom"
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 0
@@ -106,6 +110,7 @@ def test_a_model_from_a_file_is_pressed_and_the_force_is_told(trained, swift, tm
     assert 0.5 * expected < force.max() < 1.5 * expected  # periods that a busy machine drops make the tool jump
 
 
+@pytest.mark.slow
 def test_the_first_start_trains_a_model_a_stop_keeps_its_runs_and_then_it_is_there(
     cache, swift, tmp_path, capsys, monkeypatch
 ):

@@ -24,16 +24,19 @@ def study(run_study, tmp_path_factory):
     return run_study([*COARSE, "--modes", "4", "2", "2"], tmp_path_factory.mktemp("study") / "results" / "beam")
 
 
+@pytest.mark.slow
 def test_every_file_is_there_and_no_other(study):
     out = study[0]
     assert {path.name for path in out.iterdir()} == set(FILES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_figure_is_a_picture_with_something_on_it(study, assert_drawn, name):
     assert_drawn(study[0] / name)
 
 
+@pytest.mark.slow
 def test_standard_output_is_the_report_and_nothing_else(study):
     _, report, stdout, stderr = study
     assert json.loads(stdout) == report
@@ -41,6 +44,7 @@ def test_standard_output_is_the_report_and_nothing_else(study):
     assert "hyper-reduced, 4 modes at" in stderr
 
 
+@pytest.mark.slow
 def test_the_report_says_what_was_run_and_on_what(study):
     report = study[1]
     expected = {"spacing": 0.02 / 3, "load": 2.0, "poisson": 0.49, "duration": 1.0, "every": 0.01}
@@ -52,6 +56,7 @@ def test_the_report_says_what_was_run_and_on_what(study):
     assert report["missing"] == {}
 
 
+@pytest.mark.slow
 def test_the_pulled_end_moves_as_a_slender_bar_does(study):
     full = study[1]["full"]
     young = 2 * 61.2e3 * 1.49
@@ -70,6 +75,7 @@ def by_series(report):
     return [[entry for entry in report["reduced"] if entry["series"] == name] for name in names]
 
 
+@pytest.mark.slow
 def test_every_reduced_model_of_both_series_is_reported_once_in_order(study):
     report = study[1]
     for entries in by_series(report):
@@ -85,6 +91,7 @@ def test_every_reduced_model_of_both_series_is_reported_once_in_order(study):
             assert entry["seconds_per_step"] == pytest.approx(entry["wall_seconds"] / entry["steps"])
 
 
+@pytest.mark.slow
 def test_projected_models_know_all_nodes_and_hyper_reduced_ones_few(study):
     report = study[1]
     projected, sampled = by_series(report)
@@ -92,6 +99,7 @@ def test_projected_models_know_all_nodes_and_hyper_reduced_ones_few(study):
     assert all(0 < entry["nodes"] < report["nodes"] / 5 for entry in sampled)
 
 
+@pytest.mark.slow
 def test_the_energy_form_stands_beside_the_strong_form_and_says_what_hyper_reduced_models_follow(study):
     report = study[1]
     energy = report["energy_form"]
@@ -105,6 +113,7 @@ def test_the_energy_form_stands_beside_the_strong_form_and_says_what_hyper_reduc
     assert against["displacement"] < 0.1
 
 
+@pytest.mark.slow
 def test_singular_values_descend_and_claims_of_the_paper_are_listed(study):
     report = study[1]
     values = np.array(report["singular_values"])
@@ -114,6 +123,7 @@ def test_singular_values_descend_and_claims_of_the_paper_are_listed(study):
     assert report["paper"][0]["holds"] is None  # not run with 6 modes
 
 
+@pytest.mark.slow
 def test_the_snapshots_and_the_export_agree(study):
     out = study[0]
     run = pt.Trajectory.load(out / "full.h5")

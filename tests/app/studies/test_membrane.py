@@ -31,15 +31,18 @@ def model():
     return membrane(spacing=COARSE).model
 
 
+@pytest.mark.slow
 def test_every_file_is_there_and_no_other(study):
     assert {path.name for path in study[0].iterdir()} == set(FILES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_figure_is_a_picture_with_something_on_it(study, assert_drawn, name):
     assert_drawn(study[0] / name)
 
 
+@pytest.mark.slow
 def test_standard_output_is_the_report_and_nothing_else(study):
     _, report, stdout, stderr = study
     assert json.loads(stdout) == report
@@ -47,6 +50,7 @@ def test_standard_output_is_the_report_and_nothing_else(study):
     assert "hyper-reduced, 8 modes at " in stderr
 
 
+@pytest.mark.slow
 def test_the_report_says_what_was_run(study, model):
     report = study[1]
     numbers = {"spacing": COARSE, "tool_radius": 0.0, "prestretch": 1.0, "jitter": 0.0, "seed": 0}
@@ -57,6 +61,7 @@ def test_the_report_says_what_was_run(study, model):
     assert report["missing"] == {}
 
 
+@pytest.mark.slow
 def test_the_tool_does_the_work_that_moves_and_stretches_the_sheet(study):
     push, after = (study[1]["full"][name] for name in ("push", "after"))
     assert (push["end_time"], after["end_time"]) == pytest.approx((0.1, 0.2))
@@ -73,6 +78,7 @@ def test_the_tool_does_the_work_that_moves_and_stretches_the_sheet(study):
     assert full.external[pushed][-1] == pytest.approx(work, rel=0.05)
 
 
+@pytest.mark.slow
 def test_every_reduced_model_is_reported_once_in_order(study):
     report = study[1]
     expected = [("projected", 2), ("projected", 8), ("hyper-reduced", 2), ("hyper-reduced", 8)]
@@ -97,6 +103,7 @@ def test_every_reduced_model_is_reported_once_in_order(study):
         assert last["errors"]["displacement"] < first["errors"]["displacement"]
 
 
+@pytest.mark.slow
 def test_singular_values_descend(study):
     report = study[1]
     for name, values in report["singular_values"].items():
@@ -104,6 +111,7 @@ def test_singular_values_descend(study):
         assert np.all(np.diff(values) <= 0)
 
 
+@pytest.mark.slow
 def test_claims_of_the_paper_are_judged_by_the_push(study):
     report = study[1]
     two, eight = (entry["phases"]["push"]["errors"]["displacement"] for entry in report["reduced"][:2])
@@ -114,6 +122,7 @@ def test_claims_of_the_paper_are_judged_by_the_push(study):
     assert [claim["holds"] for claim in report["paper"]] == expected
 
 
+@pytest.mark.slow
 def test_the_snapshots_are_of_both_phases_and_follow_the_tool(study, model):
     run = pt.Trajectory.load(study[0] / "full.h5")
     assert run.complete
@@ -123,6 +132,7 @@ def test_the_snapshots_are_of_both_phases_and_follow_the_tool(study, model):
     assert not run.displacements[:, model.cloud.group("rim")].any()
 
 
+@pytest.mark.slow
 def test_vtk_reads_the_sheet_and_its_stresses(study, model):
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkIOHDF import vtkHDFReader
@@ -169,6 +179,7 @@ def test_bad_values_are_refused_in_one_line_and_leave_nothing(tmp_path, assert_r
     assert not out.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
@@ -188,6 +199,7 @@ def test_a_full_run_that_stops_keeps_the_frames_of_both_phases(tmp_path, capsys,
     np.testing.assert_allclose(push.then(after).times, np.arange(55) * 0.002)
 
 
+@pytest.mark.slow
 def test_a_tool_lets_go_one_size_fails_and_a_picture_is_missing_but_the_study_goes_on(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("palpate.app.common.rendering.PROBE", "raise SystemExit(3)")
     (tmp_path / "after.partial.h5").write_text("of a run that was stopped")

@@ -113,6 +113,7 @@ def test_a_campaign_leaves_its_runs_a_model_and_a_report(whole, assert_drawn):
     assert_drawn(whole / "errors.png")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills processes as POSIX does")
 def test_a_campaign_that_is_killed_goes_on_where_it_was(whole, tmp_path):
     folder = tmp_path / "killed"
@@ -141,6 +142,7 @@ def test_a_campaign_that_is_killed_goes_on_where_it_was(whole, tmp_path):
         assert ((runs / name).stat().st_mtime_ns, (runs / name).stat().st_ino) == stamp
 
 
+@pytest.mark.slow
 def test_one_worker_makes_the_same_runs_as_two_in_one_go_or_more(whole, tmp_path, capsys):
     folder = tmp_path / "grown"
     assert main(command(folder, "--paths", "1", "--held-out", "0")) == 0
@@ -165,6 +167,7 @@ def test_an_interrupt_keeps_what_is_done(tmp_path, capsys, monkeypatch):
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.slow
 def test_runs_that_fail_are_recorded_and_the_others_go_on(tmp_path, capsys):
     folder = tmp_path / "failing"
     options = ["--set", "diverging=1", "--set", "deadly=2"]
@@ -199,6 +202,7 @@ def test_errors_of_forces_are_told_apart_by_kinds_of_loads():
     assert told == {f"{head} Contact, {tail}": "15.00%; 19.50%", f"{head} Grasp, {tail}": "40.00%; 49.00%"}
 
 
+@pytest.mark.slow
 def test_without_any_run_there_is_no_model(tmp_path, capsys):
     options = ["--set", "diverging=0", "--paths", "1", "--held-out", "0"]
     assert main(command(tmp_path / "none", *options)) == 1
@@ -337,6 +341,7 @@ def cluster():
         yield made
 
 
+@pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_makes_the_same_runs(whole, tmp_path, cluster):
     folder, lost, stop = tmp_path / "cluster", [], Event()
     first = next(iter(cluster.workers.values()))

@@ -12,6 +12,8 @@ from palpate.app.bench.chromium import find_chromium
 from palpate.app.bench.subdivided_surface import SubdividedSession, subdivide, subdivide_at_centroids
 from palpate.app.cli import main
 
+pytestmark = pytest.mark.slow
+
 
 def test_dividing_a_triangle_keeps_its_area_and_its_sense():
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.2, 0.7, 0.3]])

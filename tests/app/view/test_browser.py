@@ -21,7 +21,7 @@ from synthetic_session import SyntheticSession
 
 PAGE = Path(palpate.app.__file__).parent / "view" / "page"
 
-pytestmark = needs_chromium
+pytestmark = [pytest.mark.slow, needs_chromium]
 
 
 @pytest.fixture

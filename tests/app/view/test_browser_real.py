@@ -28,7 +28,7 @@ sys.path.append(str(Path(__file__).parent))
 from browser_input import NARROW, hold, needs_chromium, opening, picture
 from view_scenes import BALL, MIDDLE
 
-pytestmark = needs_chromium
+pytestmark = [pytest.mark.slow, needs_chromium]
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ def block() -> TrainingScene:
     """Return the block with its presses."""
     body = pt.Solid(
         pt.box(SIZE, SPACING),
-        pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4),
+        pt.materials.MooneyRivlin(C1=4e3, C2=0, density=1000, poisson=0.4),
         "z-",
         form="energy",
         stiffness_damping=1e-4,

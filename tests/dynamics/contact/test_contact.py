@@ -139,6 +139,7 @@ def test_the_energy_balance_closes_where_a_tool_presses_beside_forceps(cube, unt
     assert np.abs(trajectory.balance).max() < 2e-3 * trajectory.external.max()
 
 
+@pytest.mark.slow
 def test_a_balls_force_is_that_of_hertz(tissue):
     radius, depth, d, nu = 0.02, 0.03, 1.6e-3, 0.45
     model = pt.Solid(pt.box((0.06, 0.06, depth), 0.003), tissue, "z-", form="energy", stiffness_damping=6e-5)
@@ -300,6 +301,7 @@ def test_a_turning_tool_turns_what_sticks_to_it(cube):
     assert trajectory.moments["tool"][-1, 2] > 0
 
 
+@pytest.mark.slow
 def test_a_ball_presses_a_membrane_from_either_side():
     cloud = pt.disc(0.05, 0.005)
     law = pt.materials.NeoHookean(C1=1e4, density=1000.0, poisson=0.5)

@@ -7,6 +7,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.quick(step=[0.05])
+
 SERIES = pt.materials.Prony(shares=(0.5, 0.3), times=(0.02, 0.3))
 MU = 10e3
 
@@ -46,6 +48,7 @@ def test_a_held_shear_relaxes_as_the_series_says(body):
     np.testing.assert_allclose(stresses[1:, 0, 1], MU * amount * SERIES.relaxation(times[1:]), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_large_held_stretch_relaxes_to_the_law_from_all_branches(body):
     times = np.array([0.0, 1e-9, 10.0])
     F = np.diag([1.5, 0.8, 0.9])
@@ -84,6 +87,7 @@ def test_an_even_change_is_followed_exactly_whatever_the_step(body, step):
     assert Q[0, 0] == pytest.approx(A, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_an_oscillation_stores_and_loses_what_the_complex_modulus_says(body):
     amount = 1e-3
     for frequency in (5.0, 50.0, 300.0):
@@ -101,6 +105,7 @@ def test_an_oscillation_stores_and_loses_what_the_complex_modulus_says(body):
         assert lost[-1] - lost[last][0] == pytest.approx(cycle, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_work_is_stored_or_lost_and_never_made(body):
     random = np.random.default_rng(0)
     knots = np.array([np.eye(3), *(np.eye(3) + random.uniform(-0.25, 0.25, (12, 3, 3)))])
@@ -120,6 +125,7 @@ def test_work_is_stored_or_lost_and_never_made(body):
     np.testing.assert_allclose(work, stored + lost, atol=2e-3 * work.max())
 
 
+@pytest.mark.slow
 def test_the_volume_relaxes_if_it_is_told_to():
     prony = pt.materials.Prony(shares=0.5, times=0.02, bulk_shares=0.4)
     material = tissue(prony)
@@ -134,6 +140,7 @@ def test_the_volume_relaxes_if_it_is_told_to():
     assert stored[1] - stored[-1] == pytest.approx(work, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_block_creeps_under_a_step_of_force_as_the_standard_solid():
     """One branch: strain = F/G (1 - s/(1 + s) exp(-t / ((1 + s) tau)))."""
     prony = pt.materials.Prony(shares=1.0, times=0.05)
@@ -158,6 +165,7 @@ def test_a_block_creeps_under_a_step_of_force_as_the_standard_solid():
     np.testing.assert_allclose(smooth[late], expected[late], rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_run_does_not_depend_on_how_it_is_divided_and_a_new_one_starts_afresh():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     bar = pt.Solid(cloud, tissue(), "x-", form="energy", stiffness_damping=2e-5)

@@ -22,6 +22,7 @@ def body(cloud, law, form, pressure, fixed=()):
     return pt.Solid(cloud, law, fixed, form=form, pressure=pressure, stiffness_damping=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("form", "pressure"), FORMS)
 def test_forces_are_linear_in_the_displacements(cloud, form, pressure):
     model, random = body(cloud, LAW, form, pressure), np.random.default_rng(0)
@@ -30,6 +31,7 @@ def test_forces_are_linear_in_the_displacements(cloud, form, pressure):
     np.testing.assert_allclose(model.force(u - 3 * w), sum_of_forces, atol=1e-11 * np.abs(sum_of_forces).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("form", "pressure"), FORMS)
 def test_it_is_the_tangent_of_neo_hookean_at_rest(form, pressure):
     cloud = pt.box((SIDE,) * 3, spacing=SIDE / 3, jitter=0.1)
@@ -39,6 +41,7 @@ def test_it_is_the_tangent_of_neo_hookean_at_rest(form, pressure):
     np.testing.assert_allclose(one, other, atol=1e-5 * np.abs(one).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pressure", ["split", "direct"])
 def test_quadratic_displacements_have_naviers_force(cloud, pressure):
     """Inside: mu lap u + (mu + lame) grad div u."""
@@ -51,6 +54,7 @@ def test_quadratic_displacements_have_naviers_force(cloud, pressure):
     np.testing.assert_allclose(force[inside], np.broadcast_to(expected, (len(inside), 3)), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_forces_of_the_energy_form_are_the_slope_of_the_energy(cloud):
     model, random = body(cloud, LAW, "energy", "split"), np.random.default_rng(2)
     u, direction = 0.1 * SIDE * random.normal(size=(2, len(cloud), 3))
@@ -58,6 +62,7 @@ def test_forces_of_the_energy_form_are_the_slope_of_the_energy(cloud):
     assert -np.sum(model.volumes[:, None] * model.force(u) * direction) == pytest.approx(slope, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_uniform_strain_has_hookes_stress(cloud):
     H = 0.3 * np.random.default_rng(3).normal(size=(3, 3))
     expected = MU * (H + H.T) + LAW.lame * np.trace(H) * np.eye(3)

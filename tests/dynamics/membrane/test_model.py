@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +14,8 @@ from scipy.special import jn_zeros
 import palpate as pt
 from palpate.dynamics.run.reactions import reactions
 from palpate.meshfree.consistent import consistent_gradient
+
+pytestmark = pytest.mark.quick(law=["NeoHookean"])
 
 RADIUS, THICKNESS, C1 = 0.1, 1e-5, 0.17e6
 
@@ -112,6 +116,7 @@ def test_stress_is_the_slope_of_the_energy(law, F, relaxed):
     assert model.strain_energy(u) == pytest.approx(density * model.volumes.sum(), rel=1e-9, abs=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["energy", "strong"])
 @pytest.mark.parametrize("F", [STRETCHED, NARROWED], ids=["taut", "wrinkled"])
 @pytest.mark.parametrize("cloud", CLOUDS)
@@ -138,6 +143,7 @@ def test_forces_of_the_energy_form_are_the_slope_of_the_energy(law, relaxed):
     assert work == pytest.approx(slope, rel=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relaxed", [True, False])
 @pytest.mark.parametrize("law", LAWS)
 def test_the_strong_form_is_the_divergence_of_the_stress(law, relaxed):
@@ -161,6 +167,7 @@ def test_the_strong_form_is_the_divergence_of_the_stress(law, relaxed):
         np.testing.assert_allclose(force[node], expected, atol=2e-4 * np.abs(force).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["energy", "strong"])
 def test_a_turned_sheet_has_turned_forces(rotation, form):
     model = sheet("jittered", "MooneyRivlin", form=form)
@@ -215,6 +222,7 @@ def test_tension_and_the_wrinkled_area():
     assert 0.4 * area < model.wrinkled_area(half) < 0.7 * area
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prestretch", [1.0, 1.01, 1.5])
 def test_prestretch_tightens_a_sheet_of_the_same_matter(prestretch):
     model = sheet(law="MooneyRivlin", prestretch=prestretch)
@@ -225,6 +233,7 @@ def test_prestretch_tightens_a_sheet_of_the_same_matter(prestretch):
     assert np.abs(model.force(rest)[inside(model)]).max() < 1e-9 * 0.3e6 / model.cloud.spacing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("form", "bound"), [("energy", 0.005), ("strong", 0.025)])
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
 def test_a_taut_sheet_sounds_at_the_zeros_of_bessel(cloud, form, bound):
@@ -251,9 +260,17 @@ def settle(model, loads, u, seconds=0.4, damping=60.0):
     return state, prepared
 
 
+@pytest.fixture(scope="module")
+def axisymmetric(pytestconfig):
+    """The solver of the axisymmetric equations, which stands in validation/."""
+    sys.path.append(str(pytestconfig.rootpath / "validation"))
+    return importlib.import_module("axisymmetric")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["rings", "hexagonal"])
-def test_a_pushed_sheet_takes_the_axisymmetric_shape(layout):
-    """Tool of 20 mm pushed by 10 mm: 4.2908 mN, 3.6187 mm mean deflection, by validation/axisymmetric.py."""
+def test_a_pushed_sheet_takes_the_axisymmetric_shape(layout, axisymmetric):
+    expected = axisymmetric.poke(RADIUS, THICKNESS, axisymmetric.neo_hookean(C1), 0.01, 0.02)
     cloud = pt.disc(RADIUS, 0.005, layout).within("tool", (0.0, 0.0), 0.02)
     model = sheet(cloud)
     radius = np.linalg.norm(cloud.points, axis=1)
@@ -262,19 +279,20 @@ def test_a_pushed_sheet_takes_the_axisymmetric_shape(layout):
     state, prepared = settle(model, [pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))], u)
     mean = np.sum(cloud.volumes * state.coordinates[:, 2]) / cloud.volumes.sum()
     force = reactions(model, pt.State(state.coordinates, 0 * u), prepared)
-    assert mean == pytest.approx(3.6187e-3, rel=0.02)
-    assert force["tool"][2] == pytest.approx(4.2908e-3, rel=0.06)
+    assert mean == pytest.approx(expected.mean_deflection, rel=0.02)
+    assert force["tool"][2] == pytest.approx(expected.force, rel=0.06)
     np.testing.assert_allclose(force["tool"] + force["rim"], 0, atol=0.01 * force["tool"][2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
-def test_an_inflated_sheet_rises_as_high_as_the_axisymmetric_one(cloud):
-    """10 Pa: 29.949 mm, by validation/axisymmetric.py."""
+def test_an_inflated_sheet_rises_as_high_as_the_axisymmetric_one(cloud, axisymmetric):
+    expected = axisymmetric.inflate(RADIUS, THICKNESS, axisymmetric.neo_hookean(C1), 10.0).height
     model = sheet(cloud)
     u = np.zeros((len(model.cloud), 3))
     u[:, 2] = 0.03 * (1 - np.sum(model.cloud.points**2, axis=1) / RADIUS**2)
     state, _ = settle(model, [pt.SurfaceForce("face", pressure=-10.0)], u)
-    assert state.coordinates[model.cloud.group("centre")[0], 2] == pytest.approx(29.949e-3, rel=0.01)
+    assert state.coordinates[model.cloud.group("centre")[0], 2] == pytest.approx(expected, rel=0.01)
 
 
 def test_a_strip_pulled_at_its_edge_is_in_simple_tension():
@@ -299,6 +317,7 @@ def run(cloud="rings", after="return", duration=0.15, **options):
     return model, pt.rollout(model, [tool], duration=duration, every=0.0025, progress=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", ["return", "hold", "release"])
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
 def test_a_slack_sheet_keeps_its_energy_whatever_the_tool_does(cloud, after):
@@ -310,12 +329,16 @@ def test_a_slack_sheet_keeps_its_energy_whatever_the_tool_does(cloud, after):
     assert after_jump[-1] > 0.1 * after_jump[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_jittered_sheets_are_stable(seed):
     _, found = run(pt.disc(RADIUS, 0.01, jitter=0.25, seed=seed), "return", prestretch=1.0)
-    assert np.abs(found.displacements).max() < 0.03
+    energy, pushed = found.kinetic + found.strain, found.times <= 0.1 + 1e-9
+    assert np.abs(found.balance[pushed]).max() < 2e-3 * found.external[pushed].max()
+    assert np.all(np.diff(energy[~pushed]) < 2e-3 * energy[~pushed][0])
 
 
+@pytest.mark.slow
 def test_a_returned_sheet_strays_in_the_strong_form():
     """Why the energy form is the default: the strong form makes energy where the sheet wrinkles."""
     _, right = run("jittered", "return", 0.11)
@@ -337,6 +360,7 @@ def test_the_sheet_keeps_the_symmetry_of_its_rings():
     np.testing.assert_allclose(u[pushed][:, image, :2], u[pushed][:, :, :2] @ turn.T, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_all_layouts_deflect_alike():
     means = []
     for layout, jitter in (("rings", 0.0), ("hexagonal", 0.0), ("rings", 0.1)):
@@ -359,6 +383,7 @@ def test_a_tool_that_lets_go_feels_nothing_and_leaves_the_sheet_to_itself():
     assert np.abs(let.displacements[-1, centre, 2] - 0.01) > 1e-3
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_a_bit():
     one, threads = None, get_num_threads()
     try:

@@ -7,6 +7,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 SERIES = pt.materials.Prony(shares=(0.5, 0.3), times=(0.02, 0.3))
 MU = 10e3
 LAW = {"C1": MU / 2, "density": 1000.0, "poisson": 0.5}

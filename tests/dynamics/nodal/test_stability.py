@@ -129,19 +129,21 @@ def test_the_stable_step_shrinks_as_the_body_stretches(model):
     prepared = model.prepare(())
     u = np.zeros_like(model.cloud.points)
     steps = []
-    for stretch in (1.0, 3.0):
+    for stretch in (1.0, 1.5, 2.0, 3.0):
         u[:, 0] = (stretch - 1) * model.cloud.points[:, 0]
         steps.append(model.stable_step(model.state(prepared, u), prepared))
-    assert 0.15 < steps[1] / steps[0] < 0.7
+    assert np.all(np.diff(steps) < 0)
 
 
+@pytest.mark.slow
 def test_a_body_that_no_viscosity_can_calm_is_refused_with_the_node():
     cloud = pt.box((0.02,) * 3, spacing=0.005, jitter=0.2)
-    tissue = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.499)
+    tissue = pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=0.499)
     with pytest.raises(pt.CloudError, match=r"unstable at rest.*node \d+.*more neighbours \(now 27\)"):
         pt.Solid(cloud, tissue, fixed="x-", pressure="direct", neighbours=27)
 
 
+@pytest.mark.slow
 def test_large_clouds_are_examined_by_the_step_map(tissue):
     cloud = pt.box((0.04, 0.02, 0.02), spacing=0.0025)
     model = pt.Solid(cloud, tissue, fixed="x-")

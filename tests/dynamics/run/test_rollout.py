@@ -102,6 +102,7 @@ def crushed():
     return model, [poke]
 
 
+@pytest.mark.slow
 def test_crushed_tissue_is_let_go_with_as_short_steps_as_it_needs(crushed, monkeypatch):
     model, poke = crushed
     run = pt.rollout(model, poke, duration=0.2, every=0.01, progress=False)
@@ -117,6 +118,7 @@ def test_crushed_tissue_is_let_go_with_as_short_steps_as_it_needs(crushed, monke
         pt.rollout(model, poke, duration=0.2, every=0.01, progress=False)
 
 
+@pytest.mark.slow
 def test_steps_of_a_given_length_are_not_shortened(crushed):
     model, poke = crushed
     with pytest.raises(pt.DivergenceError):

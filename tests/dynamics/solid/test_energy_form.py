@@ -12,6 +12,8 @@ import palpate as pt
 from palpate.dynamics.nodal.stability import stiffness
 from palpate.dynamics.run.reactions import reactions
 
+pytestmark = pytest.mark.quick(model=["mooney-rivlin"], law=["mooney-rivlin"])
+
 SIDE = 0.02
 STRETCHED = np.eye(3) + np.array([[0.3, 0.2, -0.1], [0.0, -0.2, 0.1], [0.1, 0.0, 0.1]])
 LAWS = {
@@ -163,6 +165,7 @@ def wave_frequency(model, number, polarised):
     return np.sqrt(square) if square > 0 else 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49])
 @pytest.mark.parametrize("wave", ["P", "S"])
 def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(deep, poisson, wave):
@@ -180,6 +183,7 @@ def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(deep, poisson, wave):
     assert errors[1] < errors[0] / 3.5  # second order
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [(1, 0, 0), (1, 1, 0), (1, 1, 1)])
 @pytest.mark.parametrize("polarised", [(1, 0, 0), (0, 1, 0)])
 def test_the_shortest_waves_are_not_free(deep, number, polarised):
@@ -189,6 +193,7 @@ def test_the_shortest_waves_are_not_free(deep, number, polarised):
     assert short > np.sqrt(model.material.shear_modulus / 1000) / deep.spacing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("poisson", "jitter"), [(0.3, 0.0), (0.49, 0.0), (0.49, 0.2), (0.499, 0.0)])
 def test_the_lowest_vibrations_are_those_of_finite_elements(poisson, jitter):
     model = energy_form(pt.box((0.06, 0.02, 0.02), 0.005, jitter), silicone(poisson), "x-")
@@ -217,6 +222,7 @@ def test_a_beam_four_nodes_across_bends_as_far_as_in_closed_form(poisson):
     assert 2 * model.strain_energy(u) == pytest.approx(force * tip, rel=2e-3)  # Clapeyron's theorem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poisson", [0.3, 0.49, 0.499])
 @pytest.mark.parametrize(
     ("cloud", "stretch"),
@@ -371,6 +377,7 @@ def test_a_recovered_pressure_hardly_alternates():
     np.testing.assert_allclose(fitted[:, 1], slope, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_pressure_of_a_region_is_recovered_with_its_own_modulus():
     cloud, soft, firm = CLOUDS["lattice"], silicone(0.3), silicone(0.45)
     body = pt.Solid(cloud, {"": soft, "x+": firm}, form="energy")

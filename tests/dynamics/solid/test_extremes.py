@@ -210,6 +210,7 @@ def test_clouds_that_do_not_fit_together_are_refused(given, message, small_cloud
         pt.Solid(cloud, tissue, form="energy")
 
 
+@pytest.mark.slow
 def test_random_extremes_are_refused_or_run():
     place = Path(__file__).parents[3] / "validation" / "fuzz_physics.py"
     spec = importlib.util.spec_from_file_location("fuzz_physics", place)

@@ -8,6 +8,8 @@ import pytest
 import palpate as pt
 from palpate.dynamics.nodal.stability import stiffness
 
+pytestmark = pytest.mark.slow
+
 SIZE, FORCE = (0.03, 0.015, 0.015), 1e-3
 
 

@@ -8,6 +8,8 @@ import pytest
 import palpate as pt
 from palpate.reduction.hyper.material_point import Kinematics, material_point
 
+pytestmark = pytest.mark.slow
+
 GENT = pt.materials.Gent(mu=10e3, Jm=3.0, density=1000.0, poisson=0.45, split="isochoric")
 OGDEN = pt.materials.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), density=1000.0, poisson=0.45, split="isochoric")
 F = np.eye(3) + np.array([[0.2, 0.1, 0.0], [-0.05, 0.1, 0.1], [0.1, 0.0, 0.15]])

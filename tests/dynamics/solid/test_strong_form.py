@@ -9,6 +9,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.quick(material=["mooney-rivlin"], poisson=[0.45])
+
 LENGTH = 0.02
 
 
@@ -192,6 +194,7 @@ def test_the_force_of_a_mirrored_deformation_is_mirrored(material):
         np.testing.assert_allclose(model.force(u[image] * sign), force[image] * sign, atol=1e-9 * np.abs(force).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49])
 @pytest.mark.parametrize("wave", ["P", "S"])
 def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(poisson, wave):

@@ -10,6 +10,8 @@ from scipy.optimize import brentq
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 SIDE = 0.02
 STRETCH = np.eye(3) + np.array([[0.3, 0.2, -0.1], [0.0, -0.2, 0.1], [0.1, 0.0, 0.1]])
 CLOUDS = {j: pt.box((SIDE,) * 3, spacing=SIDE / 4, jitter=j) for j in (0.0, 0.2)}

@@ -150,9 +150,8 @@ def press(x, y, depth=0.004):
 def pressed():
     """A block, runs of presses, and a model trained on all but the last."""
     cloud = pt.box(SIZE, spacing=0.006)
-    body = pt.Solid(
-        cloud, pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4), "z-", form="energy", stiffness_damping=1e-4
-    )
+    tissue = pt.materials.MooneyRivlin(C1=4e3, C2=0, density=1000, poisson=0.4)
+    body = pt.Solid(cloud, tissue, "z-", form="energy", stiffness_damping=1e-4)
     places = [(0.021, 0.027), (0.039, 0.033), (0.030, 0.040), (0.024, 0.038)]
     runs = [pt.rollout(body, press(*place), duration=0.2, every=0.005) for place in places]
     model = pt.hyper_reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0])

@@ -13,6 +13,8 @@ from palpate.reduction.contact.interior import _followed, interior
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 from palpate.reduction.training.fit_compliance import _free_interior, _free_surface
 
+pytestmark = pytest.mark.slow
+
 TISSUE = pt.materials.NeoHookean(C1=1e3, density=1000, poisson=0.4)
 SIZE = (0.06, 0.06, 0.03)
 

@@ -9,6 +9,8 @@ from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displace
 from palpate.reduction.contact.near_field import add_own_compliance, near_field_compliance
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 
+pytestmark = pytest.mark.slow
+
 SIDE = 0.04
 
 

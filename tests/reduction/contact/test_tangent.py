@@ -13,6 +13,8 @@ import pytest
 import palpate as pt
 from palpate.reduction.contact.compliance import pair
 
+pytestmark = pytest.mark.slow
+
 SIZE, BALL, DEPTH = (0.06, 0.06, 0.03), 0.015, 0.004
 AT = (0.024, 0.038, SIZE[2])
 DEEP = 0.0042  # where no patch comes to the tool or leaves it within 0.05 mm: there the stiffness jumps

@@ -9,6 +9,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 REST = {"density": 1000.0, "poisson": 0.45}
 X = np.array([1.0, 0.0, 0.0])
 

@@ -12,6 +12,8 @@ from palpate.reduction.contact.compliance import contact_displacements, secant_f
 from palpate.reduction.training.calibrate_contact import _correction, calibrate_contact
 from palpate.reduction.training.fit_compliance import _follow_run
 
+pytestmark = pytest.mark.slow
+
 SIZE, BALL, LASTING = (0.06, 0.06, 0.03), 0.015, 0.16
 
 

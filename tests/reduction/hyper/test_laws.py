@@ -49,6 +49,7 @@ def shaped(body, count=6):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [law for law in SOLID if law.name in COMPILED], ids=lambda law: law.name)
 def test_stress_and_energy_of_a_point_go_together_crushed_or_not(law):
     material = law.kind(**law.example, **REST)
@@ -75,6 +76,7 @@ def test_stress_and_energy_of_a_point_go_together_crushed_or_not(law):
     assert crushed > 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [law for law in SOLID if law.name in ("Gent", "Ogden")], ids=lambda law: law.name)
 def test_all_nodes_are_the_galerkin_model(law):
     check_galerkin(block(law.kind(**law.example, **REST)))
@@ -93,6 +95,7 @@ def check_galerkin(body, share=1e-7):
         assert model.energy(a) == pytest.approx(body.strain_energy(u), rel=share)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), [("Gent", "mixed"), ("Ogden", "logarithmic")])
 def test_all_nodes_are_the_galerkin_model_in_every_form_of_the_volumetric_part(name, form):
     # the pressures of the states span those of their projections but for what g has of higher order
@@ -100,6 +103,7 @@ def test_all_nodes_are_the_galerkin_model_in_every_form_of_the_volumetric_part(n
     check_galerkin(block(law.kind(**law.example, **REST, volumetric=form)), 5e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["logarithmic", "mixed"])
 def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_not(form):
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric=form))
@@ -116,6 +120,7 @@ def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_n
         np.testing.assert_allclose(model.force(a), -np.array(slopes), atol=1e-5 * np.abs(slopes).max())
 
 
+@pytest.mark.slow
 def test_a_reduced_model_in_another_form_repeats_the_full_one_and_is_kept(tmp_path):
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric="mixed"))
     run = rollout(body)
@@ -140,6 +145,7 @@ def test_every_law_is_kept_in_words_and_numbers(law):
         assert back == material
 
 
+@pytest.mark.slow
 def test_an_energy_of_ones_own_is_kept_as_text(tmp_path):
     law = pt.materials.Hyperelastic("C1*(I1bar - 3) + C2*(exp(I1bar - 3) - 1)", C1=4e3, C2=1e3, prony=SERIES, **REST)
     body = block(law)
@@ -152,6 +158,7 @@ def test_an_energy_of_ones_own_is_kept_as_text(tmp_path):
     np.testing.assert_array_equal(loaded.force(a), model.force(a))
 
 
+@pytest.mark.slow
 def test_a_sheet_takes_laws_of_the_stretches():
     cloud = pt.disc(0.1, 0.0125).within("tool", (0.0, 0.0), 1e-6)
     law = pt.materials.Ogden(C=(0.05e6, 0.02e6), alpha=(2.0, 4.0), density=1200.0, poisson=0.5)
@@ -177,6 +184,7 @@ def relaxing():
     return body, run, pt.hyper_reduce(body, run, modes=12)
 
 
+@pytest.mark.slow
 def test_a_relaxing_reduced_model_repeats_the_full_one(relaxing):
     body, run, model = relaxing
     again = rollout(model)
@@ -191,6 +199,7 @@ def test_a_relaxing_reduced_model_repeats_the_full_one(relaxing):
     assert pt.relative_errors(run, rollout(easy)).displacement > 0.2
 
 
+@pytest.mark.slow
 def test_with_all_nodes_the_branches_hold_the_energy_of_the_full_model(relaxing):
     body, run, _ = relaxing
     whole = pt.ReducedModel(pt.hyper_reduce(body, run, modes=8, cubature=0.0, pressures=1000).data, single=False)
@@ -215,6 +224,7 @@ def test_with_all_nodes_the_branches_hold_the_energy_of_the_full_model(relaxing)
     assert np.abs(v).max() > 0
 
 
+@pytest.mark.slow
 def test_the_engine_remembers_and_forgets():
     body = block(pt.materials.NeoHookean(C1=5e3, prony=pt.materials.Prony(shares=0.5, times=0.1), **REST))
     grasp = [pt.PrescribedMotion("x+", lambda points, t: (2e-3 * course(t), 0.0, 0.0))]
@@ -239,6 +249,7 @@ def test_the_engine_remembers_and_forgets():
     np.testing.assert_allclose(held(800), first, rtol=1e-6, atol=1e-6 * np.abs(first).max())
 
 
+@pytest.mark.slow
 def test_trust_and_forces_of_a_state_are_those_of_what_it_remembers(relaxing):
     body, run, _ = relaxing
     model = pt.hyper_reduce(body, run, modes=12, held_out=[(PULL, run)])
@@ -255,6 +266,7 @@ def test_trust_and_forces_of_a_state_are_those_of_what_it_remembers(relaxing):
     assert again.data.residual_scale == model.data.residual_scale
 
 
+@pytest.mark.slow
 def test_relaxing_tissue_has_explicit_steps_to_choose_from(relaxing):
     _, _, model = relaxing
     chosen = pt.select_time_step(model, PULL, duration=0.004, tolerance=0.5)
@@ -262,6 +274,7 @@ def test_relaxing_tissue_has_explicit_steps_to_choose_from(relaxing):
     assert [rule["step"] for rule in chosen.report["stepping"]["rules"]] == [None]
 
 
+@pytest.mark.slow
 def test_what_cannot_relax_is_refused(relaxing):
     body, run, model = relaxing
     with pytest.raises(pt.InputError, match="stepped explicitly"):

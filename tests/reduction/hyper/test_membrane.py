@@ -46,6 +46,7 @@ def shapes(sheet, count, seed=0):
     return pt.pod(fields, sheet.weights, modes=count), column
 
 
+@pytest.mark.slow
 def test_the_projected_force_is_the_projection_of_the_nodal_force(sheet):
     basis, column = shapes(sheet, 5)
     rom = GalerkinModel(sheet, basis, column)
@@ -59,6 +60,7 @@ def test_the_projected_force_is_the_projection_of_the_nodal_force(sheet):
     np.testing.assert_allclose(rom.force(coordinates), expected, atol=1e-11 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_the_reduced_tangent_of_a_pushed_sheet_is_symmetric(sheet, push):
     rom = pt.galerkin(sheet, push, modes=8, prescribed=["tool"], lifting="local")
     state = rom.state(rom.prepare([PUSH]), push.displacements[-1], push.velocities[-1], 0.1)
@@ -67,6 +69,7 @@ def test_the_reduced_tangent_of_a_pushed_sheet_is_symmetric(sheet, push):
     assert np.linalg.eigvalsh(tangent + tangent.T).min() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("modes", "displacement", "force"), [(8, 0.15, 0.1), (20, 0.01, 0.02), (39, 1e-3, 1e-2)])
 def test_more_modes_come_nearer_to_the_full_push(sheet, push, modes, displacement, force):
     rom = pt.galerkin(sheet, push, modes=modes, prescribed=["tool"], lifting="local", relative=True)
@@ -75,6 +78,7 @@ def test_more_modes_come_nearer_to_the_full_push(sheet, push, modes, displacemen
     assert found.reaction < force
 
 
+@pytest.mark.slow
 def test_local_lifting_and_relative_snapshots_each_help(sheet, push):
     errors = []
     for lifting, relative in (("fitted", False), ("local", False), ("local", True)):
@@ -94,6 +98,7 @@ def test_a_local_column_moves_the_tool_alone(sheet, push):
     np.testing.assert_allclose(run.displacements[:, tool[0], 2], 0.1 * run.times, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_tool_of_a_reduced_sheet_does_the_work_of_the_full_one(sheet, push):
     rom = pt.galerkin(sheet, push, modes=20, prescribed=["tool"], lifting="local", relative=True)
     run = pt.rollout(rom, [PUSH], duration=0.1, every=0.0025, progress=False)
@@ -101,6 +106,7 @@ def test_the_tool_of_a_reduced_sheet_does_the_work_of_the_full_one(sheet, push):
     assert np.abs(run.balance).max() < 0.02 * push.external.max()
 
 
+@pytest.mark.slow
 def test_a_reduced_tool_lets_go(sheet, freed):
     rom = pt.galerkin(sheet, freed, modes=40, prescribed=["tool"], lifting="local")
     run = pt.rollout(rom, [LET_GO], duration=0.15, every=0.0025, progress=False)
@@ -114,6 +120,7 @@ def test_a_reduced_tool_lets_go(sheet, freed):
     np.testing.assert_allclose(work, work[0], rtol=1e-9)  # nothing pushes then
 
 
+@pytest.mark.slow
 def test_a_reduced_run_can_start_where_the_tool_has_let_go(sheet, freed):
     start = 44  # 0.11 s
     u, v = freed.displacements[start], freed.velocities[start]
@@ -126,6 +133,7 @@ def test_a_reduced_run_can_start_where_the_tool_has_let_go(sheet, freed):
     assert np.abs(run.displacements - expected).max() < 0.1 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_tools_that_let_go_at_different_times_are_refused(sheet, push):
     cloud = sheet.cloud.within("other", (0.05, 0.0), 0.007)
     model = pt.Membrane(cloud, sheet.material, 1e-5, "rim")
@@ -144,6 +152,7 @@ def test_bad_training_is_refused(sheet, push):
         pt.galerkin(sheet, still, modes=2, relative=True)
 
 
+@pytest.mark.slow
 def test_a_model_runs_only_with_the_tools_it_was_trained_with(sheet, push):
     cloud = sheet.cloud.within("other", (0.05, 0.0), 0.007)
     model = pt.Membrane(cloud, sheet.material, 1e-5, "rim")
@@ -154,6 +163,7 @@ def test_a_model_runs_only_with_the_tools_it_was_trained_with(sheet, push):
         rom.prepare([])
 
 
+@pytest.mark.slow
 def test_a_tool_may_let_go_between_snapshots(sheet):
     tool = pt.PrescribedMotion("tool", tip, until=0.03)
     full = pt.rollout(sheet, [tool], duration=0.06, every=0.002, progress=False)
@@ -165,6 +175,7 @@ def test_a_tool_may_let_go_between_snapshots(sheet):
         assert energy[-1] == pytest.approx((full.kinetic + full.strain)[-1], rel=0.3)
 
 
+@pytest.mark.slow
 def test_runs_that_follow_each_other_are_one(sheet, push):
     half = pt.rollout(sheet, [PUSH], duration=0.05, every=0.0025, progress=False)
     rest = pt.rollout(
@@ -198,6 +209,7 @@ def every_point(sheet, run, **options):
     return pt.ReducedModel(data, single=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [{"prestretch": 1.0}, {"prestretch": 1.05}, {"prestretch": 1.02, "relaxed": False}])
 def test_all_points_with_their_volumes_are_the_galerkin_model(sheet, push, form):
     tight = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", **form)
@@ -224,6 +236,7 @@ def test_a_sampled_sheet_has_few_points_and_repeats_the_push(sheet, push, sample
     np.testing.assert_allclose(moved, [0.0, 0.0, 0.01], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_few_points_of_a_taut_sheet_feel_what_all_points_feel(sheet, push, tmp_path):
     """At rest the stresses of a taut sheet do work on every mode, which sums to nothing."""
     taut = pt.Membrane(sheet.cloud, sheet.material, 1e-5, "rim", prestretch=1.05)
@@ -238,6 +251,7 @@ def test_few_points_of_a_taut_sheet_feel_what_all_points_feel(sheet, push, tmp_p
         assert len(pt.load(tmp_path / "taut.rom").data.cubature.nodes) == len(model.data.cubature.nodes)
 
 
+@pytest.mark.slow
 def test_few_points_feel_what_all_points_feel(sheet, push):
     few = pt.hyper_reduce(sheet, push, modes=6, prescribed="tool")
     runs = [
@@ -247,6 +261,7 @@ def test_few_points_feel_what_all_points_feel(sheet, push):
     assert pt.relative_errors(runs[1], runs[0]).reaction < 0.05  # 40 % where the weights do not know the tool's force
 
 
+@pytest.mark.slow
 def test_the_sampled_tool_may_let_go(sheet, freed):
     model = pt.hyper_reduce(sheet, freed, modes=16, prescribed="tool")
     run = pt.rollout(model, [LET_GO], duration=0.15, every=0.0025, progress=False)
@@ -255,12 +270,14 @@ def test_the_sampled_tool_may_let_go(sheet, freed):
     assert np.all(run.reactions["tool"][after] == 0)
 
 
+@pytest.mark.slow
 def test_the_step_of_a_slack_sheet_is_that_of_its_taut_states(sampled):
     prepared = sampled.prepare([PUSH])
     assert sampled.data.taut_frequency > 1.2 * sampled.frequencies()[-1]
     assert sampled.stable_step(sampled.state(prepared), prepared) < 2 / sampled.data.taut_frequency
 
 
+@pytest.mark.slow
 def test_a_strong_form_sheet_is_reduced_by_its_energy_form(sheet, push):
     strong = pt.Membrane(
         sheet.cloud, sheet.material, 1e-5, "rim", form="strong", stiffness_damping=sheet.stiffness_damping
@@ -286,6 +303,7 @@ def test_a_sampled_sheet_refuses_what_it_does_not_know(sampled):
         sampled.prepare([PUSH, pt.SurfaceForce("face", pressure=lambda t: 1.0)])
 
 
+@pytest.mark.slow
 def test_a_sampled_sheet_is_trusted_by_its_distance_from_training(sheet, push, sampled):
     prepared = sampled.prepare([PUSH])
     assert sampled.data.residual_fields == 0

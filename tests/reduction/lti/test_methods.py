@@ -213,6 +213,7 @@ def test_every_method_comes_nearer_with_more_modes(form, request, soft_pull):
         assert many < 0.3, method
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("modes", [6, 8])  # with 4 it does not converge
 def test_irka_meets_the_slowest_resonance(modes, reduction):
     """It interpolates at the mirror images of its poles."""
@@ -236,6 +237,7 @@ def test_condensing_keeps_poles_and_the_static_response(system):
     )
 
 
+@pytest.mark.slow
 def test_without_condensing_the_whole_body_is_balanced(system, training):
     pytest.importorskip("pymor", reason=WHY)
     own = Reduction(system, condense=0, training=training)
@@ -244,6 +246,7 @@ def test_without_condensing_the_whole_body_is_balanced(system, training):
     assert own.scaled_error(model.reduced, [0.0, 300.0, 2000.0], whole=True).max() <= own.bound(12)
 
 
+@pytest.mark.slow
 def test_the_low_rank_solver_balances_what_is_strongly_damped(bar, tissue, soft_pull):
     pytest.importorskip("pymor", reason=WHY)
     body = pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=5e-3)
@@ -257,6 +260,7 @@ def test_the_low_rank_solver_balances_what_is_strongly_damped(bar, tissue, soft_
     )
 
 
+@pytest.mark.slow
 def test_the_low_rank_solver_is_not_believed_where_it_did_not_converge(system):
     pytest.importorskip("pymor", reason=WHY)
     with pytest.raises(pt.InputError, match=r"missed its equations by .* too lightly damped"):

@@ -48,6 +48,7 @@ def test_with_every_mode_it_moves_as_the_full_body_under_small_loads(whole, ener
     assert own.model == "linear"
 
 
+@pytest.mark.slow
 def test_with_every_mode_it_moves_as_the_strong_form(strong_system, strong, soft_pull):
     whole = LinearModel(strong_system, project(strong_system, np.diag(1 / np.sqrt(strong_system.mass.diagonal()))))
     full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (strong, whole))

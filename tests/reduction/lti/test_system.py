@@ -26,6 +26,7 @@ def test_the_stiffness_is_the_slope_of_the_nonlinear_force(form, request):
     assert system.symmetric == (form == "system")
 
 
+@pytest.mark.slow
 def test_away_from_rest_too(energetic):
     u = 4e-4 * np.sin(200 * energetic.cloud.points)
     u[energetic.fixed_mask] = 0.0
@@ -45,6 +46,7 @@ def test_differences_and_stencils_give_the_same_stiffness(energetic):
     np.testing.assert_allclose(by_differences.toarray(), assembled.toarray(), atol=1e-8 * np.abs(assembled.data).max())
 
 
+@pytest.mark.slow
 def test_a_sheet_is_linearised():
     cloud = pt.sheet([(0.0, 0.0), (0.04, 0.0), (0.04, 0.03), (0.0, 0.03)], spacing=0.005)
     material = pt.materials.NeoHookean(C1=17e3, density=1000.0, poisson=0.5)
@@ -56,6 +58,7 @@ def test_a_sheet_is_linearised():
     np.testing.assert_allclose(-found, slope, atol=1e-7 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 def test_groups_of_columns_share_no_row():
     cloud = pt.box((0.2, 0.02, 0.02), spacing=0.005)
     model = pt.Solid(cloud, pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.45), "x-", form="energy")

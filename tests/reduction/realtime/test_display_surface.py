@@ -16,7 +16,7 @@ def pressed():
     """A reduced block, and the last state of a press on it."""
     body = pt.Solid(
         pt.box(SIZE, 0.006),
-        pt.materials.NeoHookean(C1=2e3, density=1000, poisson=0.4),
+        pt.materials.MooneyRivlin(C1=4e3, C2=0, density=1000, poisson=0.4),
         "z-",
         form="energy",
         stiffness_damping=1e-4,

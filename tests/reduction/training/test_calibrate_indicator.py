@@ -77,6 +77,7 @@ def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, run
     assert model.residual_norm(pt.State(kept, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_samples_measure_the_imbalance_that_all_nodes_measure(body, runs, rom, held):
     every = pt.hyper_reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]

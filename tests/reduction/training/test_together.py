@@ -9,6 +9,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 SERIES = pt.materials.Prony(shares=(0.6,), times=(5e-3,))
 GIVEN = {"density": 1000.0, "prony": SERIES, "volumetric": "logarithmic", "split": "isochoric"}
 

@@ -135,6 +135,7 @@ def test_the_full_model_feels_nearly_the_same(recorded, capsys, assert_refused):
     np.testing.assert_array_equal(replay.overlay(full["times"][deepest]), full["positions"][deepest])
 
 
+@pytest.mark.slow
 def test_pictures_and_films(recorded, tmp_path, assert_drawn, monkeypatch):
     import imageio.v3 as imageio
 
@@ -148,6 +149,7 @@ def test_pictures_and_films(recorded, tmp_path, assert_drawn, monkeypatch):
     assert np.abs(frames[0].astype(float) - frames[len(frames) // 2]).max() > 50  # something moves
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio's reader leaves pipes open
 def test_a_film_as_mp4(recorded, tmp_path, monkeypatch):
     import imageio.v3 as imageio

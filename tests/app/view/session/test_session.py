@@ -80,16 +80,14 @@ def test_reset_is_rest(pressed):
 
 
 def test_another_tool_goes_on_from_the_present_state(pressed, until):
-    before = pressed.snapshot()
-    began = time.perf_counter()
+    before, parts = pressed.snapshot(), pressed.model.data
     aside = [0.040, 0.008, SIZE[2] + 0.02]
     capsule = {"type": "tool", "kind": "capsule", "radius": 0.01, "length": 0.01, "position": aside}
     pressed.handle(validate_message(capsule))
-    took = time.perf_counter() - began
     moment = pressed.snapshot()
     assert moment.tool == "capsule"
     assert moment.steps >= before.steps
-    assert took < 2.0  # nothing is compiled or made anew
+    assert pressed.model.data is parts  # nothing was built again
     np.testing.assert_allclose(moment.position, aside)
 
 
@@ -156,7 +154,7 @@ def test_twice_the_moduli_are_twice_the_force_at_the_same_depth(pressed, until):
     until(lambda: pressed.snapshot().steps > begun + 2000 and calm(pressed.snapshot()))
     soft = pressed.snapshot()
     own = pressed.hello()["materials"][0]
-    assert own["value"] == pytest.approx(4.0)  # 2 C1
+    assert own["value"] == pytest.approx(4.0)  # C1 + C2
     pressed.handle(validate_message({"type": "material", "name": "shear modulus", "value": 8.0}))
     until(lambda: pressed.snapshot().steps > soft.steps + 2000 and calm(pressed.snapshot()))
     firm = pressed.snapshot()
