@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import palpate as pt
+from palpate.tissue.catalogue import FIBRE_LAWS
 
 X = np.array([1.0, 0.0, 0.0])
 HGO = {"k1": 3e3, "k2": 2.0}
@@ -18,7 +21,8 @@ def units(*shape, seed=0):
     return random / np.linalg.norm(random, axis=-1, keepdims=True)
 
 
-LAWS = {
+# every law of fibres of the catalogue with its example, and other families
+LAWS = {law.name: law.kind(**law.example, directions=units(60)) for law in FIBRE_LAWS} | {
     "one family": pt.materials.Fibres(**HGO, dispersion=0.1, directions=units(60)),
     "two families": pt.materials.Fibres(**HGO, dispersion=0.2, directions=units(2, 60)),
     "no dispersion": pt.materials.Fibres(**HGO, directions=units(60)),
@@ -64,8 +68,7 @@ def test_turning_the_body_turns_the_stress(name):
 @pytest.mark.parametrize("name", LAWS)
 def test_turning_tissue_and_fibres_together_changes_nothing(name):
     law, F, turn = LAWS[name], gradients(0.3), Rotation.from_rotvec([0.4, -1.0, 0.7]).as_matrix()
-    options = {f: getattr(law, f) for f in ("k1", "k2", "dispersion", *HEART) if hasattr(law, f)}
-    turned = type(law)(**options, directions=law.directions @ turn.T)
+    turned = replace(law, directions=law.directions @ turn.T)
     np.testing.assert_allclose(turned.energy(F @ turn.T), law.energy(F), rtol=1e-10)
 
 

@@ -29,6 +29,7 @@ def powers(l1, l2, a):
     return l1**a + l2**a + (l1 * l2) ** -a - 3
 
 
+# what the papers print, written again: an independent check of those laws, which a law need not have
 PRINTED = {
     "Ogden": lambda p, q: sum(C * q(a) for C, a in zip(p["C"], p["alpha"], strict=True)),
     "Exponential": lambda p, q: p["C1"] * (np.exp(p["C2"] * q(p["alpha1"])) - 1) + p["C3"] * q(p["alpha2"]),
@@ -69,7 +70,7 @@ def test_pulling_one_way_and_two_ways_is_the_slope_of_the_printed_energy(name):
         assert cauchy[0, 0] - cauchy[2, 2] == pytest.approx(expected, rel=1e-6, abs=1e-3)
 
 
-@pytest.mark.parametrize("name", PRINTED)
+@pytest.mark.parametrize("name", [law.name for law in LAWS if law.kind.variables != "small strain"])
 @pytest.mark.parametrize("gamma", [0.2, 1.0])
 def test_simple_shear_obeys_the_universal_relation(name, gamma):
     """Of every isotropic law: t_11 - t_22 = gamma t_12 (Rivlin)."""

@@ -32,6 +32,7 @@ __all__ = [
     "LoadHistory",
     "LoadSites",
     "PreparedLoads",
+    "check_kinds",
     "is_pressure",
     "listed",
     "prepare_loads",
@@ -130,7 +131,7 @@ class PreparedLoads(Described):
             if np.shape(values[0]) == (3,):
                 motion[:, where] = arrays_at(values, (3,), times, name)[:, None]
             else:
-                motion[:, where] = arrays_at(values, points.shape, times, name)
+                motion[:, where] = arrays_at(values, (len(points), 3), times, name)
         return LoadHistory(
             gravity,
             amplitudes,
@@ -214,6 +215,27 @@ def listed(loads: Any) -> tuple[Load, ...]:
                 "replace or remove it"
             )
     return listed
+
+
+def check_kinds(loads: Sequence[Load], allowed: tuple[type, ...], what: str) -> None:
+    """Refuse loads of other kinds than those that a model has forces for.
+
+    Parameters
+    ----------
+    loads : sequence of loads
+    allowed : tuple of types
+    what : str
+        The argument, and of which model, for the message.
+
+    Raises
+    ------
+    InputError
+        Names the first load of another kind.
+    """
+    for load in loads:
+        if not isinstance(load, allowed):
+            names = ", ".join("SurfaceForce" if kind is DeadLoad else kind.__name__ for kind in allowed)
+            raise InputError(f"{what} must be one of {names}, got {brief(load)}; run the full model with it")
 
 
 def prepare_loads(

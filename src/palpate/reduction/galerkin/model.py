@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.describe import Fact
-from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads
+from palpate.dynamics.contact.tools import Grasp
+from palpate.dynamics.loads.body_force import Gravity
+from palpate.dynamics.loads.dead_load import DeadLoad
+from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, check_kinds
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State
@@ -23,6 +27,7 @@ __all__ = ["GalerkinModel", "galerkin"]
 
 Floats = NDArray[np.float64]
 
+KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
 MOVED = 0.1  # of the largest displacement seen: how far the state goes before the tangent is taken anew
 SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less in a relative basis
 UNTRAINED = 1e-3  # share of a prescribed motion that the lifting columns may miss
@@ -94,9 +99,8 @@ class GalerkinModel(Model):
         return self._result / self.material.density
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+        check_kinds(loads, KINDS, "loads of a projected model")
         prepared = self.full.prepare(loads)
-        if prepared.tools or len(prepared.places.foundation_node):
-            raise InputError("a projected model knows no Contact and no Foundation: run the full model with them")
         if len(prepared.places.prescribed) and not len(self.lifting):
             raise InputError(
                 "this reduced model was trained without a prescribed motion; train it with one on "

@@ -9,7 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
-from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, listed, prepare_loads
+from palpate.dynamics.loads.body_force import Gravity
+from palpate.dynamics.loads.dead_load import DeadLoad
+from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, check_kinds, listed, prepare_loads
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import load_areas
 from palpate.faults import InputError
 from palpate.reduction.hyper.data import ReducedData
@@ -18,6 +22,7 @@ __all__ = ["lifting_coordinates", "prepare_reduced_loads"]
 
 Floats = NDArray[np.float64]
 
+KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Contact, Foundation)  # whose forces the step has
 MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss
 
 
@@ -29,6 +34,7 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
     InputError
         Loads that it does not know, or was not trained with.
     """
+    check_kinds(loads, KINDS, "loads of a sampled reduced model")
     about = data.kinematics
     loads = [
         _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load
@@ -40,12 +46,13 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
         raise InputError("a reduced model knows no follower pressures yet: use palpate.galerkin for them")
     if ready.tools and (data.prescribed or about.sheet):
         raise InputError(
-            "tools do not touch reduced membranes, nor reduced models that tools hold (driven): run the full model"
+            "tools (Contact, Grasp) do not touch reduced membranes, nor reduced models that tools hold (driven): "
+            "run the full model"
         )
     if ready.tools and (data.compliance is None or implicit):
         raise InputError(
-            "tools touch a reduced model that is stepped explicitly and was trained on runs in which they do: "
-            "train it with a Contact, and leave its step out"
+            "tools (Contact, Grasp) touch a reduced model that is stepped explicitly and was trained on runs in which "
+            "they do: train it with a Contact, and leave its step out"
         )
     constrained_inverse_mass = {motion.group for motion, _ in ready.motions}
     if constrained_inverse_mass != set(data.prescribed):

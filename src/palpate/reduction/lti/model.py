@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from palpate.describe import Fact
 from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, is_pressure
+from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, check_kinds, is_pressure
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State
 from palpate.dynamics.run.reactions import evaluate
 from palpate.faults import InputError, number_in_range
@@ -28,6 +30,7 @@ __all__ = ["LinearModel"]
 
 Floats = NDArray[np.float64]
 
+KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads that are inputs
 MISSED = 1e-2  # of a tool's motion, that small translations and rotations may miss of it
 TINY = 1e-4  # of the spacing: displacements by whose stresses the linear ones are found
 
@@ -131,6 +134,7 @@ class LinearModel(Model):
         InputError
             Loads that the system was not made with.
         """
+        check_kinds(loads, KINDS, "loads of a linear model")
         ready = self.full.prepare(loads)
         known = {_input(load) for load in self.system.loads if isinstance(load, DeadLoad)}
         weight = any(isinstance(load, Gravity) for load in self.system.loads)
@@ -140,10 +144,6 @@ class LinearModel(Model):
                 raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
             if isinstance(load, Gravity) and not weight:
                 raise InputError("this linear model was made without Gravity: linearise with it")
-        if len(ready.places.foundation_node) or ready.tools:
-            raise InputError(
-                "a linear model knows no Contact and no Foundation: linear bodies are neither touched nor tied"
-            )
         names = {name: nodes for name, nodes in ready.supports.items() if name not in self.fixed}
         own = self.full.prepare(self.system.loads)
         wanted = {name: nodes for name, nodes in own.supports.items() if name not in self.fixed}

@@ -100,7 +100,8 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
     tools = {name.split(", ")[0] for name in system.inputs[system.forces :]}
     if len(tools) != 1 or system.forces:
         raise InputError(
-            "the engine moves one tool and nothing else: linearise with one PrescribedMotion or Grasp and no other load"
+            "the engine moves one tool and nothing else: linearise with one PrescribedMotion or Grasp and no other "
+            f"load, not with {', '.join(dict.fromkeys(name.rsplit(' ', 1)[0] for name in system.inputs))}"
         )
     flat, full = model.columns.reshape(len(model.columns), -1), model.full
     weight, states = np.repeat(full.weights * full.material.density, 3), len(model.A)

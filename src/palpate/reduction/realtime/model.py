@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.dynamics.loads.prepared import prepare_loads
+from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
@@ -99,6 +99,7 @@ def realtime_model(
             )
         return linear_realtime(model, period)
     parts, count = model.data, model.count
+    check_kinds([] if contact is None else [contact], (Contact, Grasp), "contact")
     handling = None if contact is None else ContactTools(model._contact_surface, model.prepare([contact]))
     if contact is None and len(parts.prescribed) != 1:
         raise InputError(

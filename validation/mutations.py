@@ -1,0 +1,325 @@
+"""Change one line of the sources after another, and see that the tests notice.
+
+    python validation/mutations.py
+    python validation/mutations.py --only "friction"
+
+Each mutation is a mistake that a change could bring: a wrong derivative, a load that is dropped, a state that leaks.
+It is made in a copy of the sources, and the few tests that should catch it run there. A mutation is caught if one of
+them fails. The copy stays in one folder, so that what is compiled for one mutation is found by the next.
+
+The script prints a table and ends with status 1 if a mutation survives. It ends with status 2 if a text that a
+mutation changes is not found exactly once, or if the tests fail without any mutation.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from filecmp import cmp
+from pathlib import Path
+from time import perf_counter
+
+ROOT = Path(__file__).parents[1]
+COPIED = ("src", "tests", "validation", "pyproject.toml")
+LONGEST = 1800.0  # [s] that the tests of one mutation may take
+MODELS, LOADS = "tests/contracts/test_models.py", "tests/contracts/test_loads.py"
+MATERIALS, CONTACT = "tests/tissue/test_materials.py", "tests/dynamics/contact/test_contact.py"
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """A mistake in the sources.
+
+    Parameters
+    ----------
+    name : str
+    file : str
+        In `src/palpate`.
+    old, new : str
+        The text that is changed, which must occur once, and what takes its place.
+    tests : tuple of str
+        As pytest takes them.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+def contract(test: str, *kinds: str) -> tuple[str, ...]:
+    """Return a test of the contract of models, for some kinds."""
+    return tuple(f"{MODELS}::test_{test}[{kind}]" for kind in kinds)
+
+
+def load(kind: str, way: str) -> tuple[str, ...]:
+    """Return the test that a load moves a kind of model."""
+    return (f"{LOADS}::test_a_load_moves_the_model_or_is_refused_by_name[{kind}-{way}]",)
+
+
+MUTATIONS = (
+    # laws
+    Mutation(
+        "dW/dJ of the neo-Hookean law", "tissue/materials.py",
+        "return c[0], 0.0, -2.0 * c[0] / J", "return c[0], 0.0, -c[0] / J", (MATERIALS,),
+    ),
+    Mutation(
+        "dW/dJ of Yeoh's law", "tissue/invariant_laws.py",
+        "x * 3.0 * c[2])\n        return f1, 0.0, -2.0 * f1 / J", "x * 3.0 * c[2])\n        return f1, 0.0, -f1 / J",
+        (MATERIALS,),
+    ),
+    Mutation(
+        "second derivative of Gent's law", "tissue/invariant_laws.py",
+        "f2 = 0.5 * c[0] / c[1] * r * r", "f2 = 0.5 * c[0] / c[1] * r", (MATERIALS,),
+    ),
+    Mutation(
+        "pressure of a volumetric form", "tissue/volumetric.py",
+        "return 0.5 * x * (2.0 + x) * r,", "return 0.5 * x * (1.0 + x) * r,", ("tests/tissue/test_volumetric.py",),
+    ),
+    Mutation(
+        "chain rule of an isochoric law", "tissue/isochoric.py",
+        "2.0 * x * V1 + 4.0 * y * V2) / (3.0 * J)", "2.0 * x * V1 + 2.0 * y * V2) / (3.0 * J)",
+        ("tests/tissue/test_isochoric.py",),
+    ),
+    Mutation(
+        "fibres carry compression", "tissue/fibres.py",
+        "np.maximum(strain, 0.0), c[3]", "strain, c[3]", ("tests/tissue/test_fibres.py",),
+    ),
+    # loads
+    Mutation(
+        "a moment dropped in the full model", "dynamics/nodal/central_difference.py",
+        "force += places.dead_pattern", "force += 0.0 * places.dead_pattern", load("solid, energy", "SurfaceForce, moment"),
+    ),
+    Mutation(
+        "a moment dropped in the sampled model", "reduction/hyper/generalised_forces.py",
+        'np.einsum("kac,mkc->am"', '0.0 * np.einsum("kac,mkc->am"', load("hyper-reduced", "SurfaceForce, moment"),
+    ),
+    Mutation(
+        "gravity dropped in the projected model", "reduction/galerkin/model.py",
+        "self._gravity_test = self.test", "self._gravity_test = 0.0 * self.test", load("Galerkin", "Gravity, gravity"),
+    ),
+    Mutation(
+        "a force dropped in the linear model", "reduction/lti/model.py",
+        "values[:, own] += schedule.amplitudes", "values[:, own] += 0.0 * schedule.amplitudes", load("linear", "SurfaceForce, force"),
+    ),
+    Mutation(
+        "springs dropped in real time", "reduction/realtime/model.py",
+        "_springs(model, foundations).of(which)", "_springs(model, ()).of(which)",
+        (f"{LOADS}::test_in_real_time_a_load_moves_a_sampled_model_or_is_refused_by_name[held-Foundation, springs]",),
+    ),
+    Mutation(
+        "unknown loads taken by the sampled model", "reduction/hyper/loads.py",
+        'check_kinds(loads, KINDS, "loads of a sampled', '(loads, KINDS, "loads of a sampled',
+        (f"{LOADS}::test_a_new_kind_of_load_is_refused_until_a_model_has_forces_for_it[hyper-reduced]",),
+    ),
+    # constraints and contact
+    Mutation(
+        "supports let go", "dynamics/nodal/central_difference.py",
+        "if places.kind[i] == FREE:", "if places.kind[i] <= FIXED:",
+        contract("supports_and_tools_hold_their_nodes", "solid, energy"),
+    ),
+    Mutation(
+        "friction pushes on", "dynamics/contact/geometry.py",
+        "share = friction * normal / speed", "share = -friction * normal / speed",
+        (f"{CONTACT}::test_friction_sticks_inside_coulombs_cone_and_slides_on_it",),
+    ),
+    Mutation(
+        "tools pull", "dynamics/contact/impulses.py",
+        "if normal > 0.0:", "if normal != 0.0:",
+        (f"{CONTACT}::test_a_tool_never_pulls_and_lets_go_at_once",),
+    ),
+    Mutation(
+        "a tool's rotation", "dynamics/contact/geometry.py",
+        "2 * (x * y - w * z), 2 * (x * z + w * y)", "2 * (x * y + w * z), 2 * (x * z + w * y)",
+        (f"{CONTACT}::test_a_turning_tool_turns_what_sticks_to_it",),
+    ),
+    Mutation(
+        "forceps turn the other way", "dynamics/contact/tools.py",
+        "scalar_first=True).apply(arms)", "scalar_first=True).inv().apply(arms)",
+        (f"{CONTACT}::test_forceps_hold_turn_and_let_go",),
+    ),
+    # states
+    Mutation(
+        "history not restored", "dynamics/material/relaxation.py",
+        "own[:] = was", "own[:] = own", contract("equal_states_take_equal_steps", "solid, relaxing"),
+    ),
+    Mutation(
+        "history shared by two states", "dynamics/material/relaxation.py",
+        "tuple(array.copy() for array in _kept(of))", "tuple(array for array in _kept(of))",
+        contract("equal_states_take_equal_steps", "solid, relaxing"),
+    ),
+    Mutation(
+        "loads of one run act in the next", "dynamics/nodal/model.py",
+        "surface[:] = 0.0  # of another", "_ = 0.0  # of another", load("solid, energy", "Foundation, springs"),
+    ),
+    Mutation(
+        "loads of one run taken for the next's", "reduction/hyper/model.py",
+        "self._loaded is None or self._loaded.prepared is not ready", "self._loaded is None",
+        load("hyper-reduced", "SurfaceForce, moment"),
+    ),
+    # energy and momentum
+    Mutation(
+        "viscous work missing in the full model", "dynamics/nodal/central_difference.py",
+        "lost += change", "lost += 0.0 * change", contract("energy_is_kept", "solid, energy"),
+    ),
+    Mutation(
+        "viscous work missing in the sampled model", "reduction/hyper/explicit.py",
+        "lost += (at[m] - a[m])", "lost += 0.0 * (at[m] - a[m])", contract("energy_is_kept", "hyper-reduced"),
+    ),
+    Mutation(
+        "lost energy of a branch", "dynamics/material/relaxation.py",
+        "0.5 * relaxation.moduli[k] * lost", "relaxation.moduli[k] * lost",
+        contract("energy_is_kept", "solid, relaxing"),
+    ),
+    Mutation(
+        "work of a tool", "dynamics/nodal/central_difference.py",
+        "(inertia - force[i, c]", "(inertia + force[i, c]", contract("energy_is_kept", "solid, tool"),
+    ),
+    Mutation(
+        "loads counted twice in reactions", "dynamics/run/reactions.py",
+        "- model.external_force(state, prepared)", "- 2.0 * model.external_force(state, prepared)",
+        contract("supports_bear_the_loads", "solid, strong"),
+    ),
+    Mutation(
+        "factor at the boundary", "dynamics/solid/model.py",
+        "(self.cloud.face_nodes)] /= self.half_cell", "(self.cloud.face_nodes)] /= 1.0",
+        ("tests/dynamics/solid/test_equilibrium.py::test_tractions_and_gravity_do_their_true_virtual_work_in_the_inner_product",),
+    ),
+    # reduction
+    Mutation(
+        "weights of the cubature ignored", "reduction/hyper/sampled_energy.py",
+        "weights[b, lane] * stress[b, q, lane]", "weights[0, 0] * stress[b, q, lane]",
+        contract("energy_is_kept", "hyper-reduced"),
+    ),
+    Mutation(
+        "scale of the cubature's weights", "reduction/hyper/cubature.py",
+        "return x / size,", "return x,", ("tests/reduction/hyper/test_cubature.py",),
+    ),
+    Mutation(
+        "inner product of the modes", "reduction/basis/pod.py",
+        "rows = shapes(modes) / roots", "rows = shapes(modes)", ("tests/reduction/basis/test_pod.py",),
+    ),
+    # files
+    Mutation(
+        "digest of an array not checked", "sealed.py",
+        "or sha256(_bytes_of(values)).hexdigest() != digest", "or not digest",
+        ("tests/reduction/storage/test_model_file.py::test_a_changed_entry_of_any_array_does_not_match_its_checksum",),
+    ),
+    Mutation(
+        "viscosity not kept", "reduction/storage/model_file.py",
+        '"stiffness_damping": float(data.stiffness_damping)', '"stiffness_damping": 2 * float(data.stiffness_damping)',
+        (f"{MODELS}::test_a_saved_model_runs_the_same[hyper-reduced]",),
+    ),
+)  # fmt: skip
+
+
+def refreshed(folder: Path) -> None:
+    """Make a folder hold the present sources, and keep what was compiled of those that did not change."""
+    wanted = {
+        path.relative_to(ROOT)
+        for name in COPIED
+        for path in ([ROOT / name] if (ROOT / name).is_file() else (ROOT / name).rglob("*"))
+        if path.is_file() and "__pycache__" not in path.data
+    }
+    for path in [path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.data]:
+        if path.relative_to(folder) not in wanted:
+            path.unlink()
+    for path in wanted:
+        own = folder / path
+        if not own.exists() or not cmp(ROOT / path, own, shallow=False):
+            own.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / path, own)
+
+
+def faults(mutations: Sequence[Mutation]) -> list[str]:
+    """Return which mutations change a text that is not found exactly once."""
+    found = []
+    for each in mutations:
+        path = ROOT / "src" / "palpate" / each.file
+        count = path.read_text().count(each.old) if path.exists() else -1
+        if count != 1:
+            found.append(f"{each.name}: {each.old!r} occurs {count} times in {each.file}; it must occur once")
+    return found
+
+
+@contextmanager
+def mutated(folder: Path, mutation: Mutation) -> Iterator[None]:
+    """Change a file of the copy; afterwards restore it, with what was compiled of it."""
+    path = folder / "src" / "palpate" / mutation.file
+    kept = folder / "kept"
+    shutil.rmtree(kept, ignore_errors=True)
+    kept.mkdir()
+    shutil.copy2(path, kept / path.name)
+    cache = path.parent / "__pycache__"
+    for compiled in cache.glob(f"{path.stem}.*.nb?"):
+        shutil.copy2(compiled, kept / compiled.name)
+    try:
+        path.write_text(path.read_text().replace(mutation.old, mutation.new))
+        yield
+    finally:
+        for compiled in cache.glob(f"{path.stem}.*.nb?"):
+            compiled.unlink()
+        for saved in kept.iterdir():
+            shutil.copy2(saved, path if saved.name == path.name else cache / saved.name)
+        shutil.rmtree(kept)
+
+
+def tested(folder: Path, tests: Sequence[str]) -> tuple[int, str]:
+    """Run some tests in the copy; return pytest's status, -1 after too long a time, and its last line."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", *tests]
+    environment = {**os.environ, "PYTHONPATH": str(folder / "src"), "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+    environment.pop("NUMBA_CACHE_DIR", None)  # what is compiled stays beside the copy's sources
+    try:
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return -1, f"not done after {LONGEST:g} s"
+    lines = (done.stdout + done.stderr).strip().splitlines()
+    return done.returncode, lines[-1] if lines else ""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the mutations that are asked for; return the status."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--only", default="", metavar="TEXT", help="mutations whose name or file has this text")
+    parser.add_argument("--folder", type=Path, default=ROOT / "out" / "mutations", help="of the copy")
+    parser.add_argument("--list", action="store_true", help="print the mutations and end")
+    options = parser.parse_args(arguments)
+    chosen = [each for each in MUTATIONS if options.only in each.name or options.only in each.file]
+    wrong = faults(MUTATIONS)
+    if wrong or not chosen:
+        print("\n".join(wrong or [f"--only must be a part of a name or file, got {options.only!r}; see --list"]))
+        return 2
+    if options.list:
+        print("\n".join(f"{each.file}: {each.name}" for each in chosen))
+        return 0
+    folder = options.folder.resolve()
+    refreshed(folder)
+    start = perf_counter()
+    status, last = tested(folder, sorted({test for each in chosen for test in each.tests}))
+    print(f"without a mutation: {last} ({perf_counter() - start:.0f} s)", flush=True)
+    if status:
+        print("the tests must pass without a mutation; repair them first")
+        return 2
+    survivors, broken = 0, 0
+    for each in chosen:
+        start = perf_counter()
+        with mutated(folder, each):
+            status, last = tested(folder, each.tests)
+        verdict = {0: "SURVIVED", 1: "caught", -1: "caught"}.get(status, "BROKEN")
+        survivors, broken = survivors + (verdict == "SURVIVED"), broken + (verdict == "BROKEN")
+        print(f"{verdict:8} {each.name} ({each.file}): {last} ({perf_counter() - start:.0f} s)", flush=True)
+    print(f"{len(chosen) - survivors - broken} of {len(chosen)} mutations are caught, {survivors} survive")
+    return 2 if broken else int(survivors > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
