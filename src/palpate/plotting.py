@@ -11,14 +11,12 @@ from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.extras import require
 
 __all__ = ["body_svg", "curve_svg", "plot_body", "plot_curves", "plot_singular_values"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 BLUE, GREY = "#0072B2", "#888888"
 WIDTH, HEIGHT, MARGIN = 320, 200, 34  # [px] of an SVG picture

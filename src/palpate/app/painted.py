@@ -15,15 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.extras import require
 from palpate.faults import FileFormatError, InputError
 from palpate.files import regular_file, shortened
 
 __all__ = ["read_painted"]
 
-Floats = NDArray[np.float64]
 FORMATS = (".ply", ".vtk", ".vtp", ".vtu")
 LARGEST = 300_000_000  # bytes of a file
 MEMORY, SECONDS = 400 << 20, 30  # of the reader, with which it begins; more for larger files

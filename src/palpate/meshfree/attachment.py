@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["in_box", "near_plane", "painted"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface: bool = True) -> Ints:

@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range, warn_of_unit
 from palpate.plotting import body_svg, plot_body
 
 __all__ = ["Cloud", "box", "warn_of_size"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOST_NODES = 5e7  # of a box
 FARTHEST = 1e9  # [m] of a coordinate

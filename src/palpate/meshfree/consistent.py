@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats
 from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.quadrature import integration_weights, quadratic_misses
@@ -28,7 +28,6 @@ from palpate.meshfree.stencils import Stencils, moving_least_squares
 
 __all__ = ["balanced_stencils", "consistent_gradient"]
 
-Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
 MOST_STEPS = 1000  # of conjugate gradients

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from palpate.arrays import Floats
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud, warn_of_size
 from palpate.meshfree.gate import faulty_nodes
@@ -31,7 +32,6 @@ from palpate.meshfree.surfaces import Surface, welded
 
 __all__ = ["Region", "fill"]
 
-Floats = NDArray[np.float64]
 Region = tuple[Sequence[float], float, float]  # centre [m], radius [m], spacing [m]
 
 ON_SURFACE = 0.8  # distance of surface nodes in spacings

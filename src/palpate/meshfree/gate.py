@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import moving_least_squares
 
 __all__ = ["faulty_nodes", "nearest_spacing"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def nearest_spacing(points: Floats) -> Floats:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
 
 __all__ = ["MOST_PAIRS", "self_intersections"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOST_PAIRS = 10_000  # the search stops there: such a surface is refused anyway
 VISITS = (5_000_000, 300)  # largest number of tests of boxes: at least, and for each triangle

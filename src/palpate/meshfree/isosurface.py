@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
+
 __all__ = ["zero_surface"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Edges of a cell: axis, and offset of the lower end in x, y and z.
 EDGES = np.array(

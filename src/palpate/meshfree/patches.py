@@ -16,14 +16,13 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["surface_patches"]
 
-Floats = NDArray[np.float64]
 
 REACH, ON_LATTICES = 1.55, 1.8  # of the kernel, in spacings of the surface: of those tried, nearest to Hertz
 BELOW = 2.0  # spacings from a node of the surface within which nodes of the inside may take part

@@ -16,16 +16,15 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 from scipy.sparse.linalg import lsmr
 
+from palpate.arrays import Floats
 from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 
 __all__ = ["conservative_smoothing", "integration_weights", "quadratic_misses"]
 
-Floats = NDArray[np.float64]
 
 LEAST = 0.3  # of a node's volume: corrections of edges and corners multiply, and a weight must stay positive
 TOLERANCE = 1e-9  # of what a smoothing may add to an integral, relative to a node's volume

@@ -6,12 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from palpate.arrays import Floats, Ints
 
 __all__ = ["poisson_discs", "refined"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def refined(vertices: Floats, triangles: Ints, longest: Callable[[Floats], Floats]) -> tuple[Floats, Ints]:

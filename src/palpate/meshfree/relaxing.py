@@ -11,16 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.meshfree.crossings import column_crossings
 from palpate.meshfree.refining import poisson_discs
 
 __all__ = ["DepthQuery", "lattice_inside", "relaxed", "scattered_inside", "shares"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 DEPTH = 0.65  # least, of an interior node, in spacings
 SWEEPS, LISTED = 60, 6  # of repulsion; sweeps between new lists of neighbours

@@ -14,16 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sparse
 from numba import njit
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import CloudError
 from palpate.meshfree.refining import poisson_discs
 
 __all__ = ["SurfaceNodes", "spread", "vertex_vectors"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SWEEPS = 60  # of moving vertices between clusters, at most
 ROUNDS = 12  # of mending clusters that are no discs

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay, cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import CloudError, InputError, brief, integer_in_range, number_in_range
 from palpate.meshfree.cloud import FARTHEST, SMALLEST, Cloud, warn_of_size
 from palpate.meshfree.stencils import moving_least_squares
 
 __all__ = ["disc", "sheet"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 ROW = np.sqrt(0.75)  # distance between rows of the lattice, in spacings
 FEWEST_RINGS = 2  # a disc of 19 nodes

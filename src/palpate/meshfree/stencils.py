@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import FARTHEST
 
 __all__ = ["Stencils", "moving_least_squares"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 WORST_CONDITION = 1e10  # of a scaled moment matrix; beyond it, second derivatives lose half their digits
 BATCH = 1024  # nodes fitted at once

@@ -7,17 +7,15 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
 from palpate.meshfree.intersections import MOST_PAIRS, self_intersections
 from palpate.meshfree.surfaces import Surface, components, halves, part_volumes, rims
 
 __all__ = ["SurfaceProblem", "SurfaceReport", "check_surface"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Kind = Literal["error", "note"]
 
 PLAUSIBLE = (2e-6, 2e-2)  # [m^3] of an organ

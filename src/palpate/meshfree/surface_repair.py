@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from palpate.arrays import Ints
 from palpate.faults import InputError
 from palpate.meshfree.intersections import MOST_PAIRS, self_intersections
 from palpate.meshfree.surfaces import Surface, components, halves, part_of, part_volumes, rims, welded
 
 __all__ = ["repair"]
 
-Ints = NDArray[np.int64]
 
 WIDEST_HOLE = 0.6  # length of a rim over pi times the diagonal of the body, of a hole that is closed
 SMOOTHINGS = 30  # of folds, at most

@@ -9,14 +9,13 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, first_few
 from palpate.plotting import body_svg
 
 __all__ = ["MOST_TRIANGLES", "Surface", "components", "halves", "part_of", "part_volumes", "rims", "welded"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOST_TRIANGLES = 2_000_000  # more are refused before anything slow
 SAME = 1e-6  # of the size: vertices nearer than that are one

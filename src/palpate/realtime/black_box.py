@@ -11,13 +11,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.files import whole_file
 from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
 from palpate.realtime.record import HEADER, HEADER_SIZE, UNITS
 
 __all__ = ["MAX_COORDINATES", "RingBuffer", "append_record", "latest_records", "write_black_box"]
 
-Floats = NDArray[np.float64]
 
 MAX_COORDINATES = 64  # reduced coordinates stored of each record
 FORMAT, VERSION = "palpate black box", 2

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.faults import number_in_range
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["DeviceLog", "DummyDevice"]
 
-Floats = NDArray[np.float64]
 Path = Callable[[float], tuple[Sequence[float] | Floats, Sequence[float] | Floats]]
 
 

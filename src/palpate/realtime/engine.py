@@ -13,8 +13,8 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
@@ -42,7 +42,6 @@ from palpate.realtime.statistics import Statistics
 
 __all__ = ["Engine"]
 
-Floats = NDArray[np.float64]
 
 STATES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
 ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP}

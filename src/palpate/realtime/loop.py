@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.clock import now, sleep_until, thread_time
@@ -37,7 +38,6 @@ __all__ = [
     "function_key",
 ]
 
-Floats = NDArray[np.float64]
 
 RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reasons for its end
 WARN, CLAMP, STOP = range(3)  # responses to a trust number above 1

@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.faults import number_in_range
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
@@ -36,7 +37,6 @@ from palpate.reduction.realtime.model import RealtimeModel
 
 __all__ = ["ObservableModel", "Observation", "VirtualCoupling", "make_observable"]
 
-Floats = NDArray[np.float64]
 
 MAX_CONTACT_NODES = 4096  # contact nodes published in a period
 DEVICE_FORCE, TOOL_POSITION, CONTACT_COUNT, MODULUS_RATIO, COORDINATES = 0, 3, 6, 7, 8  # offsets in `values`

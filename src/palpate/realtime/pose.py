@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.faults import InputError
 from palpate.files import shortened
 
 __all__ = ["IDENTITY", "MAX_JUMP", "follow_pose", "normalise_pose", "tool_coordinates", "wrench"]
 
-Floats = NDArray[np.float64]
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 MAX_JUMP = 1.0  # [m] between consecutive poses; a larger one is a device error

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 
 __all__ = ["HEADER", "HEADER_SIZE", "UNITS", "PeriodRecord", "Reading", "field_offset"]
 
-Floats = NDArray[np.float64]
 
 HEADER = np.dtype(
     [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.solid.model import Solid
@@ -20,7 +20,6 @@ from palpate.tissue.materials import MooneyRivlin
 
 __all__ = ["GROUP", "Hand", "grasp", "grasped_beam"]
 
-Floats = NDArray[np.float64]
 
 GROUP = "x+"  # that the tool holds
 # of one swing, from and to: displacement along x, y, z [m], rotation vector [rad]

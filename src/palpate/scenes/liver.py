@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp, Sphere
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError, number_in_range
@@ -18,7 +18,6 @@ from palpate.tissue.materials import NeoHookean
 
 __all__ = ["ToolPaths", "pressed_liver"]
 
-Floats = NDArray[np.float64]
 
 SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007
 DENSITY = 1060.0  # [kg/m^3]

@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.faults import number_in_range
 from palpate.meshfree.isosurface import zero_surface
 from palpate.meshfree.surfaces import Surface, welded
 
 __all__ = ["liver_surface"]
 
-Floats = NDArray[np.float64]
 Vector = Sequence[float]
 
 VOLUME = 1.5e-3  # [m^3] of an adult's

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
@@ -16,7 +16,6 @@ from palpate.tissue.materials import NeoHookean
 
 __all__ = ["GROUP", "pushed_membrane"]
 
-Floats = NDArray[np.float64]
 
 GROUP = "tool"  # that the hand holds
 COARSEST, HELD, PRESTRETCH = 0.01, 0.02, 1.05  # [m], [m] radius of what the hand holds, of the sheet before it is held

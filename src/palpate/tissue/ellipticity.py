@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief, number_in_range
 from palpate.tissue.homogeneous import KINDS, compressible, deformation_gradient, rest
@@ -26,7 +26,6 @@ from palpate.tissue.materials import Material
 
 __all__ = ["MaterialStability", "least_wave_modulus", "material_stability"]
 
-Floats = NDArray[np.float64]
 
 LEAST, MOST = 0.002, 25.0  # ends of the widest range; the path through it is looked at point by point
 STEP = 1e-5  # of the differences of stress

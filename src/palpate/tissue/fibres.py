@@ -21,15 +21,14 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, check_names, first_few, number_in_range
 from palpate.tissue.materials import ShearLaw, parameter
 
 __all__ = ["LEAST", "FibreLaw", "Fibres", "Guccione", "VolumeOnly"]
 
-Floats = NDArray[np.float64]
 
 LEAST = 0.1  # volume ratio below which J^(-2/3) goes on along its tangent
 UNIT = 1e-6  # by which the length of a direction may miss 1

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.faults import InputError, number_in_range
 from palpate.tissue.homogeneous import isochoric_stress, nominal_stress
 from palpate.tissue.materials import Material
@@ -21,7 +22,6 @@ from palpate.tissue.parameters import Layout, field_metadata, flatten
 
 __all__ = ["FitProblem"]
 
-Floats = NDArray[np.float64]
 
 STEP = 6e-6  # relative, of the slopes: the cube root of the rounding
 SMALL = 1e-3  # share of the largest modulus that one near zero is taken for, in a step

@@ -8,13 +8,12 @@ them (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10, 413, 1973
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.tissue.fit_problem import FitProblem
 
 __all__ = ["starts"]
 
-Floats = NDArray[np.float64]
 
 WIDE, NARROW = 1000.0, 8.0  # factor from the first start at most, of a positive parameter and of one of either sign
 DRAWS = 100  # of a start, until the law takes it

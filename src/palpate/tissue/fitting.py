@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, UnitWarning, integer_in_range
 from palpate.tissue.ellipticity import MaterialStability, material_stability
@@ -23,7 +23,6 @@ from palpate.tissue.parameters import field_metadata
 
 __all__ = ["CurveFit", "Fit", "FitStart", "fit"]
 
-Floats = NDArray[np.float64]
 
 EVALUATIONS = 200  # of the residuals, from one start
 ROUGH = 1e-5  # relative change of cost at which a start has ended; the best goes on

@@ -22,14 +22,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from palpate.arrays import Floats
 from palpate.faults import InputError
 from palpate.tissue.materials import Material
 
 __all__ = ["KINDS", "compressible", "deformation_gradient", "isochoric_stress", "nominal_stress", "rest"]
 
-Floats = NDArray[np.float64]
 
 # kind of test: the exponents of l in the second and the third principal stretch where the volume stays
 _ISOCHORIC = {"uniaxial": (-0.5, -0.5), "equibiaxial": (1.0, -2.0), "planar": (0.0, -1.0)}

@@ -9,12 +9,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, check_names, number_in_range
 
 __all__ = ["Prony"]
 
-Floats = NDArray[np.float64]
 
 MOST_BRANCHES = 64  # a few for each decade of times are enough; every branch is remembered at every node
 

@@ -8,13 +8,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError
 from palpate.tissue.materials import Material
 
 __all__ = ["Regions"]
 
-Floats = NDArray[np.float64]
 
 SHARED = {"split": "split", "volumetric": "volumetric form", "prony": "Prony series", "density": "density"}
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.bench.timing import force_seconds, median_seconds, read_seconds, step_seconds
 from palpate.app.common.console import Console
@@ -26,7 +25,6 @@ from palpate.tissue.materials import MooneyRivlin
 
 __all__ = ["beam_case", "large_case"]
 
-Floats = NDArray[np.float64]
 
 FEW = 8  # modes for the beam
 MANY, SAMPLED = 64, 256  # modes and nodes of the large model

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, identity, vstack
 
+from palpate.arrays import Floats, Singles
 from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["SubdividedSession", "subdivide", "subdivide_at_centroids"]
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 
 def subdivide(triangles: NDArray[np.uint32], count: int) -> tuple[NDArray[np.uint32], csr_array]:

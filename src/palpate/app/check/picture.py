@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading, scale_bar
 from palpate.app.common.rendering import off_screen, surface
+from palpate.arrays import Floats
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.gate import nearest_spacing
 from palpate.meshfree.surface_checks import SurfaceReport
@@ -17,7 +17,6 @@ from palpate.meshfree.surfaces import Surface
 
 __all__ = ["draw_cloud", "draw_surface"]
 
-Floats = NDArray[np.float64]
 
 TISSUE, FAULT = "#B4655A", "#0072B2"
 SIDES = {"Seen along +y": (0.0, -1.0, 0.25), "Seen along -y": (0.0, 1.0, 0.25), "Seen along +z": (0.0, -0.5, -1.0)}

@@ -10,15 +10,14 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["COLOURS", "PIXELS", "DrawingError", "check_drawing", "off_screen", "surface"]
 
-Floats = NDArray[np.float64]
 
 COLOURS = "cividis"  # one that colour-blind people read as others do
 PIXELS = 2000  # across a picture

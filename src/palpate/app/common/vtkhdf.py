@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.faults import InputError
 from palpate.files import whole_file
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["write_vtkhdf"]
 
-Floats = NDArray[np.float64]
 
 VTK_VERTEX, VTK_TRIANGLE = 1, 5
 

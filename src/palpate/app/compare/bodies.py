@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.surface_force import SurfaceForce
@@ -22,7 +22,6 @@ from palpate.scenes.liver import MARGIN, pressed_liver
 
 __all__ = ["BODIES", "ComparedBody", "compared_beam", "compared_liver"]
 
-Floats = NDArray[np.float64]
 
 SMALL_PULL, LARGE_PULL = 0.1, 100.0  # [N] of the beam; the large one is the paper's
 SMALL_WAY, LARGE_WAY = 2e-4, 0.02  # [m] of the liver's tool; the large one is the training's deepest press

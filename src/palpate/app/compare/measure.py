@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from palpate.app.common.console import Console, percent
 from palpate.app.compare.bodies import ComparedBody
+from palpate.arrays import Floats
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
@@ -23,7 +24,6 @@ from palpate.reduction.training.errors import relative_errors
 
 __all__ = ["Comparison", "compare_methods", "prepare_comparison"]
 
-Floats = NDArray[np.float64]
 
 LOADS = ("small", "large")
 POINTS, WHOLE, RESONANCES = (

@@ -10,7 +10,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.common.console import Console, count_nodes
 from palpate.app.common.exit_status import RunError
@@ -37,7 +36,6 @@ __all__ = [
     "run_reduced",
 ]
 
-Floats = NDArray[np.float64]
 Train = Callable[[NodalModel, Trajectory, int], Model]
 
 PROJECTED, HYPER_REDUCED = "projected", "hyper-reduced"  # names of series: `palpate.galerkin`, `palpate.hyper_reduce`

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from palpate.app.common.rendering import COLOURS, check_drawing, off_screen
@@ -21,7 +20,6 @@ from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["MOVIE_SUFFIXES", "Draw", "RecordingPlotter", "check_movie", "check_picture", "write_movie", "write_picture"]
 
-Floats = NDArray[np.float64]
 Draw = Callable[[int], Any]
 
 MOVIE_SUFFIXES = (".gif", ".mp4")

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.tools import BONDED, CAPSULE, PLANE, Contact
 from palpate.faults import InputError
@@ -32,7 +33,6 @@ __all__ = [
     "signed_distance",
 ]
 
-Floats = NDArray[np.float64]
 TOUCHING = 1e-6, 1e-3  # of the spacing: gap below which a node, or a patch, counts as touching at the end of a step
 CLOSE = 0.1  # of the spacing: gap below which a patch is asked in every sweep
 SPREAD = 3.0  # spacings from a node within which its patch is sought

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.cloud import Cloud
@@ -35,7 +36,6 @@ __all__ = [
     "surface_nodes",
 ]
 
-Floats = NDArray[np.float64]
 Motion = Callable[[float], Any] | Sequence[Any] | Floats
 
 CAPSULE, PLANE, PUNCH, BONDED = 0, 1, 2, 3

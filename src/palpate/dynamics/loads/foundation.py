@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, first_few, number_in_range
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["Foundation", "foundation_areas"]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

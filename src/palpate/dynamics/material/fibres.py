@@ -13,6 +13,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit, rename_for
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.faults import InputError
@@ -20,8 +21,6 @@ from palpate.tissue.fibres import LEAST, FibreLaw
 from palpate.tissue.materials import Material
 
 __all__ = ["BARE", "Families", "FibrePoints", "always_taut", "fibre_points", "lay_out_fibres", "prepare_fibres"]
-
-Floats = NDArray[np.float64]
 
 
 class Families(NamedTuple):

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import prange
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.tissue.materials import Material
@@ -44,7 +44,6 @@ __all__ = [
     "update_history",
 ]
 
-Floats = NDArray[np.float64]
 
 LEAST = 0.1  # volume ratio that a crushed point counts with
 

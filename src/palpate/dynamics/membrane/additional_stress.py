@@ -19,8 +19,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.material.relaxation import even_change, update_history
 from palpate.dynamics.membrane.principal_moduli import axes
@@ -34,7 +34,6 @@ __all__ = [
     "flatten_additional",
 ]
 
-Floats = NDArray[np.float64]
 
 NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
 

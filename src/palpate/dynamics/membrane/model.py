@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.compiled.lanes import Lanes, Weights, lane_table, transpose
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -29,7 +30,6 @@ from palpate.tissue.materials import Material
 
 __all__ = ["Membrane", "load_areas"]
 
-Floats = NDArray[np.float64]
 
 FLAT = 1e-6  # how far the direction of a fibre may stand out of the plane
 TAUT = 1e-3  # extension at which the whole sheet answers, to find its highest frequency

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.tools import surface_nodes
@@ -22,8 +23,6 @@ from palpate.faults import number_in_range
 from palpate.tissue.fibres import FibreLaw
 
 __all__ = ["NodalModel"]
-
-Floats = NDArray[np.float64]
 
 
 class NodalModel(Model):

@@ -19,6 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.run.model import State
@@ -35,7 +36,6 @@ __all__ = [
     "stable_step",
 ]
 
-Floats = NDArray[np.float64]
 
 SAFETY = 0.85  # of the step: the power iteration comes from below, and the body moves on
 MARGIN = 2.0  # of the viscosity: a body stretched four times over needs 1.8 times what it needs at rest

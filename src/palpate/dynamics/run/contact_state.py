@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.contact.geometry import gaps, patch_places
 from palpate.dynamics.contact.tools import BONDED, PLANE
 from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads
@@ -13,7 +14,6 @@ from palpate.faults import DivergenceError, InputError, first_few
 
 __all__ = ["check_apart", "check_pierced", "check_way", "contact_after", "no_contact"]
 
-Floats = NDArray[np.float64]
 
 INSIDE = 1e-2  # of the spacing: how far inside a tool a node may be when a run begins
 PIERCED = 0.5  # of a tool's force: more of it on nodes of the body's inside, and it is no longer on the surface

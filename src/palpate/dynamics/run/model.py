@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.faults import InputError
@@ -19,7 +20,6 @@ from palpate.tissue.materials import Material
 
 __all__ = ["ContactState", "Model", "Nodes", "Outputs", "State", "initial_field"]
 
-Floats = NDArray[np.float64]
 Nodes = NDArray[np.int64] | slice
 
 

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import Model, Outputs, State
 
 __all__ = ["evaluate", "partition", "reactions", "tool_power", "touching"]
-
-Floats = NDArray[np.float64]
 
 
 def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:

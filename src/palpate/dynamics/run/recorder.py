@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.run.journal import Journal
 from palpate.dynamics.run.model import Outputs
 from palpate.dynamics.run.trajectory import NAMED, ROWS, SERIES, Trajectory, stack
 
 __all__ = ["Recorder"]
-
-Floats = NDArray[np.float64]
 
 
 class Recorder:

@@ -10,8 +10,8 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed
 from palpate.dynamics.run.model import Model, Outputs, State
 from palpate.dynamics.run.progress import progress_bar
@@ -21,7 +21,6 @@ from palpate.faults import DivergenceError, InputError, number_in_range
 
 __all__ = ["machine_memory", "rollout"]
 
-Floats = NDArray[np.float64]
 
 CHUNK = 50  # steps between two estimates of the stable step
 FINEST = 1 / 256  # of the stable step, below which steps that the body does not survive are not tried again

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.run.journal import is_journal, read_record, records
 from palpate.faults import InputError, number_in_range
@@ -19,7 +20,6 @@ from palpate.sealed import loading, open_sealed, write_sealed
 
 __all__ = ["NAMED", "ROWS", "SERIES", "StoredTrajectory", "Trajectory", "stack"]
 
-Floats = NDArray[np.float64]
 
 FORMAT, VERSION = "palpate trajectory", 3
 REMEDY = "run the simulation again"

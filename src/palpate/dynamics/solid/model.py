@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.passes import smooth_field
@@ -36,7 +37,6 @@ from palpate.tissue.materials import Material
 
 __all__ = ["Solid"]
 
-Floats = NDArray[np.float64]
 
 DAMPING = 0.1  # viscosity of the energy form times its highest frequency
 HOURGLASS = 1.0  # modulus of what a fit misses, in shear moduli over the spacing squared

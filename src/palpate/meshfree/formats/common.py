@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError, InputError
 from palpate.files import shortened
 from palpate.meshfree.surfaces import MOST_TRIANGLES
 
 __all__ = ["Floats", "Ints", "Parts", "count_of", "fans", "numbers", "strips", "whole_numbers", "word"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Parts = dict[str, Callable[[], tuple[Floats, Ints]]]  # vertices and triangles by the part's name, made when called
 
 LARGEST_INDEX = 2**31

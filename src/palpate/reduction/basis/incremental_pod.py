@@ -22,11 +22,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from palpate.arrays import Floats
 
 __all__ = ["Decomposition", "allowance", "block_size", "decompose"]
 
-Floats = NDArray[np.float64]
 
 DROPPED = 1e-4  # of the snapshots' root mean square, that all steps together may drop
 CARRIED = 256  # directions from one step to the next, at most, unless blocks are larger

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.run.reactions import partition
 from palpate.dynamics.solid.model import Solid
@@ -15,7 +15,6 @@ from palpate.reduction.basis.linear_modes import tool_responses
 
 __all__ = ["WithoutTools", "lifting_columns", "support_fields"]
 
-Floats = NDArray[np.float64]
 
 SOLVED = 6000  # nodes up to which equations of the whole body are solved
 RIGID = 1e-3  # of a tool's motion, that lifting columns may miss of it

@@ -16,6 +16,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
+from palpate.arrays import Floats
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError, integer_in_range
 
@@ -28,7 +29,6 @@ __all__ = [
     "vibration_modes",
 ]
 
-Floats = NDArray[np.float64]
 
 CARRIED = 40  # coarse nodes that a mode is carried over from
 DERIVATIVES = 0.55  # of all modes, at most

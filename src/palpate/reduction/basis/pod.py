@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.plotting import curve_svg, plot_singular_values
@@ -22,7 +22,6 @@ from palpate.reduction.basis.snapshots import Run, Snapshots
 
 __all__ = ["Basis", "pod"]
 
-Floats = NDArray[np.float64]
 
 NUMERICAL_RANK = 1e-12  # of the largest singular value; below it directions are rounding noise
 

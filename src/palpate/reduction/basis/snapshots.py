@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
 from palpate.faults import InputError
 
 __all__ = ["Run", "Snapshots"]
 
-Floats = NDArray[np.float64]
 Run = Trajectory | str | Path  # a path is that of a trajectory's file
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
@@ -15,7 +15,6 @@ from palpate.reduction.basis.snapshots import Snapshots
 
 __all__ = ["join", "main_modes"]
 
-Floats = NDArray[np.float64]
 
 SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
 NOISE = 1e-10  # of the largest eigenvalue: below it shapes are not told from noise

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.reduction.contact.interior import Interior, interior_displacements, spread
 
@@ -37,8 +38,6 @@ __all__ = [
 ]
 __all__ += ["energy_factor"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 DENSE = 256  # touched nodes up to which what is between them is kept
 

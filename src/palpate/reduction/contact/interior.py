@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 
 __all__ = ["Interior", "interior", "interior_displacements", "spread"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SOURCES = 12  # nodes of a coarser model that a finer one's follows
 WIDTH = 0.6  # of the coarse spacing: where a source's weight in the fit has fallen to 1/e

@@ -17,13 +17,12 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.solid.model import Solid
 from palpate.reduction.basis.linear_modes import stiffness_blocks
 
 __all__ = ["add_own_compliance", "near_field_compliance"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 PIECE, REACH, MARGIN = 1.0, 2.5, 1.0  # coarse spacings: a piece's heart, how far beyond nodes are close, and the rest
 FALLING = 0.5  # of the reach, from where on the difference is faded out

@@ -12,11 +12,11 @@ the last block of a Cholesky factor whose last rows are theirs.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
@@ -24,8 +24,6 @@ from palpate.reduction.basis.linear_modes import rest_stiffness
 
 __all__ = ["SOLVED", "carriers", "residual_flexibility"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SOLVED = 5000  # nodes up to which the body's equations are solved: 1.8 GB
 NEAR = 40  # nodes that a column is carried over from

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.reduction.contact.compliance import (
@@ -20,8 +21,6 @@ from palpate.reduction.contact.compliance import (
 
 __all__ = ["ContactScratch", "ContactSurface", "RigidTools", "contact_scratch", "contact_surface", "rigid_tools"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CLUSTER = 32  # surface nodes in a cluster, about
 

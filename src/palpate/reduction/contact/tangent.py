@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap
 from palpate.dynamics.contact.tools import BONDED
@@ -30,7 +31,6 @@ from palpate.reduction.contact.compliance import refresh
 
 __all__ = ["ContactSystem", "contact_stiffness", "contact_system"]
 
-Floats = NDArray[np.float64]
 
 SIDES = 4  # right-hand sides: a displacement along each axis, and softening
 PART = 300_000  # multiplications a call, about

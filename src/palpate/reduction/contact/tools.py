@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.contact_state import check_apart, check_way, no_contact
@@ -16,9 +16,6 @@ from palpate.reduction.contact.compliance import SurfaceCompliance, contact_disp
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools, contact_scratch, rigid_tools
 
 __all__ = ["ContactTools", "bonded_nodes", "contact_at_frame", "tool_displacements"]
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class ContactTools:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
@@ -25,7 +26,6 @@ from palpate.reduction.galerkin.step import reduced_step
 
 __all__ = ["GalerkinModel", "galerkin"]
 
-Floats = NDArray[np.float64]
 
 KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
 MOVED = 0.1  # of the largest displacement seen: how far the state goes before the tangent is taken anew

@@ -16,12 +16,11 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.describe import Described
 
 __all__ = ["Cubature", "non_negative", "sketch", "slopes_fit"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 BATCH = 0.05  # of the chosen nodes: how many are added at once
 

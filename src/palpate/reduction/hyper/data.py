@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.meshfree.cloud import Cloud
@@ -21,8 +22,6 @@ from palpate.tissue.materials import Material
 from palpate.tissue.regions import Regions
 
 __all__ = ["ReducedData"]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

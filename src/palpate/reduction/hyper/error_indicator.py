@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.faults import InputError, number_in_range
 
 __all__ = ["expected_error", "nearest"]
-
-Floats = NDArray[np.float64]
 
 
 def nearest(states: Floats, others: Floats, mass: Floats) -> Floats:

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigvalsh
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.prepared import LoadSites
 
 __all__ = ["Springs", "draw_back", "springs_of"]
-
-Floats = NDArray[np.float64]
 
 
 class Springs(NamedTuple):

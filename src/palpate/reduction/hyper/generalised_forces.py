@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import LoadSites, PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.foundation import Springs, springs_of
 
 __all__ = ["GeneralisedForces", "generalised_forces", "load_forces", "load_work", "pose_map"]
-
-Floats = NDArray[np.float64]
 
 
 class GeneralisedForces(NamedTuple):

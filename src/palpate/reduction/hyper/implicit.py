@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.reduction.hyper.foundation import draw_back
 from palpate.reduction.hyper.material_point import MaterialPoint
@@ -27,7 +28,6 @@ from palpate.reduction.hyper.sampled_energy import sampled_energy
 
 __all__ = ["Newton", "cholesky_factor", "cholesky_solve", "implicit_step", "newton"]
 
-Floats = NDArray[np.float64]
 
 POINTS = (0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0)  # of Gauss's rule in a step
 MOST, REFRESH = 30, (4, 10, 18, 24)  # Newton iterations a step, and after how many the tangent is taken anew

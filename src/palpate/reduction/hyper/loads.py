@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -20,7 +20,6 @@ from palpate.reduction.hyper.data import ReducedData
 
 __all__ = ["lifting_coordinates", "prepare_reduced_loads"]
 
-Floats = NDArray[np.float64]
 
 KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Contact, Foundation)  # whose forces the step has
 MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss

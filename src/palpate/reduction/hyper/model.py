@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.material.fibres import always_taut
@@ -36,7 +37,6 @@ from palpate.reduction.hyper.sampled_energy import IntegrationPoints, sampled_en
 
 __all__ = ["ReducedData", "ReducedModel"]
 
-Floats = NDArray[np.float64]
 
 MOVED = 0.1  # of the largest displacement seen: how far the state goes before the explicit step is found anew
 CONVERGED = 1e-7  # of the spacing: largest displacement that a Newton iteration may still change

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, column_sums, column_work
 from palpate.dynamics.material.fibres import Families, lay_out_fibres
@@ -34,7 +35,6 @@ from palpate.tissue.regions import Regions
 
 __all__ = ["IntegrationPoints", "Scratch", "integration_points", "sampled_energy", "scratch", "shear_weights"]
 
-Floats = NDArray[np.float64]
 
 EASY = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # tissue that does not relax
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.faults import InputError
 from palpate.reduction.lti.budget import Budget, sparse_lyapunov
 from palpate.reduction.lti.state_space import FirstOrder
@@ -20,7 +20,6 @@ from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["balance_in_low_rank", "dense_solver", "residual"]
 
-Floats = NDArray[np.float64]
 
 STEPS, TOLERANCE = 400, 1e-8  # of the iteration
 MISSED = 2e-2  # of the right-hand side: what a solution may miss of its equation

@@ -12,13 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.faults import InputError, integer_in_range
 
 __all__ = ["Realisation", "balance", "hankel_norm", "lyapunov_factor", "nearest_fields"]
 
-Floats = NDArray[np.float64]
 
 MINIMAL = 1e-10  # of the largest Hankel singular value: below it states are rounding noise
 EQUAL = 1e-6  # relative: Hankel singular values that count as one

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.tools import Grasp
@@ -28,7 +29,6 @@ from palpate.reduction.lti.system import LinearSystem, force_inputs
 
 __all__ = ["LinearModel"]
 
-Floats = NDArray[np.float64]
 
 KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads that are inputs
 MISSED = 1e-2  # of a tool's motion, that small translations and rotations may miss of it

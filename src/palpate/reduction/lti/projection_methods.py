@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh, splu
 
+from palpate.arrays import Floats
 from palpate.faults import InputError, integer_in_range
 from palpate.reduction.basis.pod import pod
 from palpate.reduction.lti.state_space import SecondOrder
@@ -22,7 +23,6 @@ from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["Columns", "condense", "eigenvectors", "modal", "moments", "project", "proper"]
 
-Floats = NDArray[np.float64]
 Columns = tuple[Floats, Floats]
 
 TWINS, SPARE = 1e-5, 12  # relative distance of squares of frequencies that count as one; modes sought beside

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.prepared import PRESCRIBED
 from palpate.faults import InputError, number_in_range
@@ -19,7 +19,6 @@ from palpate.reduction.lti.state_space import SecondOrder, first_order_hold
 
 __all__ = ["LinearData", "LinearRealtime", "linear_range", "linear_realtime"]
 
-Floats = NDArray[np.float64]
 
 BENT = 0.1  # relative: what the tool's force may differ from the linear one where the trust number is 1
 HALVINGS, LARGEST = 24, 64.0  # of the search for that; in spacings, or in radians

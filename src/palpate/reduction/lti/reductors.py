@@ -13,8 +13,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError, integer_in_range
 from palpate.reduction.lti.budget import Budget, dense_lyapunov
@@ -29,7 +29,6 @@ from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["METHODS", "Reduction", "reduce_linear"]
 
-Floats = NDArray[np.float64]
 
 SECOND_ORDER_BALANCING = {
     "sobt": "SOBTReductor", "sobt-p": "SOBTpReductor", "sobt-v": "SOBTvReductor", "sobt-pv": "SOBTpvReductor",

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
@@ -15,8 +15,6 @@ from palpate.reduction.lti.projection_methods import project
 from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["input_sizes", "linear_run"]
-
-Floats = NDArray[np.float64]
 
 
 def input_sizes(system: LinearSystem, loads: Sequence[Load], duration: float, samples: int = 2000) -> Floats:

@@ -11,14 +11,11 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
+from palpate.arrays import Complex, Floats
 from palpate.describe import Described
 
 __all__ = ["FirstOrder", "Reduced", "SecondOrder"]
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

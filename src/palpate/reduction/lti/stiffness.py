@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import Solid
@@ -19,8 +19,6 @@ from palpate.reduction.basis.linear_modes import rest_stiffness
 
 __all__ = ["coupling", "independent_groups", "nodal_stiffness"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 STEP = 1e-5  # of the spacing: displacements for central differences, as in `palpate.dynamics.nodal.stability.stiffness`
 NOISE = 1e-10  # of the largest entry: what differences leave where there is nothing

@@ -29,6 +29,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from palpate.arrays import Complex, Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LinearSystem", "force_inputs", "linearise"]
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 AXES = "xyz"
 LIFTED = 1e-9  # of the spacing: rotations that move no node farther are none

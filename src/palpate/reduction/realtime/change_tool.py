@@ -7,16 +7,14 @@ state in which it is. The engine must be paused meanwhile.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import CAPSULE, Forceps, Tool
 from palpate.reduction.realtime.model import RealtimeModel
 from palpate.reduction.realtime.period import PeriodData
 
 __all__ = ["change_tool"]
-
-Floats = NDArray[np.float64]
 
 
 def change_tool(model: RealtimeModel, tool: Tool | None, pose: Floats, friction: float = 0.0) -> None:

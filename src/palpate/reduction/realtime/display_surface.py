@@ -10,17 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints, Singles
 from palpate.faults import InputError
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["SCALARS", "Surface"]
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
 
 SCALARS = ("displacement", "stress", "pressure")
 

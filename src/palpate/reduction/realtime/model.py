@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
@@ -24,8 +24,6 @@ from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
 from palpate.reduction.realtime.period import MOST_SUBSTEPS, PeriodData, period_functions
 
 __all__ = ["RealtimeModel", "realtime_model"]
-
-Floats = NDArray[np.float64]
 
 
 class RealtimeModel(NamedTuple):

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.dynamics.material.relaxation import reset_history
 from palpate.reduction.contact.gauss_seidel import aim, compliance_energy, press
@@ -25,7 +26,6 @@ from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, s
 
 __all__ = ["PeriodData", "period_functions"]
 
-Floats = NDArray[np.float64]
 
 SAFETY = 0.8  # of the explicit step, whose frequency is followed by one power iteration a period
 MOST_SUBSTEPS = 1000

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.run.rollout import rollout
@@ -21,7 +21,6 @@ from palpate.reduction.training.fit_compliance import fit_stiffening
 
 __all__ = ["Trial", "calibrate_contact"]
 
-Floats = NDArray[np.float64]
 Trial = tuple[Sequence[Load], Run]
 
 FORCE_PASSES, FORCE_STEP = 2, 1.4  # corrections of the surface's compliance; exponent: part of a depth is the modes'

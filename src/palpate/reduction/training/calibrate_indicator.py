@@ -7,8 +7,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.material.relaxation import equilibrium_history, history_after
 from palpate.dynamics.run.model import State
@@ -19,7 +19,6 @@ from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["Frames", "calibrate_indicator", "error_table", "indicator_frames"]
 
-Floats = NDArray[np.float64]
 
 BINS, FEWEST = 12, 20  # rows of the table, at most; frames in a row, at least
 

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.membrane.passes import COSINE, SINE
 from palpate.dynamics.solid.model import Solid
@@ -23,7 +24,6 @@ from palpate.tissue.materials import Material
 
 __all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiate", "pressure_moments"]
 
-Floats = NDArray[np.float64]
 
 STATES = 240  # training states that pressures are taken from
 BALANCED = 1e-9  # forces that are less of what they are the sum of are none: those of a taut sheet at rest

@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 
 __all__ = ["ContactErrors", "Errors", "contact_errors", "relative_errors"]
 
-Floats = NDArray[np.float64]
 
 PRESSED = 0.1  # of a tool's largest force: frames that count
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.run.rollout import CRAWL, MOST_STEPS
 from palpate.dynamics.solid.model import Solid
@@ -32,8 +33,6 @@ from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["fit_compliance", "fit_stiffening"]
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FRAMES = 400  # of the runs, at which the compliance is fitted
 NEAR = 5.0  # spacings from a touched node to which it is fitted

@@ -8,8 +8,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.membrane.model import Membrane
@@ -33,7 +33,6 @@ from palpate.reduction.training.residual_fields import RESIDUAL_FIELDS, apart, s
 
 __all__ = ["Trial", "hyper_reduce"]
 
-Floats = NDArray[np.float64]
 
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # tried when a tolerance is given
 STATES = 240  # training states that the cubature is fitted at

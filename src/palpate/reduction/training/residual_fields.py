@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import Solid
 from palpate.reduction.hyper.cubature import Cubature
@@ -30,7 +31,6 @@ from palpate.reduction.training.ecsw import Fields, compliance_root, deformation
 
 __all__ = ["RESIDUAL_FIELDS", "apart", "scale_residual_fields", "typical_residual"]
 
-Floats = NDArray[np.float64]
 
 RESIDUAL_FIELDS = 8
 DEPENDENT = 1e-3  # share of a field that has to be left when the modes are taken from it

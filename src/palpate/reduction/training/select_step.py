@@ -8,8 +8,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
@@ -18,7 +18,6 @@ from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["select_time_step"]
 
-Floats = NDArray[np.float64]
 
 STEPS = (None, 1e-3, 0.5e-3, 0.25e-3)  # explicit; implicit, [s]
 FINER = 10  # steps of the reference in one explicit step

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from palpate.app.common.figures import RED, figure, scale_bar
 from palpate.app.common.rendering import COLOURS, check_drawing, off_screen, surface
+from palpate.arrays import Floats
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.meshfree.cloud import Cloud
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_beam"]
 
-Floats = NDArray[np.float64]
 
 ELEVATION = 25.0  # [degree] of the camera above the horizon: lengths along the beam keep their scale
 WIDE_INCH = 11.0  # of the whole figure

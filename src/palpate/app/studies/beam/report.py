@@ -7,18 +7,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.common.console import percent, quantities_table
 from palpate.app.studies.report import Claim, claim_entries, finished_runs, preamble, reduced_table, time_per_mode
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Study
+from palpate.arrays import Floats
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.files import plain
 from palpate.reduction.training.errors import relative_errors
 
 __all__ = ["ENERGY_FORM", "build_report", "tables", "tip_displacement"]
 
-Floats = NDArray[np.float64]
 
 ENERGY_FORM = "energy form"  # another run of the same body, next to the study's strong form
 SLIGHT = 0.1  # share of the whole decrease of the error that may still come after 8 modes

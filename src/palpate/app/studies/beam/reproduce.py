@@ -13,7 +13,6 @@ from time import perf_counter
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.common.console import Console
 from palpate.app.common.preparation import prepare
@@ -22,6 +21,7 @@ from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.studies.beam.report import ENERGY_FORM, build_report, tables
 from palpate.app.studies.report import deliver_study
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Phase, Study, Train, run_full, run_reduced
+from palpate.arrays import Floats
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.solid.model import Solid
 from palpate.extras import require
@@ -33,7 +33,6 @@ from palpate.scenes.beam import DURATION, EVERY, beam
 
 __all__ = ["FIGURES", "FILES", "reproduce_beam", "von_mises"]
 
-Floats = NDArray[np.float64]
 
 PHASES = (Phase("full", 0.0, DURATION),)
 SERIES: dict[str, Train] = {

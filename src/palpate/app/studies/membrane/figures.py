@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_figures"]
 
-Floats = NDArray[np.float64]
 States = NDArray[np.int8]
 
 Done = dict[str, list[dict[str, Any]]]  # finished runs by what happens in their phase

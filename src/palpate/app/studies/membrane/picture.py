@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading, scale_bar
 from palpate.app.common.rendering import COLOURS, PIXELS, check_drawing, off_screen, surface
 from palpate.app.studies.study import PROJECTED, Study
+from palpate.arrays import Floats
 from palpate.meshfree.cloud import Cloud
 from palpate.scenes.membrane import RADIUS
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_deflection"]
 
-Floats = NDArray[np.float64]
 
 FULL = "Full model"
 TALL = 4.0  # scale of heights over lengths

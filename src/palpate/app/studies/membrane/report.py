@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from palpate.app.common.console import quantities_table
 from palpate.app.studies.report import Claim, claim_entries, finished_runs, preamble, reduced_table, time_per_mode
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Study
+from palpate.arrays import Floats
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.files import plain
 
 __all__ = ["build_report", "tables"]
 
-Floats = NDArray[np.float64]
 States = NDArray[np.int8]
 
 # How the paper's words of Figures 7 and 8 are read; it prints no numbers

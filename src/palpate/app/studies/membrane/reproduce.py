@@ -22,6 +22,7 @@ from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.studies.membrane.report import build_report, tables
 from palpate.app.studies.report import deliver_study
 from palpate.app.studies.study import HYPER_REDUCED, PROJECTED, Phase, Study, Train, run_full, run_reduced
+from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.trajectory import Trajectory
@@ -34,7 +35,6 @@ from palpate.scenes.membrane import DURATION, EVERY, PUSHED, membrane
 
 __all__ = ["FIGURES", "FILES", "reproduce_membrane"]
 
-Floats = NDArray[np.float64]
 
 SNAPSHOTS = round(PUSHED / EVERY)  # of a phase, that move
 STEP = EVERY / 5  # of the projected runs while the tool pushes; after its jump they are not stable with such a step

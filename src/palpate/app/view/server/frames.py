@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.view.session.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.arrays import Singles
 from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "pack_frame", "state_body",
 ]  # fmt: skip
 
-Singles = NDArray[np.float32]
 
 GEOMETRY, STATE, OVERLAY, FORCE = 1, 2, 3, 4
 HEADER = struct.Struct("<4I")

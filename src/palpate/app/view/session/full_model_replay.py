@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from palpate.app.view.session.recording import MAX_DURATION, Recording
 from palpate.app.view.session.snapshot import Snapshot
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Capsule, Contact, Grasp, Sphere
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
@@ -23,7 +23,6 @@ from palpate.scenes.training import TRAINING, search_current_folder, training_sc
 
 __all__ = ["full_model", "replay_errors", "replay_on_full_model", "tool_path"]
 
-Floats = NDArray[np.float64]
 
 MAX_INITIAL_DISPLACEMENT = 0.02  # of the body when the tool comes, as a fraction of the spacing
 POINT_TOLERANCE = 1e-6  # between equal points of two bodies, as a fraction of the spacing

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from palpate.app.common.vtkhdf import write_vtkhdf
 from palpate.app.view.session.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.arrays import Floats
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain, shortened
 from palpate.meshfree.cloud import Cloud
@@ -30,7 +31,6 @@ __all__ = [
     "save_recording", "validate_tools",
 ]  # fmt: skip
 
-Floats = NDArray[np.float64]
 
 FORMAT, VERSION = "palpate recording", 3
 REMEDY = "record the session again"

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.recorder import Recorder
@@ -25,6 +24,7 @@ from palpate.app.view.session.tool_control import (
     make_forceps,
     tool_shape,
 )
+from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Forceps, Sphere, Tool
 from palpate.faults import InputError
 from palpate.realtime.engine import Engine
@@ -37,7 +37,6 @@ from palpate.reduction.realtime.model import realtime_model
 
 __all__ = ["Session"]
 
-Floats = NDArray[np.float64]
 
 RATE = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats
 from palpate.realtime.record import PeriodRecord
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["STATES", "TOOL_KINDS", "UNITS", "Snapshot", "scalar_descriptions", "training_errors"]
 
-Floats = NDArray[np.float64]
 
 STATES = ("stopped", "running", "paused", "diverged")
 UNITS = {

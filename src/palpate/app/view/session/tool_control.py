@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.view.session.messages import Message
+from palpate.arrays import Floats
 from palpate.dynamics.contact.geometry import gaps
 from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
@@ -16,7 +16,6 @@ from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["NO_ROTATION", "SelectedTool", "ToolWorkspace", "compose_rotations", "make_forceps", "tool_shape"]
 
-Floats = NDArray[np.float64]
 
 WORKSPACE_MARGIN = 0.3  # [m] around the body
 MAX_PENETRATION = 0.25  # of a vertex into a tool that is put down, as a fraction of the spacing
