@@ -551,7 +551,7 @@ def surface_kind(suffix: str) -> Callable[[Path], Trial]:
         def trial(rng: Rng, folder: Path) -> str:
             changed = folder / f"changed.{suffix}"
             changed.write_bytes(damaged(rng, data))
-            found = pt.io.read_surface(changed, units="m", mend=bool(rng.integers(2)))
+            found = pt.io.read_surface(changed, units="m", repair=bool(rng.integers(2)))
             pt.io.check_surface(found)
             same = np.array_equal(found.vertices, sound.vertices) and np.array_equal(found.triangles, sound.triangles)
             return "equal" if same else "accepted"  # surfaces of others have no checksum

@@ -29,7 +29,7 @@ from scipy.interpolate import LinearNDInterpolator
 import palpate as pt
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.solid.model import DAMPING
-from palpate.meshfree.quadrature import integration_weights, quadratic_misses
+from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import moving_least_squares
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "incompressible.json"
@@ -143,7 +143,7 @@ def roughness(model: pt.Solid, values: np.ndarray, lattice: np.ndarray) -> float
     Measured by what quadratic fits to the neighbours miss, root mean square over the middle half.
     """
     stencils, cloud = full_stencils(model), model.cloud
-    misses = quadratic_misses(stencils, cloud.points)[stencils.row]
+    misses = quadratic_residuals(stencils, cloud.points)[stencils.row]
     board = np.rint(lattice / lattice[lattice > 0].min()).sum(axis=1) % 2
     missed = [np.einsum("nk,nk->n", misses, f[stencils.neighbours] - f[:, None]) for f in (values, board)]
     length = cloud.points[:, 0].max()

@@ -154,11 +154,16 @@ def body(name: str, form: str, spacing: float) -> pt.Solid:
     return pt.Solid(pt.box(SIZE, spacing), law, ("x-", "x+"), form=form, stiffness_damping=0.0, fibres=fibres)
 
 
+def spacing_of(row: dict[str, Any]) -> float:
+    """Return the spacing [m] of a row, rounded so that equal spacings of different runs compare equal."""
+    return round(row["spacing"], 9)
+
+
 def keep(found: list[dict[str, Any]]) -> None:
     """Write rows in place of older ones of the same law, case, form and spacing."""
 
     def key(row: dict[str, Any]) -> tuple[Any, ...]:
-        return row["law"], row["case"], row["form"], round(row["spacing"], 9)
+        return row["law"], row["case"], row["form"], spacing_of(row)
 
     rows = {key(row): row for row in json.loads(OUTPUT.read_text())["rows"]} if OUTPUT.exists() else {}
     rows |= {key(row): row for row in found}
@@ -169,14 +174,14 @@ def keep(found: list[dict[str, Any]]) -> None:
 def table() -> None:
     """Print the errors in per cent: a line for each law and form, spacings side by side."""
     rows = json.loads(OUTPUT.read_text())["rows"]
-    spacings = sorted({row["spacing"] for row in rows}, reverse=True)
+    spacings = sorted({spacing_of(row) for row in rows}, reverse=True)
     print("| law | form |", " | ".join(CASES), "|\n|---|---|---|---|---|")
     for name in bodies():
         for form in ("energy", "strong"):
             own = [row for row in rows if row["law"] == name and row["form"] == form]
             cells = []
             for case in CASES:
-                found = {row["spacing"]: row for row in own if row["case"] == case}
+                found = {spacing_of(row): row for row in own if row["case"] == case}
                 texts = (f"{100 * found[h]['error']:+.1f}" if "error" in found.get(h, {}) else "-" for h in spacings)
                 cells.append(", ".join(texts))
             if own:

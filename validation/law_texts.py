@@ -20,9 +20,9 @@ import numba
 import numpy as np
 
 import palpate as pt
-from palpate.tissue.own_law import law_of
 from palpate.tissue.parameters import own_fields
 from palpate.tissue.straight_line import FUNCTIONS
+from palpate.tissue.symbolic_law import law_of
 
 REST = {"density": 1000.0, "poisson": 0.45}
 KINDS = {  # variables, operators, the share of functions

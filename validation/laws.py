@@ -28,6 +28,7 @@ from palpate.tissue.volumetric import FORMS
 STRETCH, TWO, SHEAR = np.linspace(-0.45, 0.9, 109), np.linspace(-0.25, 0.5, 76), np.linspace(-0.45, 0.9, 109)
 PATHS = {"uniaxial": (STRETCH, "tab:blue"), "equibiaxial": (TWO, "tab:green"), "shear": (SHEAR, "tab:orange")}
 GIVEN = {"density": 1000.0, "poisson": 0.5}
+COLUMNS = 4  # of panels
 TEXT = "C1*(I1bar - 3) + C2*(exp(b*(I1bar - 3)) - 1)"
 
 
@@ -137,20 +138,27 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/images/laws.png"))
     out = parser.parse_args().out
     plt.rcParams.update({"font.size": 10, "axes.titlesize": 11, "legend.fontsize": 9})
-    figure, axes = plt.subplots(4, 4, figsize=(11, 11.8), layout="constrained")
+    rows = -(-(len(LAWS) + 1 + len(FIBRE_LAWS) + 2) // COLUMNS)  # a written law, relaxation and volume in addition
+    figure, axes = plt.subplots(rows, COLUMNS, figsize=(11, 2.95 * rows), layout="constrained")
     panels = iter(axes.ravel())
     for law in LAWS:
         law_panel(next(panels), law.kind(**law.example, **GIVEN), law.name, source(law.reference))
     own = pt.materials.Hyperelastic(TEXT, C1=4e3, C2=1e3, b=2.0, **GIVEN)
     law_panel(next(panels), own, "Hyperelastic", "an energy of one's own")
-    for law, tissue in zip(FIBRE_LAWS, (pt.materials.NeoHookean(C1=5e3, **GIVEN), None), strict=True):
+    for law in FIBRE_LAWS:
+        tissue = (
+            None if law.kind is pt.materials.Guccione else pt.materials.NeoHookean(C1=5e3, **GIVEN)
+        )  # Guccione's is the whole energy
         fibres = law.kind(**law.example, directions=(1.0, 0.0, 0.0))
         fibre_panel(next(panels), tissue, fibres, law.name, source(law.reference))
     relaxation_panel(next(panels))
     volume_panel(next(panels))
-    for axis in axes[:3, 0]:
+    for axis in panels:
+        axis.set_visible(False)
+    last = (len(LAWS) + 1) // COLUMNS  # rows that hold laws of tissue alone
+    for axis in axes[:last, 0]:
         axis.set_ylabel("stress / shear modulus")
-    for axis in axes[2]:
+    for axis in axes[last - 1]:
         axis.set_xlabel("stretch - 1, or shear")
     handles, _ = axes[0, 0].get_legend_handles_labels()
     names = ["uniaxial", "equibiaxial", "simple shear; dots: the printed energy"]

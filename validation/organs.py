@@ -43,7 +43,7 @@ GROWTH = 1e-6  # of the energy at the release, that rounding may add
 def surface(name: str, data: Path = DATA) -> pt.Surface:
     """Return a surface by its name."""
     source = SURFACES[name]
-    return pt.liver_surface() if source is None else pt.io.read_surface(data / source[0], units=source[1], mend=True)
+    return pt.liver_surface() if source is None else pt.io.read_surface(data / source[0], units=source[1], repair=True)
 
 
 def spacing_for(body: pt.Surface, nodes: int) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 import sympy
 
 import palpate as pt
+from palpate.tissue.catalogue import LAWS
 
 STRETCHES = sympy.symbols("l1:4", positive=True)
 I1 = sum(s**2 for s in STRETCHES)
@@ -31,24 +32,11 @@ def q(a: Any) -> Any:
     return sum(s**a for s in STRETCHES) - 3 - a * sympy.log(J)
 
 
-def arruda_boyce(mu: Any, N: Any) -> Any:
-    factors, whole = (sympy.Rational(1, 2), *map(sympy.Rational, ("1/20", "11/1050", "19/7000", "519/673750"))), 3 + x
-    return mu * sum(f * (whole**k - 3**k) / N ** (k - 1) for k, f in enumerate(factors, 1))
-
-
-ENERGIES = {
-    "NeoHookean": lambda C1: C1 * x,
-    "MooneyRivlin": lambda C1, C2: C1 / 2 * (I1 - 3) + C2 / 2 * (I2 - 3) - (C1 + 2 * C2) * sympy.log(J),
-    "Ogden": lambda C, alpha: sum(c * q(a) for c, a in zip(C, alpha, strict=True)),
-    "Exponential": lambda C1, C2, C3, alpha1, alpha2: C1 * (sympy.exp(C2 * q(alpha1)) - 1) + C3 * q(alpha2),
-    "Logarithmic": lambda C1, C2, C3, alpha1, alpha2: -C1 * sympy.log(1 - C2 * q(alpha1)) + C3 * q(alpha2),
-    "Yeoh": lambda C1, C2, C3: C1 * x + C2 * x**2 + C3 * x**3,
-    "Gent": lambda mu, Jm: -mu / 2 * Jm * sympy.log(1 - x / Jm),
-    "ArrudaBoyce": arruda_boyce,
-    "Fung": lambda mu, b: mu / (2 * b) * (sympy.exp(b * x) - 1),
-    "StVenantKirchhoff": lambda mu: mu * sum((s**2 - 1) ** 2 for s in STRETCHES) / 4,
-    "VolumeOnly": lambda mu: sympy.Integer(0),
-}
+EXPRESSIONS = {law.name: law.expression for law in LAWS} | {"VolumeOnly": "Integer(0)"}
+SYMBOLS = {
+    **{str(s): s for s in STRETCHES}, "I1": I1, "I2": I2, "J": J, "x": x, "q": q,
+    "log": sympy.log, "exp": sympy.exp, "Integer": sympy.Integer,
+}  # fmt: skip
 BARS = {"I1bar": I1 * J ** sympy.Rational(-2, 3), "I2bar": I2 * J ** sympy.Rational(-4, 3), "I1": I1, "I2": I2, "J": J}
 
 
@@ -58,7 +46,7 @@ def printed_energy(law: pt.materials.Material) -> Any:
     own = {f.name: getattr(law, f.name) for f in fields(law) if f.name not in base}
     text = getattr(law, "expression", None)
     if text is None:
-        return ENERGIES[type(law).__name__](**own)
+        return eval(EXPRESSIONS[type(law).__name__], SYMBOLS | own)
     return sympy.sympify(text, locals={**BARS, **{str(s): s for s in STRETCHES}}).subs(own)
 
 

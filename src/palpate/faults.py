@@ -1,6 +1,6 @@
-"""The errors a user can meet, and the checks of arguments that raise them.
+"""Exceptions of the package, and checks of arguments.
 
-Every message names what is wrong, where, and what to do.
+A message about an argument reads ``<argument> must be <condition>, got <value>; <remedy>``.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ __all__ = [
 
 
 class InputError(ValueError):
-    """An argument is out of range, unknown, or does not fit another one."""
+    """Invalid argument: out of range, unknown, or inconsistent with another one."""
 
 
 class CloudError(InputError):
-    """A cloud of points cannot carry moving least squares.
+    """Cloud of points that does not support moving least squares.
 
     Attributes
     ----------
     nodes : (k,) int array
-        Where; empty if that is not known.
+        Nodes at fault; empty if unknown.
     """
 
     def __init__(self, message: str, nodes: Any = ()) -> None:
@@ -47,7 +47,7 @@ class CloudError(InputError):
 
 
 class FileFormatError(InputError):
-    """A file is not what it should be: truncated, corrupt, or of another kind."""
+    """Invalid file: truncated, corrupt, or of another format."""
 
 
 class UnitWarning(UserWarning):
@@ -55,12 +55,12 @@ class UnitWarning(UserWarning):
 
 
 class DivergenceError(RuntimeError):
-    """A simulation left the range of finite, sensible states.
+    """Simulation that left the range of finite states.
 
     Attributes
     ----------
     trajectory : object
-        What was computed until then.
+        Results up to the failure.
     """
 
     def __init__(self, message: str, trajectory: object = None) -> None:
@@ -78,7 +78,25 @@ def number_in_range(
     open_high: bool = False,
     unit: str = "",
 ) -> float:
-    """Return `value` as a float, or raise `InputError` naming it and the allowed range."""
+    """Return `value` as a float in an interval.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument in the message.
+    value : float
+    low, high : float
+        Ends of the interval.
+    open_low, open_high : bool
+        Exclude an end.
+    unit : str
+        Unit in the message.
+
+    Raises
+    ------
+    InputError
+        `value` is not a finite number in the interval.
+    """
     try:
         if isinstance(cast(object, value), str | bytes):
             raise TypeError
@@ -91,18 +109,26 @@ def number_in_range(
         left = "(" if open_low or low == -math.inf else "["
         right = ")" if open_high or high == math.inf else "]"
         unit = f" {unit}" if unit else ""
-        raise InputError(f"{name} = {brief(value)} is out of range: allowed is {left}{low:g}, {high:g}{right}{unit}")
+        condition = "finite" if low == -high == -math.inf else f"in {left}{low:g}, {high:g}{right}{unit}"
+        raise InputError(f"{name} must be {condition}, got {brief(value)}")
     return number
 
 
 def integer_in_range(name: str, value: int, low: int, high: float = math.inf) -> int:
-    """Return `value` as an int, or raise `InputError` naming it and the allowed range."""
+    """Return `value` as an int in [low, high].
+
+    Raises
+    ------
+    InputError
+        `value` is not an integer in the interval.
+    """
     try:
-        whole = not isinstance(value, bool) and int(value) == value and low <= value <= high
+        valid = not isinstance(value, bool) and int(value) == value and low <= value <= high
     except (TypeError, ValueError, OverflowError):
-        whole = False
-    if not whole:
-        raise InputError(f"{name} = {brief(value)} is out of range: allowed is a whole number from {low} to {high:g}")
+        valid = False
+    if not valid:
+        condition = f"an integer in [{low}, {high:g}" + (")" if high == math.inf else "]")
+        raise InputError(f"{name} must be {condition}, got {brief(value)}")
     return int(value)
 
 
@@ -142,15 +168,15 @@ def warn_of_unit(name: str, value: float, low: float, high: float, unit: str, re
 
 
 def brief(value: object) -> str:
-    """Return the repr of any value, shortened, in one line, for a message."""
+    """Return the repr of a value on one line, truncated to 60 characters."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # a whole number of thousands of digits, or lists in lists
+    except (ValueError, RecursionError):  # an integer of thousands of digits, or deeply nested lists
         text = f"a {type(value).__name__} too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def first_few(nodes: Any, most: int = 8) -> str:
-    """Write a sequence of node numbers, shortened."""
-    text = ", ".join(str(int(i)) for i in nodes[:most])
-    return text + (f" and {len(nodes) - most} more" if len(nodes) > most else "")
+def first_few(nodes: Any, count: int = 8) -> str:
+    """Return the first few node numbers as text."""
+    text = ", ".join(str(int(i)) for i in nodes[:count])
+    return text + (f" and {len(nodes) - count} more" if len(nodes) > count else "")

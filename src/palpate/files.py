@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, and read within limits.
+"""Atomic writing and bounded reading of files.
 
 Every file that palpate writes goes through `whole_file`; every file that it reads goes through `read_bytes` or is
 opened after `regular_file`. JSON from outside goes through `json_of`, which accepts only plain, finite, shallow values.
@@ -28,10 +28,10 @@ __all__ = [
     "read_text", "regular_file", "settle", "shortened", "whole_file", "write_json", "write_sealed_json",
 ]  # fmt: skip
 
-STALE = 86400.0  # [s] after which a temporary file belongs to no writer any more
-DEEPEST = 32  # nested lists and objects of a JSON text
-LONGEST_TEXT = 16 << 20  # bytes of a text file
-LARGEST_WHOLE = 2**53  # whole numbers beyond are not exact in other programs
+STALE_AGE = 86400.0  # [s] of temporary files of dead writers
+MAX_DEPTH = 32  # of nested lists and objects in JSON
+MAX_TEXT_BYTES = 16 << 20
+MAX_INTEGER = 2**53  # larger integers are not exact in other programs
 
 
 @contextmanager
@@ -51,9 +51,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         The file cannot be written, or `path` exists and is not a regular file; names it.
     """
     if not path.name or "\0" in path.name:
-        raise OSError(f"cannot write {str(path)!r}: this is no name of a file; choose another name")
+        raise OSError(f"cannot write {str(path)!r}: this is not a file name; choose another name")
     partial = path.with_name(f".{path.stem}.{uuid4().hex[:12]}.partial{path.suffix}")
-    _sweep(path)
+    _remove_stale(path)
     try:
         if path.exists() and not path.is_file():
             raise OSError(f"cannot write {path}: it exists and is not a regular file; choose another name")
@@ -69,17 +69,17 @@ def whole_file(path: Path) -> Iterator[Path]:
             partial.unlink()
 
 
-def _sweep(path: Path) -> None:
-    """Remove what writers of a file left that were killed long ago."""
+def _remove_stale(path: Path) -> None:
+    """Remove stale temporary files of killed writers."""
     name = re.compile(rf"\.{re.escape(path.stem)}\.[0-9a-f]{{12}}\.partial{re.escape(path.suffix)}")
     with suppress(OSError):
         for entry in os.scandir(path.parent):
-            if name.fullmatch(entry.name) and time.time() - entry.stat().st_mtime > STALE:
+            if name.fullmatch(entry.name) and time.time() - entry.stat().st_mtime > STALE_AGE:
                 os.unlink(entry)
 
 
 def settle(partial: Path, path: Path) -> None:
-    """Rename a written file once its content is on the disk."""
+    """Rename a written file after flushing it to the disk."""
     with partial.open("rb+") as file:
         os.fsync(file.fileno())
     os.replace(partial, path)
@@ -137,7 +137,7 @@ def read_bytes(path: Path, what: str, most: int | None = None) -> bytes:
         raise FileFormatError(f"{path} cannot be read ({error.strerror or error})") from error
 
 
-def read_text(path: Path, what: str, most: int = LONGEST_TEXT) -> str:
+def read_text(path: Path, what: str, most: int = MAX_TEXT_BYTES) -> str:
     """Return the text of a file in UTF-8; raises what `regular_file` raises, and `FileFormatError` for other bytes."""
     try:
         return read_bytes(path, what, most).decode("utf-8-sig")
@@ -164,17 +164,21 @@ def json_of(text: str | bytes) -> Any:
     """
     try:
         value = json.loads(
-            text, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole, object_pairs_hook=_once
+            text,
+            parse_constant=_refuse_constant,
+            parse_float=_finite,
+            parse_int=_integer,
+            object_pairs_hook=_unique_keys,
         )
     except RecursionError:
-        raise InputError(f"the JSON text has more than {DEEPEST} nested levels") from None
+        raise InputError(f"the JSON text has more than {MAX_DEPTH} nested levels") from None
     except ValueError as error:
         raise InputError(f"this is not valid JSON: {shortened(str(error), 150)}") from None
-    _check_plain(value, DEEPEST)
+    _check_plain(value, MAX_DEPTH)
     return value
 
 
-def read_json(path: Path, what: str, most: int = LONGEST_TEXT) -> dict[str, Any]:
+def read_json(path: Path, what: str, most: int = MAX_TEXT_BYTES) -> dict[str, Any]:
     """Return the object in a JSON file; raises what `read_text` raises, and `FileFormatError` for anything else."""
     try:
         value = json_of(read_text(path, what, most))
@@ -188,7 +192,7 @@ def read_json(path: Path, what: str, most: int = LONGEST_TEXT) -> dict[str, Any]
 
 
 def digest_of(value: Any) -> str:
-    """Return the SHA-256 of a value that JSON has, whatever the order of its keys."""
+    """Return the SHA-256 of a JSON value, independent of the order of keys."""
     return sha256(json.dumps(value, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
@@ -197,8 +201,8 @@ def write_sealed_json(path: Path, content: dict[str, Any]) -> None:
     write_json(path, content | {"sha256": digest_of(content)})
 
 
-def read_sealed_json(path: Path, what: str, most: int = LONGEST_TEXT) -> dict[str, Any]:
-    """Return what `write_sealed_json` wrote.
+def read_sealed_json(path: Path, what: str, most: int = MAX_TEXT_BYTES) -> dict[str, Any]:
+    """Return the content of a file of `write_sealed_json`.
 
     Raises
     ------
@@ -212,7 +216,7 @@ def read_sealed_json(path: Path, what: str, most: int = LONGEST_TEXT) -> dict[st
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: arrays as lists, numbers of NumPy as Python's, None for what is not finite."""
+    """Return a value in JSON types: arrays as lists, NumPy numbers as Python's, None for non-finite numbers."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -223,7 +227,7 @@ def plain(value: Any) -> Any:
 
 
 def shortened(text: str, most: int = 60) -> str:
-    """Return a text that fits a message, without characters that cannot be printed."""
+    """Return a text shortened for a message, without unprintable characters."""
     text = text if len(text) <= most else text[: most - 3] + "..."
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
@@ -239,13 +243,13 @@ def _finite(text: str) -> float:
     return number
 
 
-def _whole(text: str) -> int:
-    if len(text) > 17 or abs(int(text)) > LARGEST_WHOLE:
+def _integer(text: str) -> int:
+    if len(text) > 17 or abs(int(text)) > MAX_INTEGER:
         raise ValueError(f"{shortened(text)} is beyond 2^53")
     return int(text)
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     value = dict(pairs)
     if len(value) != len(pairs):
         raise ValueError("an object has the same key twice")
@@ -253,7 +257,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_plain(value: Any, deepest: int) -> None:
-    """Refuse text that cannot be encoded, and nesting beyond a depth."""
+    """Check that text can be encoded and that nesting is limited."""
     if isinstance(value, str):
         try:
             value.encode("utf-8")
@@ -261,7 +265,7 @@ def _check_plain(value: Any, deepest: int) -> None:
             raise InputError("the JSON text holds half a surrogate pair") from None
     elif isinstance(value, dict | list):
         if deepest == 0:
-            raise InputError(f"the JSON text has more than {DEEPEST} nested levels")
+            raise InputError(f"the JSON text has more than {MAX_DEPTH} nested levels")
         if isinstance(value, dict):
             for key in value:
                 _check_plain(key, deepest)
@@ -270,18 +274,18 @@ def _check_plain(value: Any, deepest: int) -> None:
 
 
 def check_folder(folder: Path, name: str = "out") -> None:
-    """Check that files can be written into a folder that exists or can be made; leave nothing behind.
+    """Check that a folder exists or can be created, and is writable.
 
     Parameters
     ----------
     folder : path
     name : str
-        Of the option that gave it.
+        Name of the option.
 
     Raises
     ------
     InputError
-        It is not a folder, or cannot be written.
+        The path is not a writable folder.
     """
     existing = _existing(folder)
     if not existing.is_dir():
@@ -297,19 +301,19 @@ def check_folder(folder: Path, name: str = "out") -> None:
 
 
 def check_space(folder: Path, needed: int, name: str = "out") -> None:
-    """Check that the disk of a folder, which exists or can be made, has room for a number of bytes.
+    """Check that the disk of a folder has space for a number of bytes.
 
     Parameters
     ----------
     folder : path
     needed : int
     name : str
-        Of the option that gave the folder.
+        Name of the option.
 
     Raises
     ------
     InputError
-        It has not.
+        The space is not sufficient.
     """
     free = shutil.disk_usage(_existing(folder)).free
     if free < needed:
@@ -318,7 +322,7 @@ def check_space(folder: Path, needed: int, name: str = "out") -> None:
 
 
 def _existing(folder: Path) -> Path:
-    """Return the folder itself, or the nearest one above it that exists."""
+    """Return the folder or its nearest existing parent."""
     existing = folder.absolute()
     while not os.path.lexists(existing) and existing != existing.parent:
         existing = existing.parent

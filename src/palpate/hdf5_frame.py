@@ -1,4 +1,4 @@
-"""HDF5 files with room for arrays: their structures alone, in memory, with the place of every array."""
+"""HDF5 structures in memory, with space reserved for arrays and their offsets."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 
 __all__ = ["HEAD", "Frame", "lay_out"]
 
-HEAD = 512  # bytes before HDF5's own, which it leaves to its users
-LONGEST_ATTRIBUTE = 32_000  # characters that HDF5 takes in an object's header
+HEAD = 512  # bytes before HDF5's datatype, which it leaves to its users
+MAX_ATTRIBUTE_CHARACTERS = 32_000  # limit of an object's header in HDF5
 
 
 class Frame(RawIOBase):
-    """A file in memory that keeps only the pages that are written, so that room for arrays costs nothing.
+    """Sparse file in memory that stores written pages only.
 
-    HDF5 does not survive a disk that is full. So it writes here, and what it wrote is copied by plain writes.
+    HDF5 crashes on a full disk. So it writes here, and plain writes copy the pages.
     """
 
     PAGE = 4096  # bytes
@@ -67,7 +67,7 @@ class Frame(RawIOBase):
 def lay_out(
     types: Mapping[str, str], shapes: Mapping[str, tuple[int, ...]], attributes: Mapping[str, str | bool | float]
 ) -> tuple[Frame, dict[str, int]]:
-    """Make an HDF5 file with room for contiguous arrays.
+    """Return an HDF5 file with space for contiguous arrays, and their offsets.
 
     Parameters
     ----------
@@ -95,9 +95,11 @@ def lay_out(
         layout.set_obj_track_times(False)  # equal content makes equal files
         parents.set_create_intermediate_group(True)
         for name, shape in shapes.items():
-            own, space = h5py.h5t.py_create(np.dtype(types[name]), logical=True), h5py.h5s.create_simple(shape)
-            made = h5py.h5d.create(file.id, name.encode(), own, space, layout, parents)
-            offsets[name] = made.get_offset() if math.prod(shape) else HEAD
-        short = {name: v for name, v in attributes.items() if len(str(v)) < LONGEST_ATTRIBUTE and "\0" not in str(v)}
+            datatype, space = h5py.h5t.py_create(np.dtype(types[name]), logical=True), h5py.h5s.create_simple(shape)
+            dataset = h5py.h5d.create(file.id, name.encode(), datatype, space, layout, parents)
+            offsets[name] = dataset.get_offset() if math.prod(shape) else HEAD
+        short = {
+            name: v for name, v in attributes.items() if len(str(v)) < MAX_ATTRIBUTE_CHARACTERS and "\0" not in str(v)
+        }
         file.attrs.update(short)
     return frame, offsets

@@ -9,10 +9,10 @@ from palpate.tissue.fitting import CurveFit, Fit, FitStart, fit
 from palpate.tissue.invariant_laws import ArrudaBoyce, Fung, Gent, StVenantKirchhoff, Yeoh
 from palpate.tissue.materials import Material, MooneyRivlin, NeoHookean
 from palpate.tissue.measurements import Measurement
-from palpate.tissue.own_law import Hyperelastic
 from palpate.tissue.prony import Prony
 from palpate.tissue.small_strain import LinearElastic
 from palpate.tissue.stretch_laws import Exponential, Logarithmic, Ogden, StretchLaw
+from palpate.tissue.symbolic_law import Hyperelastic
 
 __all__ = [
     "ArrudaBoyce",

@@ -1,4 +1,4 @@
-"""Sealed files: HDF5 files whose arrays are read by a table of their own, each under its digest.
+"""Sealed files: HDF5 files whose arrays are located and verified by a table with digests.
 
 A sealed file is an HDF5 file, which any program can open, in which every array is contiguous and not compressed. Its
 first 512 bytes, which HDF5 leaves to its users, name the kind of the file, the version, and the place and SHA-256 of a
@@ -46,15 +46,15 @@ __all__ = [
 Array = NDArray[Any]
 
 TYPES = ("<f8", "<f4", "<i8", "|u1", "|b1")
-MOST_DIMENSIONS = 4
-BLOCK = 1 << 20  # bytes that are read at once
-SPARE = 1 << 16  # bytes of the disk that stay free
+MAX_DIMENSIONS = 4
+BLOCK_BYTES = 1 << 20  # read at once
+RESERVED_BYTES = 1 << 16  # of the disk that stay free
 HEX = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
 class ArrayEntry:
-    """An array of a sealed file.
+    """Array of a sealed file.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class ArrayEntry:
 
 @dataclass(frozen=True)
 class SealedFile:
-    """A sealed file whose table is verified; arrays are verified when they are read.
+    """Sealed file with a verified table; arrays are verified on reading.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class SealedFile:
         entry = self._entry(name)
         if entry.by_row:
             return np.array([self.row(name, k) for k in range(entry.shape[0])], entry.type).reshape(entry.shape)
-        return self._verified(name, entry, entry.offset, entry.shape, entry.digests[0])
+        return self._read_verified(name, entry, entry.offset, entry.shape, entry.digests[0])
 
     def row(self, name: str, k: int) -> Array:
         """Return row k of an array that is stored by row; raises what `read` raises."""
@@ -116,25 +116,27 @@ class SealedFile:
         if not entry.by_row or not 0 <= k < entry.shape[0]:
             raise InputError(f"array {name} has no row {k}")
         size = entry.size // entry.shape[0]
-        return self._verified(f"{name}, row {k}", entry, entry.offset + k * size, entry.shape[1:], entry.digests[k])
+        return self._read_verified(
+            f"{name}, row {k}", entry, entry.offset + k * size, entry.shape[1:], entry.digests[k]
+        )
 
     def _entry(self, name: str) -> ArrayEntry:
         if name not in self.arrays:
             raise InputError(f"array {name} is missing")
         return self.arrays[name]
 
-    def _verified(self, what: str, entry: ArrayEntry, offset: int, shape: tuple[int, ...], digest: str) -> Array:
+    def _read_verified(self, what: str, entry: ArrayEntry, offset: int, shape: tuple[int, ...], digest: str) -> Array:
         values = np.empty(shape, entry.type)
         with self.path.open("rb") as file:
             file.seek(offset)
             count = file.readinto(_bytes_of(values))
         if count != values.nbytes or sha256(_bytes_of(values)).hexdigest() != digest:
             raise InputError(f"array {what} does not match its checksum: the file is truncated or damaged")
-        return _checked_flags(what, values)
+        return _check_flags(what, values)
 
 
 def array_of(what: str, kind: str, shape: tuple[int, ...], content: memoryview) -> Array:
-    """Return bytes as an array, a copy.
+    """Return a copy of bytes as an array.
 
     Raises
     ------
@@ -143,7 +145,7 @@ def array_of(what: str, kind: str, shape: tuple[int, ...], content: memoryview) 
     """
     if len(content) != math.prod(shape) * np.dtype(kind).itemsize:
         raise InputError(f"array {what} of shape {shape} does not have {len(content)} bytes")
-    return _checked_flags(what, np.frombuffer(content, kind).reshape(shape).copy())
+    return _check_flags(what, np.frombuffer(content, kind).reshape(shape).copy())
 
 
 def checked_shape(what: str, kind: Any, shape: Any, room: int) -> tuple[str, tuple[int, ...]]:
@@ -156,8 +158,8 @@ def checked_shape(what: str, kind: Any, shape: Any, room: int) -> tuple[str, tup
     """
     if kind not in TYPES:
         raise InputError(f"array {what} has type {shortened(repr(kind))}; allowed are {', '.join(TYPES)}")
-    good = isinstance(shape, list) and len(shape) <= MOST_DIMENSIONS
-    if not good or not all(type(size) is int and 0 <= size <= room for size in shape):
+    valid = isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS
+    if not valid or not all(type(size) is int and 0 <= size <= room for size in shape):
         raise InputError(f"array {what} has shape {shortened(repr(shape))}, which does not fit into {room} bytes")
     if math.prod(shape) * np.dtype(kind).itemsize > room:
         raise InputError(f"array {what} has shape {tuple(shape)}, which does not fit into {room} bytes")
@@ -169,7 +171,7 @@ def checked_shape(what: str, kind: Any, shape: Any, room: int) -> tuple[str, tup
 
 @contextmanager
 def loading(path: Path, remedy: str) -> Iterator[None]:
-    """Turn whatever the content of a file raises into one `FileFormatError`, which names the file and the remedy.
+    """Convert any error of a file's content into a `FileFormatError` with the file and the remedy.
 
     Parameters
     ----------
@@ -274,16 +276,16 @@ def _digest_of_rest(path: Path, arrays: Mapping[str, ArrayEntry], end: int) -> s
         for entry in sorted((each for each in arrays.values() if each.size), key=lambda each: each.offset):
             if entry.offset < at:
                 raise InputError("the arrays of the table overlap")
-            _add(digest, file, at, entry.offset)
+            _update_digest(digest, file, at, entry.offset)
             at = entry.offset + entry.size
-        _add(digest, file, at, end)
+        _update_digest(digest, file, at, end)
     return digest.hexdigest()
 
 
-def _add(digest: Any, file: BinaryIO, start: int, stop: int) -> None:
+def _update_digest(digest: Any, file: BinaryIO, start: int, stop: int) -> None:
     file.seek(start)
-    for at in range(start, stop, BLOCK):
-        digest.update(file.read(min(BLOCK, stop - at)))
+    for at in range(start, stop, BLOCK_BYTES):
+        digest.update(file.read(min(BLOCK_BYTES, stop - at)))
 
 
 def _entry(name: str, about: Any, end: int) -> ArrayEntry:
@@ -304,7 +306,7 @@ def _entry(name: str, about: Any, end: int) -> ArrayEntry:
     return entry
 
 
-def _checked_flags(what: str, values: Array) -> Array:
+def _check_flags(what: str, values: Array) -> Array:
     if values.dtype == bool and values.size and values.view("u1").max() > 1:
         raise InputError(f"array {what} holds truth values that are neither 0 nor 1")
     return values
@@ -349,7 +351,7 @@ def write_sealed(
         blocks[name] = tuple(_plain(row) for row in values)
         shapes[name] = (len(values), *blocks[name][0].shape)
     types = {name: block[0].dtype.str for name, block in blocks.items()}
-    needed = sum(part.nbytes for block in blocks.values() for part in block) + SPARE
+    needed = sum(part.nbytes for block in blocks.values() for part in block) + RESERVED_BYTES
     free = shutil.disk_usage(path.absolute().parent).free if path.absolute().parent.is_dir() else needed
     if free < needed:
         raise OSError(
@@ -357,9 +359,9 @@ def write_sealed(
             f"some space or choose another folder"
         )
     with whole_file(path) as partial:
-        told = {name: value if isinstance(value, str | bool | float) else _json(value).decode()
+        attributes = {name: value if isinstance(value, str | bool | float) else _json(value).decode()
                 for name, value in header.items()}  # fmt: skip
-        frame, offsets = lay_out(types, shapes, told | {"format": kind, "version": version, "units": "SI"})
+        frame, offsets = lay_out(types, shapes, attributes | {"format": kind, "version": version, "units": "SI"})
         entries = {}
         with partial.open("w+b") as file:
             frame.copy_to(file)
@@ -374,14 +376,14 @@ def write_sealed(
             file.flush()
             place = file.seek(0, 2)
             rest = _digest_of_rest(partial, entries, place)
-            listed = {name: _listed(entry) for name, entry in entries.items()}
+            listed = {name: _table_entry(entry) for name, entry in entries.items()}
             table = _json({"kind": kind, "version": version, "header": dict(header), "arrays": listed, "rest": rest})
             file.write(table)
             file.seek(0)
             file.write(f"{kind}\nversion {version}\ntable {place} {len(table)} {sha256(table).hexdigest()}\n".encode())
 
 
-def _listed(entry: ArrayEntry) -> dict[str, Any]:
+def _table_entry(entry: ArrayEntry) -> dict[str, Any]:
     digests: Any = list(entry.digests) if entry.by_row else entry.digests[0]
     return {"type": entry.type, "shape": list(entry.shape), "offset": entry.offset, "sha256": digests}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.meshfree.refining import refined
+from palpate.meshfree.refining import refine_surface
 from palpate.meshfree.surfaces import Surface
 
 
@@ -13,7 +13,7 @@ def cube(side=0.1, edge=0.03, centre=(0.0, 0.0, 0.0)):
     corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
-    vertices, triangles = refined(corners * side, triangles, lambda points: np.full(len(points), edge))
+    vertices, triangles = refine_surface(corners * side, triangles, lambda points: np.full(len(points), edge))
     return Surface(vertices - side / 2 + np.array(centre), triangles, "cube")
 
 

@@ -133,7 +133,7 @@ def test_what_cannot_be_filled_is_refused_with_the_reason(surface, said):
     [
         (0.05, {}, "too coarse"),
         (1e-4, {}, "at most"),
-        (-1.0, {}, "spacing = -1.0"),
+        (-1.0, {}, "spacing must be .*, got -1.0"),
         (0.01, {"lattice": "random"}, "lattice"),
         (0.01, {"units": "mm"}, "arrays are in metres"),
         (0.01, {"refine": [((0, 0), 0.01, 0.005)]}, r"refine\[0\]"),

@@ -12,7 +12,7 @@ from scipy.optimize import linprog
 
 import palpate as pt
 from palpate.meshfree import intersections
-from palpate.meshfree.intersections import MOST_PAIRS, self_intersections
+from palpate.meshfree.intersections import MAX_PAIRS, self_intersections
 
 
 def meet(p, q, i, j):
@@ -130,9 +130,9 @@ def test_memory_is_bounded_when_a_vertex_is_far_away(far):
 def test_the_search_stops_at_a_number_of_pairs_and_of_boxes(monkeypatch):
     corners = np.random.default_rng(0).normal(size=(2000, 3, 3))
     soup = pt.Surface(corners.reshape(-1, 3), np.arange(6000).reshape(-1, 3))
-    assert len(self_intersections(soup.vertices, soup.triangles)) == MOST_PAIRS
+    assert len(self_intersections(soup.vertices, soup.triangles)) == MAX_PAIRS
     assert any("at least 10000 pairs" in problem.what for problem in pt.io.check_surface(soup).errors)
-    monkeypatch.setattr(intersections, "VISITS", (1000, 1))
+    monkeypatch.setattr(intersections, "MAX_BOX_TESTS", (1000, 1))
     with pytest.raises(pt.InputError, match="overlap in fewer than 2000 places"):
         self_intersections(soup.vertices, soup.triangles)
     assert any(problem.name == "tangled" for problem in pt.io.check_surface(soup).errors)

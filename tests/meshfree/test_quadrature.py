@@ -7,7 +7,12 @@ import pytest
 
 import palpate as pt
 from palpate.meshfree import quadrature
-from palpate.meshfree.quadrature import LEAST, conservative_smoothing, integration_weights, quadratic_misses
+from palpate.meshfree.quadrature import (
+    MIN_WEIGHT_RATIO,
+    conservative_smoothing,
+    integration_weights,
+    quadratic_residuals,
+)
 
 BOXES = {"cube of 4": ((0.03,) * 3, 0.01), "bar": ((0.06, 0.02, 0.025), 0.005), "cube of 8": ((0.07,) * 3, 0.01)}
 
@@ -32,7 +37,7 @@ def quadratics(cloud):
 @pytest.fixture
 def unclipped(monkeypatch):
     """Without the least weight, which the corners of a box would fall short of."""
-    monkeypatch.setattr(quadrature, "LEAST", -1.0)
+    monkeypatch.setattr(quadrature, "MIN_WEIGHT_RATIO", -1.0)
 
 
 @pytest.mark.parametrize("neighbours", [35, 42, 60])
@@ -43,7 +48,7 @@ def test_weights_are_positive_and_sum_to_the_volume(name, jitter, neighbours):
     cloud = pt.box(size, spacing, jitter)
     weights = weights_of(cloud, neighbours)
     assert weights.sum() == pytest.approx(np.prod(size), rel=1e-12)
-    assert (weights / cloud.volumes).min() > 0.95 * LEAST
+    assert (weights / cloud.volumes).min() > 0.95 * MIN_WEIGHT_RATIO
 
 
 @pytest.mark.parametrize("neighbours", [27, 42, 60])
@@ -61,8 +66,8 @@ def test_only_corners_are_clipped_which_costs_little(name, monkeypatch):
     cloud = pt.box(*BOXES[name])
     fields, integrals = quadratics(cloud)
     clipped = weights_of(cloud)
-    monkeypatch.setattr(quadrature, "LEAST", -1.0)
-    changed = np.flatnonzero(weights_of(cloud) < LEAST * cloud.volumes)
+    monkeypatch.setattr(quadrature, "MIN_WEIGHT_RATIO", -1.0)
+    changed = np.flatnonzero(weights_of(cloud) < MIN_WEIGHT_RATIO * cloud.volumes)
     assert set(changed) <= set(np.flatnonzero(np.bincount(cloud.face_nodes, minlength=len(cloud)) == 3))
     missed, trapezium = (np.abs(w @ fields / w.sum() - integrals).max() for w in (clipped, cloud.volumes))
     assert missed < trapezium / 6
@@ -187,7 +192,7 @@ def test_a_smoothing_that_is_not_found_is_refused_by_the_node(monkeypatch):
 
 def missed(cloud, field):
     stencils = pt.moving_least_squares(cloud.points, neighbours=42)
-    weights = quadratic_misses(stencils, cloud.points)[stencils.row]
+    weights = quadratic_residuals(stencils, cloud.points)[stencils.row]
     return np.sum(weights * (field[stencils.neighbours] - field[:, None]), axis=1)
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.linalg import norm
 
 import palpate as pt
-from palpate.meshfree.stencils import WORST_CONDITION
+from palpate.meshfree.stencils import MAX_CONDITION
 
 SIZES = {2: (0.8, 0.7), 3: (0.5, 0.5, 0.6)}
 ENOUGH = {(2, 1): 9, (2, 2): 16, (2, 3): 30, (3, 1): 20, (3, 2): 42, (3, 3): 90}
@@ -156,7 +156,7 @@ def test_the_same_points_give_the_same_weights(jittered_points):
 
 
 def test_accepted_moment_matrices_are_well_conditioned(jittered_points):
-    assert pt.moving_least_squares(jittered_points, neighbours=42).condition.max() < WORST_CONDITION
+    assert pt.moving_least_squares(jittered_points, neighbours=42).condition.max() < MAX_CONDITION
 
 
 @pytest.mark.parametrize("distance", [0.0, 0.01])
@@ -192,12 +192,12 @@ def test_neighbours_on_a_line_are_refused_in_the_plane():
     [
         ({}, "either neighbours or radius"),
         ({"neighbours": 42, "radius": 0.3}, "either neighbours or radius"),
-        ({"neighbours": 42, "order": 4}, "order = 4 is out of range"),
-        ({"neighbours": 42, "order": 0}, "order = 0 is out of range"),
-        ({"neighbours": 9}, "neighbours = 9 is out of range: allowed is a whole number from 10"),
-        ({"neighbours": 42.5}, r"neighbours = 42\.5 is out of range"),
-        ({"radius": -0.3}, r"radius = -0\.3 is out of range"),
-        ({"radius": 0.0}, r"radius = 0\.0 is out of range"),
+        ({"neighbours": 42, "order": 4}, "order must be .*, got 4"),
+        ({"neighbours": 42, "order": 0}, "order must be .*, got 0"),
+        ({"neighbours": 9}, r"neighbours must be an integer in \[10, .*, got 9"),
+        ({"neighbours": 42.5}, r"neighbours must be .*, got 42\.5"),
+        ({"radius": -0.3}, r"radius must be .*, got -0\.3"),
+        ({"radius": 0.0}, r"radius must be .*, got 0\.0"),
     ],
 )
 def test_arguments_out_of_range_are_refused_by_name(jittered_points, arguments, message):
@@ -214,5 +214,5 @@ def test_a_handful_of_points_is_refused(jittered_points, count):
 def test_points_that_are_not_finite_are_refused(jittered_points):
     points = jittered_points.copy()
     points[4, 1] = np.nan
-    with pytest.raises(pt.CloudError, match=r"\b4\b.*not finite"):
+    with pytest.raises(pt.CloudError, match=r"points must be finite.*\b4\b"):
         pt.moving_least_squares(points, neighbours=42)

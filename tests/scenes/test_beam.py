@@ -57,5 +57,5 @@ def test_the_load_pulls_on_the_free_end_along_the_axis(scene):
     ],
 )
 def test_values_out_of_range_are_refused_by_name_and_range(name, value):
-    with pytest.raises(pt.InputError, match=rf"{name} = .*allowed is"):
+    with pytest.raises(pt.InputError, match=rf"{name} must be .*, got"):
         beam(**{name: value})

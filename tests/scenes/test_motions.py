@@ -92,5 +92,5 @@ def test_training_takes_each_part_alone_to_its_limit_and_then_others_inside():
     ],
 )
 def test_values_out_of_range_are_refused_by_name(call, name):
-    with pytest.raises(pt.InputError, match=f"{name} = .*allowed"):
+    with pytest.raises(pt.InputError, match=rf"{name} must be .*, got"):
         call()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.scenes.push import ASIDE, DEPTH, GROUP, HELD, SWINGS, pushed_membrane
+from palpate.scenes.push import GROUP, MAX_DEPTH, MAX_TANGENTIAL, SWINGS, TOOL_RADIUS, pushed_membrane
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def test_a_path_starts_and_ends_at_rest_and_stays_within_its_swings(scene):
         np.testing.assert_allclose(path[[0, -1]], 0.0, atol=1e-15)
         early, later = way(scene, seed, [1e-6, 2e-6])
         np.testing.assert_allclose(later, 4 * early, rtol=1e-6)  # its speed is zero there
-        assert np.all(np.abs(path).max(axis=0) <= SWINGS * np.array([ASIDE, ASIDE, DEPTH]))
+        assert np.all(np.abs(path).max(axis=0) <= SWINGS * np.array([MAX_TANGENTIAL, MAX_TANGENTIAL, MAX_DEPTH]))
         assert np.abs(path[:, 2]).max() > 0
 
 
@@ -40,7 +40,7 @@ def test_the_sheet_is_taut_and_the_tool_holds_its_middle(scene):
     model = scene.model
     assert scene.tools == (GROUP,)
     held = np.linalg.norm(model.cloud.points[model.cloud.group(GROUP)], axis=1)
-    assert held.max() <= HELD * (1 + 1e-9)
+    assert held.max() <= TOOL_RADIUS * (1 + 1e-9)
     assert set(model.tension(np.zeros((len(model.cloud), 3)))) == {2}
     expected = 2 * 0.17e6 * (1.2**2 - 1.2**-4)
     np.testing.assert_allclose(model.principal_stress(np.zeros((len(model.cloud), 3))), expected, rtol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 import palpate as pt
-from palpate.tissue.ellipticity import least_wave_modulus, material_stability
+from palpate.tissue.ellipticity import material_stability, min_wave_modulus
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,13 +105,13 @@ def test_a_softening_law_loses_ellipticity_where_the_closed_form_says(b):
         below = brentq(lambda s, gap=gap: gap(s) - spread, 0.3, 1)
         above = brentq(lambda s, gap=gap: gap(s) - spread, 1, 3)
         expected = tuple(end if 0.5 <= end <= 2 else None for end in (below, above))
-        found = report.lost[kind]
+        found = report.limits[kind]
         assert [end is None for end in found] == [end is None for end in expected], kind
         for got, end in zip(found, expected, strict=True):
             assert got is None or got == pytest.approx(end, abs=2e-3)
-    assert report.lost["shear"][0] is None
-    assert report.lost["shear"][1] == pytest.approx(spread, abs=2e-3)
-    assert f"shear: ellipticity is lost at shear {report.lost['shear'][1]:.4g}" in report.text
+    assert report.limits["shear"][0] is None
+    assert report.limits["shear"][1] == pytest.approx(spread, abs=2e-3)
+    assert f"shear: ellipticity is lost at shear {report.limits['shear'][1]:.4g}" in report.text
 
 
 def test_the_least_modulus_of_a_softening_law_has_its_closed_form():
@@ -123,7 +123,7 @@ def test_the_least_modulus_of_a_softening_law_has_its_closed_form():
     spread = stretches[:, 0] - stretches[:, 2]
     x = np.sum(stretches**2, axis=1) - 3
     expected = mu * np.exp(-b * x) * (1 - 2 * b * spread**2)
-    found = least_wave_modulus(Softening(b=b, mu=mu, density=1000, poisson=0.5), F)
+    found = min_wave_modulus(Softening(b=b, mu=mu, density=1000, poisson=0.5), F)
     assert np.all(found >= expected - 1e-3)  # the least over directions that were looked at
     np.testing.assert_allclose(found, expected, atol=2e-3 * mu)
 
@@ -134,7 +134,7 @@ def test_waves_of_a_body_at_rest_have_the_moduli_of_linear_elasticity():
         report = material_stability(material)
         assert report.shear_modulus == pytest.approx(5e3, rel=1e-6)
         assert report.bulk_modulus == pytest.approx(material.bulk_modulus, rel=1e-6)
-        np.testing.assert_allclose(least_wave_modulus(material, np.eye(3)[None]), 5e3, rtol=1e-6)
+        np.testing.assert_allclose(min_wave_modulus(material, np.eye(3)[None]), 5e3, rtol=1e-6)
 
 
 @pytest.mark.parametrize("poisson", [0.2, 0.45, 0.499, 0.5])
@@ -146,8 +146,8 @@ def test_polyconvex_laws_are_stable(poisson):
         report = material_stability(law, (0.4, 2.5))
         assert report.stable, report.text
         assert report.findings == ()
-        assert report.least_modulus > 0
-        assert all(ends == (None, None) for ends in report.lost.values())
+        assert report.min_modulus > 0
+        assert all(ends == (None, None) for ends in report.limits.values())
         assert report.text.startswith("stable for principal stretches 0.4 to 2.5")
         report.require()
 
@@ -155,15 +155,15 @@ def test_polyconvex_laws_are_stable(poisson):
 @pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
 def test_stiffness_scales_what_is_measured_and_no_verdict():
     soft, hard = (material_stability(Softening(mu=mu, density=1000, poisson=0.4)) for mu in (1.0, 1e9))
-    assert soft.least_modulus / soft.shear_modulus == pytest.approx(hard.least_modulus / hard.shear_modulus, rel=1e-4)
-    for kind in soft.lost:
-        for one, other in zip(soft.lost[kind], hard.lost[kind], strict=True):
+    assert soft.min_modulus / soft.shear_modulus == pytest.approx(hard.min_modulus / hard.shear_modulus, rel=1e-4)
+    for kind in soft.limits:
+        for one, other in zip(soft.limits[kind], hard.limits[kind], strict=True):
             assert one == other or one == pytest.approx(other, abs=1e-4)
 
 
 def test_a_law_with_stress_at_rest_is_refused():
     report = material_stability(Pressed(density=1000, poisson=0.3))
-    assert any("at rest there is a stress of 1e+04 Pa" in finding for finding in report.findings)
+    assert any("the stress at rest must be zero, got 1e+04 Pa" in finding for finding in report.findings)
     with pytest.raises(pt.InputError, match=r"not stable for principal stretches 0.6 to 1.8"):
         report.require()
     # of an incompressible body a pressure is not the law's to tell
@@ -174,7 +174,7 @@ def test_a_law_that_ends_is_refused_where_it_does():
     report = material_stability(Limited(b=2.0, density=1000, poisson=0.5), (0.6, 1.8))
     assert any(finding.startswith("not finite, nearest to rest at principal stretches") for finding in report.findings)
     end = brentq(lambda s: s**2 + 2 / s - 3 - 0.5, 1, 3)
-    assert report.lost["uniaxial"][1] == pytest.approx(
+    assert report.limits["uniaxial"][1] == pytest.approx(
         end, abs=0.011
     )  # a step of the path, beyond which W is no number
     assert material_stability(Limited(b=2.0, density=1000, poisson=0.5), (0.85, 1.15)).stable
@@ -182,16 +182,16 @@ def test_a_law_that_ends_is_refused_where_it_does():
 
 def test_a_law_with_the_wrong_sign_is_refused_at_rest():
     report = material_stability(Falling(density=1000, poisson=0.5))
-    assert "at rest the shear modulus is -1e+04 Pa: allowed is (0, inf)" in report.findings
+    assert "the shear modulus at rest must be in (0, inf) Pa, got -1e+04" in report.findings
     assert any(finding.startswith("not elliptic, worst") for finding in report.findings)
 
 
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"stretches": (0.0, 2.0)}, r"the lower end of stretches = 0.0 is out of range: allowed is \[0.002, 1\]"),
-        ({"stretches": (0.5, 0.9)}, r"the upper end of stretches = 0.9 is out of range: allowed is \[1, 25\]"),
-        ({"volumes": (1.1, 1.2)}, "the lower end of volumes = 1.1 is out of range"),
+        ({"stretches": (0.0, 2.0)}, r"the lower end of stretches must be in \[0.002, 1\], got 0.0"),
+        ({"stretches": (0.5, 0.9)}, r"the upper end of stretches must be in \[1, 25\], got 0.9"),
+        ({"volumes": (1.1, 1.2)}, "the lower end of volumes must be .*, got 1.1"),
     ],
 )
 def test_a_range_without_rest_is_refused(ranges, message):
@@ -201,7 +201,7 @@ def test_a_range_without_rest_is_refused(ranges, message):
 
 @pytest.mark.parametrize("ends", [(0.8,), 3, "ab", (1e-300, 1e300), (0.8, np.nan), (0.8, 1e9), (0.8, 1.2, 1.3)])
 def test_a_range_that_is_none_is_refused(ends):
-    with pytest.raises(pt.InputError, match="of stretches"):
+    with pytest.raises(pt.InputError, match="stretches must be"):
         material_stability(pt.materials.NeoHookean(C1=5e3, density=1000, poisson=0.4), ends)
 
 

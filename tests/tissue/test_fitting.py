@@ -265,7 +265,8 @@ def test_a_parameter_lost_in_noise_is_said_to_be():
     ]
     found = fit(Stiffening, small)
     assert any(
-        "b is uncertain by more than itself" in remark or "do not determine b" in remark for remark in found.remarks
+        "the standard error of b exceeds its value" in remark or "do not determine b" in remark
+        for remark in found.remarks
     )
 
 
@@ -273,7 +274,7 @@ def test_a_law_of_another_shape_is_said_to_miss():
     made = curves(stiff(), ("uniaxial",), noise=1.0, points=40)
     wrong, right = fit(pt.materials.NeoHookean, made), fit(Stiffening, made)
     assert wrong.curves[0].correlation > 0.8
-    assert any("misses curve 1, uniaxial in a pattern" in remark for remark in wrong.remarks)
+    assert any("residuals of curve 1, uniaxial are systematic" in remark for remark in wrong.remarks)
     assert right.remarks == ()
 
 
@@ -313,23 +314,23 @@ def test_rubber_fits_give_treloars_moduli():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"start": {"C3": 1.0}}, "C3 is no parameter of MooneyRivlin: allowed are C1, C2"),
-        ({"fixed": {"C3": 1.0}}, "C3 is no parameter of MooneyRivlin: allowed are C1, C2"),
-        ({"bounds": {"C3": (0.0, 1.0)}}, "C3 is no parameter of MooneyRivlin: allowed are C1, C2"),
-        ({"start": {"C1": -1.0}}, r"C1 = -1.0 is out of range: allowed is \(0, inf\) Pa"),
+        ({"start": {"C3": 1.0}}, "a parameter of MooneyRivlin must be one of C1, C2, got C3"),
+        ({"fixed": {"C3": 1.0}}, "a parameter of MooneyRivlin must be one of C1, C2, got C3"),
+        ({"bounds": {"C3": (0.0, 1.0)}}, "a parameter of MooneyRivlin must be one of C1, C2, got C3"),
+        ({"start": {"C1": -1.0}}, r"C1 must be in \(0, inf\) Pa, got -1.0"),
         ({"start": {"C1": "soft"}}, "C1 must be a number, got 'soft'"),
         (
             {"start": {"C1": 5.0}, "bounds": {"C1": (10.0, 20.0)}},
-            r"start of C1 = .*5.0.* is out of range: allowed is \[10, 20\]",
+            r"start of C1 must be in \[10, 20\], got .*5.0.*",
         ),
-        ({"bounds": {"C1": (3.0, 2.0)}}, r"bounds of C1 = \(3, 2\) hold no range within \[0, inf\]"),
-        ({"bounds": {"C2": (-3.0, -2.0)}}, r"bounds of C2 = \(-3, -2\) hold no range"),
-        ({"fixed": {"C1": 1.0, "C2": 1.0}}, "every parameter is fixed"),
-        ({"fixed": {"C1": np.nan}}, "fixed C1 = nan is out of range"),
+        ({"bounds": {"C1": (3.0, 2.0)}}, r"bounds of C1 must overlap \[0, inf\], got \(3, 2\)"),
+        ({"bounds": {"C2": (-3.0, -2.0)}}, r"bounds of C2 must overlap .*, got \(-3, -2\)"),
+        ({"fixed": {"C1": 1.0, "C2": 1.0}}, "fixed must leave at least one free parameter"),
+        ({"fixed": {"C1": np.nan}}, "fixed C1 must be .*, got nan"),
         ({"starts": 0}, "starts"),
-        ({"poisson": 0.6}, r"poisson = 0.6 is out of range: allowed is \[0, 0.499\]"),
-        ({"density": -1.0}, "density = -1.0 is out of range"),
-        ({"measurements": []}, "measurements are empty"),
+        ({"poisson": 0.6}, r"poisson must be in \[0, 0.499\], got 0.6"),
+        ({"density": -1.0}, "density must be .*, got -1.0"),
+        ({"measurements": []}, "measurements must have at least one curve"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(options, message):
@@ -339,8 +340,8 @@ def test_what_cannot_be_fitted_is_refused(options, message):
 
 
 def test_a_sequence_without_a_length_and_too_few_points_are_refused():
-    with pytest.raises(pt.InputError, match="terms of Powers is a sequence: give values to start from"):
+    with pytest.raises(pt.InputError, match="terms of Powers must have start values"):
         fit(Powers, curves(rubbery()))
     short = Measurement(kind="uniaxial", deformation=[1.0, 1.1], stress=[0.0, 1.0])
-    with pytest.raises(pt.InputError, match="2 points cannot tell 2 parameters: give more"):
+    with pytest.raises(pt.InputError, match="measurements must have more than 2 points, got 2; give more"):
         fit(pt.materials.MooneyRivlin, short)

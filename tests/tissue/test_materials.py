@@ -11,17 +11,16 @@ import palpate as pt
 from palpate.tissue.catalogue import LAWS as CATALOGUE
 from palpate.tissue.volumetric import FORMS
 
-# every law of the catalogue with its example, and parameters at which a law is another one
 LAWS = {law.name: (law.kind, law.example) for law in CATALOGUE} | {
-    "mooney-rivlin-without-C2": (pt.materials.MooneyRivlin, {"C1": 60e3, "C2": 0.0}),
-    "yeoh-that-softens": (pt.materials.Yeoh, {"C1": 5e3, "C2": -1e3, "C3": 200.0}),
-    "ogden-of-one-term": (pt.materials.Ogden, {"C": 6e3, "alpha": 1.37}),
-    "ogden-of-three-terms": (pt.materials.Ogden, {"C": (4.8e3, 24.0, 50.0), "alpha": (1.3, 5.0, -2.0)}),
-    "exponential-without-C3": (
+    "Mooney-Rivlin without C2": (pt.materials.MooneyRivlin, {"C1": 60e3, "C2": 0.0}),
+    "Yeoh that softens": (pt.materials.Yeoh, {"C1": 5e3, "C2": -1e3, "C3": 200.0}),
+    "Ogden of one term": (pt.materials.Ogden, {"C": 6e3, "alpha": 1.37}),
+    "Ogden of three terms": (pt.materials.Ogden, {"C": (4.8e3, 24.0, 50.0), "alpha": (1.3, 5.0, -2.0)}),
+    "exponential without C3": (
         pt.materials.Exponential,
         {"C1": 2e3, "C2": 1.5, "C3": 0.0, "alpha1": -3.1, "alpha2": 1.0},
     ),
-}
+}  # every law of the catalogue, and special parameters
 EYE = np.eye(3)
 
 
@@ -213,21 +212,21 @@ def test_mooney_rivlin_without_C2_is_neo_hookean(deformations):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"C1": 0.0}, r"C1 = 0.0 is out of range: allowed is \(0, inf\) Pa"),
-        ({"C1": -1.0}, r"C1 = -1.0 is out of range"),
-        ({"C2": -1.0}, r"C2 = -1.0 is out of range: allowed is \[0, inf\) Pa"),
-        ({"C2": np.nan}, r"C2 = nan is out of range"),
+        ({"C1": 0.0}, r"C1 must be in \(0, inf\) Pa, got 0.0"),
+        ({"C1": -1.0}, r"C1 must be .*, got -1.0"),
+        ({"C2": -1.0}, r"C2 must be in \[0, inf\) Pa, got -1.0"),
+        ({"C2": np.nan}, r"C2 must be .*, got nan"),
         ({"C1": "stiff"}, "C1 must be a number"),
-        ({"density": 0.0}, r"density = 0.0 is out of range: allowed is \(0, inf\) kg/m\^3"),
-        ({"density": np.inf}, "density = inf is out of range"),
-        ({"poisson": 0.4995}, r"poisson = 0.4995 is out of range: allowed is \[0, 0.499\]"),
-        ({"poisson": -0.1}, r"poisson = -0.1 is out of range"),
+        ({"density": 0.0}, r"density must be in \(0, inf\) kg/m\^3, got 0.0"),
+        ({"density": np.inf}, "density must be .*, got inf"),
+        ({"poisson": 0.4995}, r"poisson must be in \[0, 0.499\], got 0.4995"),
+        ({"poisson": -0.1}, r"poisson must be .*, got -0.1"),
         ({"poisson": None}, "either poisson or bulk"),
         ({"bulk": 1e5}, "either poisson or bulk"),
-        ({"poisson": None, "bulk": 1e3}, r"bulk = 1000.0 is out of range"),
-        ({"poisson": None, "bulk": 1e12}, r"bulk = 1000000000000.0 is out of range"),
-        ({"volumetric": "cubic"}, "volumetric = 'cubic': allowed are 'quadratic', 'logarithmic', 'mixed'"),
-        ({"volumetric": 2}, "volumetric = 2: allowed are"),
+        ({"poisson": None, "bulk": 1e3}, r"bulk must be .*, got 1000.0"),
+        ({"poisson": None, "bulk": 1e12}, r"bulk must be .*, got 1000000000000.0"),
+        ({"volumetric": "cubic"}, "volumetric must be one of 'quadratic', 'logarithmic', 'mixed', got 'cubic'"),
+        ({"volumetric": 2}, "volumetric must be one of .*, got 2"),
     ],
 )
 def test_a_parameter_out_of_range_is_refused_by_name_and_range(change, message):
@@ -238,25 +237,25 @@ def test_a_parameter_out_of_range_is_refused_by_name_and_range(change, message):
 @pytest.mark.parametrize(
     ("law", "change", "message"),
     [
-        ("Yeoh", {"C2": -2e3}, r"C2 = -2000.0 is out of range: allowed is \(-1732.05, inf\) Pa, from -sqrt\(3 C1 C3\)"),
-        ("Yeoh", {"C2": -1.0, "C3": 0.0}, r"C2 = -1.0 is out of range: allowed is \[0"),
-        ("Gent", {"Jm": 0.0}, r"Jm = 0.0 is out of range: allowed is \(0, inf\)"),
-        ("ArrudaBoyce", {"N": 0.5}, r"N = 0.5 is out of range: allowed is \[1, inf\)"),
-        ("Fung", {"b": -1.0}, r"b = -1.0 is out of range"),
-        ("LinearElastic", {"volumetric": "mixed"}, "volumetric = 'mixed': small strain has the quadratic form only"),
-        ("StVenantKirchhoff", {"mu": 0.0}, r"mu = 0.0 is out of range: allowed is \(0, inf\) Pa"),
-        ("ogden-of-three-terms", {"C": (1.0, -2.0, 3.0)}, r"C\[1\] = -2.0 is out of range: allowed is \(0, inf\) Pa"),
-        ("ogden-of-three-terms", {"C": 1.0}, "C has 1 terms and alpha 3: give as many"),
-        ("ogden-of-three-terms", {"C": (), "alpha": ()}, "at least one"),
+        ("Yeoh", {"C2": -2e3}, r"C2 must be in \(-1732.05, inf\) Pa, from -sqrt\(3 C1 C3\), got -2000.0"),
+        ("Yeoh", {"C2": -1.0, "C3": 0.0}, r"C2 must be in \[0, inf\) Pa, from .*, got -1.0"),
+        ("Gent", {"Jm": 0.0}, r"Jm must be in \(0, inf\), got 0.0"),
+        ("ArrudaBoyce", {"N": 0.5}, r"N must be in \[1, inf\), got 0.5"),
+        ("Fung", {"b": -1.0}, r"b must be .*, got -1.0"),
+        ("LinearElastic", {"volumetric": "mixed"}, "volumetric must be 'quadratic' for small strain, got 'mixed'"),
+        ("StVenantKirchhoff", {"mu": 0.0}, r"mu must be in \(0, inf\) Pa, got 0.0"),
+        ("Ogden of three terms", {"C": (1.0, -2.0, 3.0)}, r"C\[1\] must be in \(0, inf\) Pa, got -2.0"),
+        ("Ogden of three terms", {"C": 1.0}, "C and alpha must have equal, non-zero length, got 1 and 3"),
+        ("Ogden of three terms", {"C": (), "alpha": ()}, "equal, non-zero length, got 0 and 0"),
         (
-            "ogden-of-one-term",
+            "Ogden of one term",
             {"alpha": 0},
-            r"alpha\[0\] = 0 is out of range: allowed are numbers from -100 to 100 but",
+            r"alpha\[0\] must be nonzero and in \[-100, 100\], got 0",
         ),
-        ("ogden-of-one-term", {"alpha": "steep"}, r"alpha\[0\] must be a number"),
-        ("Exponential", {"alpha2": 0.0}, "alpha2 = 0 is out of range"),
-        ("Logarithmic", {"alpha1": 200.0}, r"alpha1 = 200.0 is out of range: allowed is \[-100, 100\]"),
-        ("Logarithmic", {"C2": 0.0}, r"C2 = 0.0 is out of range: allowed is \(0, inf\)"),
+        ("Ogden of one term", {"alpha": "steep"}, r"alpha\[0\] must be a number"),
+        ("Exponential", {"alpha2": 0.0}, "alpha2 must be .*, got 0"),
+        ("Logarithmic", {"alpha1": 200.0}, r"alpha1 must be in \[-100, 100\], got 200.0"),
+        ("Logarithmic", {"C2": 0.0}, r"C2 must be in \(0, inf\), got 0.0"),
     ],
 )
 def test_each_law_refuses_by_name_and_range(law, change, message):

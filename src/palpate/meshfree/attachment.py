@@ -1,4 +1,4 @@
-"""Parts of a body by place: what is fixed, tied down or pulled at. For `Cloud.with_group`.
+"""Selection of nodes by position, for `Cloud.with_group`.
 
 All on the body's surface, unless `surface` is False; `Cloud.within` finds what is near a point.
 """
@@ -19,7 +19,7 @@ __all__ = ["in_box", "near_plane", "painted"]
 
 
 def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface: bool = True) -> Ints:
-    """Return the nodes in a box with edges along the axes, borders included.
+    """Return the nodes in a closed axis-aligned box.
 
     Parameters
     ----------
@@ -34,18 +34,18 @@ def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface
     InputError
         Corners that are no points or in the wrong order, or a box without a node.
     """
-    corners = [_point(cloud, name, value) for name, value in (("low", low), ("high", high))]
+    corners = [_check_point(cloud, name, value) for name, value in (("low", low), ("high", high))]
     if np.any(corners[0] > corners[1]):
-        raise InputError(f"low = {corners[0]} m must be below high = {corners[1]} m")
+        raise InputError(f"low must be below high, got {corners[0]} m and {corners[1]} m")
     slack = 1e-9 * cloud.spacing
     inside = np.all((cloud.points >= corners[0] - slack) & (cloud.points <= corners[1] + slack), axis=1)
-    return _chosen(cloud, inside, surface, f"the box from {corners[0]} to {corners[1]} m")
+    return _select_nodes(cloud, inside, surface, f"the box from {corners[0]} to {corners[1]} m")
 
 
 def near_plane(
     cloud: Cloud, point: Sequence[float], normal: Sequence[float], distance: float = 0.0, *, surface: bool = True
 ) -> Ints:
-    """Return the nodes behind a plane, or before it by no more than a distance.
+    """Return the nodes behind a plane, or at most a distance in front of it.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ def near_plane(
     InputError
         A point or normal that is none, or no node behind the plane.
     """
-    place, direction = _point(cloud, "point", point), _point(cloud, "normal", normal)
+    place, direction = _check_point(cloud, "point", point), _check_point(cloud, "normal", normal)
     length = np.linalg.norm(direction)
     if length == 0:
-        raise InputError("normal has no length: give a direction")
+        raise InputError("normal must have a positive length, got zero; give a direction")
     distance = number_in_range("distance", distance, unit="m")
     height = (cloud.points - place) @ (direction / length)
-    return _chosen(
+    return _select_nodes(
         cloud, height <= distance + 1e-9 * cloud.spacing, surface, f"the plane through {place} m towards {direction}"
     )
 
@@ -107,29 +107,33 @@ def painted(
     """
     places, paint = np.asarray(points, dtype=float), np.asarray(values, dtype=float)
     if places.ndim != 2 or places.shape[1] != cloud.points.shape[1] or paint.shape != (len(places),) or not len(paint):
-        raise InputError(f"painted points {places.shape} and values {paint.shape} must be (k, d) and (k,), k > 0")
+        raise InputError(
+            f"painted points and values must have shapes (k, d) and (k,), k > 0, got {places.shape} and {paint.shape}"
+        )
     if not (np.isfinite(places).all() and np.isfinite(paint).all()):
         raise InputError("painted points and values must be finite")
     number_in_range("least", least)
     reach = 2 * cloud.spacing if farthest is None else number_in_range("farthest", farthest, 0.0, unit="m")
     distance, nearest = cKDTree(places).query(cloud.points)
-    return _chosen(cloud, (distance <= reach) & (paint[nearest] >= least), surface, f"paint of at least {least:g}")
+    return _select_nodes(
+        cloud, (distance <= reach) & (paint[nearest] >= least), surface, f"paint of at least {least:g}"
+    )
 
 
-def _point(cloud: Cloud, name: str, value: Sequence[float]) -> Floats:
+def _check_point(cloud: Cloud, name: str, value: Sequence[float]) -> Floats:
     point = np.array([number_in_range(name, x, unit="m") for x in value])
     if len(point) != cloud.points.shape[1]:
-        raise InputError(f"{name} must have {cloud.points.shape[1]} entries, not {len(point)}")
+        raise InputError(f"{name} must have {cloud.points.shape[1]} entries, got {len(point)}")
     return point
 
 
-def _chosen(cloud: Cloud, mask: NDArray[np.bool_], surface: bool, where: str) -> Ints:
-    """Numbers of the nodes in a mask, on the surface if so wished; a plane cloud is all surface."""
+def _select_nodes(cloud: Cloud, mask: NDArray[np.bool_], surface: bool, where: str) -> Ints:
+    """Return the nodes in a mask, optionally on the surface only; a plane cloud is all surface."""
     nodes = np.flatnonzero(mask)
     if surface and cloud.points.shape[1] == 3:
         nodes = np.intersect1d(nodes, cloud.face_nodes)
     if nodes.size == 0:
         what = "node of the surface" if surface else "node"
         low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
-        raise InputError(f"{where} holds no {what}; the body reaches from {low} to {high} m")
+        raise InputError(f"{where} must hold a {what}, got none; the body extends from {low} to {high} m")
     return nodes

@@ -1,7 +1,7 @@
-"""Clouds of points: what a body is before it has a material.
+"""Clouds of points: discretised bodies without a material.
 
-A `Cloud` is arrays and nothing else: where the points are, how much of the body each one stands for, which faces of
-the body it lies on, and named groups of points that loads refer to.
+A `Cloud` is arrays and nothing else: where the points are, how much of the body each one stands
+for, which faces of the body it lies on, and named groups of points that loads refer to.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
-from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range, warn_of_unit
+from palpate.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range, warn_of_unit
 from palpate.plotting import body_svg, plot_body
 
 __all__ = ["Cloud", "box", "warn_of_size"]
 
 
-MOST_NODES = 5e7  # of a box
-FARTHEST = 1e9  # [m] of a coordinate
-SMALLEST = 1e-9  # [m] spacing: beyond both, volumes and stiffnesses leave double precision
-LEAST_SHARE = 1e-12  # of the smallest cell: volume of a node
-EXPECTED_SIZES = 1e-4, 10.0  # [m] of a body; beyond, a size was probably not given in metres
+MAX_NODES = 5e7  # of a box
+MAX_COORDINATE = 1e9  # [m] of a coordinate
+MIN_SPACING = 1e-9  # [m] spacing: beyond both, volumes and stiffnesses leave double precision
+MIN_VOLUME_RATIO = 1e-12  # of the smallest cell: volume of a node
+EXPECTED_SIZES = 1e-4, 10.0  # [m] of a body; other sizes are probably not in metres
 
 
 @dataclass(frozen=True)
 class Cloud(Described):
-    """Points of a body with their share of its volume and surface.
+    """Nodes of a body with their volumes and surface areas.
 
     Parameters
     ----------
@@ -40,7 +40,8 @@ class Cloud(Described):
     volumes : (n,) array [m^3; m^2 in the plane]
         Nodal volumes; they sum to the volume of the body.
     face_nodes : (m,) array
-        One entry for every pair of a boundary node and a face it lies on: an edge node has two, a corner node three.
+        One entry for every pair of a boundary node and a face it lies on: an edge node has two, a
+        corner node three.
     face_normals : (m, d) array
         Unit outward normal of that face.
     face_areas : (m,) array [m^2]
@@ -70,34 +71,38 @@ class Cloud(Described):
     def __post_init__(self) -> None:
         n, d = self.points.shape if self.points.ndim == 2 else (0, 0)
         if d not in (2, 3) or n == 0:
-            raise CloudError(f"points must have shape (n, 2) or (n, 3) with n > 0, not {self.points.shape}")
+            raise CloudError(f"points must have shape (n, 2) or (n, 3) with n > 0, got {self.points.shape}")
         bad = np.flatnonzero(~np.isfinite(self.points).all(axis=1))
         if bad.size:
-            raise CloudError(f"points of nodes {first_few(bad)} are not finite", bad)
-        far = np.flatnonzero(np.abs(self.points).max(axis=1) > FARTHEST)
+            raise CloudError(f"points must be finite, got other values at nodes {first_few(bad)}", bad)
+        far = np.flatnonzero(np.abs(self.points).max(axis=1) > MAX_COORDINATE)
         if far.size:
             raise CloudError(
-                f"points must lie within {FARTHEST:g} m of the origin, got {self.points[far[0]]} at node {far[0]}: "
+                f"points must lie within {MAX_COORDINATE:g} m of the origin, got {self.points[far[0]]} at node "
+                f"{far[0]}; "
                 "give them in metres",
                 far,
             )
-        if not SMALLEST <= self.spacing <= FARTHEST:
-            raise CloudError(f"spacing must be from {SMALLEST:g} to {FARTHEST:g} m, got {self.spacing:g} m")
+        if not MIN_SPACING <= self.spacing <= MAX_COORDINATE:
+            raise CloudError(f"spacing must be from {MIN_SPACING:g} to {MAX_COORDINATE:g} m, got {self.spacing:g} m")
         if self.volumes.shape != (n,) or not np.all(self.volumes > 0):
             raise CloudError("volumes must be positive and one for every point")
-        least, most = LEAST_SHARE * SMALLEST**d, FARTHEST**d
+        least, most = MIN_VOLUME_RATIO * MIN_SPACING**d, MAX_COORDINATE**d
         if not np.all((self.volumes >= least) & (self.volumes <= most)):
-            raise CloudError(f"volumes must be from {least:g} to {most:g} m^{d}: give sizes in metres")
+            raise CloudError(f"volumes must be from {least:g} to {most:g} m^{d}; give sizes in metres")
         m = len(self.face_nodes)
         if self.face_normals.shape != (m, d) or self.face_areas.shape != (m,):
             raise CloudError("face_nodes, face_normals and face_areas must have one row for every node-face pair")
         if not (np.isfinite(self.face_normals).all() and np.isfinite(self.face_areas).all()):
             raise CloudError("face_normals and face_areas must be finite")
-        if np.abs(self.face_normals).max(initial=0.0) > 1 + 1e-6 or self.face_areas.max(initial=0.0) > FARTHEST**2:
-            raise CloudError(f"face_normals must be unit vectors, and face_areas at most {FARTHEST**2:g} m^2")
+        if (
+            np.abs(self.face_normals).max(initial=0.0) > 1 + 1e-6
+            or self.face_areas.max(initial=0.0) > MAX_COORDINATE**2
+        ):
+            raise CloudError(f"face_normals must be unit vectors, and face_areas at most {MAX_COORDINATE**2:g} m^2")
         for name, nodes in (*self.groups.items(), ("face_nodes", self.face_nodes)):
             if (len(nodes) == 0 and name in self.groups) or np.any((nodes < 0) | (nodes >= n)):
-                raise CloudError(f"group {name!r} is empty or names nodes outside 0..{n - 1}")
+                raise CloudError(f"group {name!r} must hold nodes in [0, {n - 1}], got none or others")
 
     def __len__(self) -> int:
         return len(self.points)
@@ -152,33 +157,35 @@ class Cloud(Described):
             The cloud has no such group.
         """
         if not isinstance(name, str) or name not in self.groups:
-            raise InputError(f"unknown group {name!r}: this cloud has {', '.join(map(repr, sorted(self.groups)))}")
+            known = ", ".join(map(repr, sorted(self.groups)))
+            raise InputError(f"group must be one of {known}, got {brief(name)}")
         return self.groups[name]
 
     def within(self, name: str, centre: Sequence[float], radius: float) -> Cloud:
-        """Return a copy with one more group: all nodes within `radius` [m] of the point `centre`, shape (d,) [m].
+        """Return a copy with an additional group: all nodes within `radius` [m] of the point `centre`, shape (d,) [m].
 
         Raises
         ------
         InputError
-            The name is taken, `centre` is no point, `radius` is not positive, or no node is that near.
+            The name is taken, `centre` is no point, `radius` is not positive, or no node is that
+            near.
         """
         if name in self.groups:
-            raise InputError(f"group {name!r} exists already: choose another name")
-        point = np.array([number_in_range("centre", x, -FARTHEST, FARTHEST, unit="m") for x in centre])
+            raise InputError(f"group must be a new name, got {name!r}, which exists; choose another name")
+        point = np.array([number_in_range("centre", x, -MAX_COORDINATE, MAX_COORDINATE, unit="m") for x in centre])
         if len(point) != self.points.shape[1]:
-            raise InputError(f"centre must have {self.points.shape[1]} entries, not {len(point)}")
+            raise InputError(f"centre must have {self.points.shape[1]} entries, got {len(point)}")
         radius = number_in_range("radius", radius, 0.0, open_low=True, unit="m")
         distance = np.linalg.norm(self.points - point, axis=1)
         nodes = np.flatnonzero(distance <= radius * (1 + 1e-9))
         if nodes.size == 0:
             raise InputError(
-                f"radius = {radius:g} m around {point} m holds no node; the nearest is {distance.min():.3g} m away"
+                f"radius must reach a node from {point} m, got {radius:g} m; the nearest is {distance.min():.3g} m away"
             )
         return replace(self, groups={**self.groups, name: nodes})
 
     def with_group(self, name: str, nodes: Sequence[int] | Ints | NDArray[np.bool_]) -> Cloud:
-        """Return a copy with one more group of nodes, given by their numbers or by a mask (n,).
+        """Return a copy with an additional group of nodes, given by indices or a mask (n,).
 
         `palpate.in_box`, `palpate.near_plane` and `palpate.painted` find such nodes.
 
@@ -188,21 +195,20 @@ class Cloud(Described):
             The name is taken, there is no node, or a number or a mask that is none of this cloud.
         """
         if name in self.groups:
-            raise InputError(f"group {name!r} exists already: choose another name")
+            raise InputError(f"group must be a new name, got {name!r}, which exists; choose another name")
         given = np.asarray(nodes)
         if given.dtype == bool and given.shape == (len(self),):
             given = np.flatnonzero(given)
         whole = given.ndim == 1 and given.size > 0 and np.issubdtype(given.dtype, np.integer)
         if not whole or given.min() < 0 or given.max() >= len(self):
-            raise InputError(
-                f"group {name!r} needs numbers of nodes from 0 to {len(self) - 1}, or a mask of {len(self)}"
-            )
+            raise InputError(f"group {name!r} must be nodes in [0, {len(self) - 1}], or a mask of shape ({len(self)},)")
         return replace(self, groups={**self.groups, name: np.unique(given).astype(np.int64)})
 
     def boundary_vectors(self) -> Floats:
         """Return sum over a node's faces of (area / volume) times normal, shape (n, d) [1/m].
 
-        It is the c/h N of the half-cell balance: c = 2 on a flat face of a lattice; zero inside the body.
+        It is the c/h N of the half-cell balance: c = 2 on a flat face of a lattice; zero inside the
+        body.
         """
         vectors = np.zeros_like(self.points)
         np.add.at(vectors, self.face_nodes, self.face_areas[:, None] * self.face_normals)
@@ -226,7 +232,7 @@ class Cloud(Described):
                 vectors = np.zeros_like(self.points)
                 np.add.at(vectors, self.face_nodes[same], self.face_areas[same, None] * self.face_normals[same])
                 return vectors[nodes]
-        raise InputError(f"group {name!r} does not lie on one face of the surface: a traction needs one")
+        raise InputError(f"group {name!r} must lie on one face of the surface to carry a surface load")
 
 
 def warn_of_size(points: Floats) -> None:
@@ -246,16 +252,16 @@ def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 
     spacing : float [m]
         Wished distance between nodes; each edge gets the nearest whole number of cells, at least 3.
     jitter : float
-        Random displacement of every node as a share of the spacing, in [0, 0.3]. Nodes of a face stay in it,
-        nodes of an edge on it, corners where they are.
+        Random displacement of every node as a share of the spacing, in [0, 0.3]. Nodes of a face
+        stay in it, nodes of an edge on it, corners where they are.
     seed : int
         Of the random displacements.
 
     Returns
     -------
     Cloud
-        Groups ``"x-"``, ``"x+"``, ``"y-"`` ... are the faces. A node's volume is that of its cell: half a cell on
-        a face, a quarter on an edge, an eighth in a corner.
+        Groups ``"x-"``, ``"x+"``, ``"y-"`` ... are the faces. A node's volume is that of its cell:
+        half a cell on a face, a quarter on an edge, an eighth in a corner.
 
     Raises
     ------
@@ -269,20 +275,20 @@ def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 
     """
     d = len(size)
     if d not in (2, 3):
-        raise InputError(f"size must have 2 or 3 entries, not {d}")
-    lengths = np.array([number_in_range("size", s, 0.0, FARTHEST, open_low=True, unit="m") for s in size])
-    spacing = number_in_range("spacing", spacing, SMALLEST, FARTHEST, unit="m")
+        raise InputError(f"size must have 2 or 3 entries, got {d}")
+    lengths = np.array([number_in_range("size", s, 0.0, MAX_COORDINATE, open_low=True, unit="m") for s in size])
+    spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_COORDINATE, unit="m")
     jitter = number_in_range("jitter", jitter, 0.0, 0.3)
     seed = integer_in_range("seed", seed, 0)
     wished = np.rint(lengths / spacing)
     count = np.prod(wished + 1)
     if np.any(wished < 3):
         raise InputError(
-            f"spacing = {spacing:g} m gives {wished.min() + 1:.0f} nodes across the side of {lengths.min():g} m; "
-            f"at least 4 are needed: use a spacing of at most {lengths.min() / 3:g} m"
+            f"spacing must give at least 4 nodes across the side of {lengths.min():g} m, got {spacing:g} m "
+            f"({wished.min() + 1:.0f} nodes); use at most {lengths.min() / 3:g} m"
         )
-    if count > MOST_NODES:
-        raise InputError(f"spacing = {spacing:g} m gives {count:.2g} nodes; at most 5e7 are allowed")
+    if count > MAX_NODES:
+        raise InputError(f"spacing must give at most {MAX_NODES:.0e} nodes, got {spacing:g} m ({count:.2g} nodes)")
     warn_of_size(np.array([np.zeros(d), lengths]))
     cells = wished.astype(int)
     step = lengths / cells
@@ -313,7 +319,7 @@ def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 
 
 
 def _box_triangles(cells: Ints) -> Ints:
-    """Two triangles for every cell of every face of a lattice; in the plane, for every cell."""
+    """Return two triangles for every cell of the faces of a lattice, or of a plane lattice."""
     number = np.arange(np.prod(cells + 1)).reshape(cells + 1)
     if len(cells) == 2:
         return _sheet_triangles(number)

@@ -1,11 +1,12 @@
 """Derivatives that make a nodally summed energy exact for uniform stress.
 
-The energy of a uniformly stressed body is summed over nodes; its derivative by the displacement of node J is P times
-the sum over I of V_I g_IJ, g_IJ the weight of J in the gradient at I. Integration by parts says what that sum must be:
-nothing inside, and at the boundary the node's share B_J of its area vector. Weights of moving least squares miss this
-on all but regular clouds, so that uniform stress would push the nodes about. Here they are changed as little as
-possible such that they do not miss it and still differentiate linear fields exactly: variationally consistent
-integration (Chen, Hillman and Rueter, Int. J. Numer. Methods Eng. 95, 2013), with one linear system for the cloud.
+The energy of a uniformly stressed body is summed over nodes; its derivative by the displacement of
+node J is P times the sum over I of V_I g_IJ, g_IJ the weight of J in the gradient at I. Integration
+by parts says what that sum must be: nothing inside, and at the boundary the node's share B_J of its
+area vector. Weights of moving least squares miss this on all but regular clouds, so that uniform
+stress would push the nodes about. Here they are changed as little as possible such that they do not
+miss it and still differentiate linear fields exactly: variationally consistent integration (Chen,
+Hillman and Rueter, Int. J. Numer. Methods Eng. 95, 2013), with one linear system for the cloud.
 """
 
 from __future__ import annotations
@@ -23,23 +24,24 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats
 from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.quadrature import integration_weights, quadratic_misses
+from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 
-__all__ = ["balanced_stencils", "consistent_gradient"]
+__all__ = ["consistent_gradient", "consistent_stencils"]
+
+RESIDUAL_TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
+MAX_ITERATIONS = 1000  # of conjugate gradients
+MIN_PATCH_WIDTH, MAX_PATCHES = 4.0, 800  # width in spacings, at least; how many there are, about, at most
+DIAGONAL_SHIFT = 1e-6  # of the patches' mean diagonal, which it is added to, as linear fields cost nothing
+LATTICE_SHARE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
+MAX_WEIGHT_CHANGE = 0.8  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form (0.77 ran stably)
+
+_VOLUME_ERROR = (
+    "the cloud's volumes do not fit its points: nodal volumes must be about those of the cells between the points"
+)
 
 
-TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
-MOST_STEPS = 1000  # of conjugate gradients
-PATCH, MOST_PATCHES = 4.0, 800  # width in spacings, at least; how many there are, about, at most
-SHIFT = 1e-6  # of the patches' mean diagonal, which it is added to, as linear fields cost nothing
-LATTICE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
-MOST_CHANGE = 0.8  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form (0.77 ran stably)
-
-_MISFIT = "the cloud's volumes do not fit its points: nodal volumes must be about those of the cells between the points"
-
-
-def balanced_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stencils, Floats, bool]:
+def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stencils, Floats, bool]:
     """Return stencils with consistent derivatives, as narrow as the cloud lets them be.
 
     Parameters
@@ -54,7 +56,8 @@ def balanced_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stenci
     neighbours : int
         The number taken.
     stencils : Stencils
-        Of first derivatives; `value` holds what an even quadratic fit misses (`quadratic_misses`).
+        Of first derivatives; `value` holds what an even quadratic fit misses
+        (`quadratic_residuals`).
     volumes : (n,) array [m^3]
         Weights that integrate quadratic fields.
     lattice : bool
@@ -68,17 +71,17 @@ def balanced_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stenci
     fault = None
     for neighbours in choices:
         try:
-            return neighbours, *_balanced_stencils(cloud, neighbours)
+            return neighbours, *_consistent_stencils(cloud, neighbours)
         except CloudError as error:
             fault = fault or error
     raise fault or ValueError("no numbers of neighbours to choose from")
 
 
-def _balanced_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Floats, bool]:
+def _consistent_stencils(cloud: Cloud, neighbours: int) -> tuple[Stencils, Floats, bool]:
     stencils = moving_least_squares(cloud.points, order=2, neighbours=neighbours)
-    volumes, misses = integration_weights(cloud, stencils), quadratic_misses(stencils, cloud.points)
+    volumes, misses = integration_weights(cloud, stencils), quadratic_residuals(stencils, cloud.points)
     row, first = stencils.row, stencils.first
-    lattice = len(first) <= LATTICE * len(cloud)
+    lattice = len(first) <= LATTICE_SHARE * len(cloud)
     if not lattice:  # few nodes share a stencil: the fit alone would not balance
         edges = cloud.boundary_vectors() * cloud.volumes[:, None]
         row, first = np.arange(len(cloud), dtype=np.int32), consistent_gradient(stencils, cloud.points, volumes, edges)
@@ -98,8 +101,8 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     volumes : (n,) array
         Nodal volumes (areas, for d = 2).
     boundary : (n, d) array
-        Nodal area vectors (normals times lengths, for d = 2), zero inside; changed as little as possible so that
-        they meet the divergence theorem for linear fields exactly.
+        Nodal area vectors (normals times lengths, for d = 2), zero inside; changed as little as
+        possible so that they meet the divergence theorem for linear fields exactly.
 
     Raises
     ------
@@ -129,17 +132,17 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     try:
         inverse = sparse.bsr_matrix((np.linalg.inv(moments), np.arange(n), np.arange(n + 1))).tocsr()
     except np.linalg.LinAlgError:
-        raise CloudError(_MISFIT) from None
+        raise CloudError(_VOLUME_ERROR) from None
     coupling = scaled @ exactness.T
     system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
-    wanted = _balanced(boundary, points, volumes) * spacing / np.median(volumes)
+    wanted = _balance_boundary(boundary, points, volumes) * spacing / np.median(volumes)
     missing = wanted - divergence @ weights
-    multipliers = _solved(system, missing, points, spacing)
+    multipliers = _solve(system, missing, points, spacing)
     change = freedom[:, None] * (divergence.T @ multipliers - exactness.T @ (inverse @ (coupling.T @ multipliers)))
     weights += change
     left, changed = np.abs(wanted - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
-    if left.max() > TOLERANCE or changed.max() > MOST_CHANGE:
-        worst = int(np.argmax(left)) if left.max() > TOLERANCE else int(node[np.argmax(changed)])
+    if left.max() > RESIDUAL_TOLERANCE or changed.max() > MAX_WEIGHT_CHANGE:
+        worst = int(np.argmax(left)) if left.max() > RESIDUAL_TOLERANCE else int(node[np.argmax(changed)])
         raise CloudError(
             f"the cloud is too irregular for consistent derivatives near node {worst} at {points[worst]} m "
             f"(weights change by {changed.max():.2g} / h, {left.max():.1g} is left): spread the points there",
@@ -150,35 +153,38 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     return result
 
 
-def _solved(system: Any, sides: Floats, points: Floats, spacing: float) -> Floats:
+def _solve(system: Any, sides: Floats, points: Floats, spacing: float) -> Floats:
     """Solve for all right-hand sides (n, d) at once: reading the matrix is what takes the time."""
     shape = sides.shape
     diagonal, (patches, coarse) = system.diagonal()[:, None], _patches(system, points, spacing)
     linear = np.linalg.qr(np.column_stack([np.ones(len(points)), points - points.mean(axis=0)]))[0]
 
-    def bent(field: Floats) -> Floats:  # without its linear part, which nothing resists
+    def remove_linear(field: Floats) -> Floats:  # without its linear part, which nothing resists
         return field - linear @ (linear.T @ field)
 
-    def eased(residual: Floats) -> Floats:
-        rough = bent(residual.reshape(shape))
-        return bent(rough / diagonal + patches @ cho_solve(coarse, patches.T @ rough)).ravel()
+    def precondition(residual: Floats) -> Floats:
+        rough = remove_linear(residual.reshape(shape))
+        return remove_linear(rough / diagonal + patches @ cho_solve(coarse, patches.T @ rough)).ravel()
 
     size = (sides.size, sides.size)
     whole = LinearOperator(size, lambda x: (system @ x.reshape(shape)).ravel(), dtype=float)
-    preconditioner = LinearOperator(size, eased, dtype=float)
-    found, _ = cg(whole, sides.ravel(), rtol=0.0, atol=0.1 * TOLERANCE, maxiter=MOST_STEPS, M=preconditioner)
+    preconditioner = LinearOperator(size, precondition, dtype=float)
+    found, _ = cg(
+        whole, sides.ravel(), rtol=0.0, atol=0.1 * RESIDUAL_TOLERANCE, maxiter=MAX_ITERATIONS, M=preconditioner
+    )
     return np.asarray(found.reshape(shape))
 
 
 def _patches(system: Any, points: Floats, spacing: float) -> tuple[Any, Any]:
     """Return smooth fields (n, c) over patches some spacings wide, and the factor of the system for them alone.
 
-    The system is that of a thin plate: linear fields cost nothing and long waves next to nothing, so that conjugate
-    gradients alone need as many steps as the square of the nodes across. The fields are linear ones that fade out
-    over their neighbours (a partition of unity), which hold all long waves.
+    The system is that of a thin plate: linear fields cost nothing and long waves next to nothing,
+    so that conjugate gradients alone need as many steps as the square of the nodes across. The
+    fields are linear ones that fade out over their neighbours (a partition of unity), which hold
+    all long waves.
     """
     n, d = points.shape
-    width = spacing * max(PATCH, (n / MOST_PATCHES) ** (1 / d))
+    width = spacing * max(MIN_PATCH_WIDTH, (n / MAX_PATCHES) ** (1 / d))
     _, cell = np.unique(np.floor(points / width), axis=0, return_inverse=True)
     count = np.bincount(cell.ravel())
     centres = np.column_stack([np.bincount(cell.ravel(), points[:, a]) / count for a in range(d)])
@@ -197,14 +203,14 @@ def _patches(system: Any, points: Floats, spacing: float) -> tuple[Any, Any]:
         (n, (d + 1) * len(centres)),
     )
     own = (fields.T @ (system @ fields)).toarray()
-    own[np.diag_indices_from(own)] += SHIFT * own.diagonal().mean()
+    own[np.diag_indices_from(own)] += DIAGONAL_SHIFT * own.diagonal().mean()
     try:
         return fields, cho_factor(own, lower=True)
     except (np.linalg.LinAlgError, ValueError):
-        raise CloudError(_MISFIT) from None
+        raise CloudError(_VOLUME_ERROR) from None
 
 
-def _balanced(boundary: Floats, points: Floats, volumes: Floats) -> Floats:
+def _balance_boundary(boundary: Floats, points: Floats, volumes: Floats) -> Floats:
     """Boundary vectors with sum of B = 0 and sum of B_a X_b = V delta_ab, by the least change at the boundary nodes."""
     on = np.any(boundary != 0, axis=1)
     d = points.shape[1]

@@ -1,4 +1,4 @@
-"""Where vertical lines enter and leave a closed surface."""
+"""Intersections of vertical lines with a closed surface."""
 
 from __future__ import annotations
 
@@ -41,14 +41,15 @@ def _crossings(corners, low, step, nx, ny, start, height, write):  # type: ignor
 def column_crossings(
     vertices: Floats, triangles: Ints, low: Floats, step: float, shape: tuple[int, int]
 ) -> tuple[Ints, Floats]:
-    """Return where vertical lines on a grid of (x, y) enter and leave a closed surface.
+    """Return the entry and exit heights of vertical lines on a grid of (x, y).
 
     Parameters
     ----------
     vertices, triangles : (v, 3), (t, 3) arrays
         Closed.
     low : (2,) array [m]
-        First line. Lines should not run through vertices: shift them by an irrational part of the step.
+        First line. Lines should not run through vertices: shift them by an irrational part of the
+        step.
     step : float [m]
         Between lines.
     shape : (nx, ny)
@@ -56,8 +57,8 @@ def column_crossings(
     Returns
     -------
     start, height : (nx ny + 1,), (c,) arrays
-        Line i ny + j crosses at ``height[start[k]:start[k + 1]]``, ascending; an odd number of crossings, of a line
-        that grazes the surface, is left out.
+        Line i ny + j crosses at ``height[start[k]:start[k + 1]]``, ascending; an odd number of
+        crossings, of a line that grazes the surface, is left out.
     """
     corners = vertices[triangles]
     nx, ny = shape

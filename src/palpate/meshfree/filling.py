@@ -1,4 +1,4 @@
-"""From a closed surface to a cloud of nodes."""
+"""Filling of closed surfaces with nodes."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from palpate.arrays import Floats
-from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
+from palpate.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud, warn_of_size
 from palpate.meshfree.gate import faulty_nodes
-from palpate.meshfree.refining import refined
+from palpate.meshfree.refining import refine_surface
 from palpate.meshfree.relaxing import (
-    DEPTH,
+    MIN_DEPTH,
     DepthQuery,
-    body_centred,
-    cubic,
-    relaxed,
+    body_centred_lattice,
+    cubic_lattice,
+    relax,
     scattered_inside,
-    shares,
+    voronoi_volumes,
 )
-from palpate.meshfree.remeshing import SurfaceNodes, spread
+from palpate.meshfree.remeshing import SurfaceNodes, remesh
 from palpate.meshfree.surface_checks import check_surface
 from palpate.meshfree.surface_files import read_surface
-from palpate.meshfree.surface_repair import repair as repaired
-from palpate.meshfree.surfaces import Surface, welded
+from palpate.meshfree.surface_repair import repair_surface
+from palpate.meshfree.surfaces import Surface, weld
 
 __all__ = ["Region", "fill"]
 
 Region = tuple[Sequence[float], float, float]  # centre [m], radius [m], spacing [m]
 
-ON_SURFACE = 0.8  # distance of surface nodes in spacings
-SHORT = 0.42  # longest edge of the refined surface, in spacings
+SURFACE_SPACING = 0.8  # distance of surface nodes, in spacings
+MAX_EDGE = 0.42  # longest edge of the refined surface, in spacings
 GRADING = 0.35  # growth of the spacing with the distance from a refined region
-MOST_NODES = 500_000
-MEND = 4  # rounds of mending what the gate finds
-FEWEST = 40  # interior nodes
+MAX_NODES = 500_000
+MAX_REPAIRS = 4  # rounds of removing nodes that the stencil check rejects
+MIN_INTERIOR_NODES = 40
 
 
 def fill(
@@ -55,72 +55,76 @@ def fill(
 ) -> Cloud:
     """Fill a closed surface with nodes.
 
-    Nodes on the surface lie 0.8 spacings apart, with the surface's normals, and are joined by triangles. Nodes inside
-    start from a lattice at least 0.65 spacings below the surface and are moved apart until evenly spaced. Nodal
-    volumes are what is nearest to each node, and sum to the volume of the body.
+    Nodes on the surface lie 0.8 spacings apart, with the surface's normals, and are joined by
+    triangles. Nodes inside start from a lattice at least 0.65 spacings below the surface and are
+    relaxed until evenly spaced. Nodal volumes are what is nearest to each node, and sum to the
+    volume of the body.
 
     Parameters
     ----------
     surface : Surface, path, or (vertices, triangles)
-        A file (`palpate.io.read_surface`), or arrays (v, 3) [m] and (t, 3), triangles counter-clockwise from outside.
+        A file (`palpate.io.read_surface`), or arrays (v, 3) [m] and (t, 3), triangles
+        counter-clockwise from outside.
     spacing : float [m]
         Wished distance between nodes.
     part, units
         Of a file: as for `palpate.io.read_surface`.
     repair : bool
-        Whether to close small holes and turn triangles: see `palpate.meshfree.surface_repair.repair`.
+        Whether to close small holes and turn triangles: see
+        `palpate.meshfree.surface_repair.repair_surface`.
     lattice : str
         ``"bcc"`` (body-centred cubic), ``"cubic"`` or ``"scattered"`` (Poisson discs).
     refine : sequence of (centre, radius, spacing)
-        Finer spacings around points [m]; the spacing grows from there by a third of the distance, up to `spacing`.
-        The nodes inside are scattered then.
+        Finer spacings around points [m]; the spacing grows from there by a third of the distance,
+        up to `spacing`. The nodes inside are scattered then.
     seed : int
         Equal seeds give equal clouds.
 
     Returns
     -------
     Cloud
-        Group ``"surface"`` are the nodes on it; its `triangles` join them. Every such node has one entry in the faces:
-        its area vector. Area vectors sum to zero; their lengths to the area of the surface less what bends within a
-        node's part of it.
+        Group ``"surface"`` are the nodes on it; its `triangles` join them. Every such node has one
+        entry in the faces: its area vector. Area vectors sum to zero; their lengths to the area of
+        the surface less what bends within a node's part of it.
 
     Raises
     ------
     InputError
-        A surface that is open, hollow, inside out, of several parts or passes through itself; a parameter out of
-        range; or a spacing that is too coarse for the body.
+        A surface that is open, hollow, inside out, of several parts or passes through itself; a
+        parameter out of range; or a spacing that is too coarse for the body.
     CloudError
-        The cloud cannot carry moving least squares: the body has parts that are much thinner than the spacing.
+        The cloud does not support moving least squares, because parts of the body are much thinner
+        than the spacing.
 
     Warns
     -----
     UserWarning
-        What was assumed, such as the units of a file; a body of more than 10 m or less than 0.1 mm.
+        An assumption was made, such as the units of a file; or a body of more than 10 m or less than 0.1 mm.
     """
     spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
     seed = integer_in_range("seed", seed, 0)
     if lattice not in ("bcc", "cubic", "scattered"):
-        raise InputError(f"lattice = {lattice!r}: allowed are 'bcc', 'cubic' and 'scattered'")
+        raise InputError(f"lattice must be 'bcc', 'cubic' or 'scattered', got {brief(lattice)}")
     body = _body(surface, part, units, repair)
     for warning in body.warnings:
         warnings.warn(warning, stacklevel=2)
     sizing = Sizing.of(spacing, refine)
     report = check_surface(body)
     if report.errors:
-        what = "; ".join(problem.what for problem in report.errors)
-        raise InputError(f"{body.name} cannot be filled: {what}")
-    _refuse_size(body, spacing, sizing)
+        problems = "; ".join(problem.what for problem in report.errors)
+        raise InputError(f"{body.name} must be a closed surface of one solid body; {problems}")
+    _check_size(body, spacing, sizing)
     warn_of_size(body.vertices)
-    vertices, triangles = refined(body.vertices, body.triangles, lambda points: SHORT * sizing(points))
+    vertices, triangles = refine_surface(body.vertices, body.triangles, lambda points: MAX_EDGE * sizing(points))
     inside = DepthQuery.of(vertices, triangles)
-    nodes = spread(vertices, triangles, ON_SURFACE * sizing(vertices), seed)
-    inner = _inner(inside, nodes, sizing, lattice if not refine else "scattered", seed)
-    return _mended(body, inside, nodes, inner, sizing)
+    nodes = remesh(vertices, triangles, SURFACE_SPACING * sizing(vertices), seed)
+    inner = _interior_nodes(inside, nodes, sizing, lattice if not refine else "scattered", seed)
+    return _repair_cloud(body, inside, nodes, inner, sizing)
 
 
 @dataclass(frozen=True)
 class Sizing:
-    """The wished spacing as a function of place.
+    """Target spacing as a function of position.
 
     Parameters
     ----------
@@ -134,7 +138,7 @@ class Sizing:
 
     @classmethod
     def of(cls, spacing: float, refine: Sequence[Region]) -> Sizing:
-        """Check the regions."""
+        """Return the sizing of a spacing and checked regions."""
         regions = []
         for k, region in enumerate(refine):
             if len(region) != 3 or np.shape(region[0]) != (3,):
@@ -148,12 +152,12 @@ class Sizing:
         return cls(spacing, tuple(regions))
 
     @property
-    def least(self) -> float:
-        """The finest spacing [m]."""
+    def min_spacing(self) -> float:
+        """Smallest spacing [m]."""
         return min([self.spacing, *(finer for _, _, finer in self.regions)])
 
     def __call__(self, points: Floats) -> Floats:
-        """Return the wished spacing [m] at points (k, 3)."""
+        """Return the target spacing [m] at points (k, 3)."""
         wished = np.full(len(points), self.spacing)
         for centre, radius, finer in self.regions:
             away = np.maximum(np.linalg.norm(points - np.array(centre), axis=1) - radius, 0.0)
@@ -162,54 +166,54 @@ class Sizing:
 
 
 def _body(
-    surface: Surface | str | Path | tuple[ArrayLike, ArrayLike], part: str | None, units: str | None, mend: bool
+    surface: Surface | str | Path | tuple[ArrayLike, ArrayLike], part: str | None, units: str | None, repair: bool
 ) -> Surface:
     if isinstance(surface, (str, Path)):
-        return read_surface(surface, part=part, units=units, mend=mend)
+        return read_surface(surface, part=part, units=units, repair=repair)
     if part is not None or units is not None:
-        raise InputError("part and units are for files; arrays are in metres")
+        raise InputError("part and units must be omitted for a surface of arrays; arrays are in metres")
     if not isinstance(surface, Surface):
         vertices, triangles = (np.asarray(each) for each in surface)
         surface = Surface(vertices, triangles)
-    return repaired(surface) if mend else welded(surface)
+    return repair_surface(surface) if repair else weld(surface)
 
 
-def _refuse_size(body: Surface, spacing: float, sizing: Sizing) -> None:
-    """Refuse a spacing that gives far too few or too many nodes, before anything slow."""
+def _check_size(body: Surface, spacing: float, sizing: Sizing) -> None:
+    """Check that a spacing gives a feasible number of nodes, before expensive steps."""
     across = 2 * abs(body.volume) / body.area
     expected = abs(body.volume) / spacing**3 + body.area / (0.55 * spacing**2)
     for _, radius, finer in sizing.regions:
         expected += 4.2 * radius**3 / finer**3
-    if expected > MOST_NODES:
+    if expected > MAX_NODES:
         raise InputError(
-            f"spacing = {spacing:g} m gives about {expected:.2g} nodes; at most {MOST_NODES} are taken: use a spacing "
-            f"of {spacing * (expected / MOST_NODES) ** (1 / 3):.2g} m or more"
+            f"spacing must give at most {MAX_NODES} nodes, got {spacing:g} m (about {expected:.2g} nodes); "
+            f"use at least {spacing * (expected / MAX_NODES) ** (1 / 3):.2g} m"
         )
-    if abs(body.volume) < FEWEST * spacing**3:
+    if abs(body.volume) < MIN_INTERIOR_NODES * spacing**3:
         raise InputError(
-            f"spacing = {spacing:g} m is too coarse for a body of {1e3 * abs(body.volume):.3g} litres, "
-            f"{1e3 * across:.3g} mm thick on average: use at most {across / 5:.2g} m"
+            f"spacing must be at most {across / 5:.2g} m, got {spacing:g} m; it is too coarse for a body of "
+            f"{1e3 * abs(body.volume):.3g} litres, {1e3 * across:.3g} mm thick on average"
         )
 
 
-def _inner(inside: DepthQuery, nodes: SurfaceNodes, sizing: Sizing, lattice: str, seed: int) -> Floats:
-    """Interior nodes, relaxed."""
+def _interior_nodes(inside: DepthQuery, nodes: SurfaceNodes, sizing: Sizing, lattice: str, seed: int) -> Floats:
+    """Return relaxed interior nodes."""
     if lattice == "scattered":
-        points = scattered_inside(inside, sizing.least, sizing, seed)
+        points = scattered_inside(inside, sizing.min_spacing, sizing, seed)
     else:
-        points = (body_centred if lattice == "bcc" else cubic)(inside, sizing.spacing)
-    points = points[inside.depth(points, sizing.spacing)[0] >= DEPTH * sizing(points)]
-    if len(points) < FEWEST:
+        points = (body_centred_lattice if lattice == "bcc" else cubic_lattice)(inside, sizing.spacing)
+    points = points[inside.depth(points, sizing.spacing)[0] >= MIN_DEPTH * sizing(points)]
+    if len(points) < MIN_INTERIOR_NODES:
         raise InputError(
-            f"spacing = {sizing.spacing:g} m leaves {len(points)} nodes inside the body, at least {FEWEST} are needed: "
-            f"use a finer one"
+            f"spacing must leave at least {MIN_INTERIOR_NODES} nodes inside the body, got {sizing.spacing:g} m "
+            f"({len(points)} nodes); use a smaller one"
         )
-    return relaxed(points, nodes.points, sizing(points), sizing(nodes.points), inside)
+    return relax(points, nodes.points, sizing(points), sizing(nodes.points), inside)
 
 
-def _mended(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner: Floats, sizing: Sizing) -> Cloud:
-    """The cloud, once the gate finds nothing: interior nodes that spoil it are taken out and the rest relaxed again."""
-    for _ in range(MEND):
+def _repair_cloud(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner: Floats, sizing: Sizing) -> Cloud:
+    """Return a cloud that passes the stencil check, without the interior nodes that fail it."""
+    for _ in range(MAX_REPAIRS):
         cloud = _cloud(body, inside, nodes, inner, sizing)
         bad, why = faulty_nodes(cloud)
         if not len(bad):
@@ -218,7 +222,7 @@ def _mended(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner: Float
         if not len(spoilt):
             break
         inner = np.delete(inner, spoilt, axis=0)
-        inner = relaxed(inner, nodes.points, sizing(inner), sizing(nodes.points), inside)
+        inner = relax(inner, nodes.points, sizing(inner), sizing(nodes.points), inside)
     raise CloudError(
         f"{body.name} at spacing = {sizing.spacing:g} m: {why} at nodes {first_few(bad)}, the first at "
         f"{cloud.points[bad[0]]} m. The body is thin there: use a finer spacing, or refine near it"
@@ -228,7 +232,7 @@ def _mended(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner: Float
 def _cloud(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner: Floats, sizing: Sizing) -> Cloud:
     points = np.concatenate([nodes.points, inner])
     s = len(nodes.points)
-    volumes = shares(points, inside, sizing.least)
+    volumes = voronoi_volumes(points, inside, sizing.min_spacing)
     # a node on a sharp edge may be nearest to no sample
     volumes = np.maximum(volumes, 0.02 * sizing(points) ** 3)
     sizes = np.linalg.norm(nodes.vectors, axis=1)

@@ -1,4 +1,4 @@
-"""Whether a cloud can carry the stencils and derivatives of a solid, and where it cannot."""
+"""Stencil check: nodes of a cloud whose stencils or derivatives are unusable."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def nearest_spacing(points: Floats) -> Floats:
 
 
 def faulty_nodes(cloud: Cloud, neighbours: int = 42) -> tuple[Ints, str]:
-    """Return nodes that keep a cloud from carrying a solid's stencils, and why; none if all is well.
+    """Return the nodes with unusable stencils and the reason; none if all are usable.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Triangles of a surface that meet where they should not, found with a tree of boxes."""
+"""Self-intersections of a surface by a bounding-volume hierarchy."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from numba import njit
 from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
 
-__all__ = ["MOST_PAIRS", "self_intersections"]
+__all__ = ["MAX_PAIRS", "self_intersections"]
 
-
-MOST_PAIRS = 10_000  # the search stops there: such a surface is refused anyway
-VISITS = (5_000_000, 300)  # largest number of tests of boxes: at least, and for each triangle
-LEAF = 4  # triangles
-NEAR = 1e-14  # of the extent of two triangles: gaps below are rounding errors
-FLAT = 1e-9  # sine of an angle, or height over length, taken as zero
-ROUNDS = 100  # of splitting neighbours of triangles without area
+MAX_PAIRS = 10_000  # the search stops there
+MAX_BOX_TESTS = (5_000_000, 300)  # largest number of box tests: in total at least, and per triangle
+LEAF_TRIANGLES = 4
+GAP_TOLERANCE = 1e-14  # over the extent of two triangles; smaller gaps are rounding errors
+FLAT_TOLERANCE = 1e-9  # sine of an angle, or height over length, taken as zero
+MAX_SPLITS = 100  # rounds of splitting neighbours of degenerate triangles
 
 
 def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
     """Return pairs of triangles with a common point that is not a common vertex or edge.
 
-    Two triangles are disjoint if an axis separates them (Gottschalk, Lin and Manocha, 1996). Gaps below the rounding
-    error do not separate, so that edges that meet edges or vertices exactly are found. Candidates come from a
-    tree of boxes; memory is proportional to the number of triangles. A triangle without area, which only joins a vertex
-    to an edge of its neighbour, is left out, and the neighbour is split there.
+    Two triangles are disjoint if an axis separates them (Gottschalk, Lin and Manocha, 1996). Gaps
+    below the rounding error do not separate, so that edges that meet edges or vertices exactly are
+    found. Candidates come from a tree of boxes; memory is proportional to the number of triangles.
+    A triangle without area, which only joins a vertex to an edge of its neighbour, is left out, and
+    the neighbour is split there.
 
     Parameters
     ----------
@@ -35,20 +35,20 @@ def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
     Returns
     -------
     (k, 2) int array
-        In ascending order; if k is `MOST_PAIRS`, there may be more.
+        In ascending order; if k is `MAX_PAIRS`, there may be more.
 
     Raises
     ------
     InputError
         The boxes of too many triangles overlap.
     """
-    triangles, owner = _without_flat(np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64))
+    triangles, owner = _remove_flat(np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64))
     if len(triangles) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     corners = np.ascontiguousarray(vertices[triangles], dtype=float)
     order, box = _tree(0.5 * (corners.min(axis=1) + corners.max(axis=1)), corners)
-    most = max(VISITS[0], VISITS[1] * len(triangles))
-    pairs = np.empty((MOST_PAIRS, 2), dtype=np.int64)
+    most = max(MAX_BOX_TESTS[0], MAX_BOX_TESTS[1] * len(triangles))
+    pairs = np.empty((MAX_PAIRS, 2), dtype=np.int64)
     found, visits = _search(corners[order], triangles[order], box, pairs, most)
     if visits > most:
         raise InputError(
@@ -58,8 +58,8 @@ def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
     return np.unique(np.sort(owner[order][pairs[:found]], axis=1), axis=0)
 
 
-def _without_flat(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
-    """Triangles with an area, split where flat ones join vertices to their edges, and the number each had before."""
+def _remove_flat(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
+    """Return triangles without degenerate ones, split at their vertices, and the original indices."""
     t, n = len(triangles), len(vertices)
     solid = _have_area(np.ascontiguousarray(vertices[triangles]))
     if solid.all():
@@ -70,7 +70,7 @@ def _without_flat(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
     flat = np.take_along_axis(
         flat, (np.argmax(length, axis=1)[:, None] + np.arange(3)) % 3, axis=1
     )  # edge, vertex on it
-    for _ in range(ROUNDS):
+    for _ in range(MAX_SPLITS):
         if not len(flat) or not len(triangles):
             break
         edges = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
@@ -96,7 +96,7 @@ def _have_area(corners):  # type: ignore[no-untyped-def]
     for t in range(len(corners)):
         p = corners[t]
         a, b, c = _edge(p, 0), _edge(p, 1), _edge(p, 2)
-        have[t] = _square(_cross(a, b)) > (FLAT * max(_square(a), _square(b), _square(c))) ** 2
+        have[t] = _square(_cross(a, b)) > (FLAT_TOLERANCE * max(_square(a), _square(b), _square(c))) ** 2
     return have
 
 
@@ -105,9 +105,9 @@ def _have_area(corners):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _tree(middle, corners):  # type: ignore[no-untyped-def]
-    """Order triangles by halving them at the median of their longest direction; return the boxes of the tree, too."""
+    """Return triangles ordered by median splits along the longest direction, and the boxes of the tree."""
     n, depth = len(middle), 0
-    while n >> depth > LEAF:
+    while n >> depth > LEAF_TRIANGLES:
         depth += 1
     order = np.arange(n)
     for level in range(depth):
@@ -141,7 +141,7 @@ def _tree(middle, corners):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _select(order, key, low, high, middle):  # type: ignore[no-untyped-def]
-    """Put the entry of rank `middle` in its place, smaller ones before it (Hoare, 1961)."""
+    """Partially sort so that entry `middle` has its rank (quickselect, Hoare, 1961)."""
     turn = 12345
     while low < high:
         turn = (turn * 1103515245 + 12345) & 0x7FFFFFFF
@@ -166,7 +166,7 @@ def _select(order, key, low, high, middle):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-def]
-    """Write pairs of triangles that meet, of each leaf and those after it; return their number and the visits."""
+    """Write intersecting pairs of each leaf and later ones; return their number and that of box tests."""
     n, leaves = len(corners), (len(box) + 1) // 2
     depth = 0
     while 1 << depth < leaves:
@@ -197,7 +197,7 @@ def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-de
                 continue
             other = node - leaves + 1
             for s in range((n * leaf) >> depth, (n * (leaf + 1)) >> depth):
-                if not _touches(corners[s], box[node]):
+                if not _touches_box(corners[s], box[node]):
                     continue
                 for t in range(max(s + 1, (n * other) >> depth), (n * (other + 1)) >> depth):
                     visits += 1
@@ -217,7 +217,7 @@ def _overlap(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _touches(p, box):  # type: ignore[no-untyped-def]
+def _touches_box(p, box):  # type: ignore[no-untyped-def]
     for a in range(3):
         if min(p[0, a], p[1, a], p[2, a]) > box[1, a] or max(p[0, a], p[1, a], p[2, a]) < box[0, a]:
             return False
@@ -229,7 +229,7 @@ def _touches(p, box):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _meet(p, q, i, j):  # type: ignore[no-untyped-def]
-    """Whether triangles with corners p and q (3, 3) of vertices i and j have a common point beyond common vertices."""
+    """Return whether triangles p and q (3, 3) of vertices i and j intersect beyond common vertices."""
     for a in range(3):
         low, high = min(p[0, a], p[1, a], p[2, a]), max(p[0, a], p[1, a], p[2, a])
         if low > max(q[0, a], q[1, a], q[2, a]) or min(q[0, a], q[1, a], q[2, a]) > high:
@@ -242,20 +242,20 @@ def _meet(p, q, i, j):  # type: ignore[no-untyped-def]
                 sum_i += a
                 sum_j += b
     if shared == 0:
-        return not _apart(p, q, (0, 3, 0, 3))
+        return not _are_separated(p, q, (0, 3, 0, 3))
     if shared == 1:  # what they have in common reaches an edge opposite to the vertex
         edge_p, edge_q = (sum_i + 1, 2, 0, 3), (0, 3, sum_j + 1, 2)
-        near = NEAR * _extent(p, q)
+        near = GAP_TOLERANCE * _extent(p, q)
         if _separates(_normal(q), p, q, edge_p, near) or _separates(_normal(p), p, q, edge_q, near):
             return False
-        return not _apart(p, q, edge_p) or not _apart(p, q, edge_q)
-    return shared == 3 or _folded(p, q, 3 - sum_i, 3 - sum_j)
+        return not _are_separated(p, q, edge_p) or not _are_separated(p, q, edge_q)
+    return shared == 3 or _are_folded(p, q, 3 - sum_i, 3 - sum_j)
 
 
 @njit(cache=True)
-def _apart(p, q, part):  # type: ignore[no-untyped-def]
-    """Whether an axis separates a part of p from one of q: (first, count) corners of each, a triangle or an edge."""
-    near = NEAR * _extent(p, q)
+def _are_separated(p, q, part):  # type: ignore[no-untyped-def]
+    """Return whether an axis separates parts of p and q: (first, count) corners, a triangle or an edge."""
+    near = GAP_TOLERANCE * _extent(p, q)
     if _separates(_normal(p), p, q, part, near) or _separates(_normal(q), p, q, part, near):
         return True
     edges_p, edges_q = 3 if part[1] == 3 else 1, 3 if part[3] == 3 else 1
@@ -303,12 +303,12 @@ def _separates(axis, p, q, part, near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _folded(p, q, apex_p, apex_q):  # type: ignore[no-untyped-def]
-    """Whether two triangles with a common edge lie on each other."""
+def _are_folded(p, q, apex_p, apex_q):  # type: ignore[no-untyped-def]
+    """Return whether two triangles with a common edge overlap."""
     e = _edge(p, apex_p + 1)
     u, v = _cross(e, _edge(p, apex_p)), _cross(e, _edge(q, apex_q))
     across = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-    return across > 0 and _square(_cross(u, v)) <= FLAT**2 * _square(u) * _square(v)
+    return across > 0 and _square(_cross(u, v)) <= FLAT_TOLERANCE**2 * _square(u) * _square(v)
 
 
 @njit(cache=True)

@@ -1,15 +1,16 @@
-"""Patches of surface: by which nodes the piece of surface moves that a surface node stands for.
+"""Surface patches: weights of the nodes in the motion of the surface area of a surface node.
 
-A node that is loaded alone sinks deeper than the piece of surface it stands for: in the energy form its own compliance
-is more than four times that of an even pressure on this piece. What a tool meets is the piece, so that its displacement
-is taken from the nodes around,
+A node that is loaded alone sinks deeper than the piece of surface it stands for: in the energy form
+its own compliance is more than four times that of an even pressure on this piece. What a tool meets
+is the piece, so that its displacement is taken from the nodes around,
 
     u_patch = sum over nodes of w_j u_j,
 
-with the mean under a kernel over the surface nodes that face the same way, changed as little as possible (in the
-kernel's own norm, with the nodes below the surface) such that linear fields are exact: then patches turn with a body,
-and forces on them have the same moment as their shares w_j on the nodes. On lattices, whose derivatives are not made
-consistent (`palpate.meshfree.consistent`), longer waves are too soft as well, which a wider kernel makes up for.
+with the mean under a kernel over the surface nodes that face the same way, changed as little as
+possible (in the kernel's own norm, with the nodes below the surface) such that linear fields are
+exact: then patches turn with a body, and forces on them have the same moment as their shares w_j on
+the nodes. On lattices, whose derivatives are not made consistent (`palpate.meshfree.consistent`),
+longer waves are too soft as well, which a wider kernel makes up for.
 """
 
 from __future__ import annotations
@@ -23,14 +24,13 @@ from palpate.meshfree.cloud import Cloud
 
 __all__ = ["surface_patches"]
 
-
-REACH, ON_LATTICES = 1.55, 1.8  # of the kernel, in spacings of the surface: of those tried, nearest to Hertz
-BELOW = 2.0  # spacings from a node of the surface within which nodes of the inside may take part
-MOST = 96  # nodes that near
+KERNEL_RADIUS, LATTICE_KERNEL_RADIUS = 1.55, 1.8  # kernel radius in surface spacings, closest to Hertz's contact
+MAX_PATCH_DEPTH = 2.0  # largest distance of interior nodes in a patch, in spacings
+MAX_PATCH_NODES = 96  # candidates within that distance
 
 
 def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
-    """Return the weights (n, n) of the nodes in the displacements of the patches; inside the body a node is its own.
+    """Return the weights (n, n) of nodes in patch displacements; the rows of interior nodes are identity.
 
     Parameters
     ----------
@@ -49,12 +49,14 @@ def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
     np.add.at(area, cloud.face_nodes, cloud.face_areas[:, None] * cloud.face_normals)
     surface = np.unique(cloud.face_nodes)
     normal = area / np.maximum(np.linalg.norm(area, axis=1), np.finfo(float).tiny)[:, None]
-    reach = (ON_LATTICES if lattice else REACH) * np.sqrt(cloud.face_areas.sum() / len(surface))
-    farthest = max(reach, BELOW * cloud.spacing)
-    distance, near = cKDTree(points).query(points[surface], k=min(MOST, count), distance_upper_bound=farthest)
+    reach = (LATTICE_KERNEL_RADIUS if lattice else KERNEL_RADIUS) * np.sqrt(cloud.face_areas.sum() / len(surface))
+    farthest = max(reach, MAX_PATCH_DEPTH * cloud.spacing)
+    distance, near = cKDTree(points).query(
+        points[surface], k=min(MAX_PATCH_NODES, count), distance_upper_bound=farthest
+    )
     near = np.where(np.isfinite(distance), near, surface[:, None])
-    across = _falling(distance, reach)
-    below = np.where(np.isin(near, surface), across, _falling(distance, BELOW * cloud.spacing))
+    across = _kernel(distance, reach)
+    below = np.where(np.isin(near, surface), across, _kernel(distance, MAX_PATCH_DEPTH * cloud.spacing))
     facing = np.maximum(np.einsum("skc,sc->sk", normal[near], normal[surface]), 0.0)
     weights = across * np.where(near == surface[:, None], 1.0, facing)
     weights /= weights.sum(axis=1, keepdims=True)
@@ -73,6 +75,6 @@ def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
     return result
 
 
-def _falling(distance: Floats, reach: float) -> Floats:
-    """Return a kernel that falls from 1 to 0 over a reach."""
+def _kernel(distance: Floats, reach: float) -> Floats:
+    """Return a kernel that decreases from 1 to 0 over a radius."""
     return np.where(distance < reach, 0.5 + 0.5 * np.cos(np.pi * np.minimum(distance, reach) / reach), 0.0)

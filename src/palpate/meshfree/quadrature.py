@@ -1,15 +1,17 @@
 """Nodal weights that integrate quadratic fields over a body.
 
-A sum over nodal volumes is the trapezoidal rule: with five nodes across it makes a beam 12 % too stiff in bending.
-Here a field is integrated over each node's cell as its fit there says,
+A sum over nodal volumes is the trapezoidal rule: with five nodes across it makes a beam 12 % too
+stiff in bending. Here a field is integrated over each node's cell as its fit there says,
 
     integral of f  =  sum over I of V_I (f_I + m_I . grad f_I + 1/2 M_I : grad grad f_I),
 
-m_I and M_I the first and second moments of the cell about its node, and the derivatives' weights are collected. On a
-lattice the weights of the inner nodes stay as they are, and those near a face become end corrections of Gregory's kind.
+m_I and M_I the first and second moments of the cell about its node, and the derivatives' weights
+are collected. On a lattice the weights of the inner nodes stay as they are, and those near a face
+become end corrections of Gregory's kind.
 
-A field that is smoothed at the nodes should keep its integral: `conservative_smoothing` sees to it. And derivatives at
-the nodes do not see all of a field: `quadratic_misses` are a measure of the rest.
+A field that is smoothed at the nodes should keep its integral: `conservative_smoothing` sees to it.
+And derivatives at the nodes do not see all of a field: `quadratic_residuals` are a measure of the
+rest.
 """
 
 from __future__ import annotations
@@ -23,12 +25,11 @@ from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 
-__all__ = ["conservative_smoothing", "integration_weights", "quadratic_misses"]
+__all__ = ["conservative_smoothing", "integration_weights", "quadratic_residuals"]
 
-
-LEAST = 0.3  # of a node's volume: corrections of edges and corners multiply, and a weight must stay positive
-TOLERANCE = 1e-9  # of what a smoothing may add to an integral, relative to a node's volume
-PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the order of `Stencils.second`
+MIN_WEIGHT_RATIO = 0.3  # of a node's volume: corrections of edges and corners multiply, and a weight must stay positive
+INTEGRAL_TOLERANCE = 1e-9  # of what a smoothing may add to an integral, relative to a node's volume
+DERIVATIVE_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the order of `Stencils.second`
 
 
 def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
@@ -45,27 +46,28 @@ def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
     centre = np.zeros_like(cloud.points)  # of the cell, seen from the node: half its thickness under each face
     thickness = volumes[cloud.face_nodes] / cloud.face_areas
     np.add.at(centre, cloud.face_nodes, -0.5 * thickness[:, None] * cloud.face_normals)
-    second = np.stack([centre[:, a] * centre[:, b] for a, b in PAIRS], axis=1)
+    second = np.stack([centre[:, a] * centre[:, b] for a, b in DERIVATIVE_PAIRS], axis=1)
     second[:, :3] = 0.5 * cloud.spacing**2 / 12
     weights = volumes.copy()
     for moments, table in ((centre, stencils.first), (second, stencils.second)):
         shares = volumes[:, None] * np.einsum("nkw,nw->nk", table[stencils.row], moments)
         np.add.at(weights, stencils.neighbours, shares)
         weights -= shares.sum(axis=1)
-    weights = np.maximum(weights, LEAST * volumes)
+    weights = np.maximum(weights, MIN_WEIGHT_RATIO * volumes)
     return np.asarray(weights * (volumes.sum() / weights.sum()))
 
 
 def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats, Floats]:
     """Return the weights of a fit, changed as little as possible so that it keeps integrals.
 
-    With S f the fitted values of a nodal field and V the nodal weights, V . S f = V . f for every field f, and
-    constants are fitted exactly. The transposed fit S^T V p / V of a uniform p is p then. Without the change it is
-    0.4 p to 6 p near faces, edges and corners: a uniform pressure moves the nodes, and a body stretched three times
-    over is unstable.
+    With S f the fitted values of a nodal field and V the nodal weights, V . S f = V . f for every
+    field f, and constants are fitted exactly. The transposed fit S^T V p / V of a uniform p is p
+    then. Without the change it is 0.4 p to 6 p near faces, edges and corners: a uniform pressure
+    moves the nodes, and a body stretched three times over is unstable.
 
-    Far from the faces of a lattice nothing changes, and linear fields stay exact. Near a face they do not: a fit that
-    keeps x^2's integral and is exact for x everywhere would smooth nothing inside.
+    Far from the faces of a lattice nothing changes, and linear fields stay exact. Near a face they
+    do not: a fit that keeps x^2's integral and is exact for x everywhere would smooth nothing
+    inside.
 
     Parameters
     ----------
@@ -93,7 +95,7 @@ def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats,
     missing = -(gain @ value[node, place])
     change = lsmr(gain, missing, atol=1e-14, btol=1e-14, conlim=0.0, maxiter=20 * n)[0]
     left = np.abs(gain @ change - missing)
-    if not left.max() < TOLERANCE:
+    if not left.max() < INTEGRAL_TOLERANCE:
         raise CloudError(
             f"no smoothing of the pressure keeps its integral near node {np.argmax(left)} ({left.max():.1g} of a nodal "
             f"volume is left): spread the points there"
@@ -102,11 +104,12 @@ def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats,
     return value, 1.0 - value.sum(axis=1)
 
 
-def quadratic_misses(stencils: Stencils, points: Floats) -> Floats:
+def quadratic_residuals(stencils: Stencils, points: Floats) -> Floats:
     """Return weights of what a quadratic fit misses of a field at its own node, zero in every quadratic field.
 
-    The fit weighs all neighbours alike. One that weighs the farthest of them little, as moving least squares do, has
-    three planes of a lattice to fit a wave of two spacings with, and misses nothing of it.
+    The fit weighs all neighbours alike. One that weighs the farthest of them little, as moving
+    least squares do, has three planes of a lattice to fit a wave of two spacings with, and misses
+    nothing of it.
 
     Parameters
     ----------
@@ -128,7 +131,7 @@ def quadratic_misses(stencils: Stencils, points: Floats) -> Floats:
         present = near != node[part, None]
         offset = points[near] - points[node[part], None]
         offset /= np.abs(offset).max()
-        squares = [offset[..., a] * offset[..., b] for a, b in PAIRS]
+        squares = [offset[..., a] * offset[..., b] for a, b in DERIVATIVE_PAIRS]
         monomials = np.stack([np.ones(near.shape), *np.moveaxis(offset, 2, 0), *squares], axis=2) * present[:, :, None]
         moments = np.einsum("nki,nkj->nij", monomials, monomials)
         moments[:, 0, 0] += 1.0  # the node itself

@@ -1,4 +1,4 @@
-"""A surface refined until its edges are short, and points chosen from many that keep their distance."""
+"""Surface refinement and Poisson-disc sampling."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from numba import njit
 
 from palpate.arrays import Floats, Ints
 
-__all__ = ["poisson_discs", "refined"]
+__all__ = ["poisson_discs", "refine_surface"]
 
 
-def refined(vertices: Floats, triangles: Ints, longest: Callable[[Floats], Floats]) -> tuple[Floats, Ints]:
-    """Return a closed surface refined until no edge is longer than wished: split in the middle, again and again.
+def refine_surface(vertices: Floats, triangles: Ints, max_edge: Callable[[Floats], Floats]) -> tuple[Floats, Ints]:
+    """Return a closed surface refined by bisection until no edge exceeds a length.
 
     Parameters
     ----------
     vertices, triangles : (v, 3), (t, 3) arrays
-    longest : function
-        Of points (k, 3), the longest edge wished there [m], shape (k,).
+    max_edge : function
+        Returns the largest edge length [m], shape (k,), at points (k, 3).
     """
     finished = [triangles[:0]]
     for _ in range(30):
         ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
         a, b = vertices[ends[..., 0]], vertices[ends[..., 1]]
-        split = np.linalg.norm(a - b, axis=2) > longest((0.5 * (a + b)).reshape(-1, 3)).reshape(-1, 3)
+        split = np.linalg.norm(a - b, axis=2) > max_edge((0.5 * (a + b)).reshape(-1, 3)).reshape(-1, 3)
         whole = ~split.any(axis=1)
         # an edge is as long in both its triangles: what needs no splitting now never will
         finished.append(triangles[whole])
@@ -46,7 +46,7 @@ def refined(vertices: Floats, triangles: Ints, longest: Callable[[Floats], Float
 
 
 def _split(triangles: Ints, new: Ints, vertices: Floats) -> Ints:
-    """Triangles with new vertices (t, 3), -1 for none, on their edges 01, 12, 20."""
+    """Return triangles split at new vertices (t, 3), -1 for none, on their edges 01, 12, 20."""
     count = (new >= 0).sum(axis=1)
     parts = [triangles[count == 0]]
     for wanted in (1, 2):
@@ -71,7 +71,7 @@ def _split(triangles: Ints, new: Ints, vertices: Floats) -> Ints:
 
 
 def poisson_discs(vertices: Floats, radius: Floats, order: Ints) -> Ints:
-    """Return points, by number, of which none is within another one's radius, and near which every other one is.
+    """Return the indices of a maximal Poisson-disc sample of points.
 
     Parameters
     ----------
@@ -90,11 +90,11 @@ def poisson_discs(vertices: Floats, radius: Floats, order: Ints) -> Ints:
     steps = np.array([(i * span[1] + j) * span[2] + k for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
     around = np.searchsorted(cells, cells[:, None] + steps)
     around = np.where(cells[np.minimum(around, len(cells) - 1)] == cells[:, None] + steps, around, -1)
-    return np.flatnonzero(_throw(vertices, radius, order, inverse.ravel(), around) >= 0)
+    return np.flatnonzero(_throw_discs(vertices, radius, order, inverse.ravel(), around) >= 0)
 
 
 @njit(cache=True)
-def _throw(vertices, radius, order, cell, around):  # type: ignore[no-untyped-def]
+def _throw_discs(vertices, radius, order, cell, around):  # type: ignore[no-untyped-def]
     label = np.full(len(vertices), -1, dtype=np.int64)
     head = np.full(len(around), -1, dtype=np.int64)
     following = np.full(len(vertices), -1, dtype=np.int64)

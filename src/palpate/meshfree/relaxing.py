@@ -1,8 +1,8 @@
-"""Nodes inside a closed surface: a lattice or scattered, kept off the surface, and relaxed until evenly spaced.
+"""Interior nodes of a closed surface: lattice or Poisson-disc samples, relaxed by short-range repulsion.
 
-A cloud whose interior nodes come nearer to the surface than 0.6 spacings, or whose nodes have gaps and pairs, carries
-modes that grow. Short-range repulsion removes both: every node moves away from those nearer than 1.15 spacings, a
-little, some sixty times; a node that comes too near to the surface is put back to the least depth.
+Interior nodes closer than 0.6 spacings to the surface, gaps and pairs of nodes cause unstable
+modes. Short-range repulsion removes them: in about sixty sweeps, every node moves away from
+neighbours within 1.15 spacings. A node too close to the surface is moved back to `MIN_DEPTH`.
 """
 
 from __future__ import annotations
@@ -17,26 +17,25 @@ from palpate.arrays import Floats, Ints
 from palpate.meshfree.crossings import column_crossings
 from palpate.meshfree.refining import poisson_discs
 
-__all__ = ["DepthQuery", "lattice_inside", "relaxed", "scattered_inside", "shares"]
+__all__ = ["DepthQuery", "lattice_inside", "relax", "scattered_inside", "voronoi_volumes"]
 
-
-DEPTH = 0.65  # least, of an interior node, in spacings
-SWEEPS, LISTED = 60, 6  # of repulsion; sweeps between new lists of neighbours
-REACH, STRENGTH = 1.15, 0.25  # of repulsion in spacings; largest move a sweep for one neighbour, in spacings
-NEAR = 20  # neighbours in a list
-FINE = 0.16  # distance of the samples that share out the volume, in spacings
-SHIFT = np.array([0.5 * (np.sqrt(5) - 1), np.sqrt(2) - 1, np.sqrt(3) - 1])  # keeps lines off vertices
+MIN_DEPTH = 0.65  # of interior nodes, in spacings
+MAX_SWEEPS, SWEEPS_PER_LIST = 60, 6  # of repulsion; sweeps between new lists of neighbours
+REPULSION_RADIUS, MAX_MOVE = 1.15, 0.25  # radius and largest move per neighbour and sweep, in spacings
+LIST_NEIGHBOURS = 20  # in the list of a node
+SAMPLE_DISTANCE = 0.16  # of the volume samples, in spacings
+LINE_SHIFT = np.array([0.5 * (np.sqrt(5) - 1), np.sqrt(2) - 1, np.sqrt(3) - 1])  # keeps lines off vertices
 
 
 @dataclass(frozen=True)
 class DepthQuery:
-    """A closed refined surface, ready to be asked how deep a point lies.
+    """Closed refined surface with a search tree for depths.
 
     Parameters
     ----------
     vertices, triangles : (v, 3), (t, 3) arrays
     tree : cKDTree
-        Of the vertices.
+        Search tree of the vertices.
     """
 
     vertices: Floats
@@ -45,13 +44,13 @@ class DepthQuery:
 
     @classmethod
     def of(cls, vertices: Floats, triangles: Ints) -> DepthQuery:
-        """Make the surface ready."""
+        """Return the search structure of a surface."""
         return cls(vertices, triangles, cKDTree(vertices))
 
     def depth(self, points: Floats, most: float) -> tuple[Floats, Floats]:
         """Return the distance of points inside to the nearest vertex [m] and the direction from there: (k,), (k, 3).
 
-        Farther than `most` [m] the distance is infinite and the direction zero.
+        Beyond `most` [m] the distance is infinite and the direction zero.
         """
         distance, nearest = self.tree.query(points, distance_upper_bound=most, workers=-1)
         near = np.isfinite(distance)
@@ -61,7 +60,7 @@ class DepthQuery:
 
 
 def _columns(inside: DepthQuery, step: float, offset: Floats) -> tuple[Floats, Ints, Floats]:
-    """Vertical lines through the body: their (x, y), and where they enter and leave."""
+    """Return vertical lines through the body: their (x, y), and their entry and exit heights."""
     low, high = inside.vertices.min(axis=0)[:2], inside.vertices.max(axis=0)[:2]
     first = low + step * (offset[:2] - 1)
     shape = np.ceil((high - first) / step).astype(int) + 1
@@ -71,7 +70,7 @@ def _columns(inside: DepthQuery, step: float, offset: Floats) -> tuple[Floats, I
 
 
 def lattice_inside(inside: DepthQuery, step: float, offset: Floats) -> Floats:
-    """Return the points of a cubic lattice that lie inside, shape (k, 3) [m]."""
+    """Return the interior points of a cubic lattice, shape (k, 3) [m]."""
     places, start, height = _columns(inside, step, offset)
     pairs = height.reshape(-1, 2)
     column = np.repeat(np.arange(len(places)), np.diff(start) // 2)
@@ -84,36 +83,43 @@ def lattice_inside(inside: DepthQuery, step: float, offset: Floats) -> Floats:
     return np.column_stack([np.repeat(places[column], count, axis=0), z])
 
 
-def body_centred(inside: DepthQuery, spacing: float) -> Floats:
-    """Return the points inside of a body-centred cubic lattice with one point in every spacing cubed."""
+def body_centred_lattice(inside: DepthQuery, spacing: float) -> Floats:
+    """Return the interior points of a body-centred cubic lattice with one point per spacing cubed."""
     step = 2 ** (1 / 3) * spacing
-    return np.concatenate([lattice_inside(inside, step, SHIFT), lattice_inside(inside, step, (SHIFT + 0.5) % 1.0)])
+    return np.concatenate(
+        [lattice_inside(inside, step, LINE_SHIFT), lattice_inside(inside, step, (LINE_SHIFT + 0.5) % 1.0)]
+    )
 
 
-def cubic(inside: DepthQuery, spacing: float) -> Floats:
-    """Return the points inside of a cubic lattice."""
-    return lattice_inside(inside, spacing, SHIFT)
+def cubic_lattice(inside: DepthQuery, spacing: float) -> Floats:
+    """Return the interior points of a cubic lattice."""
+    return lattice_inside(inside, spacing, LINE_SHIFT)
 
 
-def scattered_inside(inside: DepthQuery, least: float, spacing, seed: int) -> Floats:  # type: ignore[no-untyped-def]
-    """Return random points inside that keep 0.85 of their spacing, a function of points (k, 3): Poisson discs."""
+def scattered_inside(inside: DepthQuery, min_spacing: float, spacing, seed: int) -> Floats:  # type: ignore[no-untyped-def]
+    """Return Poisson-disc samples inside, with radius 0.85 of a spacing function of points (k, 3)."""
     random = np.random.default_rng(seed)
-    points = lattice_inside(inside, 0.3 * least, SHIFT)
-    points = points + 0.15 * least * random.uniform(-1, 1, points.shape)
+    points = lattice_inside(inside, 0.3 * min_spacing, LINE_SHIFT)
+    points = points + 0.15 * min_spacing * random.uniform(-1, 1, points.shape)
     return points[poisson_discs(points, 0.85 * spacing(points), random.permutation(len(points)))]
 
 
-def relaxed(
-    inner: Floats, outer: Floats, inner_spacing: Floats, outer_spacing: Floats, inside: DepthQuery, sweeps: int = SWEEPS
+def relax(
+    inner: Floats,
+    outer: Floats,
+    inner_spacing: Floats,
+    outer_spacing: Floats,
+    inside: DepthQuery,
+    sweeps: int = MAX_SWEEPS,
 ) -> Floats:
-    """Return interior nodes moved apart from each other and from those of the surface, which stay.
+    """Return interior nodes after repulsion from each other and from the fixed surface nodes.
 
     Parameters
     ----------
     inner, outer : (n, 3), (s, 3) arrays [m]
         Nodes inside and on the surface.
     inner_spacing, outer_spacing : (n,), (s,) arrays [m]
-        Wished at each.
+        Target spacing of each node.
     inside : DepthQuery
     sweeps : int
     """
@@ -122,10 +128,10 @@ def relaxed(
     n = len(inner)
     if n == 0:
         return inner
-    for _ in range(max(1, sweeps // LISTED)):
-        _, near = cKDTree(points).query(points[:n], k=min(NEAR, len(points)), workers=-1)
+    for _ in range(max(1, sweeps // SWEEPS_PER_LIST)):
+        _, near = cKDTree(points).query(points[:n], k=min(LIST_NEIGHBOURS, len(points)), workers=-1)
         depth, away = inside.depth(points[:n], 1.5 * float(inner_spacing.max()))
-        _repel(points, spacing, near[:, 1:], depth, away, LISTED)
+        _repel(points, spacing, near[:, 1:], depth, away, SWEEPS_PER_LIST)
     return points[:n]
 
 
@@ -141,10 +147,10 @@ def _repel(points, spacing, near, depth, away, sweeps):  # type: ignore[no-untyp
             for j in near[i]:
                 x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
                 r = np.sqrt(x * x + y * y + z * z)
-                reach = REACH * 0.5 * (spacing[i] + spacing[j])
+                reach = REPULSION_RADIUS * 0.5 * (spacing[i] + spacing[j])
                 if r >= reach or r == 0.0:
                     continue
-                push = STRENGTH * spacing[i] * (1.0 - r / reach) / r
+                push = MAX_MOVE * spacing[i] * (1.0 - r / reach) / r
                 move[i, 0] += push * x
                 move[i, 1] += push * y
                 move[i, 2] += push * z
@@ -153,20 +159,20 @@ def _repel(points, spacing, near, depth, away, sweeps):  # type: ignore[no-untyp
             for a in range(3):
                 points[i, a] += move[i, a]
                 below += (points[i, a] - origin[i, a]) * away[i, a]
-            lift = DEPTH * spacing[i] - below
+            lift = MIN_DEPTH * spacing[i] - below
             if lift > 0.0:
                 for a in range(3):
                     points[i, a] += lift * away[i, a]
 
 
-def shares(points: Floats, inside: DepthQuery, spacing: float) -> Floats:
-    """Return the volume [m^3] of the body that is nearest to each point, by fine samples along vertical lines.
+def voronoi_volumes(points: Floats, inside: DepthQuery, spacing: float) -> Floats:
+    """Return the Voronoi volume [m^3] of each point in the body, by samples along vertical lines.
 
-    Each line's part inside the body is cut into equal pieces, so that the samples' volumes add up to the body's but
-    for what the lines' own distance misses of it.
+    Each line's part inside the body is cut into equal pieces, so that the samples' volumes add up
+    to the body's but for what the lines' own distance misses of it.
     """
-    step = FINE * spacing
-    places, start, height = _columns(inside, step, SHIFT)
+    step = SAMPLE_DISTANCE * spacing
+    places, start, height = _columns(inside, step, LINE_SHIFT)
     low = points.min(axis=0)
     cell = spacing
     span = np.floor((points.max(axis=0) - low) / cell).astype(np.int64) + 1
@@ -174,11 +180,11 @@ def shares(points: Floats, inside: DepthQuery, spacing: float) -> Floats:
     key = (place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2]
     order = np.argsort(key, kind="stable")
     first = np.searchsorted(key[order], np.arange(np.prod(span) + 1))
-    return _share(points[order], order, first, span, low, cell, places, start, height, step)
+    return _sample_volumes(points[order], order, first, span, low, cell, places, start, height, step)
 
 
 @njit(cache=True)
-def _share(points, order, first, span, low, cell, places, start, height, step):  # type: ignore[no-untyped-def]
+def _sample_volumes(points, order, first, span, low, cell, places, start, height, step):  # type: ignore[no-untyped-def]
     result = np.zeros(len(points))
     for line in range(len(places)):
         x, y = places[line]
@@ -189,16 +195,16 @@ def _share(points, order, first, span, low, cell, places, start, height, step): 
                 continue
             for p in range(pieces):
                 z = height[c] + (p + 0.5) * length / pieces
-                i = _nearest(points, first, span, low, cell, x, y, z)
+                i = _nearest_point(points, first, span, low, cell, x, y, z)
                 result[order[i]] += step * step * length / pieces
     return result
 
 
 @njit(cache=True)
-def _nearest(points, first, span, low, cell, x, y, z):  # type: ignore[no-untyped-def]
-    """Number of the point nearest to (x, y, z), in rings of cells around it."""
+def _nearest_point(points, first, span, low, cell, x, y, z):  # type: ignore[no-untyped-def]
+    """Return the point nearest to (x, y, z) by rings of cells."""
     i, j, k = int(np.floor((x - low[0]) / cell)), int(np.floor((y - low[1]) / cell)), int(np.floor((z - low[2]) / cell))
-    best, least = -1, np.inf
+    best, min_spacing = -1, np.inf
     ring = 1
     most = max(span[0], span[1], span[2]) + 1
     while ring <= most:
@@ -210,9 +216,9 @@ def _nearest(points, first, span, low, cell, x, y, z):  # type: ignore[no-untype
                 row = (a * span[1] + b) * span[2]
                 for p in range(first[row + low_c], first[row + high_c + 1]):
                     d = (points[p, 0] - x) ** 2 + (points[p, 1] - y) ** 2 + (points[p, 2] - z) ** 2
-                    if d < least:
-                        best, least = p, d
-        if best >= 0 and least <= (ring * cell) ** 2:
+                    if d < min_spacing:
+                        best, min_spacing = p, d
+        if best >= 0 and min_spacing <= (ring * cell) ** 2:
             break
         ring += 1
     return best

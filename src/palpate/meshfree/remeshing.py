@@ -1,10 +1,11 @@
-"""Evenly spaced nodes on a closed surface, the triangles between them, and what of the surface each stands for.
+"""Remeshing of a closed surface: evenly spaced nodes, triangles, and area vectors of the nodes.
 
-The surface is refined until its edges are short, and its vertices are gathered into clusters, one for every node, by
-moving vertices between clusters as long as the sum of squared distances to the clusters' centroids falls: a centroidal
-Voronoi diagram on the surface (Valette and Chassery, Computer Graphics Forum 23, 2004). A cluster's centroid, put back
-on the surface, is the node; its area vector is the sum of its vertices'; three clusters that meet make a triangle.
-So areas add up to the surface's, area vectors to nothing, and the triangles are closed as the surface is.
+The vertices of a refined surface form clusters, one per node. Vertices move between clusters while
+the sum of squared distances to the centroids decreases: a centroidal Voronoi diagram on the surface
+(Valette and Chassery, Computer Graphics Forum 23, 2004). A node is the centroid of its cluster,
+projected onto the surface. Its area vector is the sum over its vertices, and three adjacent
+clusters form a triangle. So areas sum to that of the surface, area vectors to zero, and the
+triangles are closed.
 """
 
 from __future__ import annotations
@@ -20,16 +21,15 @@ from palpate.arrays import Floats, Ints
 from palpate.faults import CloudError
 from palpate.meshfree.refining import poisson_discs
 
-__all__ = ["SurfaceNodes", "spread", "vertex_vectors"]
+__all__ = ["SurfaceNodes", "remesh", "vertex_vectors"]
 
-
-SWEEPS = 60  # of moving vertices between clusters, at most
-ROUNDS = 12  # of mending clusters that are no discs
+MAX_SWEEPS = 60  # of moves between clusters
+MAX_REPAIRS = 12  # rounds of repairing clusters that are not discs
 
 
 @dataclass(frozen=True)
 class SurfaceNodes:
-    """Nodes on a surface.
+    """Nodes of a remeshed surface.
 
     Parameters
     ----------
@@ -53,25 +53,26 @@ def vertex_vectors(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
     vectors: Floats = np.cross(b - a, c - a) / 6
     sizes, n = np.linalg.norm(vectors, axis=1), len(vertices)
     corner = triangles.ravel()
-    own = _sums(corner, np.repeat(vectors, 3, axis=0), n)
-    return own, _sums(corner, np.repeat(sizes, 3)[:, None], n)[:, 0]
+    own = _label_sums(corner, np.repeat(vectors, 3, axis=0), n)
+    return own, _label_sums(corner, np.repeat(sizes, 3)[:, None], n)[:, 0]
 
 
-def spread(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> SurfaceNodes:
-    """Spread nodes over a refined closed surface, and join them with triangles.
+def remesh(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> SurfaceNodes:
+    """Return evenly spaced nodes and triangles of a refined closed surface.
 
     Parameters
     ----------
     vertices, triangles : (v, 3), (t, 3) arrays
         Refined to about a third of the spacing.
     spacing : (v,) array [m]
-        Wished distance between nodes at each vertex.
+        Target distance between nodes at each vertex.
     seed : int
 
     Raises
     ------
     CloudError
-        The triangles are not closed: the surface has parts that are much thinner than the spacing.
+        The triangles are not closed, because parts of the surface are much thinner than the
+        spacing.
     """
     vectors, areas = vertex_vectors(vertices, triangles)
     weights = areas / spacing**4  # a centroidal diagram has sizes as the weight's density to the power -1/4
@@ -80,38 +81,38 @@ def spread(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> Sur
     chosen = poisson_discs(vertices, 0.78 * spacing, order)
     label = np.full(len(vertices), -1)
     label[chosen] = np.arange(len(chosen))
-    label = _grown(vertices, label, start, near)
+    label = _grow_clusters(vertices, label, start, near)
     edges = np.column_stack([np.repeat(np.arange(len(vertices)), np.diff(start)), near])
     edges = edges[edges[:, 0] < edges[:, 1]]
     count = int(label.max()) + 1
-    for k in range(ROUNDS):
-        # balancing anew may enclose another cluster in a spike: in the end faults are only merged with their neighbours
-        label = _balanced(vertices, weights, edges, label, count, SWEEPS if k < ROUNDS // 4 else 0)
-        label = _joined(vertices, label, count, edges, start, near)
-        label, count = _mended(triangles, label)
+    for k in range(MAX_REPAIRS):
+        # another minimisation may enclose a cluster in a spike: the last rounds merge faults only
+        label = _minimise_energy(vertices, weights, edges, label, count, MAX_SWEEPS if k < MAX_REPAIRS // 4 else 0)
+        label = _join_clusters(vertices, label, count, edges, start, near)
+        label, count = _renumber(triangles, label)
         coarse = _dual(triangles, label)
-        if _closed_manifold(coarse, count):
+        if _is_closed_manifold(coarse, count):
             break
-        label, count = _without_faults(coarse, label, count, vertices, start, near)
+        label, count = _remove_faults(coarse, label, count, vertices, start, near)
     else:
         raise CloudError(
-            "the surface nodes could not be joined by closed triangles: parts of the surface are much thinner than "
-            "the spacing; use a smaller one"
+            "the triangles of the surface nodes must be closed; use a smaller spacing, because parts of the surface "
+            "are much thinner"
         )
-    sizes = _sums(label, areas[:, None], count)
-    centroids = _sums(label, areas[:, None] * vertices, count) / sizes
-    points = _on_surface(vertices, triangles, start, label, centroids)
-    return SurfaceNodes(points, _sums(label, vectors, count), sizes[:, 0], coarse)
+    sizes = _label_sums(label, areas[:, None], count)
+    centroids = _label_sums(label, areas[:, None] * vertices, count) / sizes
+    points = _project_to_surface(vertices, triangles, start, label, centroids)
+    return SurfaceNodes(points, _label_sums(label, vectors, count), sizes[:, 0], coarse)
 
 
-def _sums(label: Ints, values: Floats, count: int) -> Floats:
-    """Sums (count, c) of values (k, c) with the same label."""
+def _label_sums(label: Ints, values: Floats, count: int) -> Floats:
+    """Return sums (count, c) of values (k, c) by label."""
     columns = [np.bincount(label, values[:, k], count).astype(float) for k in range(values.shape[1])]
     return np.stack(columns, axis=1)
 
 
 def _neighbours(triangles: Ints, n: int) -> tuple[Ints, Ints]:
-    """Neighbours of every vertex, as one array with starts."""
+    """Return the neighbours of all vertices in compressed rows: starts and indices."""
     a, b, c = triangles.T
     graph = sparse.csr_matrix(
         (np.ones(6 * len(a), dtype=np.int8), (np.concatenate([a, b, b, c, c, a]), np.concatenate([b, a, c, b, a, c]))),
@@ -122,8 +123,8 @@ def _neighbours(triangles: Ints, n: int) -> tuple[Ints, Ints]:
 
 
 @njit(cache=True)
-def _grown(vertices, label, start, near):  # type: ignore[no-untyped-def]
-    """Give every vertex the label of the labelled one that it is nearest to along edges."""
+def _grow_clusters(vertices, label, start, near):  # type: ignore[no-untyped-def]
+    """Label every vertex like its nearest labelled vertex along edges."""
     n = len(label)
     label = label.copy()
     distance = np.full(n, np.inf)
@@ -158,8 +159,8 @@ def _grown(vertices, label, start, near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _balanced(vertices, weights, edges, label, count, sweeps):  # type: ignore[no-untyped-def]
-    """Move vertices between touching clusters as long as the sum of squared distances to centroids falls."""
+def _minimise_energy(vertices, weights, edges, label, count, sweeps):  # type: ignore[no-untyped-def]
+    """Move vertices between adjacent clusters while the sum of squared distances to centroids decreases."""
     label = label.copy()
     mass, moment, members = np.zeros(count), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
     for v in range(len(label)):
@@ -201,8 +202,8 @@ def _balanced(vertices, weights, edges, label, count, sweeps):  # type: ignore[n
     return label
 
 
-def _joined(vertices: Floats, label: Ints, count: int, edges: Ints, start: Ints, near: Ints) -> Ints:
-    """Clusters of one piece: of each the largest piece stays, the rest goes to whoever is near."""
+def _join_clusters(vertices: Floats, label: Ints, count: int, edges: Ints, start: Ints, near: Ints) -> Ints:
+    """Return labels of connected clusters; smaller pieces join adjacent clusters."""
     same = label[edges[:, 0]] == label[edges[:, 1]]
     n = len(label)
     graph = sparse.coo_matrix((np.ones(same.sum()), edges[same].T), (n, n))
@@ -216,17 +217,17 @@ def _joined(vertices: Floats, label: Ints, count: int, edges: Ints, start: Ints,
     kept[first] = True
     if kept.all():
         return label
-    return _grown(vertices, np.where(kept[piece], label, -1), start, near)
+    return _grow_clusters(vertices, np.where(kept[piece], label, -1), start, near)
 
 
-def _mended(triangles: Ints, label: Ints) -> tuple[Ints, int]:
-    """Labels without gaps in their numbers."""
+def _renumber(triangles: Ints, label: Ints) -> tuple[Ints, int]:
+    """Return consecutive labels and their number."""
     used, label = np.unique(label, return_inverse=True)
     return label.ravel(), len(used)
 
 
 def _dual(triangles: Ints, label: Ints) -> Ints:
-    """A triangle for every three clusters that meet; pairs of opposite ones cancel."""
+    """Return a triangle for every three adjacent clusters, without pairs of opposite triangles."""
     corners = label[triangles]
     a, b, c = corners.T
     corners = corners[(a != b) & (b != c) & (c != a)]
@@ -234,8 +235,8 @@ def _dual(triangles: Ints, label: Ints) -> Ints:
     return np.take_along_axis(corners, (np.arange(3) + turn[:, None]) % 3, axis=1)
 
 
-def _faulty(coarse: Ints, count: int) -> Ints:
-    """Nodes at which triangles are not a closed, simple surface."""
+def _faulty_nodes(coarse: Ints, count: int) -> Ints:
+    """Return nodes whose triangles are not a closed manifold."""
     edges = np.concatenate([coarse[:, [0, 1]], coarse[:, [1, 2]], coarse[:, [2, 0]]])
     key, back = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]
     once, times = np.unique(key, return_counts=True)
@@ -245,15 +246,15 @@ def _faulty(coarse: Ints, count: int) -> Ints:
     return np.union1d(edges[bad].ravel(), np.flatnonzero(valence < 3))
 
 
-def _closed_manifold(coarse: Ints, count: int) -> bool:
-    return len(_faulty(coarse, count)) == 0
+def _is_closed_manifold(coarse: Ints, count: int) -> bool:
+    return len(_faulty_nodes(coarse, count)) == 0
 
 
-def _without_faults(
+def _remove_faults(
     coarse: Ints, label: Ints, count: int, vertices: Floats, start: Ints, near: Ints
 ) -> tuple[Ints, int]:
-    """Give up one cluster at every fault, the smallest; its neighbours take its vertices."""
-    faulty = _faulty(coarse, count)
+    """Dissolve the smallest cluster at every fault into its neighbours."""
+    faulty = _faulty_nodes(coarse, count)
     sizes = np.bincount(label, minlength=count)
     dropped = np.zeros(count, dtype=bool)
     touched = np.zeros(count, dtype=bool)
@@ -262,22 +263,22 @@ def _without_faults(
             dropped[node] = True
             touched[coarse[(coarse == node).any(axis=1)].ravel()] = True
             touched[node] = True
-    return _mended(coarse, _grown(vertices, np.where(dropped[label], -1, label), start, near))
+    return _renumber(coarse, _grow_clusters(vertices, np.where(dropped[label], -1, label), start, near))
 
 
-def _on_surface(vertices: Floats, triangles: Ints, start: Ints, label: Ints, centroids: Floats) -> Floats:
-    """The point nearest to each centroid on the triangles about the nearest vertex of its cluster."""
+def _project_to_surface(vertices: Floats, triangles: Ints, start: Ints, label: Ints, centroids: Floats) -> Floats:
+    """Return the nearest surface point of each centroid, near the closest vertex of its cluster."""
     order = np.argsort(label, kind="stable")
     begin = np.searchsorted(label[order], np.arange(len(centroids) + 1))
     distance = np.linalg.norm(vertices - centroids[label], axis=1)
     best = np.lexsort((distance, label))[begin[:-1]]
     corner = np.argsort(triangles.ravel(), kind="stable")
     first = np.searchsorted(triangles.ravel()[corner], np.arange(len(vertices) + 1))
-    return _nearest_points(vertices, triangles, corner // 3, first, best, centroids)
+    return _nearest_surface_points(vertices, triangles, corner // 3, first, best, centroids)
 
 
 @njit(cache=True)
-def _nearest_points(vertices, triangles, around, first, best, wished):  # type: ignore[no-untyped-def]
+def _nearest_surface_points(vertices, triangles, around, first, best, wished):  # type: ignore[no-untyped-def]
     result = np.empty_like(wished)
     for k in range(len(wished)):
         least = np.inf
@@ -293,7 +294,7 @@ def _nearest_points(vertices, triangles, around, first, best, wished):  # type: 
 
 @njit(cache=True)
 def nearest_in_triangle(a, b, c, p):  # type: ignore[no-untyped-def]
-    """The point of a triangle nearest to p (Ericson, Real-Time Collision Detection, 2005, section 5.1.5)."""
+    """Return the point of a triangle nearest to p (Ericson, Real-Time Collision Detection, 2005, section 5.1.5)."""
     ab, ac, ap = b - a, c - a, p - a
     d1, d2 = np.sum(ab * ap), np.sum(ac * ap)
     if d1 <= 0.0 and d2 <= 0.0:

@@ -1,7 +1,8 @@
 """Plane clouds for membranes: discs, and sheets of any polygonal outline.
 
-Inside, nodes sit on rings or on a triangular lattice, where they share stencils; the rim has evenly spaced nodes of its
-own. The lattice would leave gaps and near-duplicates there: its outer nodes repel each other until they are even.
+Inside, nodes sit on rings or on a triangular lattice, where they share stencils; the rim has evenly
+spaced nodes of its own. The lattice would leave gaps and near-duplicates there: its outer nodes
+repel each other until they are even.
 """
 
 from __future__ import annotations
@@ -14,23 +15,22 @@ from scipy.spatial import Delaunay, cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.faults import CloudError, InputError, brief, integer_in_range, number_in_range
-from palpate.meshfree.cloud import FARTHEST, SMALLEST, Cloud, warn_of_size
+from palpate.meshfree.cloud import MAX_COORDINATE, MIN_SPACING, Cloud, warn_of_size
 from palpate.meshfree.stencils import moving_least_squares
 
 __all__ = ["disc", "sheet"]
 
-
-ROW = np.sqrt(0.75)  # distance between rows of the lattice, in spacings
-FEWEST_RINGS = 2  # a disc of 19 nodes
+ROW_DISTANCE = np.sqrt(0.75)  # distance between rows of the lattice, in spacings
+MIN_RINGS = 2  # a disc of 19 nodes
 # In spacings:
-CLOSEST_TO_RIM = 0.5  # half a row: the strip of area that the rim itself stands for
-CLOSEST_ON_RIM = 0.4  # two nodes, across a sharp corner
-NARROWEST_PASSAGE = 1.3  # three rows of nodes fit
-NARROWEST_GAP = 2.0  # about the reach of a stencil
-LONGEST_SEGMENT = 1.25  # from rim node to rim node
-RELAXED = 3.5  # depth of the relaxed layer
-REACH = 1.5  # of the repulsion: the first shell of the lattice and no other, so that a lattice stays one
-RELAXATIONS = 40
+MIN_RIM_DISTANCE = 0.5  # half a row: the strip of area that the rim itself stands for
+MIN_RIM_SPACING = 0.4  # two nodes, across a sharp corner
+MIN_PASSAGE_WIDTH = 1.3  # three rows of nodes fit
+MIN_GAP_WIDTH = 2.0  # about the reach of a stencil
+MAX_SEGMENT = 1.25  # from rim node to rim node
+RELAXED_DEPTH = 3.5  # depth of the relaxed layer
+REPULSION_RADIUS = 1.5  # of the repulsion: the first shell of the lattice and no other, so that a lattice stays one
+MAX_SWEEPS = 40
 
 
 def disc(radius: float, spacing: float, layout: str = "rings", jitter: float = 0.0, seed: int = 0) -> Cloud:
@@ -41,54 +41,57 @@ def disc(radius: float, spacing: float, layout: str = "rings", jitter: float = 0
     radius : float [m]
         Of the rim.
     spacing : float [m]
-        Wished distance between nodes, at most half the radius; rings take the nearest one that divides the radius.
+        Wished distance between nodes, at most half the radius; rings take the nearest one that
+        divides the radius.
     layout : str
-        ``"rings"``: 6 k nodes on ring k, with six-fold symmetry. ``"hexagonal"``: a triangular lattice, relaxed towards
-        a rim of evenly spaced nodes. Both have a node at the centre.
+        ``"rings"``: 6 k nodes on ring k, with six-fold symmetry. ``"hexagonal"``: a triangular
+        lattice, relaxed towards a rim of evenly spaced nodes. Both have a node at the centre.
     jitter : float
-        Random displacement of every inner node but the centre, as a share of the distance to its nearest neighbour
-        (on a lattice, of the spacing), in [0, 0.3]. Nodes of the rim stay where they are.
+        Random displacement of every inner node but the centre, as a share of the distance to its
+        nearest neighbour (on a lattice, of the spacing), in [0, 0.3]. Nodes of the rim stay where
+        they are.
     seed : int
         Of the random displacements.
 
     Returns
     -------
     Cloud
-        Groups are ``"face"`` (all nodes), ``"rim"`` and ``"centre"`` (one node). A node's area is that of its Voronoi
-        cell.
+        Groups are ``"face"`` (all nodes), ``"rim"`` and ``"centre"`` (one node). A node's area is
+        that of its Voronoi cell.
 
     Raises
     ------
     InputError
-        A radius, spacing or jitter out of range, a spacing too coarse or too fine for the disc, an unknown layout.
+        A radius, spacing or jitter out of range, a spacing too coarse or too fine for the disc, an
+        unknown layout.
 
     Warns
     -----
     UnitWarning
         A sheet of more than 10 m or less than 0.1 mm: sizes are in metres.
     """
-    radius = number_in_range("radius", radius, 0.0, FARTHEST, open_low=True, unit="m")
-    spacing = number_in_range("spacing", spacing, SMALLEST, FARTHEST, unit="m")
+    radius = number_in_range("radius", radius, 0.0, MAX_COORDINATE, open_low=True, unit="m")
+    spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_COORDINATE, unit="m")
     jitter = number_in_range("jitter", jitter, 0.0, 0.3)
     seed = integer_in_range("seed", seed, 0)
     layouts = {"rings": _rings, "hexagonal": _hexagonal_disc}
     if layout not in layouts:
-        raise InputError(f"unknown layout {layout!r}: use one of {', '.join(map(repr, layouts))}")
-    if spacing > radius / FEWEST_RINGS * (1 + 1e-9):
+        raise InputError(f"layout must be one of {', '.join(map(repr, layouts))}, got {brief(layout)}")
+    if spacing > radius / MIN_RINGS * (1 + 1e-9):
         raise InputError(
-            f"spacing = {spacing:g} m gives fewer than {FEWEST_RINGS} rings in a disc of radius {radius:g} m, too few "
-            f"for quadratic fits: use a spacing of at most {radius / FEWEST_RINGS:g} m"
+            f"spacing must give at least {MIN_RINGS} rings in a disc of radius {radius:g} m, got {spacing:g} m; use at "
+            f"most {radius / MIN_RINGS:g} m"
         )
-    _refuse_crowds(np.pi * radius**2, 2 * np.pi * radius, spacing)
+    _check_count(np.pi * radius**2, 2 * np.pi * radius, spacing)
     warn_of_size(np.array([[-radius, -radius], [radius, radius]]))
     inner, rim, spacing = layouts[layout](radius, spacing)
     centre = int(np.argmin(np.linalg.norm(inner, axis=1)))
-    points = np.concatenate([_jittered(inner, rim, jitter, seed), rim])
+    points = np.concatenate([_jitter(inner, rim, jitter, seed), rim])
     points[centre] = 0.0
-    triangles = _triangulated(points, rim, len(inner))
+    triangles = _triangulate(points, rim, len(inner))
     members = np.arange(len(inner), len(points))
     sector = 2 * np.pi / len(rim)
-    volumes = _areas(points, triangles, len(inner))
+    volumes = _voronoi_areas(points, triangles, len(inner))
     volumes[members] += radius**2 / 2 * (sector - np.sin(sector))  # between chord and arc
     return Cloud(
         points=points,
@@ -110,11 +113,11 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
     outline : (m, 2) array [m]
         Corners in order, either way round; the first may be repeated at the end.
     spacing : float [m]
-        Wished distance between nodes. Every edge gets a whole number of segments, none longer than 1.25 of it; the
-        lattice takes the segment of the longest edge and lies along it.
+        Wished distance between nodes. Every edge gets a whole number of segments, none longer than
+        1.25 of it; the lattice takes the segment of the longest edge and lies along it.
     jitter : float
-        Random displacement of every inner node, as a share of the distance to its nearest neighbour, in [0, 0.3].
-        Nodes of the rim stay where they are.
+        Random displacement of every inner node, as a share of the distance to its nearest
+        neighbour, in [0, 0.3]. Nodes of the rim stay where they are.
     seed : int
         Of the random displacements.
 
@@ -128,40 +131,40 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
     Raises
     ------
     InputError
-        An outline that is no simple polygon, or with an edge too short, a corner too sharp, or a passage or gap too
-        narrow for the spacing; a spacing or jitter out of range.
+        An outline that is no simple polygon, or with an edge too short, a corner too sharp, or a
+        passage or gap too narrow for the spacing; a spacing or jitter out of range.
 
     Warns
     -----
     UnitWarning
         A sheet of more than 10 m or less than 0.1 mm: sizes are in metres.
     """
-    spacing = number_in_range("spacing", spacing, SMALLEST, FARTHEST, unit="m")
+    spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_COORDINATE, unit="m")
     jitter = number_in_range("jitter", jitter, 0.0, 0.3)
     seed = integer_in_range("seed", seed, 0)
-    corners = _checked_outline(outline)
+    corners = _check_outline(outline)
     along = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(along, axis=1)
     area = float(np.sum(_cross(corners - corners[0], along)) / 2)  # positive for an anticlockwise outline
     normals = np.sign(area) * np.stack([along[:, 1], -along[:, 0]], axis=1) / lengths[:, None]
-    _refuse_crowds(abs(area), lengths.sum(), spacing)
+    _check_count(abs(area), lengths.sum(), spacing)
     warn_of_size(corners)
     rim, starts = _edge_nodes(corners, lengths, spacing)
-    _refuse_narrows(rim, starts, corners, spacing)
+    _check_widths(rim, starts, corners, spacing)
     longest = int(np.argmax(lengths > lengths.max() * (1 - 1e-9)))  # the first of equal ones
     step = float(lengths[longest] / (starts[longest + 1] - starts[longest]))
     lattice = _lattice(corners, corners[longest], along[longest] / lengths[longest], step)
-    inner = _spread(lattice, rim, corners, step)
-    _refuse_poor_stencils(np.concatenate([inner, rim]), spacing)
-    points = np.concatenate([_jittered(inner, rim, jitter, seed), rim])
-    triangles = _triangulated(points, corners, len(inner))
+    inner = _relax_lattice(lattice, rim, corners, step)
+    _check_stencils(np.concatenate([inner, rim]), spacing)
+    points = np.concatenate([_jitter(inner, rim, jitter, seed), rim])
+    triangles = _triangulate(points, corners, len(inner))
     edges = [len(inner) + np.arange(a, b + 1) % len(rim) for a, b in pairwise(starts)]
     segments = np.diff(starts)
     ends = [np.concatenate([[0.5], np.ones(count - 1), [0.5]]) for count in segments]
     groups = {f"edge{k}": np.sort(edge) for k, edge in enumerate(edges)}
     return Cloud(
         points=points,
-        volumes=_areas(points, triangles, len(inner)),
+        volumes=_voronoi_areas(points, triangles, len(inner)),
         face_nodes=np.concatenate(edges),
         face_normals=np.repeat(normals, segments + 1, axis=0),
         face_areas=np.concatenate(ends) * np.repeat(lengths / segments, segments + 1),
@@ -171,15 +174,18 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
     )
 
 
-def _refuse_crowds(area: float, perimeter: float, spacing: float) -> None:
-    if (nodes := area / (ROW * spacing**2) + perimeter / spacing) > 5e7:
-        raise InputError(f"spacing = {spacing:g} m gives {nodes:.2g} nodes, at most 5e7 are allowed: use a larger one")
+def _check_count(area: float, perimeter: float, spacing: float) -> None:
+    if (nodes := area / (ROW_DISTANCE * spacing**2) + perimeter / spacing) > 5e7:
+        raise InputError(
+            f"spacing must give at most 5e7 nodes, got {spacing:g} m ({nodes:.2g} nodes); use a larger one"
+        )
 
 
 def _rings(radius: float, spacing: float) -> tuple[Floats, Floats, float]:
     """Inner nodes, rim nodes, spacing.
 
-    Where nodes face each other across one pair of rings, they are staggered across the next: no spokes form.
+    Where nodes face each other across one pair of rings, they are staggered across the next: no
+    spokes form.
     """
     count = round(radius / spacing)
     ring = np.repeat(np.arange(1, count + 1), 6 * np.arange(1, count + 1))
@@ -195,17 +201,17 @@ def _hexagonal_disc(radius: float, spacing: float) -> tuple[Floats, Floats, floa
     angle = np.linspace(0, 2 * np.pi, 6 * round(2 * np.pi * radius / spacing / 6), endpoint=False)
     rim = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     lattice = _lattice(rim, np.zeros(2), np.array([1.0, 0.0]), spacing)
-    return _spread(lattice, rim, rim, spacing), rim, spacing
+    return _relax_lattice(lattice, rim, rim, spacing), rim, spacing
 
 
 def _lattice(corners: Floats, origin: Floats, direction: Floats, step: float) -> Floats:
     """Nodes inside a polygon of the triangular lattice through `origin` with rows along the unit vector `direction`."""
     turn = np.array([direction, [-direction[1], direction[0]]])
     turned = (corners - origin) @ turn.T
-    low, high = turned.min(axis=0) / [step, ROW * step], turned.max(axis=0) / [step, ROW * step]
+    low, high = turned.min(axis=0) / [step, ROW_DISTANCE * step], turned.max(axis=0) / [step, ROW_DISTANCE * step]
     rows, columns = np.arange(np.floor(low[1]), high[1] + 1), np.arange(np.floor(low[0]) - 1, high[0] + 1)
     j, i = np.meshgrid(rows, columns, indexing="ij")
-    nodes = step * np.stack([i + j % 2 / 2, ROW * j], axis=-1).reshape(-1, 2)
+    nodes = step * np.stack([i + j % 2 / 2, ROW_DISTANCE * j], axis=-1).reshape(-1, 2)
     return nodes[_inside(nodes, turned)] @ turn + origin
 
 
@@ -232,12 +238,12 @@ def _clearance(points: Floats, rim: Floats) -> Floats:
     return np.min(distance - radii[near], axis=1)
 
 
-def _spread(lattice: Floats, rim: Floats, corners: Floats, spacing: float) -> Floats:
+def _relax_lattice(lattice: Floats, rim: Floats, corners: Floats, spacing: float) -> Floats:
     """Leave out nodes too near the rim and relax the rest, twice if any ends up on the rim."""
     tree = cKDTree(rim)
     for _ in range(2):
-        far = tree.query(lattice, distance_upper_bound=spacing)[0] > CLOSEST_TO_RIM * spacing * (1 - 1e-9)
-        lattice = _relaxed(lattice[far & (_clearance(lattice, rim) > -1e-9 * spacing)], rim, tree, spacing)
+        far = tree.query(lattice, distance_upper_bound=spacing)[0] > MIN_RIM_DISTANCE * spacing * (1 - 1e-9)
+        lattice = _relax(lattice[far & (_clearance(lattice, rim) > -1e-9 * spacing)], rim, tree, spacing)
         stray = (_clearance(lattice, rim) <= 0) | ~_inside(lattice, corners)
         if not stray.any():
             break
@@ -245,24 +251,24 @@ def _spread(lattice: Floats, rim: Floats, corners: Floats, spacing: float) -> Fl
     return lattice
 
 
-def _relaxed(inner: Floats, rim: Floats, tree: cKDTree, spacing: float) -> Floats:
+def _relax(inner: Floats, rim: Floats, tree: cKDTree, spacing: float) -> Floats:
     """Let nodes near the rim repel their neighbours by (1.5 - distance / spacing)^2, with smaller and smaller steps."""
-    deepest = RELAXED + REACH + 1
+    deepest = RELAXED_DEPTH + REPULSION_RADIUS + 1
     depth = tree.query(inner, distance_upper_bound=deepest * spacing)[0] / spacing
     order = np.argsort(depth, kind="stable")
-    free, known = np.searchsorted(depth[order], [RELAXED, deepest])
+    free, known = np.searchsorted(depth[order], [RELAXED_DEPTH, deepest])
     nodes = np.concatenate([inner[order[:known]], rim])
-    for k in range(RELAXATIONS):
+    for k in range(MAX_SWEEPS):
         distance, other = cKDTree(nodes).query(nodes[:free], k=min(13, len(nodes)))
         apart = distance[:, 1:, None] / spacing
-        push = np.maximum(REACH - apart, 0) ** 2 / apart
+        push = np.maximum(REPULSION_RADIUS - apart, 0) ** 2 / apart
         step = np.sum(push * (nodes[:free, None] - nodes[other[:, 1:]]), axis=1) / 4
         longest = 0.15 * 0.97**k * spacing
         nodes[:free] += step * np.minimum(1, longest / np.maximum(np.linalg.norm(step, axis=1), longest))[:, None]
     return np.concatenate([nodes[:free], inner[order[free:]]])[np.argsort(order)]
 
 
-def _jittered(inner: Floats, rim: Floats, jitter: float, seed: int) -> Floats:
+def _jitter(inner: Floats, rim: Floats, jitter: float, seed: int) -> Floats:
     """Displace inner nodes at random, but none up to the rim and none where rim nodes crowd each other."""
     nearest = cKDTree(np.concatenate([inner, rim])).query(inner, k=2)[0][:, 1]
     most = np.minimum(jitter * nearest, 0.9 * np.maximum(_clearance(inner, rim), 0))
@@ -276,7 +282,7 @@ def _jittered(inner: Floats, rim: Floats, jitter: float, seed: int) -> Floats:
     return inner + length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _triangulated(points: Floats, corners: Floats, inner: int) -> Ints:
+def _triangulate(points: Floats, corners: Floats, inner: int) -> Ints:
     """Delaunay triangles inside the outline; the first `inner` points do not lie on it."""
     triangles = Delaunay(points - points.mean(axis=0)).simplices.astype(np.int64)  # anticlockwise, in the plane
     a, b, c = points[triangles].transpose(1, 0, 2)
@@ -295,10 +301,11 @@ def _triangulated(points: Floats, corners: Floats, inner: int) -> Ints:
     return triangles
 
 
-def _areas(points: Floats, triangles: Ints, inner: int) -> Floats:
+def _voronoi_areas(points: Floats, triangles: Ints, inner: int) -> Floats:
     """Area [m^2] of every node's Voronoi cell, from cotangents: Meyer, Desbrun, Schroder and Barr (2003), section 3.3.
 
-    An obtuse triangle whose circumcentre lies beyond the rim is halved and quartered as there, so that cells end there.
+    An obtuse triangle whose circumcentre lies beyond the rim is halved and quartered as there, so
+    that cells end there.
     """
     corner = points[triangles]
     side = np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1)  # opposite each corner
@@ -318,7 +325,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _checked_outline(outline: ArrayLike) -> Floats:
+def _check_outline(outline: ArrayLike) -> Floats:
     """Corners (m, 2) of a simple polygon, the first not repeated."""
     try:
         corners = np.array(outline, dtype=float)
@@ -329,9 +336,9 @@ def _checked_outline(outline: ArrayLike) -> Floats:
     bad = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if bad.size:
         raise InputError(f"outline has corners that are not finite: corner {bad[0]} is {corners[bad[0]]}")
-    far = np.flatnonzero(np.abs(corners).max(axis=1, initial=0.0) > FARTHEST)
+    far = np.flatnonzero(np.abs(corners).max(axis=1, initial=0.0) > MAX_COORDINATE)
     if far.size:
-        raise InputError(f"outline must lie within {FARTHEST:g} m of the origin, got corner {corners[far[0]]}")
+        raise InputError(f"outline must lie within {MAX_COORDINATE:g} m of the origin, got corner {corners[far[0]]}")
     if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
         corners = corners[:-1]
     if len(corners) < 3:
@@ -343,11 +350,11 @@ def _checked_outline(outline: ArrayLike) -> Floats:
     thickness = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     if thickness[1] <= 1e-9 * thickness[0]:
         raise InputError(f"outline has no area: its {len(corners)} corners lie on one line")
-    _refuse_crossings(corners)
+    _check_crossings(corners)
     return corners
 
 
-def _refuse_crossings(corners: Floats) -> None:
+def _check_crossings(corners: Floats) -> None:
     """Refuse edges that meet without a common corner: among them always one of two neighbours that fold back."""
     ends = np.roll(corners, -1, axis=0)
     for k in range(len(corners) - 2):
@@ -370,16 +377,16 @@ def _edge_nodes(corners: Floats, lengths: Floats, spacing: float) -> tuple[Float
             f"edge {k} of the outline is {lengths[k]:g} m long, less than half the spacing = {spacing:g} m: "
             f"leave out a corner or use a spacing of at most {2 * lengths[k]:g} m"
         )
-    count = np.maximum(np.rint(lengths / spacing), np.ceil(lengths / (LONGEST_SEGMENT * spacing))).astype(np.int64)
+    count = np.maximum(np.rint(lengths / spacing), np.ceil(lengths / (MAX_SEGMENT * spacing))).astype(np.int64)
     starts = np.concatenate([[0], np.cumsum(count)])
     edge = np.repeat(np.arange(len(corners)), count)
     share = ((np.arange(starts[-1]) - starts[edge]) / count[edge])[:, None]
     return corners[edge] + share * (np.roll(corners, -1, axis=0) - corners)[edge], starts
 
 
-def _refuse_narrows(rim: Floats, starts: Ints, corners: Floats, spacing: float) -> None:
+def _check_widths(rim: Floats, starts: Ints, corners: Floats, spacing: float) -> None:
     """Refuse an outline that comes too near to itself: over a corner, inside (a passage) or outside (a gap)."""
-    i, j = cKDTree(rim).query_pairs(NARROWEST_GAP * spacing * (1 - 1e-9), output_type="ndarray").T
+    i, j = cKDTree(rim).query_pairs(MIN_GAP_WIDTH * spacing * (1 - 1e-9), output_type="ndarray").T
     distance = np.linalg.norm(rim[i] - rim[j], axis=1)
     place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1))])
     around = place[j] - place[i] > place[-1] / 2
@@ -387,8 +394,8 @@ def _refuse_narrows(rim: Floats, starts: Ints, corners: Floats, spacing: float) 
     turns = np.searchsorted(starts, j) - np.searchsorted(starts, i, side="right")  # corners passed on the way
     turns = np.where(around, len(corners) - turns - np.isin(i, starts) - np.isin(j, starts), turns)
     outside = ~_inside((rim[i] + rim[j]) / 2, corners)
-    needed = np.where(outside, NARROWEST_GAP, NARROWEST_PASSAGE)
-    needed = spacing * np.where((turns > 1) & (detour > 3 * distance), needed, CLOSEST_ON_RIM)
+    needed = np.where(outside, MIN_GAP_WIDTH, MIN_PASSAGE_WIDTH)
+    needed = spacing * np.where((turns > 1) & (detour > 3 * distance), needed, MIN_RIM_SPACING)
     tight = np.flatnonzero((turns > 0) & (distance < needed * (1 - 1e-9)))
     if tight.size == 0:
         return
@@ -406,7 +413,7 @@ def _refuse_narrows(rim: Floats, starts: Ints, corners: Floats, spacing: float) 
     raise InputError(f"edges {a} and {b} of the outline {near}, for spacing = {spacing:g} m too {advice}")
 
 
-def _refuse_poor_stencils(points: Floats, spacing: float) -> None:
+def _check_stencils(points: Floats, spacing: float) -> None:
     try:
         moving_least_squares(points, order=2, neighbours=18)
     except CloudError as fault:

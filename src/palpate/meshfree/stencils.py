@@ -1,11 +1,13 @@
 """Moving least squares (section 2.3 of the paper, equations 9 to 13) as tables of neighbours and weights.
 
-The derivative of a field at node I is a weighted sum of the field over the neighbours of I. The weights are those of a
-polynomial fitted to the neighbours with the quartic spline (13) as weight, differentiated as it stands at I (diffuse
-derivatives). In the *interpolating* fit the polynomial passes through node I: its constant is eliminated, so that the
-nodal unknowns are the displacements themselves and the sums run over differences u_J - u_I.
+The derivative of a field at node I is a weighted sum of the field over the neighbours of I. The
+weights are those of a polynomial fitted to the neighbours with the quartic spline (13) as weight,
+differentiated as it stands at I (diffuse derivatives). In the *interpolating* fit the polynomial
+passes through node I: its constant is eliminated, so that the nodal unknowns are the displacements
+themselves and the sums run over differences u_J - u_I.
 
-Nodes whose neighbours lie in the same arrangement (most nodes of a lattice) share one row of weights.
+Nodes whose neighbours lie in the same arrangement (most nodes of a lattice) share one row of
+weights.
 """
 
 from __future__ import annotations
@@ -22,33 +24,34 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
-from palpate.meshfree.cloud import FARTHEST
+from palpate.meshfree.cloud import MAX_COORDINATE
 
 __all__ = ["Stencils", "moving_least_squares"]
 
-
-WORST_CONDITION = 1e10  # of a scaled moment matrix; beyond it, second derivatives lose half their digits
-BATCH = 1024  # nodes fitted at once
-NEAR_DUPLICATE = 0.2  # of the median distance to the nearest neighbour
+MAX_CONDITION = 1e10  # of scaled moment matrices; beyond it, second derivatives lose half their digits
+BATCH_NODES = 1024  # nodes fitted at once
+MIN_DISTANCE_RATIO = 0.2  # smallest distance of nodes over the median distance of nearest neighbours
 
 
 @dataclass(frozen=True)
 class Stencils(Described):
-    """Neighbours and weights of a moving-least-squares fit at every node of a cloud.
+    """Neighbours and weights of the moving-least-squares fit at every node of a cloud.
 
     Parameters
     ----------
     neighbours : (n, k) int array
         Neighbours of every node without itself, padded with the node itself.
     row : (n,) int array
-        The node's row in the tables of weights; nodes with the same arrangement of neighbours share one.
+        The node's row in the tables of weights; nodes with the same arrangement of neighbours share
+        one.
     value : (s, k) array
-        Weights of the fitted value. All zero in the interpolating fit, whose value is the node's own.
+        Weights of the fitted value. All zero in the interpolating fit, whose value is the node's
+        own.
     first : (s, k, d) array [1/m]
         Weights of the first derivatives.
     second : (s, k, d (d + 1) / 2) array [1/m^2]
-        Weights of the second derivatives in the order 00, 11, 22, 01, 02, 12 (in the plane 00, 11, 01); zero for a
-        fit of order 1.
+        Weights of the second derivatives in the order 00, 11, 22, 01, 02, 12 (in the plane 00, 11,
+        01); zero for a fit of order 1.
     own : (s,) array
         Weight of the node itself in the fitted value; 1 in the interpolating fit.
     own_first, own_second : (s, d), (s, d (d + 1) / 2) arrays
@@ -140,8 +143,8 @@ def moving_least_squares(
     order : int
         Of the polynomials, 1 to 3. A fit of order 1 has no second derivatives.
     neighbours : int, optional
-        Wished number of points in a stencil, the node included. The stencil ends at the widest gap between
-        successive distances near that number, so that on a lattice it holds whole shells.
+        Wished number of points in a stencil, the node included. The stencil ends at the widest gap
+        between successive distances near that number, so that on a lattice it holds whole shells.
     radius : float, optional [m]
         Support radius instead of a number.
     interpolating : bool
@@ -154,22 +157,25 @@ def moving_least_squares(
     Raises
     ------
     CloudError
-        Duplicate points, too few or coplanar neighbours, or an ill-conditioned moment matrix; names the nodes.
+        Duplicate points, too few or coplanar neighbours, or an ill-conditioned moment matrix; names
+        the nodes.
     """
     points = np.ascontiguousarray(points, dtype=float)
     n, d = points.shape
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
-        raise CloudError(f"points of nodes {first_few(bad)} are not finite")
-    far = np.flatnonzero(np.abs(points).max(axis=1) > FARTHEST)
+        raise CloudError(f"points must be finite, got other values at nodes {first_few(bad)}", bad)
+    far = np.flatnonzero(np.abs(points).max(axis=1) > MAX_COORDINATE)
     if far.size:
-        raise CloudError(f"points must lie within {FARTHEST:g} m of the origin: nodes {first_few(far)} do not", far)
+        raise CloudError(
+            f"points must lie within {MAX_COORDINATE:g} m of the origin, got others at nodes {first_few(far)}", far
+        )
     order = integer_in_range("order", order, 1, 3)
     exponents = _exponents(d, order)
     if (neighbours is None) == (radius is None):
-        raise InputError("give either neighbours or radius")
+        raise InputError("neighbours or radius must be given, got both or neither; give either neighbours or radius")
     tree = cKDTree(points)
-    _refuse_duplicates(points, tree)
+    _check_duplicates(points, tree)
     if neighbours is not None:
         neighbours = integer_in_range("neighbours", neighbours, len(exponents))
         near, reach = _nearest(points, tree, neighbours)
@@ -188,12 +194,12 @@ def moving_least_squares(
     offsets = points[near[sample]] - points[sample][:, None, :]
     present = near[sample] != sample[:, None]
     value, first, second, own, condition = _fit(offsets, present, reach[sample], exponents, interpolating)
-    bad = np.flatnonzero(~(condition < WORST_CONDITION)[row])
+    bad = np.flatnonzero(~(condition < MAX_CONDITION)[row])
     if bad.size:
         worst = condition[row[bad[0]]]
         raise CloudError(
             f"moment matrices of nodes {first_few(bad)} are ill-conditioned (node {bad[0]} at "
-            f"{points[bad[0]]}: condition {worst:.1e}, allowed {WORST_CONDITION:.0e}): their neighbours lie in "
+            f"{points[bad[0]]}: condition {worst:.1e}, allowed {MAX_CONDITION:.0e}): their neighbours lie in "
             f"(nearly) one plane or line; use more neighbours or spread the points",
             bad,
         )
@@ -216,12 +222,12 @@ def _exponents(d: int, order: int) -> Ints:
     return np.array(rows)
 
 
-def _refuse_duplicates(points: Floats, tree: cKDTree) -> None:
+def _check_duplicates(points: Floats, tree: cKDTree) -> None:
     if len(points) < 2:
-        raise CloudError("a cloud needs at least 2 points")
+        raise CloudError("points must have at least 2 rows, got fewer")
     distance, other = tree.query(points, k=2)
     typical = np.median(distance[:, 1])
-    close = np.flatnonzero(distance[:, 1] < NEAR_DUPLICATE * typical)
+    close = np.flatnonzero(distance[:, 1] < MIN_DISTANCE_RATIO * typical)
     if close.size or typical == 0:
         i = int(close[0]) if close.size else 0
         raise CloudError(
@@ -232,15 +238,15 @@ def _refuse_duplicates(points: Floats, tree: cKDTree) -> None:
         )
 
 
-def _nearest(points: Floats, tree: cKDTree, wished: int) -> tuple[Ints, Floats]:
-    """Neighbours up to the widest gap in distance between 0.8 and 1.3 times the wished number."""
+def _nearest(points: Floats, tree: cKDTree, count: int) -> tuple[Ints, Floats]:
+    """Return neighbours up to the largest gap in distance between 0.8 and 1.3 times the count."""
     n = len(points)
-    low, high = max(int(0.8 * wished), 1), int(np.ceil(1.3 * wished))
+    low, high = max(int(0.8 * count), 1), int(np.ceil(1.3 * count))
     if n <= high:
         high = n - 1
         low = min(low, high - 1)
     if low < 1:
-        raise CloudError(f"the cloud has {n} points; stencils of {wished} need more")
+        raise CloudError(f"the cloud has {n} points; stencils of {count} need more")
     distance, near = tree.query(points, k=high + 1, workers=-1)
     # a tie in the last shell may put a farther copy first; the node itself is always at distance 0
     gaps = np.round(np.diff(distance[:, low - 1 :], axis=1) / distance[:, 1:2], 6)
@@ -282,7 +288,7 @@ def _fit(
     offsets: Floats, present: NDArray[np.bool_], reach: Floats, exponents: NDArray[np.int64], interpolating: bool
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Weights of value, first and second derivatives, own weights, condition numbers."""
-    parts = [slice(begin, begin + BATCH) for begin in range(0, len(offsets), BATCH)]
+    parts = [slice(begin, begin + BATCH_NODES) for begin in range(0, len(offsets), BATCH_NODES)]
     fits = [_fit_some(offsets[part], present[part], reach[part], exponents, interpolating) for part in parts]
     value, first, second, own, condition = (np.concatenate(arrays) for arrays in zip(*fits, strict=True))
     return value, first, second, own, condition

@@ -1,4 +1,4 @@
-"""What may be wrong with a surface: holes, folds, several parts, hollowness, scale."""
+"""Surface checks: holes, folds, several parts, hollow shells and scale."""
 
 from __future__ import annotations
 
@@ -11,33 +11,32 @@ from scipy.sparse.csgraph import connected_components
 
 from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
-from palpate.meshfree.intersections import MOST_PAIRS, self_intersections
-from palpate.meshfree.surfaces import Surface, components, halves, part_volumes, rims
+from palpate.meshfree.intersections import MAX_PAIRS, self_intersections
+from palpate.meshfree.surfaces import Surface, boundary_loops, components, directed_edges, part_volumes
 
 __all__ = ["SurfaceProblem", "SurfaceReport", "check_surface"]
 
 Kind = Literal["error", "note"]
 
-PLAUSIBLE = (2e-6, 2e-2)  # [m^3] of an organ
-HOLLOW = (
-    0.05  # mean thickness 2 V / A over the cube root of V: 0.33 of a cube, 0.12 of a plate 20 times as wide as thick
-)
+PLAUSIBLE_VOLUMES = (2e-6, 2e-2)  # [m^3] of an organ
+# smallest mean thickness 2 V / A over the cube root of V: 0.33 for a cube, 0.12 for a plate 20 times as wide as thick
+MIN_THICKNESS_RATIO = 0.05
 
 
 @dataclass(frozen=True)
 class SurfaceProblem:
-    """Something about a surface that a person should know.
+    """SurfaceProblem of a surface.
 
     Parameters
     ----------
     kind : str
-        ``"error"``: it cannot be filled so; ``"note"``: it can.
+        ``"error"`` if the surface cannot be filled, else ``"note"``.
     what : str
-        What is wrong, and what to do.
+        Description and remedy.
     points : (k, 3) array [m]
-        Where.
+        Positions.
     name : str
-        One word for it.
+        Short name.
     """
 
     kind: Kind
@@ -48,7 +47,7 @@ class SurfaceProblem:
 
 @dataclass(frozen=True)
 class SurfaceReport:
-    """What `check_surface` found.
+    """Result of `check_surface`.
 
     Parameters
     ----------
@@ -71,13 +70,13 @@ class SurfaceReport:
 
     @property
     def errors(self) -> tuple[SurfaceProblem, ...]:
-        """Problems for which it cannot be filled."""
+        """Problems that prevent filling."""
         return tuple(problem for problem in self.problems if problem.kind == "error")
 
 
 def check_surface(surface: Surface) -> SurfaceReport:
-    """Look for all that keeps a welded surface from being filled: holes, folds, several parts, hollowness, scale."""
-    edges, _ = halves(surface.triangles)
+    """Return the problems of a welded surface: holes, folds, several parts, hollow shells and scale."""
+    edges, _ = directed_edges(surface.triangles)
     undirected, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     turns = np.zeros(len(undirected), dtype=int)
     np.add.at(turns, inverse.ravel(), np.where(edges[:, 0] < edges[:, 1], 1, -1))
@@ -86,10 +85,10 @@ def check_surface(surface: Surface) -> SurfaceReport:
     parts = int(label.max()) + 1
     problems = [
         *_open_problems(surface, undirected, count, turns, middles),
-        *_pinched(surface),
+        *_pinch_problems(surface),
     ]
     if not problems:
-        problems += _whole_problems(surface, label)
+        problems += _volume_problems(surface, label)
     problems += [*_crossing_problems(surface), *_scale_problems(surface)]
     return SurfaceReport(
         len(surface.vertices), len(surface.triangles), parts,
@@ -99,22 +98,22 @@ def check_surface(surface: Surface) -> SurfaceReport:
     )  # fmt: skip
 
 
-def _place(point: Floats) -> str:
+def _place_text(point: Floats) -> str:
     return f"({', '.join(f'{x:.4g}' for x in point)}) m"
 
 
 def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, middles: Floats) -> list[SurfaceProblem]:
-    """Edges of one triangle, of more than two, and of two that do not agree about the outside."""
+    """Return problems of edges: open, branching and inconsistently oriented."""
     found = []
     single, many = count == 1, count > 2
     if single.any():
-        loops = rims(surface.triangles)
+        loops = boundary_loops(surface.triangles)
         sizes = ", ".join(str(len(loop)) for loop in sorted(loops, key=len, reverse=True)[:6]) or "tangled"
         found.append(
             SurfaceProblem(
                 "error", "open",
                 f"the surface is open: {int(single.sum())} edges bound a hole (holes of {sizes} edges; the first near "
-                f"{_place(middles[single][0])}); repair closes small holes",
+                f"{_place_text(middles[single][0])}); repair closes small holes",
                 middles[single],
             )
         )  # fmt: skip
@@ -122,8 +121,8 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
         found.append(
             SurfaceProblem(
                 "error", "branching",
-                f"{int(many.sum())} edges belong to more than two triangles (first near {_place(middles[many][0])}): "
-                f"inner walls or doubled faces must be removed first",
+                f"{int(many.sum())} edges belong to more than two triangles (first near "
+                f"{_place_text(middles[many][0])}): inner walls or doubled faces must be removed first",
                 middles[many],
             )
         )  # fmt: skip
@@ -133,15 +132,15 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
             SurfaceProblem(
                 "error", "mixed orientation",
                 f"{int(wrong.sum())} edges lie between triangles that disagree about the outside (first near "
-                f"{_place(middles[wrong][0])}); repair turns them",
+                f"{_place_text(middles[wrong][0])}); repair turns them",
                 middles[wrong],
             )
         )  # fmt: skip
     return found
 
 
-def _pinched(surface: Surface) -> list[SurfaceProblem]:
-    """Vertices where two sheets touch in a single point."""
+def _pinch_problems(surface: Surface) -> list[SurfaceProblem]:
+    """Return vertices where two sheets touch in a point."""
     corners = surface.triangles.ravel()
     t = len(surface.triangles)
     # corners of one vertex in triangles that share an edge there hang together
@@ -167,14 +166,14 @@ def _pinched(surface: Surface) -> list[SurfaceProblem]:
         SurfaceProblem(
             "error", "pinched",
             f"at {len(bad)} vertices the surface touches itself in a point (first: vertex {bad[0]} at "
-            f"{_place(surface.vertices[bad[0]])}): separate the sheets there",
+            f"{_place_text(surface.vertices[bad[0]])}): separate the sheets there",
             surface.vertices[bad],
         )
     ]  # fmt: skip
 
 
-def _whole_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
-    """What can only be said of a closed surface: parts, orientation, hollowness."""
+def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
+    """Return problems of a closed surface: parts, orientation, hollow shells."""
     found = []
     volumes = part_volumes(surface, label)
     if len(volumes) > 1:
@@ -185,7 +184,7 @@ def _whole_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
                 "error", "several parts",
                 f"the surface has {len(volumes)} parts of {litres} litres, {kind}: one solid body is needed; keep the "
                 f"outer one, or fill each by itself (repair drops parts below a thousandth of the whole)",
-                _middles(surface, label),
+                _part_centroids(surface, label),
             )
         )  # fmt: skip
     elif surface.volume < 0:
@@ -196,7 +195,7 @@ def _whole_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
         )
     volume = abs(surface.volume)
     thickness = 2 * volume / max(surface.area, 1e-300)
-    if thickness < HOLLOW * np.cbrt(volume) or volume == 0:
+    if thickness < MIN_THICKNESS_RATIO * np.cbrt(volume) or volume == 0:
         found.append(
             SurfaceProblem(
                 "error", "hollow",
@@ -208,14 +207,14 @@ def _whole_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
     return found
 
 
-def _middles(surface: Surface, label: Ints) -> Floats:
-    """Mean corner of each part."""
+def _part_centroids(surface: Surface, label: Ints) -> Floats:
+    """Return the mean corner of each part."""
     corners = surface.vertices[surface.triangles].mean(axis=1)
     return np.column_stack([np.bincount(label, corners[:, a]) for a in range(3)]) / np.bincount(label)[:, None]
 
 
 def _crossing_problems(surface: Surface) -> list[SurfaceProblem]:
-    """Triangles that meet where they should not."""
+    """Return self-intersections."""
     try:
         pairs = self_intersections(surface.vertices, surface.triangles)
     except InputError as error:
@@ -223,12 +222,12 @@ def _crossing_problems(surface: Surface) -> list[SurfaceProblem]:
     if not len(pairs):
         return []
     where = surface.vertices[surface.triangles[pairs]].mean(axis=(1, 2))
-    many = "at least " if len(pairs) >= MOST_PAIRS else ""
+    many = "at least " if len(pairs) >= MAX_PAIRS else ""
     return [
         SurfaceProblem(
             "error", "self-intersecting",
             f"{many}{len(pairs)} pairs of triangles pass through each other or touch (first: triangles {pairs[0, 0]} "
-            f"and {pairs[0, 1]} near {_place(where[0])}): repair smooths small folds",
+            f"and {pairs[0, 1]} near {_place_text(where[0])}): repair smooths small folds",
             where,
         )
     ]  # fmt: skip
@@ -236,7 +235,7 @@ def _crossing_problems(surface: Surface) -> list[SurfaceProblem]:
 
 def _scale_problems(surface: Surface) -> list[SurfaceProblem]:
     volume = abs(surface.volume)
-    if PLAUSIBLE[0] <= volume <= PLAUSIBLE[1]:
+    if PLAUSIBLE_VOLUMES[0] <= volume <= PLAUSIBLE_VOLUMES[1]:
         return []
     what = f"its volume of {1e3 * volume:.3g} litres is not that of an organ: are the units right?"
     return [SurfaceProblem("note", "scale", what)]

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.faults import FileFormatError, InputError
+from palpate.arrays import Floats, Ints
+from palpate.faults import FileFormatError, InputError, brief
 from palpate.files import read_bytes, regular_file, shortened
-from palpate.meshfree.formats.common import Floats, Ints, Parts
+from palpate.meshfree.formats.common import Parts
 from palpate.meshfree.formats.gltf import read_glb, read_gltf
 from palpate.meshfree.formats.plain import read_obj, read_off, read_stl
 from palpate.meshfree.formats.ply import read_ply
 from palpate.meshfree.formats.vtk import read_vtk
 from palpate.meshfree.formats.vtp import read_vtp
-from palpate.meshfree.surface_repair import repair
-from palpate.meshfree.surfaces import Surface, welded
+from palpate.meshfree.surface_repair import repair_surface
+from palpate.meshfree.surfaces import Surface, weld
 
 __all__ = ["UNITS", "read_surface"]
 
@@ -24,16 +25,19 @@ READERS = {
     "stl": read_stl, "obj": read_obj, "ply": read_ply, "off": read_off, "glb": read_glb, "gltf": read_gltf,
     "vtk": read_vtk, "vtp": read_vtp,
 }  # fmt: skip
-NAMED = ("glb", "gltf", "obj", "stl")  # kinds whose parts have names
-LARGEST = 300_000_000  # bytes
-MOST_NAMES = 40  # of parts, in a message
-TYPICAL = 5e-4  # [m^3] of an organ, in the logarithm's middle: between an adrenal gland and a liver
+FORMATS_WITH_PARTS = ("glb", "gltf", "obj", "stl")
+MAX_BYTES = 300_000_000
+MAX_LISTED_NAMES = 40  # of parts, in a message
+TYPICAL_VOLUME = 5e-4  # [m^3] of an organ: geometric mean of an adrenal gland and a liver
 
 
-def read_surface(path: str | Path, *, part: str | None = None, units: str | None = None, mend: bool = False) -> Surface:
+def read_surface(
+    path: str | Path, *, part: str | None = None, units: str | None = None, repair: bool = False
+) -> Surface:
     """Read a closed surface.
 
-    Only the file itself is read, never another one that it names; polygons are split into fans of triangles.
+    Only the file itself is read, never another one that it names; polygons are split into fans of
+    triangles.
 
     Parameters
     ----------
@@ -42,10 +46,11 @@ def read_surface(path: str | Path, *, part: str | None = None, units: str | None
     part : str, optional
         Name of the part to take from a file of several.
     units : str, optional
-        Of the file's lengths: ``"m"``, ``"cm"``, ``"mm"`` or ``"in"``. A glTF file is in metres; others do not say, and
-        without `units` the one is taken in which the volume is most like an organ's, with a warning.
-    mend : bool
-        Whether to repair what can be: see `palpate.meshfree.surface_repair.repair`.
+        Of the file's lengths: ``"m"``, ``"cm"``, ``"mm"`` or ``"in"``. A glTF file is in metres;
+        others do not say, and without `units` the one is taken in which the volume is most like an
+        organ's, with a warning.
+    repair : bool
+        Whether to repair the surface, see `palpate.meshfree.surface_repair.repair_surface`.
 
     Raises
     ------
@@ -58,21 +63,21 @@ def read_surface(path: str | Path, *, part: str | None = None, units: str | None
     """
     path = Path(path)
     if units is not None and units not in UNITS:
-        raise InputError(f"units = {units!r} are unknown: allowed are {', '.join(map(repr, UNITS))}")
+        raise InputError(f"units must be one of {', '.join(map(repr, UNITS))}, got {brief(units)}")
     regular_file(path, "surface file")
     kind = path.suffix[1:].lower()
     if kind == "msh":
         raise FileFormatError(
-            f"{path} is a Gmsh file{_gmsh_version(path)}, which holds a volume mesh: export its surface as STL, PLY or "
+            f"{path} is a Gmsh file{_gmsh_version(path)} of a volume mesh; export its surface as STL, PLY or "
             f"OBJ (in Gmsh: File, Export)"
         )
     if kind not in READERS:
-        raise FileFormatError(f"{path}: surfaces are read from {', '.join(READERS).upper()} files, not from {kind!r}")
-    if part is not None and kind not in NAMED:
-        raise InputError(f"part = {part!r}: a {kind.upper()} file has no named parts")
+        raise FileFormatError(f"{path}: the format must be one of {', '.join(READERS).upper()}, got {kind!r}")
+    if part is not None and kind not in FORMATS_WITH_PARTS:
+        raise InputError(f"part must be omitted for {kind.upper()} files, which have no named parts, got {brief(part)}")
     vertices, triangles = _read(path, kind, part)
     surface = Surface(vertices, triangles, path.name if part is None else f"{path.name}, part {part}")
-    surface = repair(surface) if mend else welded(surface)
+    surface = repair_surface(surface) if repair else weld(surface)
     return _in_metres(surface, "m" if units is None and kind in ("glb", "gltf") else units)
 
 
@@ -87,12 +92,12 @@ def _gmsh_version(path: Path) -> str:
 
 def _read(path: Path, kind: str, part: str | None) -> tuple[Floats, Ints]:
     """Vertices and triangles of a file, or of a part of it."""
-    data = read_bytes(path, "surface file", LARGEST)
+    data = read_bytes(path, "surface file", MAX_BYTES)
     if not data:
-        raise FileFormatError(f"{path} is empty")
+        raise FileFormatError(f"{path} must not be empty")
     try:
         parts = READERS[kind](data)
-        vertices, triangles = parts[_chosen(parts, part)]()
+        vertices, triangles = parts[_choose_part(parts, part)]()
     except FileFormatError as error:
         raise FileFormatError(f"{path} cannot be read as {kind.upper()}: {error}") from error
     except InputError as error:
@@ -101,21 +106,21 @@ def _read(path: Path, kind: str, part: str | None) -> tuple[Floats, Ints]:
         # what no check of a reader has caught
         raise FileFormatError(f"{path} is damaged ({type(error).__name__}: {shortened(str(error))})") from error
     if not len(triangles):
-        raise FileFormatError(f"{path} holds no triangles")
+        raise FileFormatError(f"{path} must hold triangles, got none")
     return vertices, triangles
 
 
-def _chosen(parts: Parts, part: str | None) -> str:
-    plain = (shortened(name if name.isprintable() else repr(name)) for name in sorted(parts)[:MOST_NAMES])
-    names = ", ".join(plain) + ", ..." * (len(parts) > MOST_NAMES)
+def _choose_part(parts: Parts, part: str | None) -> str:
+    plain = (shortened(name if name.isprintable() else repr(name)) for name in sorted(parts)[:MAX_LISTED_NAMES])
+    names = ", ".join(plain) + ", ..." * (len(parts) > MAX_LISTED_NAMES)
     if part is None:
         if len(parts) > 1:
-            raise InputError(f"it has {len(parts)} parts: choose one with part=: {names}")
+            raise InputError(f"part must be given for a file of {len(parts)} parts; choose one of {names}")
         if not parts:
-            raise FileFormatError("it holds no triangles")
+            raise FileFormatError("it must hold triangles, got none")
         return next(iter(parts))
     if part not in parts:
-        raise InputError(f"it has no part {shortened(repr(part))}; it has {names or 'none'}")
+        raise InputError(f"part must be one of {names or 'none'}, got {shortened(repr(part))}")
     return part
 
 
@@ -123,7 +128,7 @@ def _in_metres(surface: Surface, units: str | None) -> Surface:
     warnings = surface.warnings
     if units is None:
         volume = max(abs(surface.volume), 1e-300)
-        away = {name: abs(np.log(volume * scale**3 / TYPICAL)) for name, scale in UNITS.items() if name != "in"}
+        away = {name: abs(np.log(volume * scale**3 / TYPICAL_VOLUME)) for name, scale in UNITS.items() if name != "in"}
         units = min(away, key=away.__getitem__)
         guess = (
             f"{surface.name} does not say its units: taken as {units}, which makes "

@@ -1,4 +1,4 @@
-"""Repairs of a surface that leave its shape alone: small holes, triangles that face the wrong way, specks, folds."""
+"""Surface repair: small holes, orientation of triangles, small parts and folds."""
 
 from __future__ import annotations
 
@@ -8,60 +8,68 @@ from scipy.sparse.csgraph import connected_components
 
 from palpate.arrays import Ints
 from palpate.faults import InputError
-from palpate.meshfree.intersections import MOST_PAIRS, self_intersections
-from palpate.meshfree.surfaces import Surface, components, halves, part_of, part_volumes, rims, welded
+from palpate.meshfree.intersections import MAX_PAIRS, self_intersections
+from palpate.meshfree.surfaces import (
+    Surface,
+    boundary_loops,
+    components,
+    directed_edges,
+    part_volumes,
+    select_triangles,
+    weld,
+)
 
-__all__ = ["repair"]
+__all__ = ["repair_surface"]
+
+MAX_HOLE_RATIO = 0.6  # rim length of a closed hole, over pi times the diagonal of the body
+MAX_SMOOTHINGS = 30  # of folds
 
 
-WIDEST_HOLE = 0.6  # length of a rim over pi times the diagonal of the body, of a hole that is closed
-SMOOTHINGS = 30  # of folds, at most
+def repair_surface(surface: Surface) -> Surface:
+    """Return a welded surface with small holes closed, triangles oriented, small parts removed and folds smoothed.
 
-
-def repair(surface: Surface) -> Surface:
-    """Return a welded surface with small holes closed, triangles turned outwards, specks dropped and folds smoothed.
-
-    A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than 0.6 pi times
-    the diagonal of the body. Where triangles pass through each other, their corners are moved towards the mean of
-    their neighbours until they do not, or for 30 rounds. Specks are parts of less than a thousandth of the volume.
-    What cannot be repaired is left for `check_surface` to name.
+    A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than 0.6
+    pi times the diagonal of the body. Where triangles pass through each other, their corners are
+    moved towards the mean of their neighbours until they do not, or for 30 rounds. Specks are parts
+    of less than a thousandth of the volume. What cannot be repaired is left for `check_surface` to
+    name.
     """
-    surface = welded(surface)
+    surface = weld(surface)
     label = components(surface)
     if label.max() > 0:
         volumes = np.abs(part_volumes(surface, label))
         keep = np.flatnonzero(volumes > 1e-3 * volumes.sum())
-        surface = part_of(surface, np.isin(label, keep)) if len(keep) else surface
-    surface = Surface(surface.vertices, _turned(surface.triangles), surface.name, surface.warnings)
-    surface = _with_holes_closed(surface)
+        surface = select_triangles(surface, np.isin(label, keep)) if len(keep) else surface
+    surface = Surface(surface.vertices, _orient_triangles(surface.triangles), surface.name, surface.warnings)
+    surface = _close_holes(surface)
     if surface.volume < 0:
         surface = Surface(surface.vertices, surface.triangles[:, ::-1], surface.name, surface.warnings)
-    return _unfolded(surface)
+    return _smooth_folds(surface)
 
 
-def _unfolded(surface: Surface) -> Surface:
-    """The surface smoothed where it passes through itself."""
+def _smooth_folds(surface: Surface) -> Surface:
+    """Return the surface smoothed at self-intersections."""
     vertices, n = surface.vertices.copy(), len(surface.vertices)
-    edges, _ = halves(surface.triangles)
+    edges, _ = directed_edges(surface.triangles)
     both = np.concatenate([edges, edges[:, ::-1]])
     near = sparse.csr_matrix((np.ones(len(both)), both.T), (n, n))
     near.data[:] = 1.0
     near = sparse.diags(1.0 / near.sum(axis=1).A1) @ near
-    for _ in range(SMOOTHINGS):
+    for _ in range(MAX_SMOOTHINGS):
         try:
             crossing = self_intersections(vertices, surface.triangles)
         except InputError:
             break
-        if not 0 < len(crossing) < MOST_PAIRS:  # as many are no small folds
+        if not 0 < len(crossing) < MAX_PAIRS:  # as many are no small folds
             break
         corners = np.unique(surface.triangles[crossing])
         vertices[corners] = 0.5 * vertices[corners] + 0.5 * (near[corners] @ vertices)
     return Surface(vertices, surface.triangles, surface.name, surface.warnings)
 
 
-def _turned(triangles: Ints) -> Ints:
-    """Triangles of each part turned so that neighbours agree, breadth first across edges of two triangles."""
-    edges, owner = halves(triangles)
+def _orient_triangles(triangles: Ints) -> Ints:
+    """Return triangles with a consistent orientation in each part, by breadth-first search."""
+    edges, owner = directed_edges(triangles)
     _, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     inverse = inverse.ravel()
     order = np.argsort(inverse, kind="stable")
@@ -80,10 +88,10 @@ def _turned(triangles: Ints) -> Ints:
     return result
 
 
-def _with_holes_closed(surface: Surface) -> Surface:
+def _close_holes(surface: Surface) -> Surface:
     vertices, triangles = [surface.vertices], [surface.triangles]
-    n, longest = len(surface.vertices), np.pi * WIDEST_HOLE * surface.size
-    for loop in rims(surface.triangles):
+    n, longest = len(surface.vertices), np.pi * MAX_HOLE_RATIO * surface.size
+    for loop in boundary_loops(surface.triangles):
         rim = surface.vertices[loop]
         length = np.linalg.norm(rim - np.roll(rim, -1, axis=0), axis=1).sum()
         if length > longest:

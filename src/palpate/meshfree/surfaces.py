@@ -1,4 +1,4 @@
-"""Closed surfaces: what a body is before it is filled with nodes."""
+"""Closed triangulated surfaces of bodies."""
 
 from __future__ import annotations
 
@@ -14,19 +14,27 @@ from palpate.describe import Described, Fact
 from palpate.faults import InputError, first_few
 from palpate.plotting import body_svg
 
-__all__ = ["MOST_TRIANGLES", "Surface", "components", "halves", "part_of", "part_volumes", "rims", "welded"]
+__all__ = [
+    "MAX_TRIANGLES",
+    "Surface",
+    "boundary_loops",
+    "components",
+    "directed_edges",
+    "part_volumes",
+    "select_triangles",
+    "weld",
+]
 
-
-MOST_TRIANGLES = 2_000_000  # more are refused before anything slow
-SAME = 1e-6  # of the size: vertices nearer than that are one
-FARTHEST = 1e9  # largest coordinate, in any unit: beyond, volumes overflow or lose all digits
-SMALLEST = 1e-9  # size
-AWAY = 1e7  # largest coordinate over the size: beyond, SAME is not resolved
+MAX_TRIANGLES = 2_000_000  # checked before expensive steps
+WELD_TOLERANCE = 1e-6  # distance of coinciding vertices, over the size
+MAX_COORDINATE = 1e9  # in any unit; beyond it volumes overflow or lose all digits
+MIN_SIZE = 1e-9  # of the bounding box, in any unit
+MAX_OFFSET_RATIO = 1e7  # largest coordinate over the size; beyond it WELD_TOLERANCE is not resolved
 
 
 @dataclass(frozen=True)
 class Surface(Described):
-    """Triangles in space.
+    """Triangulated surface.
 
     Parameters
     ----------
@@ -41,8 +49,8 @@ class Surface(Described):
     Raises
     ------
     InputError
-        Arrays of another shape, triangles of vertices that do not exist, too many triangles, or none; coordinates
-        that are not finite, or beyond 1e9.
+        Arrays of another shape, triangles of vertices that do not exist, too many triangles, or
+        none; coordinates that are not finite, or beyond 1e9.
     """
 
     vertices: Floats
@@ -54,24 +62,24 @@ class Surface(Described):
         vertices = np.ascontiguousarray(self.vertices, dtype=float)
         triangles = np.ascontiguousarray(self.triangles, dtype=np.int64)
         if triangles.size == 0 or vertices.size == 0:
-            raise InputError(f"{self.name} is empty: it has no triangles")
+            raise InputError(f"{self.name} must have triangles, got none")
         if vertices.ndim != 2 or triangles.ndim != 2 or vertices.shape[1] != 3 or triangles.shape[1] != 3:
             raise InputError(f"{self.name}: vertices and triangles must have shapes (v, 3) and (t, 3)")
-        if len(triangles) > MOST_TRIANGLES:
+        if len(triangles) > MAX_TRIANGLES:
             raise InputError(
-                f"{self.name} has {len(triangles)} triangles; at most {MOST_TRIANGLES} are taken: decimate it first "
+                f"{self.name} must have at most {MAX_TRIANGLES} triangles, got {len(triangles)}; decimate it first "
                 f"(30,000 are enough for an organ)"
             )
         if triangles.min() < 0 or triangles.max() >= len(vertices):
-            raise InputError(f"{self.name}: triangles name vertices outside 0..{len(vertices) - 1}")
+            raise InputError(f"{self.name}: triangles must hold vertices in [0, {len(vertices) - 1}], got others")
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         if bad.size:
-            raise InputError(f"{self.name}: vertices {first_few(bad)} are not finite")
-        far = np.flatnonzero((np.abs(vertices) > FARTHEST).any(axis=1))
+            raise InputError(f"{self.name}: vertices must be finite, got other values at vertices {first_few(bad)}")
+        far = np.flatnonzero((np.abs(vertices) > MAX_COORDINATE).any(axis=1))
         if far.size:
             raise InputError(
-                f"{self.name}: coordinates must be at most {FARTHEST:g}, got {np.abs(vertices).max():g} at vertices "
-                f"{first_few(far)}; correct or remove them"
+                f"{self.name}: coordinates must be at most {MAX_COORDINATE:g}, got {np.abs(vertices).max():g} at "
+                f"vertices {first_few(far)}; correct or remove them"
             )
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "triangles", triangles)
@@ -114,8 +122,8 @@ class Surface(Described):
         return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
 
 
-def welded(surface: Surface) -> Surface:
-    """Return a surface whose coinciding vertices are one, without degenerate, double or unused parts.
+def weld(surface: Surface) -> Surface:
+    """Return a surface with merged vertices, without degenerate, duplicate or unused elements.
 
     Raises
     ------
@@ -123,18 +131,20 @@ def welded(surface: Surface) -> Surface:
         Nothing is left, or it is too small or too far from the origin.
     """
     size = surface.size
-    if size < SMALLEST:
-        raise InputError(f"{surface.name} must be at least {SMALLEST:g} long, got {size:g}; correct its units")
-    if np.abs(surface.vertices).max() > AWAY * size:
-        raise InputError(f"{surface.name} must lie within {AWAY:g} times its size of the origin; move it there")
-    cells = np.rint(surface.vertices / (SAME * size)).astype(np.int64)
+    if size < MIN_SIZE:
+        raise InputError(f"{surface.name} must be at least {MIN_SIZE:g} long, got {size:g}; correct its units")
+    if np.abs(surface.vertices).max() > MAX_OFFSET_RATIO * size:
+        raise InputError(
+            f"{surface.name} must lie within {MAX_OFFSET_RATIO:g} times its size of the origin; move it there"
+        )
+    cells = np.rint(surface.vertices / (WELD_TOLERANCE * size)).astype(np.int64)
     x, y, z = (cells - cells.min(axis=0)).T  # below 2^20 each
     _, first, inverse = np.unique((x << 42) | (y << 21) | z, return_index=True, return_inverse=True)
     triangles = inverse.ravel()[surface.triangles]
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
     if len(triangles) == 0:
-        raise InputError(f"{surface.name} has no triangle with an area")
+        raise InputError(f"{surface.name} must have triangles of positive area, got none")
     _, once = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
     triangles = triangles[np.sort(once)]
     used, triangles = np.unique(triangles, return_inverse=True)
@@ -142,15 +152,15 @@ def welded(surface: Surface) -> Surface:
     return Surface(vertices, triangles.reshape(-1, 3), surface.name, surface.warnings)
 
 
-def halves(triangles: Ints) -> tuple[Ints, Ints]:
-    """Return the directed edges (3 t, 2) of triangles, and for each the triangle it belongs to."""
+def directed_edges(triangles: Ints) -> tuple[Ints, Ints]:
+    """Return the directed edges (3 t, 2) of triangles and the triangle of each edge."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     return edges, np.tile(np.arange(len(triangles)), 3)
 
 
 def components(surface: Surface) -> Ints:
-    """Number of the connected part that each triangle belongs to."""
-    edges, _ = halves(surface.triangles)
+    """Return the connected component of each triangle."""
+    edges, _ = directed_edges(surface.triangles)
     n = len(surface.vertices)
     graph = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (n, n))
     _, label = connected_components(graph, directed=False)
@@ -166,15 +176,15 @@ def part_volumes(surface: Surface, label: Ints) -> Floats:
     return np.asarray(np.bincount(label, np.einsum("ta,ta->t", heights, surface.area_vectors) / 3), dtype=float)
 
 
-def part_of(surface: Surface, keep: NDArray[np.bool_]) -> Surface:
+def select_triangles(surface: Surface, keep: NDArray[np.bool_]) -> Surface:
     """Return the triangles that a mask (t,) keeps, with their vertices."""
     used, triangles = np.unique(surface.triangles[keep], return_inverse=True)
     return Surface(surface.vertices[used], triangles.reshape(-1, 3), surface.name, surface.warnings)
 
 
-def rims(triangles: Ints) -> list[list[int]]:
-    """Holes as closed walks along edges of one triangle; empty where such edges branch."""
-    edges, _ = halves(triangles)
+def boundary_loops(triangles: Ints) -> list[list[int]]:
+    """Return the boundary loops of holes; empty where boundary edges branch."""
+    edges, _ = directed_edges(triangles)
     _, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     rim = edges[count[inverse.ravel()] == 1]
     following = dict(rim.tolist())

@@ -1,1 +1,1 @@
-"""Ready-made bodies with their loads, one file each."""
+"""Scenes: bodies with their loads, one file each."""

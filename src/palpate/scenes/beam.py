@@ -13,8 +13,8 @@ __all__ = ["DURATION", "EVERY", "SIZE", "beam", "pull"]
 
 SIZE = (0.2, 0.02, 0.02)  # [m]
 DURATION, EVERY = 1.0, 0.01  # [s]
-FINEST, COARSEST = 0.0005, SIZE[1] / 3  # [m] 670,000 nodes; 4 nodes across
-MOST_LOAD = 1000.0  # [N] ten times the paper's
+MIN_SPACING, MAX_SPACING = 0.0005, SIZE[1] / 3  # [m] 670,000 nodes; 4 nodes across
+MAX_LOAD = 1000.0  # [N] ten times the paper's
 
 
 def pull(time: float, load: float = 100.0) -> float:
@@ -26,8 +26,9 @@ def pull(time: float, load: float = 100.0) -> float:
 def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> Scene:
     """Return the paper's beam: 200 mm by 20 mm by 20 mm, one end held, the other pulled along the axis.
 
-    Mooney-Rivlin with C1 = 60 kPa and C2 = 1.2 kPa, density 1120 kg/m^3. The pull is spread over the face ``"x+"``; it
-    rises linearly to `load` at 0.5 s and falls back to zero at 1 s (33). A snapshot is kept every 0.01 s.
+    Mooney-Rivlin with C1 = 60 kPa and C2 = 1.2 kPa, density 1120 kg/m^3. The pull is spread over
+    the face ``"x+"``; it rises linearly to `load` at 0.5 s and falls back to zero at 1 s (33). A
+    snapshot is kept every 0.01 s.
 
     Parameters
     ----------
@@ -43,8 +44,8 @@ def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> 
     InputError
         A parameter out of range, by its name.
     """
-    spacing = number_in_range("spacing", spacing, FINEST, COARSEST, unit="m")
-    load = number_in_range("load", load, 0.0, MOST_LOAD, open_low=True, unit="N")
+    spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
+    load = number_in_range("load", load, 0.0, MAX_LOAD, open_low=True, unit="N")
     material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
     model = Solid(box(SIZE, spacing=spacing), material, fixed="x-")
     traction = SurfaceForce("x+", force=lambda time: (pull(time, load), 0.0, 0.0))

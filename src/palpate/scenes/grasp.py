@@ -1,4 +1,4 @@
-"""The paper's beam with a tool that grasps its free end, and random motions of the hand that holds it."""
+"""Training scene of the paper's beam with a tool that moves its free end at random."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import number_in_range
 from palpate.meshfree.cloud import Cloud, box
-from palpate.scenes.beam import COARSEST, FINEST, SIZE
-from palpate.scenes.scene import MOST_FRAMES, TrainingScene
+from palpate.scenes.beam import MAX_SPACING, MIN_SPACING, SIZE
+from palpate.scenes.scene import MAX_FRAMES, TrainingScene
 from palpate.tissue.materials import MooneyRivlin
 
 __all__ = ["GROUP", "Hand", "grasp", "grasped_beam"]
@@ -70,14 +70,14 @@ class Hand:
         return PrescribedMotion(GROUP, displacement)
 
 
-def grasp(spacing: float = COARSEST, poisson: float = 0.45) -> Solid:
+def grasp(spacing: float = MAX_SPACING, poisson: float = 0.45) -> Solid:
     """Return the beam of `palpate.scenes.beam.beam` in its energy form, whose free end a tool will hold."""
     material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
     return Solid(box(SIZE, spacing=spacing), material, fixed="x-", form="energy")
 
 
 def grasped_beam(
-    spacing: float = COARSEST, poisson: float = 0.45, lasting: float = 0.4, every: float = 0.005
+    spacing: float = MAX_SPACING, poisson: float = 0.45, lasting: float = 0.4, every: float = 0.005
 ) -> TrainingScene:
     """Return the beam whose free end a tool moves along random smooth paths, out and back.
 
@@ -97,9 +97,9 @@ def grasped_beam(
     InputError
         A parameter out of range, by its name.
     """
-    spacing = number_in_range("spacing", spacing, FINEST, COARSEST, unit="m")
+    spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     lasting = number_in_range("lasting", lasting, 0.0, 10.0, open_low=True, unit="s")
-    every = number_in_range("every", every, lasting / MOST_FRAMES, lasting, unit="s")
+    every = number_in_range("every", every, lasting / MAX_FRAMES, lasting, unit="s")
     model = grasp(spacing, poisson)
 
     def path(seed: int) -> tuple[tuple[Load, ...], float]:

@@ -1,4 +1,4 @@
-"""A liver that a ball presses, slides over and leaves again, or forceps pull, anywhere on its free surface."""
+"""Training scene of a liver: presses of a ball and pulls of forceps on its free surface."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ BED = 0.07  # [m] of the back that is held: the bare area, by which a liver grow
 MARGIN = 0.02  # [m] that presses keep from it
 COARSE = 0.008  # [m] spacing of the coarse liver whose vibrations and statics are those of finer ones
 CLEARANCE = 0.003  # [m] between ball and body before and after
-SLIDE = 0.02  # [m] longest
-SHALLOWEST = 0.3  # of the depth
+MAX_SLIDE = 0.02  # [m]
+MIN_DEPTH_RATIO = 0.3  # smallest depth of a press over the largest
 EVERY = 0.01  # [s]
 TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)  # [s] away, near, pressed, slid, near, away; of forceps: pulled, turned
-EVERY_GRASP = 4  # of seeds, the last is a grasp, the others are presses
+GRASP_INTERVAL = 4  # every fourth seed is a grasp, the others are presses
 REACH, WIDEST = 0.6, 2.0  # of forceps: of the ball's radius; of the spacing at least, so that they hold some ten nodes
 CONE, TURN = np.pi / 4, np.pi / 9  # [rad] of pulls about the normal; of the largest turn
 CUBATURE = 1e-2  # a tenth of it samples two to three times as many nodes, and errs as much on held-out presses
-TRIES = 1000  # random presses until one is found that the rest of the body does not hinder
+MAX_DRAWS = 1000  # of random presses until one is not obstructed by the body
 
 
 def pressed_liver(
@@ -41,10 +41,11 @@ def pressed_liver(
 ) -> TrainingScene:
     """Return the generated liver (`palpate.liver_surface`) with random presses of a ball and pulls of forceps.
 
-    Neo-Hookean with the mean shear modulus of healthy livers, 2.2 kPa; the back is held. A press comes along the normal
-    of a random place, goes in by 0.3 to 1 times `depth`, slides up to 20 mm along the surface, and leaves. Every fourth
-    seed, 3, 7 and so on, is a grasp: forceps hold the surface nodes around a random place, pull them by 0.3 to 1 times
-    `depth` at up to 45 degrees to the normal, half of them turn by up to 20 degrees, and come back and let go.
+    Neo-Hookean with the mean shear modulus of healthy livers, 2.2 kPa; the back is held. A press
+    comes along the normal of a random place, goes in by 0.3 to 1 times `depth`, slides up to 20 mm
+    along the surface, and leaves. Every fourth seed, 3, 7 and so on, is a grasp: forceps hold the
+    surface nodes around a random place, pull them by 0.3 to 1 times `depth` at up to 45 degrees to
+    the normal, half of them turn by up to 20 degrees, and come back and let go.
 
     Parameters
     ----------
@@ -53,8 +54,8 @@ def pressed_liver(
     poisson : float
         Poisson's ratio at rest, in [0, 0.49].
     radius : float [m]
-        Of the ball; at least 2.5 spacings, so that nodes stand for the surface under it. Forceps hold what is within
-        0.6 of it, or within 2 spacings if that is more.
+        Of the ball; at least 2.5 spacings, so that nodes stand for the surface under it. Forceps
+        hold what is within 0.6 of it, or within 2 spacings if that is more.
     depth : float [m]
         Of the deepest press and the longest pull, up to 40 mm.
     friction : float
@@ -109,7 +110,7 @@ class ToolPaths:
     """
 
     def __init__(
-        self, cloud: Cloud, radius: float, depth: float, friction: float, shallowest: float = SHALLOWEST
+        self, cloud: Cloud, radius: float, depth: float, friction: float, shallowest: float = MIN_DEPTH_RATIO
     ) -> None:
         self.cloud, self.radius, self.depth, self.friction = cloud, radius, depth, friction
         self.shallowest = shallowest
@@ -120,19 +121,21 @@ class ToolPaths:
         self.free = self.free[cloud.points[self.free, 1] < self.back - MARGIN]
 
     def __call__(self, seed: int) -> tuple[tuple[Contact | Grasp], float]:
-        """Return the load of a path, and how long it takes [s]."""
-        return self.grasp(seed) if seed % EVERY_GRASP == EVERY_GRASP - 1 else self.press(seed)
+        """Return the loads of a path and its duration [s]."""
+        return self.grasp(seed) if seed % GRASP_INTERVAL == GRASP_INTERVAL - 1 else self.press(seed)
 
     def grasp(self, seed: int) -> tuple[tuple[Grasp], float]:
-        """Return forceps that pull, turn, come back and let go, and how long that takes [s]."""
+        """Return the load of forceps that pull, turn, return and release, and its duration [s]."""
         random, points = np.random.default_rng(seed), self.cloud.points
         radius = max(REACH * self.radius, WIDEST * self.cloud.spacing)
         free = self.free[points[self.free, 1] < self.back - radius - self.cloud.spacing]
         if not len(free):
-            raise InputError(f"forceps of radius {radius:g} m find no place on this body: use a smaller ball")
+            raise InputError(
+                f"radius must leave room for forceps of radius {radius:g} m on the body; use a smaller ball"
+            )
         at = random.choice(free)
-        pull = random.uniform(self.shallowest, 1.0) * self.depth * _in_cone(random, self.normals[at], CONE)
-        turn = random.choice([0.0, 1.0]) * random.uniform(0.0, TURN) * _in_cone(random, self.normals[at], np.pi)
+        pull = random.uniform(self.shallowest, 1.0) * self.depth * _draw_in_cone(random, self.normals[at], CONE)
+        turn = random.choice([0.0, 1.0]) * random.uniform(0.0, TURN) * _draw_in_cone(random, self.normals[at], np.pi)
         still = np.zeros(6)
         pulled, turned = np.concatenate([pull, still[3:]]), np.concatenate([pull, turn])
         path = PchipInterpolator(TIMES, [still, still, pulled, turned, still, still])
@@ -145,12 +148,12 @@ class ToolPaths:
         return (Grasp(place, radius, motion, until=TIMES[-2]),), TIMES[-1]
 
     def press(self, seed: int) -> tuple[tuple[Contact], float]:
-        """Return a ball that presses, slides and leaves, and how long that takes [s]."""
+        """Return the load of a ball that presses, slides and retracts, and its duration [s]."""
         random, points = np.random.default_rng(seed), self.cloud.points
-        for _ in range(TRIES):
+        for _ in range(MAX_DRAWS):
             first = random.choice(self.free)
             deep = random.uniform(self.shallowest, 1.0) * self.depth
-            aim = points[first] + random.uniform(-SLIDE, SLIDE, 3) / np.sqrt(3)
+            aim = points[first] + random.uniform(-MAX_SLIDE, MAX_SLIDE, 3) / np.sqrt(3)
             last = self.free[np.argmin(np.linalg.norm(points[self.free] - aim, axis=1))]
             near, far = self.radius + CLEARANCE, self.radius + 2 * CLEARANCE
             heights = ((first, far), (first, near), (first, self.radius - deep), (last, self.radius - deep),
@@ -162,11 +165,11 @@ class ToolPaths:
                 path = PchipInterpolator(TIMES, places)
                 motion = lambda time, path=path: path(np.clip(time, TIMES[0], TIMES[-1]))  # noqa: E731
                 return (Contact(Sphere(self.radius), motion, friction=self.friction),), TIMES[-1]
-        raise InputError(f"a ball of radius {self.radius:g} m finds no place on this body: use a smaller one")
+        raise InputError(f"radius must leave room for a ball on the body, got {self.radius:g} m; use a smaller one")
 
 
-def _in_cone(random: np.random.Generator, axis: Floats, angle: float) -> Floats:
-    """Return a unit vector (3,) anywhere within an angle [rad] of an axis."""
+def _draw_in_cone(random: np.random.Generator, axis: Floats, angle: float) -> Floats:
+    """Return a random unit vector (3,) within an angle [rad] of an axis."""
     along = random.uniform(np.cos(angle), 1.0)
     across = np.cross(axis, random.standard_normal(3))
     return np.asarray(along * axis + np.sqrt(1.0 - along**2) * across / np.linalg.norm(across))

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
-from palpate.faults import InputError, number_in_range
+from palpate.faults import InputError, brief, number_in_range
 from palpate.meshfree.sheets import disc
 from palpate.scenes.scene import Scene
 from palpate.tissue.materials import NeoHookean
 
-__all__ = ["AFTER", "DURATION", "EVERY", "PUSHED", "RADIUS", "membrane", "tool_tip"]
+__all__ = ["AFTER", "DURATION", "EVERY", "PUSH_TIME", "RADIUS", "membrane", "tool_tip"]
 
 RADIUS, THICKNESS = 0.1, 1e-5  # [m]
-SPEED, PUSHED = 0.1, 0.1  # [m/s], [s]
+SPEED, PUSH_TIME = 0.1, 0.1  # [m/s], [s]
 DURATION, EVERY = 0.2, 0.002  # [s]
-FINEST = 0.001  # [m] 36,000 nodes
+MIN_SPACING = 0.001  # [m] 36,000 nodes
 AFTER = ("return", "hold", "release")
 
 
@@ -23,9 +23,9 @@ def tool_tip(time: float, after: str = "return") -> float:
 
     It rises at 0.1 m/s for 0.1 s. At that time it still is 10 mm, and after it back at 0, or held.
     """
-    if time <= PUSHED * (1 + 1e-9):
+    if time <= PUSH_TIME * (1 + 1e-9):
         return SPEED * max(time, 0.0)
-    return 0.0 if after == "return" else SPEED * PUSHED
+    return 0.0 if after == "return" else SPEED * PUSH_TIME
 
 
 def membrane(
@@ -41,17 +41,20 @@ def membrane(
 ) -> Scene:
     """Return the paper's membrane: a disc, 0.2 m across and 0.01 mm thick, its rim held, its centre pushed by a tool.
 
-    Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot is kept every 2 ms
-    for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or lets go.
+    Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot
+    is kept every 2 ms for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or lets
+    go.
 
     Parameters
     ----------
     spacing : float [m]
         Distance between nodes, from 1 mm.
     after : str
-        What the tool does after 0.1 s: ``"return"`` to 0 at once, as (35) prints, ``"hold"`` or ``"release"``.
+        What the tool does after 0.1 s: ``"return"`` to 0 at once, as (35) prints, ``"hold"`` or
+        ``"release"``.
     tool_radius : float [m]
-        All nodes within it follow the tool, at least the spacing; 0 is the paper's point: the node at the centre.
+        All nodes within it follow the tool, at least the spacing; 0 is the paper's point: the node
+        at the centre.
     prestretch : float
         As for `palpate.Membrane`.
     layout, jitter, seed
@@ -64,20 +67,20 @@ def membrane(
     InputError
         A parameter out of range, by its name.
     """
-    spacing = number_in_range("spacing", spacing, FINEST, unit="m")
+    spacing = number_in_range("spacing", spacing, MIN_SPACING, unit="m")
     tool_radius = number_in_range("tool_radius", tool_radius, 0.0, 0.8 * RADIUS, unit="m")
     if after not in AFTER:
-        raise InputError(f"after = {after!r}: allowed are {', '.join(map(repr, AFTER))}")
+        raise InputError(f"after must be one of {', '.join(map(repr, AFTER))}, got {brief(after)}")
     cloud = disc(RADIUS, spacing, layout, jitter, seed)
     cloud = cloud.within("tool", (0.0, 0.0), max(tool_radius, 1e-6 * spacing))
     if tool_radius > 0 and len(cloud.group("tool")) == 1:
         raise InputError(
-            f"tool_radius = {tool_radius:g} m holds only the node at the centre: use at least about the spacing, "
+            f"tool_radius must hold more nodes than the centre, got {tool_radius:g} m; use at least about the spacing, "
             f"{cloud.spacing:g} m, or 0 for the paper's point"
         )
     material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
     model = Membrane(cloud, material, THICKNESS, "rim", prestretch=prestretch, relaxed=relaxed, form=form)
-    until = PUSHED if after == "release" else float("inf")
+    until = PUSH_TIME if after == "release" else float("inf")
     tool = PrescribedMotion("tool", lambda points, time: (0.0, 0.0, tool_tip(time, after)), until)
     parameters = {
         "spacing": spacing,

@@ -1,4 +1,4 @@
-"""Pulls, bends and twists of the paper's beam: what a reduced model learns from, and what it is tried on."""
+"""Training and test motions of the paper's beam: pulls, bends and twists."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.surface_force import SurfaceForce
-from palpate.faults import InputError, integer_in_range
+from palpate.faults import InputError, brief, integer_in_range
 from palpate.scenes.beam import DURATION
 
 __all__ = ["LIMITS", "Course", "random_motion", "training_motions"]
@@ -34,7 +34,7 @@ TRAINING_SEED = 1_000_000  # seeds from here on are those of training
 
 @dataclass(frozen=True)
 class Course:
-    """A load's share over time: zero until `start`, then a ramp up to 1, a hold, and a ramp back to zero.
+    """Load factor over time: zero until `start`, a ramp up to 1, a hold, and a ramp back to zero.
 
     Parameters
     ----------
@@ -49,11 +49,11 @@ class Course:
 
     @property
     def end(self) -> float:
-        """Time [s] from which the share is zero again."""
+        """Time [s] after which the factor is zero again."""
         return self.start + self.rise + self.hold + self.fall
 
     def __call__(self, time: float) -> float:
-        """Return the share, in [0, 1], at a time [s]."""
+        """Return the factor, in [0, 1], at a time [s]."""
         return max(0.0, min(1.0, (time - self.start) / self.rise, (self.end - time) / self.fall))
 
 
@@ -67,9 +67,10 @@ def random_motion(seed: int, kind: str = "inside") -> tuple[Load, ...]:
     seed : int
         At least 0.
     kind : str
-        ``"inside"``: an axial force of 0 to 10 N, a transverse force of up to 0.1 N in any direction and a twisting
-        moment of up to 5 mN m either way. ``"outside"``: each 1.3 to 2 times as large as those may be.
-        ``"buckling"``: the beam is pushed with 0.2 to 0.5 N, beyond Euler's 0.15 N, and bent and twisted a little.
+        ``"inside"``: an axial force of 0 to 10 N, a transverse force of up to 0.1 N in any
+        direction and a twisting moment of up to 5 mN m either way. ``"outside"``: each 1.3 to 2
+        times as large as those may be. ``"buckling"``: the beam is pushed with 0.2 to 0.5 N, beyond
+        Euler's 0.15 N, and bent and twisted a little.
 
     Raises
     ------
@@ -77,7 +78,7 @@ def random_motion(seed: int, kind: str = "inside") -> tuple[Load, ...]:
         A seed that is no integer of at least 0, or an unknown kind.
     """
     if kind not in LIMITS:
-        raise InputError(f"kind = {kind!r}: allowed are {', '.join(map(repr, LIMITS))}")
+        raise InputError(f"kind must be one of {', '.join(map(repr, LIMITS))}, got {brief(kind)}")
     random = np.random.default_rng([integer_in_range("seed", seed, 0), list(LIMITS).index(kind)])
     axial, transverse, twist = (float(random.uniform(low, high)) for low, high in LIMITS[kind])
     angle = random.uniform(0.0, 2 * np.pi)
@@ -89,8 +90,8 @@ def random_motion(seed: int, kind: str = "inside") -> tuple[Load, ...]:
 def training_motions(count: int = 8) -> list[tuple[Load, ...]]:
     """Return a few pulls, bends and twists within the limits ``"inside"``, each a tuple of loads for a run of a second.
 
-    The first six are single ones at the limits: a pull, a bend along y, one along z, a twist, a diagonal bend with a
-    pull, and one with a twist back. The others are random.
+    The first six are single ones at the limits: a pull, a bend along y, one along z, a twist, a
+    diagonal bend with a pull, and one with a twist back. The others are random.
 
     Raises
     ------
@@ -111,7 +112,7 @@ def _random_course(random: np.random.Generator) -> Course:
 
 
 def _motion(courses: Sequence[Course], axial: float, y: float, z: float, twist: float) -> tuple[Load, ...]:
-    """Loads of an axial force, a transverse force (y, z) [N] and a twisting moment [N m], each with its course."""
+    """Return loads of an axial force, a transverse force (y, z) [N] and a twisting moment [N m] with their courses."""
     pull, bend, turn = courses
 
     def force(time: float) -> tuple[float, float, float]:

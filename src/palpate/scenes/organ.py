@@ -1,7 +1,8 @@
-"""A liver that anyone may use: a smooth implicit surface, generated and nobody's data.
+"""Generated liver surface without data of persons: a smooth implicit surface.
 
-Ellipsoids joined smoothly make the lobes; what the neighbours press into the underside is taken out smoothly: kidney
-and colon, stomach, gallbladder, the porta hepatis, the spine with the vena cava, and the notch of the round ligament.
+Ellipsoids joined smoothly make the lobes; what the neighbours press into the underside is taken out
+smoothly: kidney and colon, stomach, gallbladder, the porta hepatis, the spine with the vena cava,
+and the notch of the round ligament.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.faults import number_in_range
 from palpate.meshfree.isosurface import zero_surface
-from palpate.meshfree.surfaces import Surface, welded
+from palpate.meshfree.surfaces import Surface, weld
 
 __all__ = ["liver_surface"]
 
@@ -44,7 +45,7 @@ def liver_surface(resolution: float = 0.003, volume: float = VOLUME) -> Surface:
     axes = [LOW[a] + resolution * np.arange(cells[a] + 1) for a in range(3)]
     x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
     vertices, triangles = zero_surface(_liver(x, y, z), LOW, resolution)
-    surface = welded(Surface(vertices, triangles, "liver"))
+    surface = weld(Surface(vertices, triangles, "liver"))
     if surface.volume < 0:
         surface = Surface(surface.vertices, surface.triangles[:, ::-1], "liver")
     scale = np.cbrt(volume / surface.volume)
@@ -52,7 +53,7 @@ def liver_surface(resolution: float = 0.003, volume: float = VOLUME) -> Surface:
 
 
 def _liver(x: Floats, y: Floats, z: Floats) -> Floats:
-    """Signed distance, nearly, to the liver's surface [m]: negative inside."""
+    """Return the approximate signed distance to the liver surface [m], negative inside."""
     right = _ellipsoid(x, y, z, (-0.054, 0.016, -0.006), (0.076, 0.088, 0.100))
     front = _ellipsoid(x, y, z, (-0.016, -0.022, -0.016), (0.116, 0.066, 0.090), tilt=-0.25)
     left = _ellipsoid(x, y, z, (0.074, -0.026, 0.030), (0.092, 0.050, 0.046), tilt=-0.10)
@@ -76,7 +77,7 @@ def _liver(x: Floats, y: Floats, z: Floats) -> Floats:
 
 
 def _ellipsoid(x: Floats, y: Floats, z: Floats, centre: Vector, radii: Vector, tilt: float = 0.0) -> Floats:
-    """An ellipsoid, turned about y by `tilt` [rad]."""
+    """Return the field of an ellipsoid, rotated about y by `tilt` [rad]."""
     cosine, sine = np.cos(tilt), np.sin(tilt)
     a, b, c = x - centre[0], y - centre[1], z - centre[2]
     a, c = cosine * a + sine * c, cosine * c - sine * a
@@ -86,7 +87,7 @@ def _ellipsoid(x: Floats, y: Floats, z: Floats, centre: Vector, radii: Vector, t
 
 
 def _capsule(x: Floats, y: Floats, z: Floats, start: Vector, end: Vector, radius: float) -> Floats:
-    """All within a radius of a straight line."""
+    """Return the field of a capsule."""
     axis = np.subtract(end, start)
     along = ((x - start[0]) * axis[0] + (y - start[1]) * axis[1] + (z - start[2]) * axis[2]) / (axis @ axis)
     along = np.clip(along, 0.0, 1.0)
@@ -95,11 +96,11 @@ def _capsule(x: Floats, y: Floats, z: Floats, start: Vector, end: Vector, radius
 
 
 def _union(a: Floats, b: Floats, width: float) -> Floats:
-    """The smaller of two fields, rounded over a width [m] (polynomial smooth minimum)."""
+    """Return the polynomial smooth minimum of two fields over a width [m]."""
     blend = np.maximum(width - np.abs(a - b), 0.0) / width
     return np.asarray(np.minimum(a, b) - blend**3 * width / 6)
 
 
 def _cut(body: Floats, tool: Floats, width: float) -> Floats:
-    """A body without a tool, its edges rounded over a width [m]."""
+    """Return the difference of two bodies, with edges rounded over a width [m]."""
     return -_union(-body, tool, width)

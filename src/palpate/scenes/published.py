@@ -1,4 +1,4 @@
-"""A published liver, fetched on request: never shipped with the package."""
+"""Published liver surface, downloaded on request."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def fetch_liver(folder: str | Path | None = None, source: str = SOURCE) -> Surfa
     Parameters
     ----------
     folder : path, optional
-        Where the file is kept; by default the user's cache. A file ``VH_F_Liver.glb`` that lies there already is used.
+        Where the file is kept; by default the user's cache. A file ``VH_F_Liver.glb`` that lies
+        there already is used.
     source : str
         Address to download from, if the published one has moved.
 
@@ -56,7 +57,7 @@ def fetch_liver(folder: str | Path | None = None, source: str = SOURCE) -> Surfa
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as partial:
             partial.write_bytes(content)
-    return read_surface(path, part=PART, mend=True)
+    return read_surface(path, part=PART, repair=True)
 
 
 def _downloaded(source: str) -> bytes:

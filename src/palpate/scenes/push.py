@@ -1,4 +1,4 @@
-"""A taut membrane with a tool that holds its middle, and random motions of the hand that pushes it."""
+"""Training scene of a taut membrane whose centre a tool moves at random."""
 
 from __future__ import annotations
 
@@ -10,21 +10,25 @@ from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.membrane.model import Membrane
 from palpate.faults import number_in_range
 from palpate.meshfree.sheets import disc
-from palpate.scenes.membrane import FINEST, RADIUS, THICKNESS
-from palpate.scenes.scene import MOST_FRAMES, TrainingScene
+from palpate.scenes.membrane import MIN_SPACING, RADIUS, THICKNESS
+from palpate.scenes.scene import MAX_FRAMES, TrainingScene
 from palpate.tissue.materials import NeoHookean
 
 __all__ = ["GROUP", "pushed_membrane"]
 
 
 GROUP = "tool"  # that the hand holds
-COARSEST, HELD, PRESTRETCH = 0.01, 0.02, 1.05  # [m], [m] radius of what the hand holds, of the sheet before it is held
-ASIDE, DEPTH = 0.004, 0.02  # [m] of one swing, in the sheet's plane and across it, at most
+MAX_SPACING, TOOL_RADIUS, PRESTRETCH = (
+    0.01,
+    0.02,
+    1.05,
+)  # [m], [m] radius of what the hand holds, of the sheet before it is held
+MAX_TANGENTIAL, MAX_DEPTH = 0.004, 0.02  # [m] of one swing, in the sheet's plane and across it, at most
 SWINGS = 3  # that a motion is made of
 
 
 def pushed_membrane(
-    spacing: float = COARSEST, prestretch: float = PRESTRETCH, lasting: float = 0.4, every: float = 0.005
+    spacing: float = MAX_SPACING, prestretch: float = PRESTRETCH, lasting: float = 0.4, every: float = 0.005
 ) -> TrainingScene:
     """Return the paper's membrane, taut, whose middle a tool pushes along random smooth paths, out and back.
 
@@ -44,16 +48,20 @@ def pushed_membrane(
     InputError
         A parameter out of range, by its name.
     """
-    spacing = number_in_range("spacing", spacing, FINEST, COARSEST, unit="m")
+    spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     prestretch = number_in_range("prestretch", prestretch, 1.01, 1.5)
     lasting = number_in_range("lasting", lasting, 0.0, 10.0, open_low=True, unit="s")
-    every = number_in_range("every", every, lasting / MOST_FRAMES, lasting, unit="s")
-    cloud = disc(RADIUS, spacing).within(GROUP, (0.0, 0.0), HELD)
+    every = number_in_range("every", every, lasting / MAX_FRAMES, lasting, unit="s")
+    cloud = disc(RADIUS, spacing).within(GROUP, (0.0, 0.0), TOOL_RADIUS)
     material = NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
     model = Membrane(cloud, material, THICKNESS, "rim", prestretch=prestretch)
 
     def path(seed: int) -> tuple[tuple[Load, ...], float]:
-        sizes = np.random.default_rng(seed).uniform(-1.0, 1.0, size=(SWINGS, 3)) * (ASIDE, ASIDE, DEPTH)
+        sizes = np.random.default_rng(seed).uniform(-1.0, 1.0, size=(SWINGS, 3)) * (
+            MAX_TANGENTIAL,
+            MAX_TANGENTIAL,
+            MAX_DEPTH,
+        )
 
         def moved(points: Floats, time: float) -> Floats:
             shares = np.sin(np.pi * np.arange(1, SWINGS + 1) * time / lasting) ** 2

@@ -1,4 +1,4 @@
-"""What scenes return: one run, or as many as there are seeds."""
+"""Results of scene functions: a single run, or runs by seed."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import Solid
 
-__all__ = ["MOST_FRAMES", "Scene", "TrainingScene"]
+__all__ = ["MAX_FRAMES", "Scene", "TrainingScene"]
 
-MOST_FRAMES = 10_000  # of a training path
+MAX_FRAMES = 10_000  # of a training path
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A body with its loads, ready for `palpate.rollout`.
+    """Body with loads for `palpate.rollout`.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class TrainingScene:
-    """A body with random paths of tools: what a training campaign runs.
+    """Body with random tool paths for a training campaign.
 
     Equal parameters make equal bodies, and equal seeds equal paths, in every process.
 
@@ -55,11 +55,13 @@ class TrainingScene:
     parameters : mapping of str to number or text
         What the scene was made with, in SI units.
     tools : tuple of str
-        Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `driven` of `palpate.hyper_reduce`.
+        Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `driven` of
+        `palpate.hyper_reduce`.
     coarse : function, optional
-        Returns a model of the same body of at most 5,000 nodes, in its energy form. Where tools touch a body anywhere,
-        modes of the runs are dents where those runs had them: the vibrations of this model stand for modes, and its
-        statics tell what they leave of dents (`palpate.reduction.contact.residual_flexibility`).
+        Returns a model of the same body of at most 5,000 nodes, in its energy form. Where tools
+        touch a body anywhere, modes of the runs are dents where those runs had them: the vibrations
+        of this model stand for modes, and its statics tell what they leave of dents
+        (`palpate.reduction.contact.residual_flexibility`).
     cubature : float
         As of `palpate.hyper_reduce`: what the sampled forces may miss of the whole ones.
     """

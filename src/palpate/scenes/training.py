@@ -39,7 +39,8 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     Raises
     ------
     InputError
-        An unknown scene or parameter, or a value out of range; a module or function of one's own that fails.
+        An unknown scene or parameter, or a value out of range; a module or function of one's own
+        that fails.
     """
     function, arguments = _function(name), typed(name, parameters)
     if name in TRAINING:
@@ -70,7 +71,8 @@ def typed(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
 def search_current_folder() -> None:
     """Let modules be found in the current folder, too, after all others.
 
-    Only for a scene that a person names on the command line: a name from a file must not choose code there.
+    Only for a scene that a person names on the command line: a name from a file must not choose
+    code there.
     """
     folder = os.getcwd()
     if not {"", folder} & set(sys.path):

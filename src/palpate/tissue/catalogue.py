@@ -1,4 +1,8 @@
-"""All laws, of tissue, of its fibres and of its relaxation, with what a list of them says."""
+"""Catalogue of the material laws, the fibre laws and the relaxation.
+
+Command line, files, tests and validation read the laws from here: no other list of them is kept by
+hand.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +22,14 @@ __all__ = ["FIBRE_LAWS", "LAWS", "RELAXATION", "CatalogueEntry", "Law", "Paramet
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a law.
+    """Parameter of a law.
 
     Parameters
     ----------
     name, unit : str
-        The unit is empty for a pure number.
+        The unit of a dimensionless parameter is empty.
     range : str
-        Which values are allowed, such as ``"(0, inf)"``.
+        Interval of allowed values, such as ``"(0, inf)"``.
     """
 
     name: str
@@ -35,19 +39,20 @@ class Parameter:
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """What a list says about a class with parameters.
+    """Catalogue entry of a class with parameters.
 
     Parameters
     ----------
     kind : type
-        The material, the law of fibres, or the relaxation.
+        Class of the material, the fibre law or the relaxation.
     formula : str
-        Its energy.
+        Energy, for reading.
     reference : str
+        Source of the law.
     example : dict
         Parameters of a soft tissue, without density and Poisson's ratio.
     note : str
-        What its parameters obey beyond their ranges.
+        Constraints on the parameters beyond their ranges, and remarks.
     """
 
     kind: type[Material] | type[FibreLaw] | type[Prony]
@@ -63,29 +68,35 @@ class CatalogueEntry:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The class's own parameters with a range, in order."""
-        own = (f for f in fields(self.kind) if f.metadata)
-        return tuple(Parameter(f.name, f.metadata["unit"], _range(f.metadata)) for f in own)
+        """Parameters of the class that have a range, in order."""
+        ranged = (f for f in fields(self.kind) if f.metadata)
+        return tuple(Parameter(f.name, f.metadata["unit"], _range(f.metadata)) for f in ranged)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Law(CatalogueEntry):
-    """What a list says about a law of isotropic tissue.
+    """Catalogue entry of an isotropic material law.
 
     Parameters
     ----------
     kind : type
-        The material.
+        Class of the material.
     formula : str
-        Its energy, but for the volumetric part U(J), with x = I1 - 3 - 2 ln J and
-        q(a) = l1^a + l2^a + l3^a - 3 - a ln J.
+        Energy without the volumetric part U(J), with x = I1 - 3 - 2 ln J and q(a) = l1^a + l2^a +
+        l3^a - 3 - a ln J.
+    expression : str
+        The formula as a Python expression of the parameters, ``I1``, ``I2``, ``J``, ``x``, ``q``,
+        ``l1``, ``l2``, ``l3``, ``log`` and ``exp``. Tests and finite elements compare the compiled
+        functions with it. Empty for small strain.
     shear_modulus : str
-        At rest; near 10 kPa with the parameters of the example.
+        Formula of the shear modulus at rest; its value is near 10 kPa with the parameters of the
+        example.
     reference, example, note
         As for `CatalogueEntry`.
     """
 
     kind: type[Material]
+    expression: str
     shear_modulus: str
 
 
@@ -99,65 +110,76 @@ LAWS: tuple[Law, ...] = (
     Law(
         kind=NeoHookean, shear_modulus="2 C1",
         formula="C1 x",
+        expression="C1*x",
         reference="Banihani, Rabczuk, Almomani, Math. Probl. Eng. 2013, equation (17)",
         example={"C1": 5e3},
     ),
     Law(
         kind=MooneyRivlin, shear_modulus="C1 + C2",
         formula="C1/2 (I1 - 3) + C2/2 (I2 - 3) - (C1 + 2 C2) ln J",
+        expression="C1/2*(I1 - 3) + C2/2*(I2 - 3) - (C1 + 2*C2)*log(J)",
         reference="Mooney, J. Appl. Phys. 11, 582, 1940; equation (16)",
         example={"C1": 8e3, "C2": 2e3},
     ),
     Law(
         kind=Ogden, shear_modulus="1/2 sum of C_i alpha_i^2",
         formula="sum of C_i q(alpha_i)",
+        expression="sum(Ci*q(ai) for Ci, ai in zip(C, alpha))",
         reference="Ogden, Proc. R. Soc. A 326, 565, 1972; equation (14)",
         example={"C": (800.0, 120.0), "alpha": (4.0, -7.5)},
-        note="1 to 16 terms; alpha_i is not zero",
+        note="1 to 16 terms; alpha_i is nonzero",
     ),
     Law(
         kind=Exponential, shear_modulus="1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
         formula="C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2)",
+        expression="C1*(exp(C2*q(alpha1)) - 1) + C3*q(alpha2)",
         reference="Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (18)",
         example={"C1": 2e3, "C2": 1.5, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5},
-        note="alpha1 and alpha2 are not zero",
+        note="alpha1 and alpha2 are nonzero",
     ),
     Law(
         kind=Logarithmic, shear_modulus="1/2 (C1 C2 alpha1^2 + C3 alpha2^2)",
         formula="-C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2)",
+        expression="-C1*log(1 - C2*q(alpha1)) + C3*q(alpha2)",
         reference="Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010; equation (19)",
         example={"C1": 10e3, "C2": 0.35, "C3": 3e3, "alpha1": 2.0, "alpha2": 1.5},
-        note="alpha1 and alpha2 are not zero; from C2 q(alpha1) = 0.95 on continued by a parabola",
+        note="alpha1 and alpha2 are nonzero; continued by a parabola from C2 q(alpha1) = 0.95",
     ),
     Law(
         kind=Yeoh, shear_modulus="2 C1",
         formula="C1 x + C2 x^2 + C3 x^3",
+        expression="C1*x + C2*x**2 + C3*x**3",
         reference="Yeoh, Rubber Chem. Technol. 63, 792, 1990",
         example={"C1": 5e3, "C2": 1e3, "C3": 200.0},
-        note="C2 is more than -sqrt(3 C1 C3), or not negative",
+        note="C2 > -sqrt(3 C1 C3), or C2 >= 0",
     ),
     Law(
         kind=Gent, shear_modulus="mu",
         formula="-mu/2 Jm ln(1 - x/Jm)",
+        expression="-mu/2*Jm*log(1 - x/Jm)",
         reference="Gent, Rubber Chem. Technol. 69, 59, 1996",
         example={"mu": 10e3, "Jm": 3.0},
-        note="from x = 0.95 Jm on continued by a parabola",
+        note="continued by a parabola from x = 0.95 Jm",
     ),
     Law(
         kind=ArrudaBoyce, shear_modulus="mu (1 + 3/(5N) + 99/(175N^2) + ...)",
         formula="five terms of the eight chains' series in 3 + x",
+        expression="mu*(x/2 + ((3 + x)**2 - 9)/(20*N) + 11*((3 + x)**3 - 27)/(1050*N**2)"
+        " + 19*((3 + x)**4 - 81)/(7000*N**3) + 519*((3 + x)**5 - 243)/(673750*N**4))",
         reference="Arruda, Boyce, J. Mech. Phys. Solids 41, 389, 1993",
         example={"mu": 7.5e3, "N": 2.5},
     ),
     Law(
         kind=Fung, shear_modulus="mu",
         formula="mu/(2b) [exp(b x) - 1]",
+        expression="mu/(2*b)*(exp(b*x) - 1)",
         reference="Fung, Am. J. Physiol. 213, 1532, 1967; Demiray, J. Biomech. 5, 309, 1972",
         example={"mu": 10e3, "b": 0.6},
     ),
     Law(
         kind=StVenantKirchhoff, shear_modulus="mu",
         formula="mu tr E^2,  E = (C - I) / 2",
+        expression="mu/4*((l1**2 - 1)**2 + (l2**2 - 1)**2 + (l3**2 - 1)**2)",
         reference="Holzapfel, Nonlinear Solid Mechanics, Wiley 2000",
         example={"mu": 10e3},
         note="softens in compression",
@@ -165,9 +187,10 @@ LAWS: tuple[Law, ...] = (
     Law(
         kind=LinearElastic, shear_modulus="mu",
         formula="mu e : e,  e = sym(F - I), with lame/2 (tr e)^2 for the bulk term",
+        expression="",
         reference="Landau, Lifshitz, Theory of Elasticity, section 4",
         example={"mu": 10e3},
-        note="small strains only, not objective; for solids by the full model, not for membranes",
+        note="small strain only, not objective; full-model solids only, not membranes",
     ),
 )  # fmt: skip
 

@@ -1,17 +1,18 @@
-"""Fibres in tissue: strain energies of directions, beside the isotropic law of the tissue that they lie in.
+"""Fibre laws: anisotropic strain energies, in addition to the isotropic law of the tissue.
 
-A law of fibres is an energy per reference volume [J/m^3] of the isochoric strain and of unit directions a,
+A fibre law is an energy per reference volume [J/m^3] of the isochoric strain and of unit directions
+a,
 
     W_f = sum over families of w(C̄, a),      C̄ = J^(-2/3) C,
 
-so that a change of volume alone does not strain them: it is the tissue's. In nearly incompressible tissue, where the
-two agree, that keeps the pressure apart; in clearly compressible tissue it makes fibres give way to a pull from all
-sides (Vergori, Destrade, McGarry, Ogden, Comput. Mech. 52, 2013). The stress is
+so a pure change of volume does not strain fibres. In nearly incompressible tissue this separates
+the pressure. In compressible tissue fibres do not resist a hydrostatic tension (Vergori, Destrade,
+McGarry, Ogden, Comput. Mech. 52, 2013). The stress is
 
     P = J^(-2/3) (F S - (S : C) / (3 J) cof F),      S = sum of 2 dw/dC̄.
 
-Where tissue is crushed to less than `LEAST` of its volume, J^(-2/3) goes on along its tangent: C̄ and W_f are finite and
-smooth for every F, inside out too.
+Below a volume ratio of `MIN_VOLUME_RATIO`, J^(-2/3) is continued by its tangent: C̄ and W_f are
+finite and smooth for every F, including inverted ones.
 """
 
 from __future__ import annotations
@@ -24,36 +25,35 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.faults import InputError, check_names, first_few, number_in_range
+from palpate.faults import InputError, brief, check_names, first_few, number_in_range
 from palpate.tissue.materials import ShearLaw, parameter
 
-__all__ = ["LEAST", "FibreLaw", "Fibres", "Guccione", "VolumeOnly"]
+__all__ = ["MIN_VOLUME_RATIO", "FibreLaw", "Fibres", "Guccione", "VolumeOnly"]
 
-
-LEAST = 0.1  # volume ratio below which J^(-2/3) goes on along its tangent
-UNIT = 1e-6  # by which the length of a direction may miss 1
+MIN_VOLUME_RATIO = 0.1  # J below which J^(-2/3) is continued by its tangent
+LENGTH_TOLERANCE = 1e-6  # largest deviation of the length of a direction from 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FibreLaw(Described, ABC):
-    """An energy of the isochoric strain and of directions.
+    """Strain energy of fibres, a function of the isochoric strain and of directions.
 
-    A law of one's own has its parameters, as a `Material` has, and `respond`, which is compiled as it is: plain
-    arithmetic and NumPy functions.
+    A subclass defines its parameters, like a `Material`, and `respond`. `respond` is compiled, so
+    it is limited to arithmetic and NumPy functions.
 
     Parameters
     ----------
     directions : array or function
-        Unit vectors at rest: (3,) for one family that runs straight through the body, (2, 3) for two; (n, 3) and
-        (2, n, 3) with a vector for every node; or a function that makes any of these of the points (n, 3).
+        Unit vectors at rest: (3,) for one straight family, (2, 3) for two; (n, 3) and (2, n, 3) for
+        one vector per node; or a function of the points (n, 3) that returns one of these.
 
     Attributes
     ----------
-    most : int
-        How many families the law allows.
+    max_families : int
+        Largest number of families.
     """
 
-    most: ClassVar[int] = 2
+    max_families: ClassVar[int] = 2
 
     directions: Any = field(repr=False)
 
@@ -75,81 +75,83 @@ class FibreLaw(Described, ABC):
             if each.metadata:
                 number_in_range(each.name, getattr(self, each.name), **each.metadata)
         if not callable(self.directions):
-            object.__setattr__(self, "directions", self._checked(self.directions))
+            object.__setattr__(self, "directions", self._check_directions(self.directions))
 
-    def _checked(self, given: Any) -> Floats:
-        """Return directions as (families, 3) or (families, n, 3)."""
+    def _check_directions(self, given: Any) -> Floats:
+        """Return directions of shape (families, 3) or (families, n, 3)."""
         name = "directions of fibres"
         try:
             array = np.array(given, dtype=float)
         except (TypeError, ValueError):
-            raise InputError(f"{name} must be numbers") from None
+            raise InputError(f"{name} must be an array of numbers, got {brief(given)}") from None
         if array.ndim == 1 or (array.ndim == 2 and len(array) > 2):
             array = array[None]
         if array.ndim not in (2, 3) or array.shape[-1] != 3 or not 1 <= len(array) <= 2:
-            raise InputError(f"{name} have shape {np.shape(given)}: allowed are (3,), (2, 3), (n, 3) and (2, n, 3)")
-        if len(array) > self.most:
-            raise InputError(f"{type(self).__name__} has one family of fibres, not {len(array)}")
+            raise InputError(f"{name} must have shape (3,), (2, 3), (n, 3) or (2, n, 3), got {np.shape(given)}")
+        if len(array) > self.max_families:
+            raise InputError(f"{name} of {type(self).__name__} must be one family, got {len(array)}")
         with np.errstate(all="ignore"):
             lengths = np.linalg.norm(array, axis=-1)
-            wrong = ~(np.abs(lengths - 1) < UNIT)
+            wrong = ~(np.abs(lengths - 1) < LENGTH_TOLERANCE)
         if wrong.any():
             where = f" at nodes {first_few(np.flatnonzero(wrong.any(axis=0)))}" if array.ndim == 3 else ""
-            raise InputError(f"{name} must be unit vectors; one{where} has length {lengths[wrong][0]:g}")
+            raise InputError(
+                f"{name} must be unit vectors, got a length of {lengths[wrong][0]:g}{where}; normalise them"
+            )
         return array
 
     def at(self, points: Floats) -> Self:
-        """Return these fibres with directions (families, n, 3), one for each of some points (n, 3).
+        """Return the fibres with directions (families, n, 3) at points (n, 3).
 
         Raises
         ------
         InputError
-            Directions for another number of points, or not of unit length.
+            The number of directions differs from that of points, or a direction is not of unit
+            length.
         """
-        array = self._checked(self.directions(points)) if callable(self.directions) else self.directions
+        array = self._check_directions(self.directions(points)) if callable(self.directions) else self.directions
         if array.ndim == 2:
             array = np.repeat(array[:, None], len(points), axis=1)
         if array.shape[1] != len(points):
-            raise InputError(
-                f"directions of fibres are given for {array.shape[1]} nodes, and the body has {len(points)}"
-            )
+            raise InputError(f"directions of fibres must have {len(points)} nodes, as the body, got {array.shape[1]}")
         return replace(self, directions=array)
 
     def of(self, nodes: Any) -> Self:
-        """Return these fibres, placed by `at`, with the directions of some nodes."""
+        """Return the fibres with the directions of some nodes; call `at` first."""
         return replace(self, directions=self.directions[:, nodes])
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """What `respond` takes: the law's own parameters, in the order of its fields, and 0."""
+        """Coefficients of `respond`: the parameters of the law in the order of its fields, and 0."""
         return (*(float(getattr(self, f.name)) for f in fields(self) if f.name != "directions"), 0.0)
 
     @staticmethod
     @abstractmethod
     def respond(C: tuple[Any, ...], a: tuple[Any, Any, Any], c: tuple[float, ...]) -> tuple[Any, tuple[Any, ...]]:
-        """Return w [J/m^3] and 2 dw/dC̄ of C̄ and one direction; tensors as 00 11 22 01 02 12.
+        """Return w [J/m^3] and 2 dw/dC̄ for C̄ and one direction; tensors as 00 11 22 01 02 12.
 
-        The last of the coefficients is 1 where a stable step is sought: fibres that carry no compression then carry as
-        much of it as of a small tension, because what is slack now may be taut in a moment.
+        The last coefficient is 1 in the estimate of the stable step. Fibres without compressive
+        stiffness then resist compression like a small tension, because a slack fibre may become
+        taut before the next estimate.
         """
 
     def energy(self, F: Floats) -> Floats:
-        """Return W_f [J/m^3] for deformation gradients (..., 3, 3) where the directions are."""
-        return self._answer(F)[0]
+        """Return W_f [J/m^3] for deformation gradients (..., 3, 3) at the points of the directions."""
+        return self._energy_and_stress(F)[0]
 
     def stress(self, F: Floats) -> Floats:
         """Return the first Piola-Kirchhoff stress dW_f/dF [Pa], (..., 3, 3)."""
-        return self._answer(F)[1]
+        return self._energy_and_stress(F)[1]
 
-    def _answer(self, F: Floats) -> tuple[Floats, Floats]:
+    def _energy_and_stress(self, F: Floats) -> tuple[Floats, Floats]:
         C, J = np.swapaxes(F, -1, -2) @ F, np.linalg.det(F)
         scale, slope = _scale(J)
-        six = tuple(scale * C[..., i, j] for i, j in PLACES)
+        six = tuple(scale * C[..., i, j] for i, j in COMPONENTS)
         energy, S = np.zeros_like(J), np.zeros_like(C)
         for family in self.directions:
             density, found = self.respond(six, (family[..., 0], family[..., 1], family[..., 2]), self.coefficients)
             energy += density
-            for (i, j), value in zip(PLACES, found, strict=True):
+            for (i, j), value in zip(COMPONENTS, found, strict=True):
                 S[..., i, j] += value
                 if i != j:
                     S[..., j, i] += value
@@ -159,12 +161,12 @@ class FibreLaw(Described, ABC):
         return energy, scale[..., None, None] * F @ S + pressure[..., None, None] * cofactor
 
 
-PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def _scale(J: Floats) -> tuple[Floats, Floats]:
-    """J^(-2/3) and its derivative, along the tangent below `LEAST`."""
-    large = np.maximum(J, LEAST)
+    """Return J^(-2/3) and its derivative, continued by the tangent below `MIN_VOLUME_RATIO`."""
+    large = np.maximum(J, MIN_VOLUME_RATIO)
     slope = -2 / 3 * large ** (-5 / 3)
     return large ** (-2 / 3) + slope * (J - large), slope
 
@@ -176,23 +178,23 @@ class Fibres(FibreLaw):
     w = k1/(2 k2) [exp(k2 <E>^2) - 1],  E = dispersion (I1bar - 3) + (1 - 3 dispersion) (I4bar - 1),
     I1bar = tr C̄,  I4bar = a . C̄ a.
 
-    <E> is E where it is positive and 0 elsewhere: fibres carry no compression. E is the mean square stretch of the
-    family's fibres less 1. With no dispersion it is the square of the stretch along a, less 1; with dispersion 1/3
-    fibres run evenly in all directions. The paper drops a family where I4bar <= 1, which with dispersion is a jump in
-    the stress; the positive part of E, as finite-element codes have it, is not. From k2 <E>^2 = 20 on the exponential,
-    5e8 then, goes on as its parabola.
+    <E> = max(E, 0): fibres carry no compression. E is the mean square stretch of the family's
+    fibres minus 1. Without dispersion it is the squared stretch along a, minus 1; dispersion 1/3 is
+    an isotropic distribution. The paper drops a family where I4bar <= 1, so with dispersion its
+    stress jumps. The positive part of E, usual in finite-element codes, is continuous. From k2
+    <E>^2 = 20, where it is 5e8, the exponential is continued by its parabola.
 
-    At rest the stiffness of the fibres begins all at once: a small stretch along a meets 4 k1 (1 - 3 dispersion)^2,
-    a small squeeze nothing.
+    The stiffness of the fibres jumps at rest: it is 4 k1 (1 - 3 dispersion)^2 in tension along a,
+    and zero in compression.
 
     Parameters
     ----------
     k1 : float [Pa]
         Positive.
     k2 : float
-        How fast fibres stiffen; positive.
+        Rate of stiffening; positive.
     dispersion : float
-        The paper's kappa, 0 to 1/3.
+        Dispersion kappa, 0 to 1/3.
     directions
         As for `FibreLaw`.
     """
@@ -224,13 +226,13 @@ class Fibres(FibreLaw):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Guccione(FibreLaw):
-    """The transversely isotropic law of the heart (Guccione, McCulloch, Waldman, J. Biomech. Eng. 113, 42, 1991).
+    """Transversely isotropic law of the heart (Guccione, McCulloch, Waldman, J. Biomech. Eng. 113, 42, 1991).
 
     w = C/2 [exp(Q) - 1],  Q = bf E11^2 + bt (E22^2 + E33^2 + 2 E23^2) + 2 bfs (E12^2 + E13^2),  E = (C̄ - I) / 2,
 
-    1 along the one direction. It resists every deformation, compression too; the shear modulus at rest is C bt / 2
-    across and C bfs / 2 along the fibres. `VolumeOnly` is a material for tissue that has no other energy. From Q = 20
-    on the exponential goes on as its parabola.
+    axis 1 along the fibres. It resists every deformation, including compression. The shear modulus
+    at rest is C bt / 2 across and C bfs / 2 along the fibres. Use the material `VolumeOnly` if the
+    tissue has no other energy. From Q = 20 the exponential is continued by its parabola.
 
     Parameters
     ----------
@@ -242,7 +244,7 @@ class Guccione(FibreLaw):
         As for `FibreLaw`; one family.
     """
 
-    most: ClassVar[int] = 1
+    max_families: ClassVar[int] = 1
 
     C: float = parameter("Pa", above=0.0)
     bf: float = parameter(above=0.0)
@@ -276,13 +278,13 @@ class Guccione(FibreLaw):
 
 @dataclass(frozen=True, kw_only=True)
 class VolumeOnly(ShearLaw):
-    """A material that resists a change of volume alone, W = bulk / 2 (J - 1)^2: the law of its fibres is the tissue's.
+    """Material with a volumetric energy only, W = bulk / 2 (J - 1)^2, for tissue whose fibre law is its whole energy.
 
     Parameters
     ----------
     mu : float [Pa]
-        Shear modulus at rest of the law of its fibres; positive. The material has none of its own: this says what
-        `poisson` means, and how firmly a body is held against waves that its stencils do not see.
+        Shear modulus at rest of the fibre law; positive. It defines `poisson` and scales the
+        hourglass stabilisation; the material itself has no shear stiffness.
     density, poisson, bulk
         As for `Material`.
     """

@@ -1,7 +1,7 @@
-"""The least-squares problem of a law against measured curves: residuals, their slopes and bounds.
+"""Least-squares problem of a law and measured curves: residuals, Jacobian and bounds.
 
-A law may refuse a vector of parameters. The residuals are NaN there, which a trust region steps back from, and slopes
-are taken on the allowed side.
+Where a law rejects a vector of parameters, the residuals are NaN and the trust region retries with
+a smaller step. Differences use the allowed side.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from palpate.tissue.parameters import Layout, field_metadata, flatten
 __all__ = ["FitProblem"]
 
 
-STEP = 6e-6  # relative, of the slopes: the cube root of the rounding
-SMALL = 1e-3  # share of the largest modulus that one near zero is taken for, in a step
-AT_BOUND = 1e-4  # of the norm of the residuals
+RELATIVE_STEP = 6e-6  # of differences: the cube root of the rounding error
+SMALL_MODULUS_RATIO = 1e-3  # smallest step size of a modulus, over the largest modulus
+BOUND_TOLERANCE = 1e-4  # relative change of the residual norm
 
 
 class FitProblem:
@@ -41,17 +41,17 @@ class FitProblem:
     Attributes
     ----------
     names : tuple of str
-        Of the free parameters.
+        Names of the free parameters.
     first, low, high : (k,) array
-        Where the first start begins, and bounds.
-    drawn : (k, 2) array
-        Bounds between which other starts are drawn; NaN where none were given.
+        First start, and bounds.
+    draw_bounds : (k, 2) array
+        Bounds for the random starts; NaN where none were given.
     moduli : (k,) array of bool
-        Parameters that the stress is linear in.
+        Whether the stress is linear in a parameter.
     target : (n,) array
         Measured stresses over their deviations and the unit.
     unit : float
-        What makes stresses over their deviations of order 1.
+        Scale of the stresses over their deviations.
     """
 
     def __init__(
@@ -64,14 +64,14 @@ class FitProblem:
         density: float,
         poisson: float,
     ) -> None:
-        self.layout = Layout(law, _merged(start, fixed))
+        self.layout = Layout(law, _merge_values(start, fixed))
         self.measurements = tuple(measurements)
         self._rest: dict[str, float] = {"density": density, "poisson": poisson}
         self._all = self.layout.first.copy()
-        held = {place for name, value in flatten(fixed).items() for place in self._hold(name, value)}
-        self._free = [k for k in range(len(self._all)) if k not in held]
+        constant = {place for name, value in flatten(fixed).items() for place in self._fix(name, value)}
+        self._free = [k for k in range(len(self._all)) if k not in constant]
         if not self._free:
-            raise InputError("every parameter is fixed: nothing is left to fit")
+            raise InputError("fixed must leave at least one free parameter, got all parameters")
         self.names = tuple(self.layout.names[k] for k in self._free)
         stress = np.concatenate([m.stress for m in self.measurements])
         deviation = np.concatenate([np.asarray(m.deviation) for m in self.measurements])
@@ -79,25 +79,25 @@ class FitProblem:
         self._deviation = deviation * self.unit
         self.target = stress / self._deviation
         if len(stress) <= len(self.names):
-            raise InputError(f"{len(stress)} points cannot tell {len(self.names)} parameters: give more")
+            raise InputError(f"measurements must have more than {len(self.names)} points, got {len(stress)}; give more")
         self.first = self._all[self._free]
-        self.material(self.first)  # a start that the law refuses is refused by the law's own words
-        self.low, self.high = np.array([self._allowed(k) for k in range(len(self.names))]).T
-        self.drawn = np.full((len(self.names), 2), np.nan)
-        self._bound(bounds, set(flatten(start)))
+        self.material(self.first)  # raises the law's own error for an invalid start
+        self.low, self.high = np.array([self._law_bounds(k) for k in range(len(self.names))]).T
+        self.draw_bounds = np.full((len(self.names), 2), np.nan)
+        self._set_bounds(bounds, set(flatten(start)))
         self.material(self.first)
         self.moduli = self._find_moduli()
 
-    def _hold(self, name: str, value: float) -> list[int]:
+    def _fix(self, name: str, value: float) -> list[int]:
         places = self.layout.places(name)
         self._all[places] = value
         return places
 
-    def _allowed(self, k: int) -> tuple[float, float]:
-        """Bounds that the law itself has: its field names them, or it refuses a negative number."""
-        said = field_metadata(self.layout.law, self.names[k])
-        if "low" in said:
-            return said["low"], said["high"]
+    def _law_bounds(self, k: int) -> tuple[float, float]:
+        """Return the bounds of a parameter in the law: those of its field, or zero if it rejects negative numbers."""
+        metadata = field_metadata(self.layout.law, self.names[k])
+        if "low" in metadata:
+            return metadata["low"], metadata["high"]
         negative = self.first.copy()
         negative[k] = -abs(negative[k])
         try:
@@ -106,14 +106,14 @@ class FitProblem:
             return 0.0, math.inf
         return -math.inf, math.inf
 
-    def _bound(self, bounds: Mapping[str, tuple[float, float]], given: set[str]) -> None:
+    def _set_bounds(self, bounds: Mapping[str, tuple[float, float]], given: set[str]) -> None:
         for name, (low, high) in bounds.items():
             for k in [self._free.index(place) for place in self.layout.places(name) if place in self._free]:
                 least, most = max(low, self.low[k]), min(high, self.high[k])
                 if not least < most:
                     allowed = f"[{self.low[k]:g}, {self.high[k]:g}]"
-                    raise InputError(f"bounds of {name} = ({low:g}, {high:g}) hold no range within {allowed}")
-                self.drawn[k] = self.low[k], self.high[k] = least, most
+                    raise InputError(f"bounds of {name} must overlap {allowed}, got ({low:g}, {high:g})")
+                self.draw_bounds[k] = self.low[k], self.high[k] = least, most
                 if self.names[k] in given:
                     number_in_range(f"start of {self.names[k]}", self.first[k], least, most)
                 elif np.isfinite(most - least):
@@ -132,21 +132,21 @@ class FitProblem:
         return found
 
     def material(self, x: Floats) -> Material:
-        """Return the material of a vector of free parameters; raises `InputError` if the law refuses it."""
+        """Return the material of a vector of free parameters; raises `InputError` if the law rejects it."""
         vector = self._all.copy()
         vector[self._free] = x
         rest: dict[str, Any] = dict(self._rest)
         return self.layout.law(**self.layout.arguments(vector), **rest)
 
     def residuals(self, x: Floats) -> Floats:
-        """Return differences of stress over their deviations and the unit, (n,); NaN if the law refuses `x`."""
-        return self._predicted(x, nominal_stress) - self.target
+        """Return the scaled differences of stress, (n,); NaN if the law rejects `x`."""
+        return self._predict(x, nominal_stress) - self.target
 
     def isochoric(self, x: Floats) -> Floats:
-        """Return the stresses over their deviations and the unit, (n,), were the volume kept; NaN as `residuals`."""
-        return self._predicted(x, isochoric_stress)
+        """Return the scaled stresses at constant volume, (n,); NaN if the law rejects `x`."""
+        return self._predict(x, isochoric_stress)
 
-    def _predicted(self, x: Floats, stress: Callable[[Material, str, Floats], Floats]) -> Floats:
+    def _predict(self, x: Floats, stress: Callable[[Material, str, Floats], Floats]) -> Floats:
         try:
             material = self.material(x)
         except InputError:
@@ -155,15 +155,17 @@ class FitProblem:
         return found / self._deviation
 
     def jacobian(self, x: Floats) -> Floats:
-        """Return the slopes of the residuals, (n, k), by differences within what is allowed."""
+        """Return the Jacobian of the residuals, (n, k), by differences within the bounds."""
         here, columns = self.residuals(x), []
         largest = np.abs(x[self.moduli]).max(initial=0.0)
-        sizes = np.maximum(np.abs(x), np.where(self.moduli, SMALL * largest, np.where(x == 0, SMALL, 0.0)))
+        sizes = np.maximum(
+            np.abs(x), np.where(self.moduli, SMALL_MODULUS_RATIO * largest, np.where(x == 0, SMALL_MODULUS_RATIO, 0.0))
+        )
         for k, value in enumerate(x):
             sides = []
             for sign in (1, -1):
                 moved = x.copy()
-                moved[k] += sign * STEP * sizes[k]
+                moved[k] += sign * RELATIVE_STEP * sizes[k]
                 there = self.residuals(moved)
                 inside = self.low[k] <= moved[k] <= self.high[k] and np.all(np.isfinite(there))
                 sides.append((there, moved[k]) if inside else (here, value))
@@ -172,20 +174,20 @@ class FitProblem:
         return np.stack(columns, axis=1)
 
     def on_bound(self, x: Floats) -> NDArray[np.bool_]:
-        """Return which parameters lie on a bound: to go there would change the residuals by next to nothing."""
+        """Return the parameters on a bound, up to a negligible change of the residuals."""
         slopes = np.linalg.norm(self.jacobian(x), axis=0)
-        nothing = AT_BOUND * np.linalg.norm(self.residuals(x)) + 1e-9
-        return (slopes > 0) & (slopes * np.minimum(x - self.low, self.high - x) < nothing)
+        negligible = BOUND_TOLERANCE * np.linalg.norm(self.residuals(x)) + 1e-9
+        return (slopes > 0) & (slopes * np.minimum(x - self.low, self.high - x) < negligible)
 
-    def settled(self, x: Floats) -> Floats:
-        """Return `x` with what all but lies on a bound right there, if the law takes it."""
+    def snap_to_bounds(self, x: Floats) -> Floats:
+        """Return `x` with parameters near a bound moved onto it, if the law allows."""
         nearer = np.where(x - self.low < self.high - x, self.low, self.high)
         exact = np.where(self.on_bound(x), nearer, x)
         return exact if np.all(np.isfinite(self.residuals(exact))) else x
 
 
-def _merged(start: Mapping[str, Any], fixed: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is given of each field; a part of a sequence may be fixed by its own name, `C[0]`."""
+def _merge_values(start: Mapping[str, Any], fixed: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the given values by field; an element of a sequence is fixed by its own name, `C[0]`."""
     for name, value in flatten(fixed).items():
         number_in_range(f"fixed {name}", value)
     return {**start, **{name: value for name, value in fixed.items() if "[" not in name}}

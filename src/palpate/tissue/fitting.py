@@ -1,4 +1,4 @@
-"""Parameters of a law from measured curves, by nonlinear least squares from several starts."""
+"""Fit of a law to measured curves by nonlinear least squares from several starts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from palpate.describe import Described, Fact
 from palpate.faults import InputError, UnitWarning, integer_in_range
 from palpate.tissue.ellipticity import MaterialStability, material_stability
 from palpate.tissue.fit_problem import FitProblem
-from palpate.tissue.fit_starts import starts as begin
+from palpate.tissue.fit_starts import starting_points
 from palpate.tissue.homogeneous import deformation_gradient, nominal_stress
 from palpate.tissue.materials import Material
 from palpate.tissue.measurements import Measurement
@@ -24,19 +24,19 @@ from palpate.tissue.parameters import field_metadata
 __all__ = ["CurveFit", "Fit", "FitStart", "fit"]
 
 
-EVALUATIONS = 200  # of the residuals, from one start
-ROUGH = 1e-5  # relative change of cost at which a start has ended; the best goes on
-TIGHT = 1e-11  # relative change of cost at which the best start has ended
-CONDITION = 1e6  # of the slopes; beyond it differences cannot tell parameters apart
-AS_GOOD = 1e-3  # relative difference of cost between starts that ended alike
-PATTERN = 3.0  # standard deviations of the correlation between neighbours of so many points of noise
-EXACT = 1e-6  # differences of stress below, relative, are rounding
-NARROW = (0.8, 1.25)  # stretches that stability is always checked in
+MAX_EVALUATIONS = 200  # of the residuals, for each start
+COARSE_TOLERANCE = 1e-5  # relative change of cost at the end of each start
+FINE_TOLERANCE = 1e-11  # relative change of cost at the end of the best start, which continues
+MAX_CONDITION = 1e6  # of the Jacobian; beyond it parameters are not identifiable
+COST_TOLERANCE = 1e-3  # relative difference of cost of equivalent starts
+CORRELATION_LIMIT = 3.0  # standard deviations of the lag-1 correlation of white noise
+EXACT_RESIDUAL = 1e-6  # relative differences of stress below it are rounding errors
+MIN_CHECKED_STRETCHES = (0.8, 1.25)  # smallest range of the stability check
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """How one curve is met.
+    """Residual statistics of one curve.
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ class CurveFit:
     rms : float [Pa]
         Root mean square of the differences of stress.
     r_squared : float
-        1 less the share of the stresses' variance that the law misses.
+        Coefficient of determination.
     correlation : float
-        Between the differences of neighbouring points: near 0 for noise, near 1 where the law has another shape.
+        Lag-1 correlation of the residuals: near 0 for noise, near 1 for a systematic misfit.
     """
 
     name: str
@@ -60,7 +60,7 @@ class CurveFit:
 
 @dataclass(frozen=True)
 class FitStart:
-    """Where a start began, where it ended, at what cost (half the sum of squared residuals), and whether at rest."""
+    """First and last parameters of a start, its cost (half the sum of squared residuals), and its convergence."""
 
     first: dict[str, float]
     values: dict[str, float]
@@ -70,25 +70,26 @@ class FitStart:
 
 @dataclass(frozen=True, eq=False)
 class Fit(Described):
-    """A law fitted to curves.
+    """Result of the fit of a law to curves.
 
     Attributes
     ----------
     material : Material
-        The law with the parameters found.
+        Law with the fitted parameters.
     parameters : dict
-        Found, by name; numbers in a sequence as ``C[0]``. Without those that were fixed.
+        Fitted parameters by name; elements of a sequence as ``C[0]``. Fixed parameters are not
+        included.
     covariance : (k, k) array
-        Of the parameters in their order, s^2 (J^T J)^-1 with s^2 the mean square of the residuals over their degrees
-        of freedom: of independent errors, and to first order. NaN for a parameter on its bound, infinite variance for
-        one that the curves do not determine.
+        First-order covariance of the parameters for independent errors, s^2 (J^T J)^-1, with s^2
+        the sum of squared residuals over their degrees of freedom. NaN for a parameter on its
+        bound, infinite variance for an undetermined one.
     curves : tuple of CurveFit
     starts : tuple of FitStart
-        The best first.
+        Sorted by cost.
     condition : float
-        Of the slopes, each parameter's scaled to length 1.
+        Condition number of the Jacobian with normalised columns.
     remarks : tuple of str
-        What a careful reader of the parameters should know.
+        Warnings about the parameters.
     measurements : tuple of Measurement
     """
 
@@ -123,19 +124,21 @@ class Fit(Described):
 
     @property
     def stretches(self) -> tuple[float, float]:
-        """Least and largest principal stretch of the specimens."""
+        """Smallest and largest principal stretch of the specimens."""
         reached = [deformation_gradient(self.material, m.kind, m.deformation) for m in self.measurements]
         principal = np.linalg.svd(np.concatenate(reached), compute_uv=False)
         return float(principal.min()), float(principal.max())
 
     @cached_property
     def stability(self) -> MaterialStability:
-        """Whether the law is sound for all stretches between the least and the largest of the specimens."""
+        """Stability of the law in the range of stretches of the specimens."""
         low, high = self.stretches
-        return material_stability(self.material, (min(low, NARROW[0]), max(high, NARROW[1])))
+        return material_stability(
+            self.material, (min(low, MIN_CHECKED_STRETCHES[0]), max(high, MIN_CHECKED_STRETCHES[1]))
+        )
 
     def summary(self) -> str:
-        """Return everything a person wants to know, as lines of text."""
+        """Return a summary as lines of text."""
         law, width = type(self.material).__name__, max(map(len, self.parameters))
         errors = self.standard_errors
         return "\n".join(
@@ -163,32 +166,35 @@ def fit(
 ) -> Fit:
     """Fit the parameters of a law to measured curves.
 
-    Least squares of (stress of the law - measured stress) / deviation over all points of all curves, by a trust
-    region with bounds (Branch, Coleman and Li, SIAM J. Sci. Comput. 21, 1, 1999), from several starts. Least squares
-    of a nonlinear law have several minima in general (Ogden, Saccomandi and Sgura, Comput. Mech. 34, 484, 2004).
+    The residuals are (stress of the law - measured stress) / deviation at all points of all curves.
+    A bounded trust region minimises their squares (Branch, Coleman and Li, SIAM J. Sci. Comput. 21,
+    1, 1999) from several starts, because a nonlinear law has several minima in general (Ogden,
+    Saccomandi and Sgura, Comput. Mech. 34, 484, 2004).
 
     Parameters
     ----------
     law : type of Material
-        Such as `NeoHookean`. Its fields, numbers or sequences of numbers, are the parameters.
+        Law, such as `NeoHookean`. Its fields, numbers or sequences of numbers, are the parameters.
     measurements : Measurement or sequence of them
     start : dict, optional
-        Where the first start begins; needed for fields that are sequences, to say how long they are. Parameters that
-        the stress is linear in are taken from linear least squares in every start.
+        Parameters of the first start; required for sequences, whose length they define. Parameters
+        in which the stress is linear follow from linear least squares in every start.
     bounds : dict, optional
-        Pairs (least, largest) by name, within what the law allows; those of a sequence by its name or one by one,
-        ``C[0]``. Other starts are drawn evenly between bounds (of positive numbers, between their logarithms), and
-        where none are given, about the first start: within a factor of 1000, or of 8 with either sign.
+        Pairs (lower, upper) by name, within the range of the law; for a sequence by its name or by
+        element, ``C[0]``. Other starts are drawn uniformly between bounds, or between their
+        logarithms for positive numbers. Without bounds they are drawn about the first start: within
+        a factor of 1000, or of 8 with either sign.
     fixed : dict, optional
         Values of parameters that are not fitted.
     starts : int
-        At least 1. A law linear in all its parameters needs one and takes one.
+        Number of starts, at least 1. A law that is linear in all parameters uses one.
     seed : int
-        Of the other starts.
+        Seed of the other starts.
     density : float [kg/m^3]
-        Of the material; no curve depends on it. Liver and muscle have about 1060.
+        Density of the material; no curve depends on it. Liver and muscle have about 1060.
     poisson : float
-        Of the material. 0.5, the default, takes the volume for constant; say what a solid is to have, at most 0.499.
+        Poisson's ratio of the material. The default, 0.5, is incompressible; a solid needs at most
+        0.499.
 
     Returns
     -------
@@ -197,47 +203,50 @@ def fit(
     Raises
     ------
     InputError
-        A name that the law does not have, a start that it refuses or that lies outside of bounds, fewer points than
-        parameters, nothing to fit, or a law that has no finite stress at a measured deformation.
+        A name is unknown, a start is invalid or out of bounds, there are too few points, no
+        parameter is free, or the stress of the law is not finite at a measured deformation.
     """
     curves = (measurements,) if isinstance(measurements, Measurement) else tuple(measurements)
     if not curves:
-        raise InputError("measurements are empty: give at least one curve")
+        raise InputError("measurements must have at least one curve, got none")
     starts, seed = integer_in_range("starts", starts, 1), integer_in_range("seed", seed, 0)
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        # trial parameters may overflow a law, and be far from those of tissue; such trials are stepped back from
+        # trial parameters may overflow, or be far from those of tissue; the trust region then shrinks
         warnings.simplefilter("ignore", UnitWarning)
         problem = FitProblem(law, curves, start or {}, bounds or {}, fixed or {}, density, poisson)
-        ended = [(first, _minimum(problem, better, ROUGH)) for first, better in begin(problem, starts, seed)]
-        ended.sort(key=lambda pair: pair[1].cost)
-        ended[0] = ended[0][0], _minimum(problem, ended[0][1].x, TIGHT)
-        found = _described(problem, ended)
+        solutions = [
+            (first, _minimise(problem, better, COARSE_TOLERANCE))
+            for first, better in starting_points(problem, starts, seed)
+        ]
+        solutions.sort(key=lambda pair: pair[1].cost)
+        solutions[0] = solutions[0][0], _minimise(problem, solutions[0][1].x, FINE_TOLERANCE)
+        found = _build_fit(problem, solutions)
     found.material.warn_of_units()
     return found
 
 
-def _minimum(problem: FitProblem, first: Floats, tolerance: float) -> Any:
+def _minimise(problem: FitProblem, first: Floats, tolerance: float) -> Any:
     from scipy.optimize import least_squares
 
     if not np.all(np.isfinite(problem.residuals(first))):
         law = problem.layout.law.__name__
-        raise InputError(f"{law} has no finite stress at a measured deformation: give another start")
+        raise InputError(f"the stress of {law} must be finite at the measured deformations; give another start")
     return least_squares(
         problem.residuals,
         np.clip(first, np.nextafter(problem.low, np.inf), np.nextafter(problem.high, -np.inf)),
         problem.jacobian,
         bounds=(problem.low, problem.high),
         x_scale="jac",
-        max_nfev=EVALUATIONS,
+        max_nfev=MAX_EVALUATIONS,
         ftol=tolerance,
         xtol=min(tolerance, 1e-8),
         gtol=min(tolerance, 1e-10),
     )
 
 
-def _described(problem: FitProblem, ended: list[tuple[Floats, Any]]) -> Fit:
-    x = problem.settled(ended[0][1].x)
-    covariance, condition, remarks = _certainty(problem, x)
+def _build_fit(problem: FitProblem, solutions: list[tuple[Floats, Any]]) -> Fit:
+    x = problem.snap_to_bounds(solutions[0][1].x)
+    covariance, condition, remarks = _covariance(problem, x)
     table = tuple(
         FitStart(
             dict(zip(problem.names, first.tolist(), strict=True)),
@@ -245,27 +254,27 @@ def _described(problem: FitProblem, ended: list[tuple[Floats, Any]]) -> Fit:
             float(solved.cost) * problem.unit**2,
             solved.status > 0,
         )
-        for first, solved in ended
+        for first, solved in solutions
     )
-    alike = sum(one.cost <= (1 + AS_GOOD) * table[0].cost for one in table)
+    alike = sum(one.cost <= (1 + COST_TOLERANCE) * table[0].cost for one in table)
     if len(table) > 1 and alike == 1:
-        remarks.append(f"only 1 of {len(table)} starts ended at the least cost: try more")
+        remarks.append(f"only 1 of {len(table)} starts reached the smallest cost: use more starts")
     if not table[0].converged:
-        remarks.append(f"the best start had not converged after {EVALUATIONS} evaluations")
+        remarks.append(f"the best start had not converged after {MAX_EVALUATIONS} evaluations")
     material = problem.material(x)
-    curves = tuple(_curve(material, i, m) for i, m in enumerate(problem.measurements, 1))
+    curves = tuple(_curve_fit(material, i, m) for i, m in enumerate(problem.measurements, 1))
     remarks += [
-        f"the law misses {curve.name} in a pattern (correlation {curve.correlation:.2f} between neighbours): "
-        "errors are not independent, and larger than their standard errors say"
+        f"the residuals of {curve.name} are systematic (lag-1 correlation {curve.correlation:.2f}): "
+        "errors are not independent, and larger than the standard errors"
         for curve in curves
-        if curve.correlation > PATTERN / np.sqrt(curve.points)
+        if curve.correlation > CORRELATION_LIMIT / np.sqrt(curve.points)
     ]
     named = dict(zip(problem.names, x.tolist(), strict=True))
     return Fit(material, named, covariance, curves, table, condition, tuple(remarks), problem.measurements)
 
 
-def _certainty(problem: FitProblem, x: Floats) -> tuple[Floats, float, list[str]]:
-    """Covariance, condition number and what they do not tell."""
+def _covariance(problem: FitProblem, x: Floats) -> tuple[Floats, float, list[str]]:
+    """Return covariance, condition number and remarks."""
     bound = problem.on_bound(x)
     remarks = [f"{problem.names[k]} lies on its bound {x[k]:.4g}" for k in np.flatnonzero(bound)]
     covariance = np.full((len(x), len(x)), np.nan)
@@ -276,7 +285,7 @@ def _certainty(problem: FitProblem, x: Floats) -> tuple[Floats, float, list[str]
     norms = np.linalg.norm(J, axis=0)
     norms = np.where(norms > 0, norms, 1.0)
     _, singular, V = np.linalg.svd(J / norms, full_matrices=False)
-    weak = singular < singular[0] / CONDITION
+    weak = singular < singular[0] / MAX_CONDITION
     inverse = V.T @ (np.where(weak, 0.0, 1 / singular**2)[:, None] * V)
     block = inverse / np.outer(norms, norms) * float(r @ r) / (len(r) - len(inner))
     lost = inner[np.any(np.abs(V[weak]) > 0.1, axis=0)] if np.any(weak) else inner[:0]
@@ -286,20 +295,20 @@ def _certainty(problem: FitProblem, x: Floats) -> tuple[Floats, float, list[str]
         remarks.append(f"the curves do not determine {', '.join(problem.names[k] for k in lost)}")
     errors = np.sqrt(np.diagonal(covariance))
     remarks += [
-        f"{problem.names[k]} is uncertain by more than itself: {x[k]:.3g} +- {errors[k]:.2g}"
+        f"the standard error of {problem.names[k]} exceeds its value: {x[k]:.3g} +- {errors[k]:.2g}"
         for k in inner
         if np.isfinite(errors[k]) and errors[k] > abs(x[k])
     ]
     return covariance, float(singular[0] / singular[-1]) if singular[-1] else np.inf, remarks
 
 
-def _curve(material: Material, number: int, measured: Measurement) -> CurveFit:
+def _curve_fit(material: Material, number: int, measured: Measurement) -> CurveFit:
     stress = measured.stress
     wrong = nominal_stress(material, measured.kind, measured.deformation) - stress
     spread = float(np.sum((stress - stress.mean()) ** 2))
     r_squared = 1 - float(wrong @ wrong) / spread if spread > 0 else np.nan
     name = measured.name or f"curve {number}, {measured.kind}"
     rms = float(np.sqrt(np.mean(wrong**2)))
-    exact = rms <= EXACT * float(np.abs(stress).max())
+    exact = rms <= EXACT_RESIDUAL * float(np.abs(stress).max())
     correlation = 0.0 if exact else float(wrong[1:] @ wrong[:-1]) / float(wrong @ wrong)
     return CurveFit(name, measured.kind, len(stress), rms, r_squared, correlation)

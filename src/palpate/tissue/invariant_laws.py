@@ -1,12 +1,13 @@
-"""Laws of the invariants that stiffen with stretch, and St. Venant and Kirchhoff's.
+"""Laws of the invariants: Yeoh, Gent, Arruda-Boyce, Fung and St. Venant-Kirchhoff.
 
-Laws printed for incompressible tissue as W = f(I1 - 3) are made compressible in one way:
+Laws printed for incompressible tissue as W = f(I1 - 3) become compressible by
 
     W_s = f(x),      x = I1 - 3 - 2 ln J.
 
-x is I1 - 3 where the volume stays; it is a convex function of the logarithms of the stretches and least, zero, at rest
-alone. So rest is free of stress, W_s grows with every deformation if f does, mu = 2 f'(0), and the share of the shear
-part in the bulk modulus is 2/3 mu, whatever f is. For f(x) = mu/2 x this is the neo-Hookean law.
+x equals I1 - 3 at constant volume. It is a convex function of the logarithms of the stretches, and
+its minimum, zero, is at rest. So rest is free of stress, and W_s grows with every deformation if f
+does. For every f, mu = 2 f'(0), and the shear part contributes 2/3 mu to the bulk modulus. f(x) =
+mu/2 x gives the neo-Hookean law.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class Yeoh(Material):
     C1 : float [Pa]
         Positive.
     C2 : float [Pa]
-        More than -sqrt(3 C1 C3), so that the law stiffens or softens but never gives way; or zero.
+        Above -sqrt(3 C1 C3), so that the stress increases with stretch; or zero.
     C3 : float [Pa]
         Not negative.
     density, poisson, bulk
@@ -81,8 +82,8 @@ class Gent(ShearLaw):
 
     W = -mu/2 Jm ln(1 - x/Jm) + lame / 2 (J - 1)^2,  x = I1 - 3 - 2 ln J,  shear modulus mu.
 
-    From 95 % of the limit x = Jm on the logarithm is continued by its parabola, 400 times as stiff as at rest, so that
-    energy and stress are finite everywhere.
+    From 95 % of the limit x = Jm the logarithm is continued by its parabola, 400 times as stiff as
+    at rest, so that energy and stress are finite everywhere.
 
     Parameters
     ----------
@@ -124,7 +125,7 @@ class Gent(ShearLaw):
 
 @dataclass(frozen=True, kw_only=True)
 class ArrudaBoyce(Material):
-    """Arruda and Boyce's law of eight chains (J. Mech. Phys. Solids 41, 389, 1993), its series to five terms.
+    """Arruda and Boyce's eight-chain law (J. Mech. Phys. Solids 41, 389, 1993), its series to five terms.
 
     W = mu [x/2 + (I^2 - 9)/(20 N) + 11 (I^3 - 27)/(1050 N^2) + 19 (I^4 - 81)/(7000 N^3) + 519 (I^5 - 243)/(673750 N^4)]
         + lame / 2 (J - 1)^2,  I = 3 + x,  x = I1 - 3 - 2 ln J.
@@ -132,9 +133,9 @@ class ArrudaBoyce(Material):
     Parameters
     ----------
     mu : float [Pa]
-        Of the chains; positive. `shear_modulus` is mu (1 + 3/(5N) + ...).
+        Modulus of the chains; positive. `shear_modulus` is mu (1 + 3/(5N) + ...).
     N : float
-        Links of a chain; at least 1. It is straight at a stretch of sqrt(N).
+        Links of a chain; at least 1. A chain is straight at a stretch of sqrt(N).
     density, poisson, bulk
         As for `Material`.
     """
@@ -154,7 +155,7 @@ class ArrudaBoyce(Material):
     @staticmethod
     def energy(I1, I2, J, c):  # type: ignore[no-untyped-def]
         a, n = I1 - 2.0 * np.log(J), 1.0 / c[1]
-        # every term is a difference of powers of I and of 3, and has I - 3 as a factor
+        # each term is a difference of powers of I and 3, with the factor I - 3
         s2, s3 = a + 3.0, a * a + 3.0 * a + 9.0
         s4, s5 = s2 * (a * a + 9.0), a * a * s3 + 27.0 * s2
         series = 519 / 673750 * n * s5 + 19 / 7000 * s4
@@ -178,18 +179,18 @@ class ArrudaBoyce(Material):
 
 @dataclass(frozen=True, kw_only=True)
 class Fung(ShearLaw):
-    """The isotropic exponential law of Fung and Demiray (Fung, Am. J. Physiol. 213, 1532, 1967; Demiray, J. Biomech. 5, 309, 1972).
+    """Isotropic exponential law of Fung and Demiray (Fung, Am. J. Physiol. 213, 1532, 1967; Demiray, J. Biomech. 5, 309, 1972).
 
     W = mu/(2b) [exp(b x) - 1] + lame / 2 (J - 1)^2,  x = I1 - 3 - 2 ln J,  shear modulus mu.
 
-    From b x = 20 on the exponential, 5e8 then, is continued by its parabola.
+    From b x = 20, where it is 5e8, the exponential is continued by its parabola.
 
     Parameters
     ----------
     mu : float [Pa]
         Positive.
     b : float
-        How fast it stiffens; positive.
+        Rate of stiffening; positive.
     density, poisson, bulk
         As for `Material`.
     """  # noqa: E501
@@ -220,12 +221,13 @@ class Fung(ShearLaw):
 
 @dataclass(frozen=True, kw_only=True)
 class StVenantKirchhoff(ShearLaw):
-    """St. Venant and Kirchhoff's law: Hooke's, of Green's strain E = (C - I) / 2 (Holzapfel, Nonlinear Solid Mechanics, 2000).
+    """St. Venant-Kirchhoff law: Hooke's law of the Green strain E = (C - I) / 2 (Holzapfel, Nonlinear Solid Mechanics, 2000).
 
     W = mu tr E^2 + lame / 2 (J - 1)^2,  tr E^2 = (I1^2 - 2 I2 - 2 I1 + 3) / 4,  shear modulus mu.
 
-    The bulk term is that of all laws here; the printed law has lame / 2 (tr E)^2, which is the same for small strain. As
-    printed, it softens in compression: squeezed along one axis to less than 0.58 of its length, it gives way.
+    The bulk term is that of all laws here. The printed law has lame / 2 (tr E)^2, which is the same
+    at small strain. Like the printed law it softens in compression, and loses stability below 0.58
+    of the length along one axis.
 
     Parameters
     ----------

@@ -1,16 +1,16 @@
-"""Laws of the isochoric strain: any law of the invariants or stretches, taken of C̄ = J^(-2/3) C.
+"""Isochoric laws: any law of the invariants or stretches as a function of C̄ = J^(-2/3) C.
 
-A *coupled* law W_s(I1, I2, J) also resists a change of volume. Its *isochoric* twin is
+A *coupled* law W_s(I1, I2, J) also resists a change of volume. Its *isochoric* counterpart is
 
     W_s(I1 J^(-2/3), I2 J^(-4/3), 1),      of stretches W_s(l1 J^(-1/3), l2 J^(-1/3), l3 J^(-1/3)),
 
-which does not: the volumetric part U(J) alone holds the volume, with lame = bulk (Flory, Trans. Faraday Soc. 57, 829,
-1961; Simo, Taylor, Pister, Comput. Methods Appl. Mech. Eng. 51, 1985). Where the volume stays, both are the same, and
-rest is free of stress whatever W_s is.
+which does not: only the volumetric part U(J) resists it, with lame = bulk (Flory, Trans. Faraday
+Soc. 57, 829, 1961; Simo, Taylor, Pister, Comput. Methods Appl. Mech. Eng. 51, 1985). Both agree at
+constant volume. The isochoric law is free of stress at rest for every W_s.
 
-The twin is made of the law's own functions and the chain rule, so that no law is written twice. In the logarithms of
-the stretches the chain rule is a projection: with t_i = l_i dW/dl_i, H their derivatives, D = I - 1 1^T / 3, those of
-the twin are D t and D H D.
+The isochoric law follows from the functions of the coupled one by the chain rule. In the logarithms
+of the stretches the chain rule is a projection. With t_i = l_i dW/dl_i, their derivatives H and D =
+I - 1 1^T / 3, the derivatives of the isochoric law are D t and D H D.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ import numpy as np
 
 from palpate.faults import InputError, brief
 
-__all__ = ["COUPLED", "ISOCHORIC", "isochoric", "known_split"]
+__all__ = ["COUPLED", "ISOCHORIC", "check_split", "isochoric"]
 
 COUPLED, ISOCHORIC = "coupled", "isochoric"
 
 
-def known_split(name: str) -> str:
-    """Return the name of a split; refuse others.
+def check_split(name: str) -> str:
+    """Return the name of a split.
 
     Raises
     ------
     InputError
-        Names both.
+        The name is unknown.
     """
     if name not in (COUPLED, ISOCHORIC):
-        raise InputError(f"split = {brief(name)}: allowed are {COUPLED!r} and {ISOCHORIC!r}")
+        raise InputError(f"split must be {COUPLED!r} or {ISOCHORIC!r}, got {brief(name)}")
     return name
 
 
 @cache
 def isochoric(law: type[Any]) -> type[Any]:
-    """Return a law whose `energy`, `first` and `second` are those of another's isochoric twin."""
+    """Return the isochoric counterpart of a law."""
     make = _of_stretches if law.variables == "stretches" else _of_invariants
     names, functions = ("energy", "first", "second"), make(law.energy, law.first, law.second)
     return type(law.__name__, (law,), {n: staticmethod(f) for n, f in zip(names, functions, strict=True)})
@@ -64,7 +64,7 @@ def _of_invariants(energy_of: Any, first_of: Any, second_of: Any) -> tuple[Any, 
         x, y = a * I1, a * a * I2
         V1, V2, _ = first_of(x, y, 1.0, c)
         V11, V12, V22, _, _, _ = second_of(x, y, 1.0, c)
-        # of g = x' V1 + y' V2, x' = 2/3 x and y' = 4/3 y the shares of -J d/dJ: its derivatives by x and y
+        # derivatives by x and y of g = p V1 + q V2, where p = 2/3 x and q = 4/3 y are -J dx/dJ and -J dy/dJ
         p, q = 2.0 / 3.0 * x, 4.0 / 3.0 * y
         gx, gy = 2.0 / 3.0 * V1 + p * V11 + q * V12, 4.0 / 3.0 * V2 + p * V12 + q * V22
         WJJ = (p * V1 + q * V2 + p * gx + q * gy) / (J * J)

@@ -1,24 +1,24 @@
-"""Strain energies of isotropic tissue.
+"""Isotropic strain energies: the contract of a law, and the two laws of the paper's examples.
 
 A material is a strain energy per reference volume [J/m^3], split as
 
     W(F) = W_s(I1, I2, J) + U(J)
 
-into a *shear part* W_s that the collocation differentiates directly, and a *volumetric part* U whose pressure
-p = U'(J) is smoothed before it is differentiated, so that nearly incompressible tissue does not lock. Here
-I1 = tr C, I2 = (I1^2 - tr C^2) / 2, J = det F, C = F^T F. The volumetric part of every law is
+into a *shear part* W_s and a *volumetric part* U. The collocation differentiates W_s directly. The
+pressure p = U'(J) is smoothed before it is differentiated, so that nearly incompressible tissue
+does not lock. Here I1 = tr C, I2 = (I1^2 - tr C^2) / 2, J = det F, C = F^T F. The volumetric part
+of every law is
 
     U(J) = lame / 2 (J - 1)^2,
 
-or another of the usual forms (`palpate.tissue.volumetric`), with `lame` chosen so that the law has the asked-for bulk
+or another of the usual forms (`palpate.tissue.volumetric`). `lame` follows from the given bulk
 modulus at rest.
 
-A new law is a frozen dataclass with its parameters, `shear_modulus`, `shear_bulk_modulus` and three static functions
-`energy`, `first` and `second` of the invariants and the tuple of coefficients. The functions are inlined in the
-compiled kernels and called with whole arrays elsewhere, so they are plain arithmetic and NumPy functions. A law of the
-principal stretches is a `StretchLaw` (`palpate.tissue.stretch_laws`): the same, with other variables.
-
-Here stand the contract and the two laws of the paper's examples; `palpate.tissue.catalogue` lists all.
+A new law is a frozen dataclass with its parameters, `shear_modulus`, `shear_bulk_modulus` and three
+static functions `energy`, `first` and `second` of the invariants and the tuple of coefficients. The
+compiled kernels inline the functions; elsewhere they are called with arrays. So they are limited to
+arithmetic and NumPy functions. A law of the principal stretches is a `StretchLaw`
+(`palpate.tissue.stretch_laws`). `palpate.tissue.catalogue` lists all laws.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from numpy.typing import NDArray
 
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief, check_names, number_in_range, warn_of_unit
-from palpate.tissue.isochoric import COUPLED, isochoric, known_split
+from palpate.tissue.isochoric import COUPLED, check_split, isochoric
 from palpate.tissue.prony import Prony
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
 __all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw", "parameter"]
 
-MOST_POISSON = 0.499  # the stability of the split pressure is verified up to here
-EXPECTED_DENSITIES = 100.0, 20_000.0  # [kg/m^3]; beyond, a density was probably given in another unit
+MAX_POISSON = 0.499  # largest ratio with verified stability of the split pressure
+EXPECTED_DENSITIES = 100.0, 20_000.0  # [kg/m^3]; other densities are probably in another unit
 EXPECTED_MODULI = 1.0, 1e8  # [Pa] of shear, the same
 
 
@@ -47,39 +47,40 @@ UNITS = {"density": "kg/m^3", "bulk": "Pa"}  # of the fields of every material
 
 
 def parameter(unit: str = "", low: float = -np.inf, high: float = np.inf, *, above: float | None = None) -> Any:
-    """Return the field of a law's parameter, with its unit and range: [low, high], or (above, high]."""
+    """Return the dataclass field of a parameter with its unit and range, [low, high] or (above, high]."""
     low, open_low = (low, False) if above is None else (above, True)
     return field(metadata={"unit": unit, "low": low, "high": high, "open_low": open_low})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Material(Described, ABC):
-    """A strain energy, its derivatives, and a density.
+    """Strain energy, its derivatives, and density.
 
     Parameters
     ----------
     density : float [kg/m^3]
-        Of the reference state.
+        Density of the reference state.
     poisson : float, optional
-        Poisson's ratio at rest, 0 to 0.499, or 0.5 for the incompressible material of a membrane. Give this or `bulk`;
-        both only if they belong together.
+        Poisson's ratio at rest, 0 to 0.499, or 0.5 for the incompressible material of a membrane.
+        Give this or `bulk`; both only if they are consistent.
     bulk : float, optional [Pa]
         Bulk modulus at rest.
     prony : Prony, optional
-        How the tissue relaxes; the law is the tissue at its ease.
+        Viscoelastic relaxation; the law is the equilibrium response.
     volumetric : str
-        Form of the volumetric part U(J): ``"quadratic"`` lame / 2 (J - 1)^2, ``"logarithmic"`` lame / 2 (ln J)^2, or
-        ``"mixed"`` lame / 4 (J^2 - 1 - 2 ln J). All have the same bulk modulus at rest.
+        Form of the volumetric part U(J): ``"quadratic"`` lame / 2 (J - 1)^2, ``"logarithmic"`` lame
+        / 2 (ln J)^2, or ``"mixed"`` lame / 4 (J^2 - 1 - 2 ln J). All have the same bulk modulus at
+        rest.
     split : str
-        ``"coupled"``: W_s as it is, which also resists a change of volume. ``"isochoric"``: W_s of J^(-2/3) C in the
-        place of C, so that U(J) alone holds the volume and `lame` is the bulk modulus (`palpate.tissue.isochoric`). In
-        an incompressible material, that of a membrane, the two are the same.
+        ``"coupled"``: W_s(C), which also resists a change of volume. ``"isochoric"``: W_s(J^(-2/3)
+        C), so that only U(J) resists it and `lame` is the bulk modulus
+        (`palpate.tissue.isochoric`). Both agree in an incompressible material.
 
     Raises
     ------
     InputError
-        A parameter out of range or that the law does not have, an unknown form or split, or both or neither of
-        `poisson` and `bulk`.
+        A parameter is out of range, a form or split is unknown, or `poisson` and `bulk` are both
+        missing or inconsistent; or the law has no such parameter.
 
     Warns
     -----
@@ -89,8 +90,8 @@ class Material(Described, ABC):
     Attributes
     ----------
     variables : str
-        What the law is a function of: ``"invariants"`` I1, I2, J; ``"stretches"`` l1, l2, l3; or
-        ``"small strain"``.
+        Arguments of the law: ``"invariants"`` I1, I2, J; ``"stretches"`` l1, l2, l3; or ``"small
+        strain"``.
     """
 
     variables: ClassVar[str] = "invariants"
@@ -129,16 +130,16 @@ class Material(Described, ABC):
 
     def __post_init__(self) -> None:
         if self.prony is not None and not isinstance(self.prony, Prony):
-            raise InputError(f"prony is {brief(self.prony)}: give a palpate.materials.Prony")
+            raise InputError(f"prony must be a palpate.materials.Prony, got {brief(self.prony)}")
         volumetric_form(self.volumetric)
         if self.volumetric != QUADRATIC and self.variables == "small strain":
-            raise InputError(f"volumetric = {brief(self.volumetric)}: small strain has the quadratic form only")
-        if known_split(self.split) != COUPLED and self.variables == "small strain":
-            raise InputError(f"split = {brief(self.split)}: small strain has the coupled form only")
+            raise InputError(f"volumetric must be {QUADRATIC!r} for small strain, got {brief(self.volumetric)}")
+        if check_split(self.split) != COUPLED and self.variables == "small strain":
+            raise InputError(f"split must be {COUPLED!r} for small strain, got {brief(self.split)}")
         number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
         self._check_parameters()
         if self.poisson is None and self.bulk is None:
-            raise InputError("give either poisson or bulk, to say how compressible the material is")
+            raise InputError("poisson or bulk must be given, got neither; give either poisson or bulk")
         given = None if self.bulk is None else number_in_range("bulk", self.bulk, 0.0, unit="Pa")
         try:
             mu = self.shear_modulus
@@ -148,15 +149,15 @@ class Material(Described, ABC):
                 number_in_range("the Lame coefficient at rest", self.lame, unit="Pa")
         except ArithmeticError as error:
             raise InputError(
-                f"{type(self).__name__} has no finite moduli at rest with these parameters: {error}"
+                f"the moduli of {type(self).__name__} at rest must be finite, got {error}; change its parameters"
             ) from None
         if given is not None:
             if not np.isclose(given, self.bulk_modulus, rtol=1e-9, atol=0.0):
                 raise InputError(
-                    f"give either poisson or bulk: poisson = {self.poisson:g} makes bulk = {self.bulk:g} Pa, "
-                    f"not {given:g} Pa"
+                    f"bulk must be {self.bulk:g} Pa with poisson = {self.poisson:g}, got {given:g} Pa; give either "
+                    f"poisson or bulk"
                 )
-            object.__setattr__(self, "bulk", given)  # to the last bit
+            object.__setattr__(self, "bulk", given)  # bit for bit
         self.warn_of_units()
 
     def warn_of_units(self) -> None:
@@ -166,19 +167,19 @@ class Material(Described, ABC):
         warn_of_unit(f"the shear modulus of {name}", mu, *EXPECTED_MODULI, "Pa", "moduli are in pascals")
 
     def _complete(self, mu: float) -> None:
-        """Write `bulk` for `poisson`, or `poisson` for `bulk`, of a shear modulus [Pa]."""
+        """Set `bulk` from `poisson`, or `poisson` from `bulk`, for a shear modulus [Pa]."""
         if self.incompressible:
             object.__setattr__(self, "bulk", np.inf)
         elif self.poisson is not None:
-            number_in_range("poisson", self.poisson, 0.0, MOST_POISSON)
+            number_in_range("poisson", self.poisson, 0.0, MAX_POISSON)
             object.__setattr__(self, "bulk", 2 * mu * (1 + self.poisson) / (3 * (1 - 2 * self.poisson)))
         else:
-            low, high = (2 * mu * (1 + nu) / (3 * (1 - 2 * nu)) for nu in (0.0, MOST_POISSON))
+            low, high = (2 * mu * (1 + nu) / (3 * (1 - 2 * nu)) for nu in (0.0, MAX_POISSON))
             bulk = number_in_range("bulk", self.bulk, low * (1 - 1e-9), high * (1 + 1e-9), unit="Pa")  # type: ignore[arg-type]
             object.__setattr__(self, "poisson", (3 * bulk - 2 * mu) / (2 * (3 * bulk + mu)))
 
     def _check_parameters(self) -> None:
-        """Raise `InputError` for a parameter out of range; each field made by `parameter` knows its own."""
+        """Raise `InputError` for a parameter out of the range of its field."""
         for each in fields(self):
             if each.metadata:
                 number_in_range(each.name, getattr(self, each.name), **each.metadata)
@@ -191,16 +192,16 @@ class Material(Described, ABC):
     @property
     @abstractmethod
     def shear_bulk_modulus(self) -> float:
-        """The coupled shear part's own share of the bulk modulus at rest [Pa]."""
+        """Contribution of the coupled shear part to the bulk modulus at rest [Pa]."""
 
     @property
     def law(self) -> type[Material]:
-        """The law whose functions count: the material's own, or its isochoric twin."""
+        """Class of the functions in use: the material's, or its isochoric counterpart."""
         return type(self) if self.split == COUPLED else isochoric(type(self))
 
     @property
     def incompressible(self) -> bool:
-        """Whether Poisson's ratio is 0.5: the pressure is not the law's to tell then."""
+        """Whether Poisson's ratio is 0.5, so that the law does not define the pressure."""
         return self.poisson == 0.5
 
     @property
@@ -216,12 +217,12 @@ class Material(Described, ABC):
 
     @property
     def shear_share(self) -> float:
-        """What W_s has of the bulk modulus at rest [Pa]: `shear_bulk_modulus`, or nothing if it is isochoric."""
+        """Contribution of W_s to the bulk modulus at rest [Pa]: `shear_bulk_modulus`, or zero if isochoric."""
         return self.shear_bulk_modulus if self.split == COUPLED else 0.0
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """The law's own parameters, in the order of its fields, as its functions take them."""
+        """Parameters of the law, in the order of its fields, as arguments of its functions."""
         base = {f.name for f in fields(Material)}
         return tuple(float(getattr(self, f.name)) for f in fields(self) if f.name not in base)
 
@@ -241,18 +242,18 @@ class Material(Described, ABC):
         """Second derivatives of W_s by (I1 I1), (I1 I2), (I2 I2), (I1 J), (I2 J), (J J)."""
 
     def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the whole energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""
+        """Return the energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""
         self._refuse_incompressible()
         measure, _ = volumetric_form(self.volumetric).measure(self._dilatation(F))
         return np.asarray(self.shear_energy(F) + self.lame / 2 * measure**2)
 
     def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
-        """Return the part W_s [J/m^3] of the energy without the bulk term, for F of shape (..., 3, 3).
+        """Return the shear part W_s [J/m^3] of the energy for F of shape (..., 3, 3).
 
-        `coefficients`, arrays (...), take the place of the material's own.
+        `coefficients`, arrays (...), replace the material's own.
         """
         I1, I2, J = _invariants(F)
-        J = np.where(J > 0, J, np.nan)  # a body turned inside out has no energy
+        J = np.where(J > 0, J, np.nan)  # inverted bodies have no energy
         return np.asarray(self.law.energy(I1, I2, J, coefficients or self.coefficients))
 
     def stress(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -267,7 +268,7 @@ class Material(Described, ABC):
         return np.asarray(volumetric_form(self.volumetric).pressure(self._dilatation(F))[0])
 
     def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
-        """Return the part of the first Piola-Kirchhoff stress [Pa] that comes from W_s, as `shear_energy` does it."""
+        """Return the first Piola-Kirchhoff stress [Pa] of W_s; parameters as for `shear_energy`."""
         I1, I2, J = (i[..., None, None] for i in _invariants(F))
         own = self.coefficients if coefficients is None else tuple(c[..., None, None] for c in coefficients)
         W1, W2, WJ = self.law.first(I1, I2, J, own)
@@ -275,7 +276,7 @@ class Material(Described, ABC):
         return np.asarray(2 * W1 * F + 2 * W2 * (I1 * F - F @ C) + WJ * self.cofactor(F))
 
     def cofactor(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what a pressure multiplies in the stress, dJ/dF = cof F, of shape (..., 3, 3)."""
+        """Return the cofactor dJ/dF = cof F, the factor of the pressure in the stress, of shape (..., 3, 3)."""
         return np.asarray(np.linalg.det(F)[..., None, None] * np.swapaxes(np.linalg.inv(F), -1, -2))
 
     def _dilatation(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -283,12 +284,12 @@ class Material(Described, ABC):
 
     def _refuse_incompressible(self) -> None:
         if self.incompressible:
-            raise InputError("an incompressible material (poisson = 0.5) has no stress of F alone; a Membrane has")
+            raise InputError("poisson must be below 0.5 for the stress of a solid, got 0.5; use a Membrane")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShearLaw(Material):
-    """A law whose first parameter is its shear modulus at rest; its share in the bulk modulus is 2/3 of that.
+    """Law whose first parameter is its shear modulus at rest, with 2/3 of it in the bulk modulus.
 
     Parameters
     ----------

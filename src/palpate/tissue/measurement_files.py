@@ -6,8 +6,8 @@
     1.00, 0.00
     1.10, 0.61
 
-A file has one curve, its kind on a comment line, or several: then a column `kind` says which curve a row belongs to,
-and a column `curve` tells several curves of one kind apart.
+The kind of a single curve is on a comment line. In a file of several curves, the columns `kind` and
+`curve` identify the curve of a row.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ STRESSES = {
     "kgf/cm^2": 98066.5,  # of standard gravity
     "psi": 6894.757293168,
 }
-COLUMNS = {  # name: what it is and its units
+COLUMNS = {  # name: quantity and units
     "stretch": ("stretch", RATIOS),
     "strain": ("strain", RATIOS),
     "engineering strain": ("strain", RATIOS),
@@ -66,11 +66,11 @@ WORDS = ("kind", "curve")  # columns without a unit
 DEFORMATIONS = ("stretch", "strain", "logarithmic strain", "shear")
 CAUCHY = ("true stress", "cauchy stress")
 HEADER = re.compile(r"(?P<name>[^\[\]]*)(?:\[(?P<unit>[^\[\]]*)\])?")
-LINE = re.compile(r"\r\n|\r|\n")  # and no other: a form feed in a comment ends no line
+LINE = re.compile(r"\r\n|\r|\n")  # only these: a form feed in a comment does not end a line
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-LONGEST_LINE = 10_000  # characters
-MOST_CURVES = 1000
-LARGEST = 1e30  # size of a number; the squares of larger ones overflow
+MAX_LINE_CHARACTERS = 10_000
+MAX_CURVES = 1000
+MAX_NUMBER = 1e30  # squares of larger numbers overflow
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
@@ -82,15 +82,17 @@ class _Column:
 
 
 def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
-    """Read the curves of a CSV file.
+    """Read measured curves from a CSV file.
 
-    Columns are separated by commas, semicolons or tabs, named in the first line that is no comment, with their unit in
-    brackets. One gives the deformation: ``stretch``, ``strain`` (``engineering strain``, ``nominal strain``: stretch
-    - 1), ``logarithmic strain`` (``true strain``) or ``shear`` (``shear strain``), in ``-`` or ``%``. One gives the
-    force per undeformed area: ``nominal stress`` or ``engineering stress``, in Pa, kPa, MPa, N/m^2, N/cm^2, N/mm^2,
-    kgf/cm^2 or psi. ``standard deviation`` of the stress may follow. The kind, on a line ``# kind: ...`` or in a
-    column ``kind``, is uniaxial (tension, compression), equibiaxial (biaxial), planar (pure shear) or shear (simple
-    shear). Under ``compression`` strains and stresses may be given as positive numbers.
+    Columns are separated by commas, semicolons or tabs. The first line that is not a comment holds
+    their names, with units in brackets. One column is the deformation: ``stretch``, ``strain``
+    (``engineering strain``, ``nominal strain``: stretch - 1), ``logarithmic strain`` (``true
+    strain``) or ``shear`` (``shear strain``), in ``-`` or ``%``. One is the force per undeformed
+    area: ``nominal stress`` or ``engineering stress``, in Pa, kPa, MPa, N/m^2, N/cm^2, N/mm^2,
+    kgf/cm^2 or psi. ``standard deviation`` of the stress is optional. The kind, on a line ``# kind:
+    ...`` or in a column ``kind``, is uniaxial (tension, compression), equibiaxial (biaxial), planar
+    (pure shear) or shear (simple shear). Strains and stresses of ``compression`` may be positive
+    numbers.
 
     Parameters
     ----------
@@ -104,9 +106,10 @@ def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
     Raises
     ------
     FileFormatError
-        Not a regular file of text in UTF-8; an unknown kind, column or unit, a column missing or there twice, a row of
-        the wrong length or of more than 10,000 characters, more than 1,000 curves, a cell that is not a finite decimal
-        number, or a curve that `Measurement` refuses: names the file, the line and what is allowed.
+        The file is not a regular text file in UTF-8; a kind, column or unit is unknown; a column is
+        missing or repeated; a row has the wrong length or more than 10,000 characters; there are
+        more than 1,000 curves; a cell is not a finite decimal number; or a curve is not a valid
+        `Measurement`. The message names file and line.
     FileNotFoundError
         There is no such file.
     """
@@ -114,34 +117,34 @@ def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
     lines = LINE.split(read_text(path, "table of measured curves"))
     for i, line in enumerate(lines, 1):
         if CONTROL.search(line):
-            raise FileFormatError(f"{path}, line {i} has a control character; save it as plain text")
+            raise FileFormatError(f"{path}, line {i} must not hold control characters; save it as plain text")
     comments = [line.lstrip().lstrip("#").strip() for line in lines if line.lstrip().startswith("#")]
     rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not rows:
-        raise FileFormatError(f"{path} has no header: its first line names the columns with units")
+        raise FileFormatError(f"{path} must have a header, got none; name the columns with units in the first line")
     separator = next((one for one in ("\t", ";", ",") if one in rows[0][1]), ",")
     where = f"{path}, line {rows[0][0]}"
     headers = _cells(rows[0][1], separator, where)
     if len(headers) > len(COLUMNS) + len(WORDS):
-        raise FileFormatError(f"{where} has {len(headers)} columns: allowed are {len(COLUMNS) + len(WORDS)}")
+        raise FileFormatError(f"{where} must have at most {len(COLUMNS) + len(WORDS)} columns, got {len(headers)}")
     columns = [_column(header, where) for header in headers]
     _check_roles(columns, where)
     table = [(i, _cells(line, separator, f"{path}, line {i}")) for i, line in rows[1:]]
     kinds = [line.partition(":")[2].strip() for line in comments if line.lower().startswith("kind:")]
     source = "\n".join(line for line in comments if line and not line.lower().startswith("kind:"))
     if len(set(kinds)) > 1:
-        raise FileFormatError(f"{path} has {len(kinds)} lines '# kind:': allowed is one; else give a column 'kind'")
+        raise FileFormatError(f"{path} must have one line '# kind:', got {len(kinds)}; use a column 'kind' instead")
     return _curves(path, columns, table, kinds[0] if kinds else None, source)
 
 
 def _cells(line: str, separator: str, where: str) -> list[str]:
     """Return the cells of a line."""
-    if len(line) > LONGEST_LINE:
-        raise FileFormatError(f"{where} has {len(line)} characters: allowed are {LONGEST_LINE}")
+    if len(line) > MAX_LINE_CHARACTERS:
+        raise FileFormatError(f"{where} must have at most {MAX_LINE_CHARACTERS} characters, got {len(line)}")
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True))]
     except csv.Error as error:
-        raise FileFormatError(f"{where} cannot be read as cells ({error}); close every quotation mark") from None
+        raise FileFormatError(f"{where} must be valid CSV ({error}); close every quotation mark") from None
 
 
 def _column(header: str, where: str) -> _Column:
@@ -152,16 +155,17 @@ def _column(header: str, where: str) -> _Column:
         return _Column(name, 1.0, name)
     if name in CAUCHY:
         raise FileFormatError(
-            f"{where}: {name!r} is force per deformed area; give 'nominal stress', force per undeformed area "
-            "(the true stress over the stretch in the machine's direction, where the volume stays)"
+            f"{where}: stress must be per undeformed area, got {name!r}; give 'nominal stress' (at constant volume the "
+            "true stress over the stretch in the machine's direction)"
         )
     if name not in COLUMNS:
         allowed = ", ".join([*COLUMNS, *WORDS])
-        raise FileFormatError(f"{where}: column {shortened(header)!r} is unknown: allowed are {allowed}")
+        raise FileFormatError(f"{where}: a column must be one of {allowed}, got {shortened(header)!r}")
     role, units = COLUMNS[name]
     if unit not in units:
-        said = "has no unit" if unit is None else f"has the unknown unit {shortened(unit)!r}"
-        raise FileFormatError(f"{where}: column {name!r} {said}: allowed are {', '.join(f'[{u}]' for u in units)}")
+        found = "none" if unit is None else repr(shortened(unit))
+        allowed = ", ".join(f"[{u}]" for u in units)
+        raise FileFormatError(f"{where}: the unit of column {name!r} must be one of {allowed}, got {found}")
     return _Column(role, units[unit], name)
 
 
@@ -169,24 +173,28 @@ def _check_roles(columns: list[_Column], where: str) -> None:
     roles = [column.role for column in columns]
     for role in roles:
         if roles.count(role) > 1:
-            raise FileFormatError(f"{where}: there are {roles.count(role)} columns of {role}: allowed is one")
+            raise FileFormatError(f"{where}: there must be one column of {role}, got {roles.count(role)}")
     deformations = [role for role in roles if role in DEFORMATIONS]
     if len(deformations) != 1:
         found = " and ".join(deformations) or "none"
-        raise FileFormatError(f"{where}: one column gives the deformation ({', '.join(DEFORMATIONS)}), not {found}")
+        raise FileFormatError(f"{where}: one column must be the deformation ({', '.join(DEFORMATIONS)}), got {found}")
     if "stress" not in roles:
-        raise FileFormatError(f"{where}: there is no column of stress: 'nominal stress [kPa]', or another unit")
+        raise FileFormatError(f"{where}: one column must be the stress, got none; add 'nominal stress [kPa]'")
 
 
 def _curves(
     path: Path, columns: list[_Column], rows: list[tuple[int, list[str]]], kind: str | None, source: str
 ) -> list[Measurement]:
     if kind is None and all(column.role != "kind" for column in columns):
-        raise FileFormatError(f"{path} says no kind of test: give a line '# kind: uniaxial', or a column 'kind'")
+        raise FileFormatError(
+            f"{path} must have a kind of test, got none; add a line '# kind: uniaxial', or a column 'kind'"
+        )
     curves: dict[tuple[str, str], list[tuple[int, dict[str, float]]]] = {}
     for line, cells in rows:
         if len(cells) != len(columns):
-            raise FileFormatError(f"{path}, line {line} has {len(cells)} cells: the header has {len(columns)}")
+            raise FileFormatError(
+                f"{path}, line {line} must have {len(columns)} cells, as the header, got {len(cells)}"
+            )
         words = {c.role: cell for c, cell in zip(columns, cells, strict=True) if c.role in WORDS}
         numbers = {
             c.role: c.factor * _number(cell, c.label, path, line)
@@ -196,22 +204,21 @@ def _curves(
         label = words.get("kind", kind or "").lower()
         if label not in KINDS:
             allowed = ", ".join(KINDS)
-            raise FileFormatError(f"{path}, line {line}: kind {shortened(label)!r} is unknown: allowed are {allowed}")
+            raise FileFormatError(f"{path}, line {line}: kind must be one of {allowed}, got {shortened(label)!r}")
         curves.setdefault((label, words.get("curve", "")), []).append((line, numbers))
     if not curves:
-        raise FileFormatError(f"{path} has no rows below its header")
-    if len(curves) > MOST_CURVES:
-        raise FileFormatError(f"{path} has {len(curves)} curves: allowed are {MOST_CURVES}")
+        raise FileFormatError(f"{path} must have rows below its header, got none")
+    if len(curves) > MAX_CURVES:
+        raise FileFormatError(f"{path} must have at most {MAX_CURVES} curves, got {len(curves)}")
     return [_measurement(path, label, name, points, source) for (label, name), points in curves.items()]
 
 
 def _number(cell: str, column: str, path: Path, line: int) -> float:
     number = float(cell) if NUMBER.fullmatch(cell) else math.nan
     if not math.isfinite(number):
-        said = shortened(cell)
-        raise FileFormatError(f"{path}, line {line}: {column} = {said!r} is not a finite number, such as 1.25")
-    if abs(number) > LARGEST:
-        raise FileFormatError(f"{path}, line {line}: {column} = {number:g} is out of range: allowed is to {LARGEST:g}")
+        raise FileFormatError(f"{path}, line {line}: {column} must be a finite number, got {shortened(cell)!r}")
+    if abs(number) > MAX_NUMBER:
+        raise FileFormatError(f"{path}, line {line}: {column} must be at most {MAX_NUMBER:g}, got {number:g}")
     return number
 
 
@@ -222,14 +229,14 @@ def _measurement(
     lines = f"{path}, lines {points[0][0]} to {points[-1][0]}"
     role = next(role for role in DEFORMATIONS if role in given)
     if (role == "shear") != (KINDS[label] == "shear"):
-        raise FileFormatError(f"{lines}: a test of kind {label!r} is not given by a column of {role}")
+        raise FileFormatError(f"{lines}: a test of kind {label!r} must not have a column of {role}")
     deformation, stress = given[role], given["stress"]
     if label == "compression":
-        deformation, stress = _downwards(role, deformation, stress, lines)
+        deformation, stress = _compression_signs(role, deformation, stress, lines)
     if role == "strain":
         deformation = 1 + deformation
     elif role == "logarithmic strain":
-        deformation = np.exp(np.minimum(deformation, np.log(LARGEST)))
+        deformation = np.exp(np.minimum(deformation, np.log(MAX_NUMBER)))
     try:
         return Measurement(
             kind=KINDS[label],
@@ -243,13 +250,15 @@ def _measurement(
         raise FileFormatError(f"{lines}: {error}") from error
 
 
-def _downwards(role: str, deformation: np.ndarray, stress: np.ndarray, lines: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the deformation and the stress of a compression with the signs of mechanics."""
+def _compression_signs(
+    role: str, deformation: np.ndarray, stress: np.ndarray, lines: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return deformation and stress of a compression, negative in compression."""
     if role == "stretch":
         if np.any(deformation > 1):
-            raise FileFormatError(f"{lines}: stretch = {deformation.max():g} is no compression: allowed is (0, 1]")
+            raise FileFormatError(f"{lines}: stretch must be in (0, 1] in compression, got {deformation.max():g}")
     elif np.all(deformation >= 0):
         deformation = -deformation
     elif np.any(deformation > 0):
-        raise FileFormatError(f"{lines}: {role} changes its sign: a compression has one")
+        raise FileFormatError(f"{lines}: {role} must have one sign in compression, got both")
     return deformation, -stress if np.sum(stress) > 0 else stress

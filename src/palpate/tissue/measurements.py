@@ -1,4 +1,4 @@
-"""A curve that a testing machine has measured."""
+"""Measured stress-deformation curves."""
 
 from __future__ import annotations
 
@@ -8,37 +8,39 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from palpate.describe import Described, Fact
-from palpate.faults import InputError
+from palpate.faults import InputError, brief
 from palpate.tissue.homogeneous import rest
 
 __all__ = ["Measurement"]
 
-MOST = 20.0  # a stretch or shear, beyond any tissue's and rubber's
+MAX_DEFORMATION = 20.0  # stretch or shear, beyond that of tissue and rubber
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurement(Described):
-    """A measured curve of nominal stress over stretch or shear.
+    """Measured curve of nominal stress over stretch or shear.
 
     Parameters
     ----------
     kind : str
-        ``"uniaxial"`` (tension, compression or both), ``"equibiaxial"``, ``"planar"`` or ``"shear"``.
+        ``"uniaxial"`` (tension, compression or both), ``"equibiaxial"``, ``"planar"`` or
+        ``"shear"``.
     deformation : (n,) array
-        Stretches; shears gamma where the kind is ``"shear"``. Never turning back, at least two values.
+        Stretches, or shears gamma where the kind is ``"shear"``; monotonic, at least two values.
     stress : (n,) array [Pa]
         Force per undeformed area, negative in compression.
     deviation : float or (n,) array, optional [Pa]
-        Standard deviation of each stress, or in proportion to it; 1 Pa if left out. Points count by its inverse.
+        Standard deviation of each stress, or a value proportional to it; 1 Pa by default. Its
+        inverse weights the point.
     name, source : str
-        What a report calls the curve, and where it comes from.
+        Name of the curve in reports, and its origin.
 
     Raises
     ------
     InputError
-        An unknown kind; arrays of unequal length, not finite or too short; a stretch or deviation not positive;
-        a stretch or shear beyond 20; deformations that turn back, or are all at rest; stresses against the
-        deformation throughout.
+        The kind is unknown; arrays differ in length, are not finite or too short; a stretch or
+        deviation is not positive; a stretch or shear exceeds 20; deformations are not monotonic or
+        all at rest; or all stresses oppose the deformation.
     """
 
     kind: str
@@ -61,31 +63,31 @@ class Measurement(Described):
     def __post_init__(self) -> None:
         at_rest = rest(self.kind)
         label = "shear" if self.kind == "shear" else "stretch"
-        deformation = _column(label, self.deformation)
-        stress = _column("stress", self.stress, len(deformation))
-        deviation = _column("deviation", np.broadcast_to(self.deviation, deformation.shape), len(deformation))
+        deformation = _check_column(label, self.deformation)
+        stress = _check_column("stress", self.stress, len(deformation))
+        deviation = _check_column("deviation", np.broadcast_to(self.deviation, deformation.shape), len(deformation))
         if self.kind != "shear":
-            _positive("stretch", deformation)
-        if np.abs(deformation).max() > MOST:
+            _check_positive("stretch", deformation)
+        if np.abs(deformation).max() > MAX_DEFORMATION:
             at = int(np.argmax(np.abs(deformation)))
-            raise InputError(
-                f"{label} = {deformation[at]:g} at point {at + 1} is out of range: allowed is up to {MOST:g}"
-            )
-        _positive("deviation", deviation)
+            allowed = f"[-{MAX_DEFORMATION:g}, {MAX_DEFORMATION:g}]"
+            raise InputError(f"{label} must be in {allowed}, got {deformation[at]:g} at point {at + 1}")
+        _check_positive("deviation", deviation)
         steps = np.diff(deformation)
         turns = np.flatnonzero(steps * (deformation[-1] - deformation[0]) < 0)
         if len(turns):
             at = turns[0] + 1
             raise InputError(
-                f"{label} = {deformation[at]:g} at point {at + 1} turns back after {deformation[at - 1]:g}: "
-                "a curve goes one way; give loading and unloading as two"
+                f"{label} must be monotonic, got {deformation[at]:g} at point {at + 1} after {deformation[at - 1]:g}; "
+                "give loading and unloading as two curves"
             )
         if np.all(deformation == at_rest):
-            raise InputError(f"every {label} is {at_rest:g}, rest: nothing was deformed")
+            raise InputError(f"{label} must differ from {at_rest:g}, the value at rest, got only {at_rest:g}")
         work = (deformation - at_rest) * stress
         if np.any(work) and np.all(work <= 0):
             raise InputError(
-                "the stresses act against the deformation: stress is positive in tension, where stretch > 1"
+                "stress must be positive in tension (stretch > 1), got only stresses against the deformation; "
+                "change their sign"
             )
         for name, values in (("deformation", deformation), ("stress", stress), ("deviation", deviation)):
             values.setflags(write=False)
@@ -96,22 +98,22 @@ def _range(values: NDArray[np.float64]) -> str:
     return f"{values.min():.3g} to {values.max():.3g}"
 
 
-def _column(name: str, values: ArrayLike, length: int | None = None) -> NDArray[np.float64]:
+def _check_column(name: str, values: ArrayLike, length: int | None = None) -> NDArray[np.float64]:
     try:
         column = np.array(values, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{name} must be an array of numbers, not {values!r}") from None
+        raise InputError(f"{name} must be an array of numbers, got {brief(values)}") from None
     if column.ndim != 1 or len(column) < 2:
-        raise InputError(f"{name} has the shape {column.shape}: allowed is (n,) with at least two points")
+        raise InputError(f"{name} must have shape (n,) with at least two points, got {column.shape}")
     if length not in (None, len(column)):
-        raise InputError(f"{name} has {len(column)} points, the deformation {length}: give as many")
+        raise InputError(f"{name} must have {length} points, as the deformation, got {len(column)}")
     if not np.all(np.isfinite(column)):
         at = int(np.flatnonzero(~np.isfinite(column))[0])
-        raise InputError(f"{name} = {column[at]} at point {at + 1} is out of range: allowed are finite numbers")
+        raise InputError(f"{name} must be finite, got {column[at]} at point {at + 1}")
     return column
 
 
-def _positive(name: str, values: NDArray[np.float64]) -> None:
+def _check_positive(name: str, values: NDArray[np.float64]) -> None:
     wrong = np.flatnonzero(values <= 0)
     if len(wrong):
-        raise InputError(f"{name} = {values[wrong[0]]:g} at point {wrong[0] + 1} is out of range: allowed is (0, inf)")
+        raise InputError(f"{name} must be in (0, inf), got {values[wrong[0]]:g} at point {wrong[0] + 1}")

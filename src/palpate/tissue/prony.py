@@ -1,4 +1,4 @@
-"""Relaxation: how much stiffer tissue is than its law, and for how long."""
+"""Viscoelastic relaxation as a Prony series."""
 
 from __future__ import annotations
 
@@ -15,37 +15,42 @@ from palpate.faults import InputError, check_names, number_in_range
 
 __all__ = ["Prony"]
 
-
-MOST_BRANCHES = 64  # a few for each decade of times are enough; every branch is remembered at every node
+MAX_BRANCHES = 64  # a few per decade of time are enough; each has history variables at every node
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prony(Described):
-    """A Prony series of overstresses that a law's stress is joined by and that fade with time.
+    """Prony series of viscoelastic overstresses, in addition to the equilibrium stress of a law.
 
-    The law is the tissue at its ease; a branch i is a Maxwell element beside it, of finite isochoric strain
-    (Holzapfel and Simo, Int. J. Solids Struct. 33, 1996). Its strain A_i follows that of the tissue and fades,
+    The law is the equilibrium response. Branch i is a Maxwell element in parallel to it, of finite
+    isochoric strain (Holzapfel and Simo, Int. J. Solids Struct. 33, 1996). Its strain A_i follows
+    the tissue and relaxes,
 
         dA_i/dt = dC̄/dt - A_i / tau_i,     C̄ = J^(-2/3) C,
 
-    it stores s_i mu/4 |A_i|^2 and loses s_i mu/2 |A_i|^2 / tau_i, mu the law's shear modulus at rest: energy is lost,
-    never made. At small strain the relaxation modulus is mu (1 + sum of s_i exp(-t / tau_i)), and the storage and loss
-    moduli are mu (1 + sum of s_i (w tau_i)^2 / (1 + (w tau_i)^2)) and mu sum of s_i w tau_i / (1 + (w tau_i)^2).
+    it stores s_i mu/4 |A_i|^2 and dissipates s_i mu/2 |A_i|^2 / tau_i, with mu the law's shear
+    modulus at rest. The dissipation is never negative. At small strain the relaxation modulus is
+
+        mu (1 + sum of s_i exp(-t / tau_i)),
+
+    and the storage and loss moduli are mu (1 + sum of s_i (w tau_i)^2 / (1 + (w tau_i)^2)) and
+    mu sum of s_i w tau_i / (1 + (w tau_i)^2).
 
     Parameters
     ----------
     shares : float or sequence of float
-        s_i, each branch's shear modulus over the law's at rest; positive. At most 64 branches.
+        s_i, ratio of each branch's shear modulus to the law's at rest; positive. At most 64
+        branches.
     times : float or sequence of float [s]
-        tau_i, positive; one for each share.
+        Relaxation times tau_i, positive; one for each share.
     bulk_shares : float or sequence of float, optional
-        The same of the bulk modulus, with the same times: branches of J - 1. By default none: the volume does not
-        relax.
+        Ratios for the bulk modulus, with the same times: branches of J - 1. By default the volume
+        does not relax.
 
     Raises
     ------
     InputError
-        A number out of range, or sequences of other lengths.
+        A number is out of range, or the lengths differ.
     """
 
     shares: tuple[float, ...] = field(metadata={"unit": "", "low": 0.0, "high": np.inf, "open_low": True})
@@ -71,21 +76,26 @@ class Prony(Described):
         for each in fields(self):
             given = getattr(self, each.name)
             listed: Sequence[float] = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
-            if len(listed) > MOST_BRANCHES:
-                raise InputError(f"{each.name} has {len(listed)} branches; {MOST_BRANCHES} are allowed")
+            if len(listed) > MAX_BRANCHES:
+                raise InputError(f"{each.name} must have at most {MAX_BRANCHES} branches, got {len(listed)}")
             numbers = [number_in_range(f"{each.name}[{i}]", x, **each.metadata) for i, x in enumerate(listed)]
             object.__setattr__(self, each.name, tuple(numbers))
         if not self.shares or len(self.shares) != len(self.times):
-            raise InputError(f"{len(self.shares)} shares and {len(self.times)} times: give as many, at least one")
+            raise InputError(
+                f"shares and times must have equal, non-zero length, got {len(self.shares)} and {len(self.times)}"
+            )
         if self.bulk_shares and len(self.bulk_shares) != len(self.times):
-            raise InputError(f"{len(self.bulk_shares)} bulk_shares and {len(self.times)} times: give as many, or none")
+            raise InputError(
+                f"bulk_shares must be empty or as long as times, got lengths {len(self.bulk_shares)} and "
+                f"{len(self.times)}"
+            )
 
     def relaxation(self, times: Floats) -> Floats:
-        """Return the relaxation modulus over that at ease, 1 + sum of s_i exp(-t / tau_i), at some times [s]."""
+        """Return the relaxation modulus over the equilibrium modulus, 1 + sum of s_i exp(-t / tau_i), at times [s]."""
         decay = np.exp(-np.asarray(times, dtype=float)[..., None] / np.array(self.times))
         return np.asarray(1 + decay @ np.array(self.shares))
 
     def complex_modulus(self, frequencies: Floats) -> NDArray[np.complex128]:
-        """Return storage + i loss modulus over the modulus at ease, at some circular frequencies [rad/s]."""
-        turned = 1j * np.asarray(frequencies, dtype=float)[..., None] * np.array(self.times)
-        return np.asarray(1 + (turned / (1 + turned)) @ np.array(self.shares))
+        """Return the complex modulus over the equilibrium modulus at angular frequencies [rad/s]."""
+        iw_tau = 1j * np.asarray(frequencies, dtype=float)[..., None] * np.array(self.times)
+        return np.asarray(1 + (iw_tau / (1 + iw_tau)) @ np.array(self.shares))

@@ -1,4 +1,4 @@
-"""Tissue whose law has other parameters in other places: one law, a material for each kind of tissue."""
+"""Heterogeneous tissue: one law, with different parameters in different regions."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from palpate.tissue.materials import Material
 
 __all__ = ["Regions"]
 
-
-SHARED = {"split": "split", "volumetric": "volumetric form", "prony": "Prony series", "density": "density"}
+COMMON_FIELDS = {"split": "split", "volumetric": "volumetric form", "prony": "Prony series", "density": "density"}
 
 
 @dataclass(frozen=True, eq=False)
 class Regions(Described):
-    """Which of a few materials of one law lies at every node.
+    """Assignment of materials of one law to nodes.
 
     Parameters
     ----------
     materials : tuple of Material
-        The first is the one that moduli count in: see `ratios`.
+        `modulus_ratio` refers to the first.
     which : (n,) int array
+        Index of the material of each node.
 
     Raises
     ------
     InputError
-        Materials of different laws, or that differ in what a body has once: its density, volumetric form, split and
-        Prony series.
+        The materials differ in their law, density, volumetric form, split or Prony series.
     """
 
     materials: tuple[Material, ...]
@@ -44,17 +43,16 @@ class Regions(Described):
         for other in self.materials[1:]:
             if type(other) is not type(first):
                 raise InputError(
-                    f"a body has one law, with other parameters in other places; these are {type(first).__name__} and "
-                    f"{type(other).__name__}"
+                    f"the materials of a body must have one law, got {type(first).__name__} and {type(other).__name__}"
                 )
             if len(other.coefficients) != len(first.coefficients):
-                raise InputError(f"the materials of a body need one number of terms of {type(first).__name__}")
-            for name, said in SHARED.items():
+                raise InputError(f"the materials of a body must have equal numbers of terms of {type(first).__name__}")
+            for name, label in COMMON_FIELDS.items():
                 if getattr(other, name) != getattr(first, name):
                     mine, its = getattr(first, name), getattr(other, name)
-                    raise InputError(f"the materials of a body need one {said}; these have {mine!r} and {its!r}")
+                    raise InputError(f"the materials of a body must have one {label}, got {mine!r} and {its!r}")
         if first.prony is not None and first.prony.bulk_shares:
-            raise InputError("a volume that relaxes (bulk_shares) needs the same material everywhere")
+            raise InputError("bulk_shares must be empty in a body of several materials; use one material or omit them")
 
     def _facts(self) -> list[Fact]:
         return [
@@ -69,7 +67,7 @@ class Regions(Described):
         return replace(self, which=self.which[nodes])
 
     def values(self, name: str) -> Floats:
-        """Return a number of every node's material, such as ``"lame"``, shape (n,)."""
+        """Return an attribute of every node's material, such as ``"lame"``, shape (n,)."""
         return np.array([getattr(material, name) for material in self.materials], dtype=float)[self.which]
 
     @property
@@ -79,12 +77,12 @@ class Regions(Described):
 
     @property
     def modulus_ratio(self) -> Floats:
-        """Shear modulus at rest over that of the first material, (n,): what branches of a Prony series count with."""
+        """Shear modulus at rest over that of the first material, (n,); scales the branches of a Prony series."""
         return self.values("shear_modulus") / self.materials[0].shear_modulus
 
     @property
     def lame(self) -> float:
-        """What the volumetric coefficients count in [Pa]: the largest."""
+        """Reference value of the volumetric coefficients [Pa]: the largest."""
         return max(material.lame for material in self.materials) or 1.0
 
     def shear_energy(self, F: Floats) -> Floats:

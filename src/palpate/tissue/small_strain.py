@@ -1,4 +1,4 @@
-"""Hooke's law of the small strain: what earlier simulators of surgery use, and what the large strains are judged by."""
+"""Small-strain linear elasticity, for comparison with finite strain."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ class LinearElastic(ShearLaw):
 
     W = mu e : e + lame / 2 (tr e)^2,  e = sym(F - I),  P = dW/dF = 2 mu e + lame tr e I.
 
-    It is not objective: a turned body is strained, by 1 - cos of the angle. For displacements whose gradient is small
-    it is what every law here with these moduli becomes. The pressure is lame tr e, and acts on undeformed areas.
+    The law is not objective: a rotation by an angle t strains the body by 1 - cos t. All other laws
+    with these moduli reduce to it at small displacement gradients. The pressure is lame tr e and
+    acts on undeformed areas.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ class LinearElastic(ShearLaw):
 
     @staticmethod
     def energy(square, trace, volume, c):  # type: ignore[no-untyped-def]
-        """W_s of e : e; the other two are there for the signature."""
+        """Return W_s of e : e; the other two arguments complete the signature."""
         return c[0] * square
 
     @staticmethod

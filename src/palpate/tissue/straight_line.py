@@ -1,8 +1,8 @@
-"""Energies as lists of operations, with exact derivatives: what the text of a law becomes, and the code of it.
+"""Straight-line programs of energies, their exact derivatives and their code.
 
-An expression is a number of a row in a `Tape`; every row is one operation on earlier rows, and equal operations share
-a row. A derivative adds a few rows for each row that it depends on, so the second derivatives of an energy are longer
-than the energy by a constant factor, whatever it nests. Numbers are floats throughout: no arithmetic here grows.
+An expression is the index of a row in a `Tape`. Every row is one operation on earlier rows, and equal
+operations share a row. A derivative adds a few rows for each row that it depends on, so the length of
+second derivatives is proportional to that of the energy. All numbers are floats.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ import numpy as np
 
 from palpate.faults import InputError
 
-__all__ = ["FUNCTIONS", "Tape", "compiled_functions"]
+__all__ = ["FUNCTIONS", "Tape", "compile_functions"]
 
-Row = tuple[str, float | str | int, int]  # operation, and a value, a name, or one or two earlier rows
+Row = tuple[str, float | str | int, int]  # operation with a value, a name, or one or two earlier rows
 
 FUNCTIONS: dict[str, Any] = {
     "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "atan": np.arctan,
 }  # fmt: skip
-CALLED = {name: function.__name__ for name, function in FUNCTIONS.items()}
+NUMPY_NAMES = {name: function.__name__ for name, function in FUNCTIONS.items()}
 FOLDS: dict[str, Callable[[float, float], Any]] = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "**": operator.pow,
 }  # fmt: skip
-NONE = -1  # the second operand of an operation of one
+NO_OPERAND = -1  # second operand of a unary operation
 
 
 class Tape:
-    """Rows of operations on variables and coefficients.
+    """Straight-line program: rows of operations on variables and coefficients.
 
     Parameters
     ----------
     variables : sequence of str
-        Positive numbers.
+        Names of positive variables.
     """
 
     def __init__(self, variables: Sequence[str]) -> None:
@@ -54,10 +54,10 @@ class Tape:
         Raises
         ------
         InputError
-            It is not finite.
+            The number is not finite.
         """
         if isinstance(value, complex) or not math.isfinite(value):
-            raise InputError(f"the energy has a constant part of {value}; write it with finite real numbers")
+            raise InputError(f"constant parts of the energy must be finite and real, got {value}")
         return self._row("number", float(value))
 
     def variable(self, name: str) -> int:
@@ -68,17 +68,17 @@ class Tape:
         """Return the row of a coefficient."""
         return self._row("coefficient", place)
 
-    def apply(self, operation: str, first: int, second: int = NONE) -> int:
-        """Return the row of an operation on rows: of two by an operator, or of one by a function or ``"negative"``.
+    def apply(self, operation: str, first: int, second: int = NO_OPERAND) -> int:
+        """Return the row of a binary operator, a function or ``"negative"`` applied to rows.
 
         Raises
         ------
         InputError
-            An operation on numbers alone has no finite real result.
+            An operation on constants has no finite real result.
         """
         one, two = self.value(first), self.value(second)
-        if one is not None and (two is not None or second == NONE):
-            return self.number(_folded(operation, one, two))
+        if one is not None and (two is not None or second == NO_OPERAND):
+            return self.number(_fold(operation, one, two))
         if operation == "+" and 0.0 in (one, two):
             return second if one == 0 else first
         if operation == "-" and 0.0 in (one, two):
@@ -104,7 +104,7 @@ class Tape:
         return slopes[row]
 
     def needed(self, rows: Sequence[int]) -> list[int]:
-        """Return some rows and all that they are computed from, in order."""
+        """Return rows and all their operands, in order."""
         found, left = set(rows), list(rows)
         while left:
             new = set(self._operands(left.pop())) - found
@@ -113,14 +113,14 @@ class Tape:
         return sorted(found)
 
     def source(self, name: str, results: Sequence[int]) -> str:
-        """Return the text of a function of the variables and the coefficients c that computes some rows."""
+        """Return the source of a function of the variables and the coefficients c that computes rows."""
         needed = [i for i in self.needed(results) if self._operands(i)]
         lines = [f"def {name}({', '.join(self._slopes)}, c):"]
-        lines += [f"    s{i} = {self._printed(i)}" for i in needed]
-        lines.append(f"    return {', '.join(map(self._named, results))}")
+        lines += [f"    s{i} = {self._row_source(i)}" for i in needed]
+        lines.append(f"    return {', '.join(map(self._row_name, results))}")
         return "\n".join(lines) + "\n"
 
-    def _row(self, operation: str, first: float | str | int, second: int = NONE) -> int:
+    def _row(self, operation: str, first: float | str | int, second: int = NO_OPERAND) -> int:
         row = operation, first, second
         if row not in self._known:
             self._known[row] = len(self.rows)
@@ -128,22 +128,22 @@ class Tape:
         return self._known[row]
 
     def value(self, row: int) -> float | None:
-        """Return the number that a row is, None if it is computed."""
-        return self.rows[row][1] if row != NONE and self.rows[row][0] == "number" else None  # type: ignore[return-value]
+        """Return the value of a constant row, or None."""
+        return self.rows[row][1] if row != NO_OPERAND and self.rows[row][0] == "number" else None  # type: ignore[return-value]
 
     def _operands(self, row: int) -> tuple[int, ...]:
         operation, first, second = self.rows[row]
         if operation in ("number", "variable", "coefficient"):
             return ()
-        return (first,) if second == NONE else (first, second)  # type: ignore[return-value]
+        return (first,) if second == NO_OPERAND else (first, second)  # type: ignore[return-value]
 
     def _slope(self, row: int, variable: str, slopes: dict[int, int]) -> int:
-        """Return the derivative of a row by those of its operands."""
+        """Return the derivative of a row from those of its operands."""
         operation, first, second = self.rows[row]
         if not self._operands(row):
             return self.number(float(operation == "variable" and first == variable))
         a, b, apply = int(first), second, self.apply
-        da, db = slopes[a], slopes[b] if b != NONE else NONE
+        da, db = slopes[a], slopes[b] if b != NO_OPERAND else NO_OPERAND
         if operation in ("+", "-"):
             return apply(operation, da, db)
         if operation == "*":
@@ -158,7 +158,7 @@ class Tape:
         return self._function_slope(operation, row, a, da)
 
     def _power_slope(self, row: int, base: int, exponent: int) -> int:
-        """Return the derivative of a power by its base, which may be zero unless it is a variable."""
+        """Return the derivative of a power by its base; a base that is not a variable may be zero."""
         value = self.value(exponent)
         if self.rows[base][0] == "variable" and not (value is not None and value.is_integer()):
             return self.apply("/", self.apply("*", exponent, row), base)
@@ -180,21 +180,21 @@ class Tape:
         slope = row if operation == "exp" else apply({"sinh": "cosh", "cosh": "sinh"}[operation], a)
         return apply("*", slope, da)
 
-    def _printed(self, row: int) -> str:
+    def _row_source(self, row: int) -> str:
         operation, first, second = self.rows[row]
-        a = self._named(int(first))
+        a = self._row_name(int(first))
         if operation == "negative":
             return f"-{a}"
-        if second == NONE:
-            return f"np.{CALLED[operation]}({a})"
+        if second == NO_OPERAND:
+            return f"np.{NUMPY_NAMES[operation]}({a})"
         power = self.value(second) if operation == "**" else None
         if power == 0.5:
             return f"np.sqrt({a})"
         if power is not None and power.is_integer():
             return f"{a} ** ({int(power)})"  # compiled as products
-        return f"{a} {operation} {self._named(second)}"
+        return f"{a} {operation} {self._row_name(second)}"
 
-    def _named(self, row: int) -> str:
+    def _row_name(self, row: int) -> str:
         operation, first, _ = self.rows[row]
         if operation == "number":
             return f"({first!r})"
@@ -203,8 +203,8 @@ class Tape:
         return str(first) if operation == "variable" else f"s{row}"
 
 
-def _folded(operation: str, one: float, two: float | None) -> Any:
-    """Return the result of an operation on numbers, NaN if there is none."""
+def _fold(operation: str, one: float, two: float | None) -> Any:
+    """Return the result of an operation on constants, NaN if undefined."""
     try:
         with np.errstate(all="ignore"):
             if two is None:
@@ -217,36 +217,36 @@ def _folded(operation: str, one: float, two: float | None) -> Any:
 # compiling
 
 
-PLAIN = (
+ARITHMETIC_NODES = (
     ast.Module, ast.Return, ast.Tuple, ast.Load, ast.Store, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow,
     ast.UnaryOp, ast.USub,
 )  # fmt: skip
 NAME = re.compile(r"s\d+")
 
 
-def compiled_functions(sources: dict[str, str], variables: Sequence[str]) -> dict[str, Any]:
-    """Return the functions of some sources, by name, that `inspect` finds the sources of.
+def compile_functions(sources: dict[str, str], variables: Sequence[str]) -> dict[str, Any]:
+    """Return compiled functions by name, with sources available to `inspect`.
 
     Parameters
     ----------
     sources : dict
-        What `Tape.source` returns for the name of each function.
+        Result of `Tape.source` by function name.
     variables : sequence of str
 
     Raises
     ------
     InputError
-        A source holds anything but functions of those names, arithmetic on the variables, on c and on numbers, and
-        calls of the functions of `FUNCTIONS`. It is not run.
+        A source holds other nodes than functions of those names, arithmetic on the variables, c and
+        numbers, and calls of `FUNCTIONS`. It is not executed.
     """
     source = "\n\n".join(sources.values())
     filename = f"<palpate law {sha256(source.encode()).hexdigest()[:16]}>"
     tree = ast.parse(source, filename)
     if [getattr(node, "name", "") for node in tree.body] != list(sources):
-        raise InputError("the code of the energy has other functions than its own; it is not run")
-    for node in _opened(tree):
+        raise InputError("generated code must define the functions of the energy only; it is not executed")
+    for node in _walk(tree):
         if not (_is_known_call(node) or _is_coefficient(node) or _is_arithmetic(node, variables)):
-            raise InputError(f"the code of the energy has a {type(node).__name__}, which no energy has; it is not run")
+            raise InputError(f"generated code must be arithmetic, got {type(node).__name__}; it is not executed")
     linecache.cache[filename] = len(source), None, source.splitlines(keepends=True), filename
     made: dict[str, Any] = {"np": np, "__builtins__": {}}
     exec(compile(tree, filename, "exec"), made)  # arithmetic alone, as checked above
@@ -254,7 +254,7 @@ def compiled_functions(sources: dict[str, str], variables: Sequence[str]) -> dic
 
 
 def _is_arithmetic(node: ast.AST, variables: Sequence[str]) -> bool:
-    """Return whether a node is what `Tape.source` writes, apart from the nodes in it that are checked themselves."""
+    """Return whether a node is one that `Tape.source` writes; its children are checked separately."""
     if isinstance(node, ast.FunctionDef):
         plain = not node.decorator_list and node.returns is None
         plain = plain and [arg.arg for arg in node.args.args] == [*variables, "c"]
@@ -269,11 +269,11 @@ def _is_arithmetic(node: ast.AST, variables: Sequence[str]) -> bool:
         return node.id in variables or bool(NAME.fullmatch(node.id))
     if isinstance(node, ast.Constant):
         return type(node.value) in (int, float)
-    return isinstance(node, PLAIN)
+    return isinstance(node, ARITHMETIC_NODES)
 
 
-def _opened(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes of a tree, but of a call ``np.f(x)`` x alone below it, and nothing below ``c[0]``."""
+def _walk(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes of a tree, with only ``x`` below a call ``np.f(x)`` and nothing below ``c[0]``."""
     left = [tree]
     while left:
         node = left.pop()
@@ -283,17 +283,17 @@ def _opened(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def _is_known_call(node: ast.AST) -> bool:
-    """Return whether a node is a call of one of `FUNCTIONS` by NumPy's name."""
+    """Return whether a node calls one of `FUNCTIONS` by its NumPy name."""
     if not (isinstance(node, ast.Call) and len(node.args) == 1 and not node.keywords):
         return False
     called = node.func
     if not (isinstance(called, ast.Attribute) and isinstance(called.value, ast.Name)):
         return False
-    return called.value.id == "np" and called.attr in CALLED.values()
+    return called.value.id == "np" and called.attr in NUMPY_NAMES.values()
 
 
 def _is_coefficient(node: ast.AST) -> bool:
-    """Return whether a node is c with a whole number for a place."""
+    """Return whether a node is c with an integer index."""
     if not (isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and isinstance(node.ctx, ast.Load)):
         return False
     return node.value.id == "c" and isinstance(node.slice, ast.Constant) and type(node.slice.value) is int

@@ -1,24 +1,28 @@
 """Laws of the principal stretches l1, l2, l3: equations (14), (18) and (19), with their constants as printed.
 
-The printed laws are for incompressible tissue. Where they have a sum of powers l1^a + l2^a + l3^a - 3, there stands
+The printed laws are for incompressible tissue. Their sum of powers l1^a + l2^a + l3^a - 3 is
+replaced by
 
     q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
 
-the same where the volume stays. It is convex in the logarithms of the stretches and least, zero, at rest alone,
-whatever the sign of a: so rest is free of stress, and W_s grows with every deformation.
+which is the same at constant volume. It is convex in the logarithms of the stretches, and its
+minimum, zero, is at rest for either sign of a. So rest is free of stress, and W_s grows with every
+deformation.
 
 The stress is a sum over the principal directions N_i of C,
 
     S = sum of s_i N_i N_i^T,      s_i = (dW/dl_i) / l_i,
 
-which has no differences of stretches in it: equal stretches, and rest, are no special case. Its derivative has them:
+which has no differences of stretches, so equal stretches are not a special case. Its derivative has
+them:
 
     dS = N D N^T,   D_ii = sum over j of ds_i/dx_j K_jj,   D_ij = (s_i - s_j)/(x_i - x_j) K_ij,   K = N^T dC N,
 
-x_i = l_i^2; the quotient becomes ds_i/dx_i - ds_i/dx_j where the stretches meet (Ogden, Non-Linear Elastic
-Deformations, 1984, section 6.1). The compiled forces use both (`palpate.dynamics.material.principal_stretches`).
+with x_i = l_i^2. At equal stretches the quotient becomes ds_i/dx_i - ds_i/dx_j (Ogden, Non-Linear
+Elastic Deformations, 1984, section 6.1). The compiled forces use both
+(`palpate.dynamics.material.principal_stretches`).
 
-Powers are exponentials of logarithms, which all terms of a law share: half as dear as powers.
+Powers are exponentials of logarithms that all terms of a law share, at half the cost of powers.
 """
 
 from __future__ import annotations
@@ -34,16 +38,17 @@ from palpate.tissue.materials import Material, parameter
 
 __all__ = ["Exponential", "Logarithmic", "Ogden", "StretchLaw"]
 
-STEEPEST = 100.0  # an exponent; beyond it powers of ordinary stretches overflow
-MOST_TERMS = 16  # of Ogden's law; each number of terms is compiled by itself, and longer ones slowly
+MAX_EXPONENT = 100.0  # powers of ordinary stretches overflow beyond it
+MAX_TERMS = 16  # of Ogden's law; each number of terms is compiled separately, and many terms compile slowly
 
 
 @dataclass(frozen=True, kw_only=True)
 class StretchLaw(Material):
-    """A law of the principal stretches.
+    """Law of the principal stretches.
 
-    Its three static functions take (l1, l2, l3, coefficients): `energy` returns W_s, `first` the derivatives by l1, l2
-    and l3, `second` those by (l1 l1), (l2 l2), (l3 l3), (l1 l2), (l1 l3), (l2 l3).
+    Its three static functions take (l1, l2, l3, coefficients). `energy` returns W_s, `first` the
+    derivatives by l1, l2 and l3, `second` the derivatives by (l1 l1), (l2 l2), (l3 l3), (l1 l2),
+    (l1 l3), (l2 l3).
     """
 
     variables: ClassVar[str] = "stretches"
@@ -54,14 +59,14 @@ class StretchLaw(Material):
 
     def shear_energy(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
         l1, l2, l3 = np.moveaxis(np.linalg.svd(F, compute_uv=False), -1, 0)
-        whole = np.where(np.linalg.det(F) > 0, 1.0, np.nan)  # a body turned inside out has no energy
-        return np.asarray(whole * self.law.energy(l1, l2, l3, coefficients or self.coefficients))
+        valid = np.where(np.linalg.det(F) > 0, 1.0, np.nan)  # inverted bodies have no energy
+        return np.asarray(valid * self.law.energy(l1, l2, l3, coefficients or self.coefficients))
 
     def shear_stress(self, F: NDArray[np.float64], coefficients: tuple[Any, ...] | None = None) -> NDArray[np.float64]:
-        turned, stretches, directions = np.linalg.svd(F)
+        left, stretches, directions = np.linalg.svd(F)
         l1, l2, l3 = np.moveaxis(stretches, -1, 0)
         slopes = self.law.first(l1, l2, l3, coefficients or self.coefficients)
-        return np.asarray((turned * np.stack(np.broadcast_arrays(*slopes), axis=-1)[..., None, :]) @ directions)
+        return np.asarray((left * np.stack(np.broadcast_arrays(*slopes), axis=-1)[..., None, :]) @ directions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,29 +79,29 @@ class Ogden(StretchLaw):
     Parameters
     ----------
     C : float or sequence of float [Pa]
-        One for each term; positive. At most 16 terms.
+        Coefficient of each term; positive. At most 16 terms.
     alpha : float or sequence of float
-        One for each term, real; not zero, from -100 to 100.
+        Exponent of each term; nonzero, from -100 to 100.
     density, poisson, bulk
         As for `Material`.
     """
 
     C: tuple[float, ...] = parameter("Pa", above=0.0)
-    alpha: tuple[float, ...] = parameter(low=-STEEPEST, high=STEEPEST)
+    alpha: tuple[float, ...] = parameter(low=-MAX_EXPONENT, high=MAX_EXPONENT)
 
     def _check_parameters(self) -> None:
         for name in ("C", "alpha"):
             given = getattr(self, name)
             listed = list(given) if isinstance(given, list | tuple | np.ndarray) else [given]
-            if len(listed) > MOST_TERMS:
-                raise InputError(f"{name} has {len(listed)} terms; {MOST_TERMS} are allowed")
+            if len(listed) > MAX_TERMS:
+                raise InputError(f"{name} must have at most {MAX_TERMS} terms, got {len(listed)}")
             ranges = self.__dataclass_fields__[name].metadata
             numbers = [number_in_range(f"{name}[{i}]", value, **ranges) for i, value in enumerate(listed)]
             object.__setattr__(self, name, tuple(numbers))
         if len(self.C) != len(self.alpha) or not self.C:
-            raise InputError(f"C has {len(self.C)} terms and alpha {len(self.alpha)}: give as many, at least one")
+            raise InputError(f"C and alpha must have equal, non-zero length, got {len(self.C)} and {len(self.alpha)}")
         for i, exponent in enumerate(self.alpha):
-            _not_zero(f"alpha[{i}]", exponent)
+            _check_nonzero(f"alpha[{i}]", exponent)
 
     @property
     def shear_modulus(self) -> float:
@@ -137,18 +142,18 @@ class Ogden(StretchLaw):
 
 @dataclass(frozen=True, kw_only=True)
 class _Stiffening(StretchLaw):
-    """What equations (18) and (19) have in common: C1 g(C2 q(alpha1)) + C3 q(alpha2), with g'(0) = 1."""
+    """Base of equations (18) and (19): C1 g(C2 q(alpha1)) + C3 q(alpha2), with g'(0) = 1."""
 
     C1: float = parameter("Pa", above=0.0)
     C2: float = parameter(above=0.0)
     C3: float = parameter("Pa", low=0.0)
-    alpha1: float = parameter(low=-STEEPEST, high=STEEPEST)
-    alpha2: float = parameter(low=-STEEPEST, high=STEEPEST)
+    alpha1: float = parameter(low=-MAX_EXPONENT, high=MAX_EXPONENT)
+    alpha2: float = parameter(low=-MAX_EXPONENT, high=MAX_EXPONENT)
 
     def _check_parameters(self) -> None:
         super()._check_parameters()
-        _not_zero("alpha1", self.alpha1)
-        _not_zero("alpha2", self.alpha2)
+        _check_nonzero("alpha1", self.alpha1)
+        _check_nonzero("alpha2", self.alpha2)
 
     @property
     def shear_modulus(self) -> float:
@@ -157,23 +162,23 @@ class _Stiffening(StretchLaw):
 
 @dataclass(frozen=True, kw_only=True)
 class Exponential(_Stiffening):
-    """The exponential law of soft tissue, equation (18) (Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010).
+    """Exponential law of soft tissue, equation (18) (Gao, Lister, Desai, Ann. Biomed. Eng. 38, 505, 2010).
 
     W = C1 [exp(C2 q(alpha1)) - 1] + C3 q(alpha2) + lame / 2 (J - 1)^2,  q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
     shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
 
-    From C2 q(alpha1) = 20 on the exponential, 5e8 then, is continued by its parabola.
+    From C2 q(alpha1) = 20, where it is 5e8, the exponential is continued by its parabola.
 
     Parameters
     ----------
     C1 : float [Pa]
         Positive.
     C2 : float
-        How fast it stiffens; positive.
+        Rate of stiffening; positive.
     C3 : float [Pa]
-        Of the term that does not stiffen; not negative.
+        Coefficient of the term without stiffening; not negative.
     alpha1, alpha2 : float
-        Real; not zero, from -100 to 100.
+        Exponents; nonzero, from -100 to 100.
     density, poisson, bulk
         As for `Material`.
     """
@@ -224,24 +229,24 @@ class Exponential(_Stiffening):
 
 @dataclass(frozen=True, kw_only=True)
 class Logarithmic(_Stiffening):
-    """The logarithmic law of soft tissue, equation (19), of limited stretch (Gao, Lister, Desai, as above).
+    """Logarithmic law of soft tissue, equation (19), of limited stretch (Gao, Lister, Desai, as above).
 
     W = -C1 ln(1 - C2 q(alpha1)) + C3 q(alpha2) + lame / 2 (J - 1)^2,  q(a) = l1^a + l2^a + l3^a - 3 - a ln J,
     shear modulus (C1 C2 alpha1^2 + C3 alpha2^2) / 2.
 
-    From 95 % of the limit C2 q(alpha1) = 1 on the logarithm is continued by its parabola, 400 times as stiff as at
-    rest, so that energy and stress are finite everywhere.
+    From 95 % of the limit C2 q(alpha1) = 1 the logarithm is continued by its parabola, 400 times as
+    stiff as at rest, so that energy and stress are finite everywhere.
 
     Parameters
     ----------
     C1 : float [Pa]
         Positive.
     C2 : float
-        One over the limit of q(alpha1); positive.
+        Reciprocal of the limit of q(alpha1); positive.
     C3 : float [Pa]
-        Of the term that does not stiffen; not negative.
+        Coefficient of the term without stiffening; not negative.
     alpha1, alpha2 : float
-        Real; not zero, from -100 to 100.
+        Exponents; nonzero, from -100 to 100.
     density, poisson, bulk
         As for `Material`.
     """
@@ -292,6 +297,6 @@ class Logarithmic(_Stiffening):
         )
 
 
-def _not_zero(name: str, exponent: float) -> None:
+def _check_nonzero(name: str, exponent: float) -> None:
     if exponent == 0:
-        raise InputError(f"{name} = 0 is out of range: allowed are numbers from {-STEEPEST:g} to {STEEPEST:g} but zero")
+        raise InputError(f"{name} must be nonzero and in [{-MAX_EXPONENT:g}, {MAX_EXPONENT:g}], got 0")

@@ -1,18 +1,19 @@
-"""How a law holds its volume: the three usual forms of U(J), by name.
+"""Volumetric energies U(J): three usual forms.
 
-Each is U(J) = lame / 2 g(J)^2 with a measure g of the volume's change, g = 0 and g' = 1 at rest, so that all have one
-bulk modulus there:
+Each is U(J) = lame / 2 g(J)^2 with a measure g of the change of volume. g = 0 and g' = 1 at rest,
+so that all have the same bulk modulus there:
 
     quadratic     g = J - 1                                U = lame / 2 (J - 1)^2
     logarithmic   g = ln J                                 U = lame / 2 (ln J)^2
     mixed         g = +- sqrt((J^2 - 1) / 2 - ln J)        U = lame / 4 (J^2 - 1 - 2 ln J)
 
-The first is the law's of the paper. The second (Hencky) and the third (Simo, Taylor, Comput. Methods Appl. Mech. Eng.
-51, 1985) have no finite energy at J = 0; of the second p = U'(J) falls again beyond J = e. A squared measure is what a
-smoothing and a few moments can be taken of, so that the energy stays one (`palpate.dynamics.solid.energy_form`).
+The first is the paper's. The second (Hencky) and the third (Simo, Taylor, Comput. Methods Appl.
+Mech. Eng. 51, 1985) have infinite energy at J = 0. The pressure p = U'(J) of the second decreases
+beyond J = e. The measure g can be smoothed and sampled, and its square remains an energy
+(`palpate.dynamics.solid.energy_form`).
 
-The functions take x = J - 1, of which nothing is lost near rest, are inlined in the compiled kernels, and take whole
-arrays elsewhere.
+The functions take x = J - 1, which avoids cancellation near rest. The compiled kernels inline
+them; elsewhere they are called with arrays.
 """
 
 from __future__ import annotations
@@ -29,17 +30,17 @@ __all__ = ["FORMS", "QUADRATIC", "Volumetric", "volumetric_form"]
 
 @dataclass(frozen=True)
 class Volumetric:
-    """A form of U(J).
+    """Form of U(J).
 
     Parameters
     ----------
     name : str
     formula : str
-        U over lame.
+        U / lame.
     measure : function
-        Of J - 1: g and g'(J).
+        Returns g and g'(J) for J - 1.
     pressure : function
-        Of J - 1: U'(J) / lame and U''(J) / lame.
+        Returns U'(J) / lame and U''(J) / lame for J - 1.
     """
 
     name: str
@@ -67,11 +68,11 @@ def _logarithmic_pressure(x):  # type: ignore[no-untyped-def]
 
 
 def _mixed_measure(x):  # type: ignore[no-untyped-def]
-    # g^2 = x^2 (1/2 + (x - ln(1 + x)) / x^2), where near rest a series takes the place of the difference
+    # g^2 = x^2 (1/2 + (x - ln(1 + x)) / x^2), with a series for the difference near rest
     series = 1 / 2 - x * (1 / 3 - x * (1 / 4 - x * (1 / 5 - x * (1 / 6 - x * (1 / 7 - x * (1 / 8 - x / 9))))))
-    near = np.abs(x) < 0.02
-    safe = np.where(near, 1.0, x)
-    root = np.sqrt(0.5 + np.where(near, series, (safe - np.log1p(safe)) / (safe * safe)))
+    small = np.abs(x) < 0.02
+    safe = np.where(small, 1.0, x)
+    root = np.sqrt(0.5 + np.where(small, series, (safe - np.log1p(safe)) / (safe * safe)))
     return x * root, 0.5 * (2.0 + x) / ((1.0 + x) * root)
 
 
@@ -97,8 +98,8 @@ def volumetric_form(name: str) -> Volumetric:
     Raises
     ------
     InputError
-        Names the forms.
+        The name is unknown.
     """
     if not isinstance(name, str) or name not in FORMS:
-        raise InputError(f"volumetric = {brief(name)}: allowed are {', '.join(map(repr, FORMS))}")
+        raise InputError(f"volumetric must be one of {', '.join(map(repr, FORMS))}, got {brief(name)}")
     return FORMS[name]

@@ -53,9 +53,9 @@ def test_the_report_is_the_fit(left):
 
 
 def test_a_law_that_stiffens_less_than_the_tissue_is_said_to_miss(left):
-    assert [remark.split(" in a pattern")[0] for remark in left[1]["remarks"]] == [
-        "the law misses liver_synthetic_uniaxial, uniaxial",
-        "the law misses liver_synthetic_shear, simple shear",
+    assert [remark.split(" are systematic")[0] for remark in left[1]["remarks"]] == [
+        "the residuals of liver_synthetic_uniaxial, uniaxial",
+        "the residuals of liver_synthetic_shear, simple shear",
     ]
 
 

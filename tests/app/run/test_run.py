@@ -14,7 +14,7 @@ from palpate.app.cli import main
 from palpate.app.common.report import REPORTS
 from palpate.app.models.quick_training import train
 from palpate.app.run.realtime import FILES
-from palpate.scenes.beam import COARSEST, beam
+from palpate.scenes.beam import MAX_SPACING, beam
 from palpate.scenes.grasp import GROUP, Hand, grasped_beam
 
 RUN = ["run", "beam"]
@@ -88,7 +88,7 @@ def test_one_run_leaves_trajectories_and_a_report(tmp_path, capsys, monkeypatch,
     monkeypatch.setattr("palpate.app.run.command.beam", lambda **given: replace(beam(**given), duration=0.05))
     (tmp_path / "reduced.h5").write_text("of an earlier run")
     options = [] if modes is None else ["--modes", str(modes)]
-    done = main([*RUN, "--spacing", str(COARSEST), "--load", "5", *options, "--json", "--out", str(tmp_path)])
+    done = main([*RUN, "--spacing", str(MAX_SPACING), "--load", "5", *options, "--json", "--out", str(tmp_path)])
     assert done == 0
     report = json.loads(capsys.readouterr().out)
     assert report == json.loads((tmp_path / "report.json").read_text())

@@ -383,19 +383,19 @@ def test_moments_are_kept_in_files_and_joined(cube, tmp_path):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: pt.tools.Sphere(-1.0), r"radius of a Sphere = -1.0 is out of range"),
+        (lambda: pt.tools.Sphere(-1.0), r"radius of a Sphere must be .*, got -1.0"),
         (lambda: pt.tools.Sphere(np.nan), "radius of a Sphere"),
         (lambda: pt.tools.Capsule(0.01, 0.0), "length of a Capsule"),
         (lambda: pt.tools.Punch(0.01, 0.02), "rounding of a Punch"),
         (lambda: pt.tools.Contact("ball", (0, 0, 0)), "'tool': 'ball' is no tool"),
-        (lambda: pt.tools.Contact(BALL, (0, 0, 0), -0.1), "friction of Contact 'tool' = -0.1"),
+        (lambda: pt.tools.Contact(BALL, (0, 0, 0), -0.1), "friction of Contact 'tool' must be .*, got -0.1"),
         (lambda: pt.tools.Contact(BALL, lambda t: (np.nan, 0, 0)), "'tool' is not finite at t = 0"),
         (lambda: pt.tools.Contact(BALL, lambda t: (0, 0)), r"'tool' must be a position \(3,\)"),
         (lambda: pt.tools.Contact(BALL, lambda t: (TOP * 2, (0, 0, 0, 0))), "length 0 is no rotation"),
         (lambda: pt.tools.Contact(BALL, lambda t: (TOP * 2, (0, np.inf, 0))), "a rotation is a finite vector"),
         (lambda: pt.tools.Contact(BALL, ([0, 1], np.zeros((3, 3)))), "do not fit"),
         (lambda: pt.tools.Contact(BALL, ([1, 0], np.zeros((2, 3)))), "times must ascend"),
-        (lambda: pt.tools.Contact(BALL, 2 * TOP, group="top"), "unknown group 'top'"),
+        (lambda: pt.tools.Contact(BALL, 2 * TOP, group="top"), "group must be one of .*, got 'top'"),
         (lambda: pt.tools.Contact(BALL, 2 * TOP, name="z-"), "'z-': a support or a driven group has that name"),
         (
             lambda: pt.tools.Contact(pt.tools.Sphere(0.004), 2 * TOP),

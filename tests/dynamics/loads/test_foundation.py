@@ -69,9 +69,9 @@ def test_a_patch_of_several_faces_has_all_their_areas(small_cloud, tissue):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: pt.Foundation("z-", -1.0), "stiffness of Foundation on 'z-' = -1.0"),
+        (lambda: pt.Foundation("z-", -1.0), "stiffness of Foundation on 'z-' must be .*, got -1.0"),
         (lambda: pt.Foundation("z-", 1.0, np.nan), "damping of Foundation on 'z-'"),
-        (lambda: pt.Foundation("top", 1.0), "unknown group 'top'"),
+        (lambda: pt.Foundation("top", 1.0), "group must be one of .*, got 'top'"),
         (lambda: pt.Foundation("inside", 1.0), "'inside': nodes 21.* not on the surface"),
     ],
 )

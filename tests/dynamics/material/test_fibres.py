@@ -137,7 +137,7 @@ def test_what_cannot_have_fibres_is_refused():
         block(fibres, pt.materials.LinearElastic(mu=1e3, **REST))
     with pytest.raises(pt.InputError, match=r"give palpate\.Fibres"):
         block(X)
-    with pytest.raises(pt.InputError, match="7 nodes, and the body has 100"):
+    with pytest.raises(pt.InputError, match="must have 100 nodes, as the body, got 7"):
         block(pt.materials.Fibres(**HGO, directions=np.tile(X, (7, 1))))
     with pytest.raises(pt.InputError, match="unit vectors"):
         block(pt.materials.Fibres(**HGO, directions=lambda points: points))

@@ -116,7 +116,7 @@ def test_vibration_modes_are_those_of_the_stiffer_body():
     ("stiffness", "message"),
     [
         ({"nowhere": 2.0}, "nowhere"),
-        ({"x+": 0.0}, r"stiffness\['x\+'\] = 0"),
+        ({"x+": 0.0}, r"stiffness\['x\+'\] must be .*, got 0"),
         ({"x+": np.nan}, r"stiffness\['x\+'\]"),
         (np.ones(3), "one a node"),
         (-np.ones(625), "positive numbers"),

@@ -110,13 +110,13 @@ def test_an_initial_value_that_is_not_finite_is_named_by_its_node(energetic, red
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"every": 5e-324}, "start = 0.0 is out of range|makes inf snapshots"),
+        ({"every": 5e-324}, "start must be|makes inf snapshots"),
         ({"every": 1e-12}, "makes 1e\\+09 snapshots of .* MB"),
         ({"duration": 1e9, "every": 1e-2}, "makes 1e\\+11 snapshots"),
-        ({"start": 1e20}, "start = 1e\\+20 is out of range"),
-        ({"start": np.nan}, "start = nan is out of range"),
+        ({"start": 1e20}, "start must be .*, got 1e\\+20"),
+        ({"start": np.nan}, "start must be .*, got nan"),
         ({"start": 10**400}, "start must be a number"),
-        ({"step": 1e-300}, "step = 1e-300 is out of range"),
+        ({"step": 1e-300}, "step must be .*, got 1e-300"),
         ({"start": 4e5, "step": 1e-9}, "too far from 0 for steps of 1e-09 s"),
     ],
 )
@@ -136,7 +136,7 @@ def test_snapshots_that_memory_does_not_hold_are_refused(energetic, monkeypatch)
     "given", [{"C1": 1e-300}, {"C1": 5e-324}, {"density": 5e-324}, {"C1": 1e300}, {"density": 1e300}]
 )
 def test_bodies_beyond_double_precision_are_refused(form, given, small_cloud):
-    with pytest.raises(pt.InputError, match=r"highest frequency of the body must be|out of range"):
+    with pytest.raises(pt.InputError, match=r"must be"):
         pt.Solid(
             small_cloud, pt.materials.NeoHookean(**({"C1": 5e3, "density": 1e3, "poisson": 0.45} | given)), form=form
         )

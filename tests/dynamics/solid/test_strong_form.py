@@ -221,13 +221,13 @@ def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(poisson, wave):
     ("arguments", "message"),
     [
         ({"pressure": "mixed"}, "pressure = 'mixed': allowed are 'split' and 'direct'"),
-        ({"half_cell": 0.5}, r"half_cell = 0.5 is out of range: allowed is \[1, 4\]"),
-        ({"neighbours": 9}, "neighbours = 9 is out of range"),
-        ({"smoothing": 4}, "smoothing = 4 is out of range"),
-        ({"stiffness_damping": -1e-5}, "viscosity = -1e-05 is out of range"),
-        ({"stiffness_damping": np.nan}, "viscosity = nan is out of range"),
-        ({"fixed": "left"}, "unknown group 'left'"),
-        ({"fixed": ("x-", "left")}, "unknown group 'left'"),
+        ({"half_cell": 0.5}, r"half_cell must be in \[1, 4\], got 0.5"),
+        ({"neighbours": 9}, "neighbours must be .*, got 9"),
+        ({"smoothing": 4}, "smoothing must be .*, got 4"),
+        ({"stiffness_damping": -1e-5}, "viscosity must be .*, got -1e-05"),
+        ({"stiffness_damping": np.nan}, "viscosity must be .*, got nan"),
+        ({"fixed": "left"}, "group must be one of .*, got 'left'"),
+        ({"fixed": ("x-", "left")}, "group must be one of .*, got 'left'"),
     ],
 )
 def test_a_model_refuses_arguments_by_name(small_cloud, tissue, arguments, message):

@@ -90,7 +90,7 @@ def test_truncating_keeps_the_first_modes(snapshots, weights):
         np.eye(3),
         atol=1e-9,
     )
-    with pytest.raises(pt.InputError, match="modes = 9 is out of range"):
+    with pytest.raises(pt.InputError, match=r"modes must be .*, got 9"):
         basis.truncated(9)
 
 
@@ -118,10 +118,10 @@ def test_many_snapshots_of_many_nodes_stay_in_memory():
         ({}, "either modes or tolerance"),
         ({"modes": 3, "tolerance": 0.1}, "either modes or tolerance"),
         ({"modes": 13}, "modes = 13: the 12 snapshots hold only 12 independent shapes"),
-        ({"modes": 0}, "modes = 0 is out of range"),
-        ({"modes": 2.5}, "modes = 2.5 is out of range"),
-        ({"tolerance": 0.0}, "tolerance = 0.0 is out of range"),
-        ({"tolerance": 1.5}, "tolerance = 1.5 is out of range"),
+        ({"modes": 0}, "modes must be .*, got 0"),
+        ({"modes": 2.5}, "modes must be .*, got 2.5"),
+        ({"tolerance": 0.0}, "tolerance must be .*, got 0.0"),
+        ({"tolerance": 1.5}, "tolerance must be .*, got 1.5"),
         ({"modes": 1, "snapshots": np.zeros((4, 30, 3))}, "all snapshots are zero"),
         ({"modes": 1, "snapshots": np.full((4, 30, 3), np.nan)}, "snapshots are not finite"),
         ({"modes": 1, "snapshots": np.ones((4, 29, 3))}, r"shape \(4, 29, 3\); this body needs \(L, 30, 3\)"),

@@ -343,7 +343,7 @@ def test_a_grasp_of_what_is_fixed_or_of_nothing_is_refused(pressed):
         pt.rollout(model, [pt.tools.Grasp((0.0, 0.0, 0.0), 0.01, (0.0, 0.0, 0.0))], duration=0.01, every=0.01)
     with pytest.raises(pt.InputError, match="'z\\+' is a group of the body"):
         pt.rollout(model, [replace(grasped()[0], name="z+")], duration=0.01, every=0.01)
-    with pytest.raises(pt.InputError, match="holds no node"):
+    with pytest.raises(pt.InputError, match=r"must hold a node|must reach a node"):
         pt.rollout(model, [pt.tools.Grasp((0.03, 0.03, 0.05), 0.001, (0.03, 0.03, 0.05))], duration=0.01, every=0.01)
 
 

@@ -164,9 +164,9 @@ def test_directions_that_are_none_are_refused(directions):
         ({"bulk": "5"}, "bulk must be a number, got '5'"),
         ({"density": True}, "density must be a number, got True"),
         ({"C1": 10**400}, "C1 must be a number"),
-        ({"C1": 1.7e308}, "shear modulus at rest = inf is out of range"),
-        ({"volumetric": []}, r"volumetric = \[\]: allowed are"),
-        ({"split": {}}, r"split = \{\}: allowed are"),
+        ({"C1": 1.7e308}, "shear modulus at rest must be .*, got inf"),
+        ({"volumetric": []}, r"volumetric must be one of .*, got \[\]"),
+        ({"split": {}}, r"split must be .*, got \{\}"),
         ({"energy": 1.0}, "NeoHookean has the parameters"),
     ],
 )
@@ -178,14 +178,14 @@ def test_a_value_out_of_place_is_named(parameters, message):
 
 def test_terms_and_branches_are_counted():
     rest = said_of(pt.materials.Ogden(C=1e3, alpha=2.0, **REST))[1]
-    with pytest.raises(pt.InputError, match="C has 5000 terms; 16 are allowed"):
+    with pytest.raises(pt.InputError, match="C must have at most 16 terms, got 5000"):
         material_of("Ogden", rest | {"C": [1e3] * 5000, "alpha": [2.0] * 5000}, "", {})
-    with pytest.raises(pt.InputError, match="shares has 5000 branches; 64 are allowed"):
+    with pytest.raises(pt.InputError, match="shares must have at most 64 branches, got 5000"):
         material_of("Ogden", rest, "", {"shares": [0.1] * 5000, "times": [0.1] * 5000})
 
 
 def test_a_law_of_a_file_is_refused_like_one_that_is_written():
-    with pytest.raises(pt.InputError, match=r"energy is \['I1bar'\]: write it down as text"):
+    with pytest.raises(pt.InputError, match=r"energy must be text, got \['I1bar'\]"):
         material_of("Hyperelastic", {}, ["I1bar"], {})
-    with pytest.raises(pt.InputError, match="which no energy may have"):
+    with pytest.raises(pt.InputError, match="must be an expression of"):
         material_of("Hyperelastic", {}, "().__class__ + I1bar", {})

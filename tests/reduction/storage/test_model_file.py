@@ -134,8 +134,8 @@ def test_a_model_is_loaded_with_its_step_rule_and_precision(trained, path, push,
 
 @pytest.mark.parametrize("step", [-1e-3, np.nan, np.inf])
 def test_a_step_that_no_model_has_is_not_saved(trained, path, step):
-    with pytest.raises(pt.InputError, match=r"step = .* is out of range"):
-        pt.save(ReducedModel(trained.data, step=step), path)
+    with pytest.raises(pt.InputError, match=r"step must be .*, got .*"):
+        storage.save(trained.data, path, step=step)
     assert not path.exists()
 
 
@@ -335,7 +335,7 @@ CASES = {
     "an attribute of another type": (attribute("modes", "four"), "header modes must be of type int, got 'four'"),
     "a precision that is no yes or no": (attribute("single", 2), "header single must be of type bool, got 2"),
     "a witness too many": (attribute("residual_fields", 9), "array columns has shape"),
-    "no modes": (attribute("modes", 0), "modes = 0 is out of range"),
+    "no modes": (attribute("modes", 0), "modes must be .*, got 0"),
     "a column too few": (put("basis_vectors", lambda a: a[1:]), r"columns has shape \(23, 112, 3\) .* \(24, 112, 3\) of <f4"),
     "columns of fewer nodes": (put("basis_vectors", lambda a: a[:, 1:]), r"shape \(24, 111, 3\) .* expected \(24, 112, 3\)"),
     "columns in double precision": (put("basis_vectors", lambda a: a.astype(float)), "of <f8, expected .* of <f4"),
@@ -355,17 +355,17 @@ CASES = {
     "a report nested deeply": (attribute("report", "[" * 100_000), "nested levels"),
     "a report without end": (attribute("report", '{"a": 1e999}'), "not valid JSON"),
     "fewer groups": (attribute("groups", ["x-", "tip"]), r"group_sizes has shape \(7,\) .* expected \(2\)"),
-    "an unknown material": (attribute("material", "Jelly"), "unknown material 'Jelly': the laws are ArrudaBoyce, Exp"),
+    "an unknown material": (attribute("material", "Jelly"), "unknown material 'Jelly': the laws are "),
     "no material": (attribute("material", "Material"), "unknown material 'Material'"),
     "a module's name": (attribute("material", "np"), "unknown material 'np'"),
     "another law": (attribute("material", "NeoHookean"), "NeoHookean has the parameters"),
     "a parameter out of range": (
         parameters("20000.0", "-1.0"),
-        "C1 = -1.0 is out of range",
+        "C1 must be .*, got -1.0",
     ),
     "a bulk modulus of another Poisson's ratio": (
         parameters("0.45", "0.44"),
-        "poisson = 0.44 makes bulk = 200000 Pa, not 241667",
+        "bulk must be 200000 Pa with poisson = 0.44, got 241667",
     ),
     "a parameter that is no number": (
         parameters("20000.0", '"a"'),
@@ -380,27 +380,27 @@ CASES = {
     "triangles out of range": (entry("cloud/triangles", (0, 1), 10**9), "triangles names nodes outside"),
     "groups that overlap": (entry("cloud/group_sizes", 0, 1), "group_sizes does not share out"),
     "an empty group": (put("cloud/group_sizes", lambda a: [0, a[0] + a[1], *a[2:]]), "group_sizes does not share out"),
-    "a support that is no group": (attribute("fixed", ["w-"]), "unknown group 'w-'"),
+    "a support that is no group": (attribute("fixed", ["w-"]), "group must be one of .*, got 'w-'"),
     "fibres of an unknown law": (attribute("fibres", '{"law": "Hair"}'), "unknown law of fibres 'Hair'"),
     "fibres that are code": (attribute("fibres", "exit()"), "header fibres: this is not valid JSON"),
     "fibres without a parameter": (attribute("fibres", '{"law": "Fibres", "k1": 1.0}'), "fibres of Fibres have"),
     "fibres without a law": (attribute("fibres", "{}"), "directions of fibres, but no law"),
-    "directions of no length": (entry("fibres/directions", (0, 3), 0.0), "unit vectors; one at nodes 3 has length 0"),
+    "directions of no length": (entry("fibres/directions", (0, 3), 0.0), "unit vectors, got a length of 0 at nodes 3"),
     "directions for fewer nodes": (put("fibres/directions", lambda a: a[:, 1:]), r"shape \(1, 111, 3\) .* expected"),
-    "no directions": (put("fibres/directions", lambda a: a[:0]), r"have shape \(0, 112, 3\)"),
+    "no directions": (put("fibres/directions", lambda a: a[:0]), r"must have shape .*, got \(0, 112, 3\)"),
     "a touched node twice": (put("compliance/nodes", lambda a: [a[0], *a[:-1]]), "compliance/nodes names a node twice"),
     "inner nodes out of range": (entry("interior/nodes", -1, 112), r"interior/nodes names nodes outside 0\.\.111"),
     "what follows nothing": (entry("interior/sources", (0, 0), 5000), "interior/sources names more than 5 nodes inside"),
     "half a node": (put("interior/flexibility", lambda a: a[:, 1:]), "holds 14 columns, not 3 a node"),
     "forces of other carriers": (put("interior/flexibility", lambda a: a[1:]), r"\(11, 15\) .* expected \(12, moved"),
-    "a surface that tells nothing": (entry("interior/factor", 0, 0.0), "interior/factor = 0.* is out of range"),
+    "a surface that tells nothing": (entry("interior/factor", 0, 0.0), "interior/factor must be .*, got 0.*"),
     "inner nodes alone": (lambda header, arrays: arrays.pop("interior/shares"), "array interior/shares is missing"),
-    "a tool that is no group": (attribute("prescribed", ["w+"]), "unknown group 'w\\+'"),
+    "a tool that is no group": (attribute("prescribed", ["w+"]), "group must be one of .*, got 'w\\+'"),
     "volumes that are not positive": (entry("volumes", 3, 0.0), "volumes holds volumes that are not positive"),
     "a node without volume": (entry("cloud/volumes", 3, 0.0), "volumes must be positive"),
     "columns that are all zero": (entry("basis_vectors", slice(None), 0.0), "Singular matrix"),
     **{
-        f"{name} out of range": (attribute(name, value), f"{name} = .* is out of range")
+        f"{name} out of range": (attribute(name, value), f"{name} must be .*, got .*")
         for name, value in {"distance_scale": 0.0, "spacing": 0.0, "stiffness_damping": -1.0, "wave_speed": -0.1, "residual": -1.0,
                             "residual_scale": 0.0, "step": -1e-3, "residual_fields": -1}.items()
     },

@@ -100,5 +100,5 @@ def test_a_rule_that_fails_is_not_taken(rom, monkeypatch):
 
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"tolerance": 2.0}, {"repeats": 0}, {"duration": -1.0}])
 def test_bad_arguments_are_named(rom, options):
-    with pytest.raises(pt.InputError, match=f"{next(iter(options))} = .* is out of range"):
+    with pytest.raises(pt.InputError, match=f"{next(iter(options))} must be .*, got .*"):
         pt.select_time_step(rom, LOADS, **{"duration": DURATION} | options)

@@ -67,7 +67,7 @@ def check(
         There is no such file.
     """
     check_folder(out)
-    surface = read_surface(file, part=part, units=units, mend=repair)
+    surface = read_surface(file, part=part, units=units, repair=repair)
     console = Console()
     with console.status("examining the surface"):
         found = check_surface(surface)

@@ -11,7 +11,7 @@ from palpate.app.run.realtime import Poses, run_realtime
 from palpate.faults import integer_in_range
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
-from palpate.scenes.beam import COARSEST
+from palpate.scenes.beam import MAX_SPACING
 from palpate.scenes.grasp import Hand, grasped_beam
 from palpate.scenes.scene import TrainingScene
 
@@ -25,7 +25,7 @@ SEED, SLOW = 1000, 3.0  # seed and duration [s] of a motion of the tool that was
 def run_grasp(
     *,
     modes: int = 24,
-    spacing: float = COARSEST,
+    spacing: float = MAX_SPACING,
     poisson: float = 0.45,
     model: Path | None = None,
     **options: Any,

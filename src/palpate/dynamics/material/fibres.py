@@ -17,7 +17,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit, rename_for
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.faults import InputError
-from palpate.tissue.fibres import LEAST, FibreLaw
+from palpate.tissue.fibres import MIN_VOLUME_RATIO, FibreLaw
 from palpate.tissue.materials import Material
 
 __all__ = ["BARE", "Families", "FibrePoints", "always_taut", "fibre_points", "lay_out_fibres", "prepare_fibres"]
@@ -94,7 +94,7 @@ def _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8):  # type: ignore[no-untyped-de
         F[0] * F[2] + F[3] * F[5] + F[6] * F[8], F[1] * F[2] + F[4] * F[5] + F[7] * F[8],
     )  # fmt: skip
     J = F[0] * cofactor[0] + F[1] * cofactor[1] + F[2] * cofactor[2]
-    large = max(J, LEAST)
+    large = max(J, MIN_VOLUME_RATIO)
     root = np.cbrt(large)
     power = 1.0 / (root * root)
     slope = -2.0 / 3.0 * power / large
@@ -114,7 +114,7 @@ def fibre_points(fibres: FibreLaw | None) -> FibrePoints:
 @cache
 def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
     """Compile the points of a law with some number of families."""
-    digest = law_digest(__name__, "fibres", law.respond, count, LEAST)
+    digest = law_digest(__name__, "fibres", law.respond, count, MIN_VOLUME_RATIO)
     respond = register_jitable(rename_for(digest, law.respond))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)

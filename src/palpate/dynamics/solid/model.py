@@ -28,7 +28,7 @@ from palpate.dynamics.solid.energy_form import EnergyBody, energy_work, solid_en
 from palpate.dynamics.solid.strong_form import Body, solid, workspace
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.consistent import balanced_stencils
+from palpate.meshfree.consistent import consistent_stencils
 from palpate.meshfree.patches import surface_patches
 from palpate.meshfree.quadrature import conservative_smoothing
 from palpate.meshfree.stencils import Stencils, moving_least_squares
@@ -137,7 +137,7 @@ class Solid(NodalModel):
         smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
         if self.conservative:
             choices = NEIGHBOURS if neighbours is None else (neighbours,)
-            self.neighbours, self.stencils, self._volumes, self._lattice = balanced_stencils(cloud, choices)
+            self.neighbours, self.stencils, self._volumes, self._lattice = consistent_stencils(cloud, choices)
             self._prepare_energy(smoother)
             self.stiffness_damping = 0.0
             highest = resting_frequency(self)

@@ -1,4 +1,4 @@
-"""What the readers of surface files share: bounded numbers, counts and polygons."""
+"""Shared helpers of the surface readers: bounded numbers, counts and polygons."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError, InputError
 from palpate.files import shortened
-from palpate.meshfree.surfaces import MOST_TRIANGLES
+from palpate.meshfree.surfaces import MAX_TRIANGLES
 
-__all__ = ["Floats", "Ints", "Parts", "count_of", "fans", "numbers", "strips", "whole_numbers", "word"]
+__all__ = ["Parts", "check_indices", "fans", "printable_word", "read_count", "read_numbers", "strips"]
 
 Parts = dict[str, Callable[[], tuple[Floats, Ints]]]  # vertices and triangles by the part's name, made when called
 
-LARGEST_INDEX = 2**31
+MAX_INDEX = 2**31
 
 
-def word(text: bytes) -> str:
+def printable_word(text: bytes) -> str:
     """Return a word of a file for a message."""
     return repr(shortened(text.decode("utf-8", "replace"), 30))
 
 
-def count_of(text: bytes | str, what: str, most: int) -> int:
-    """Return a count written in decimal digits, at most `most`: what the size of the file has room for."""
+def read_count(text: bytes | str, what: str, most: int) -> int:
+    """Return a count in decimal digits, at most `most`, the limit set by the file size."""
     text = text.encode("utf-8", "replace") if isinstance(text, str) else text
     if not re.fullmatch(rb"\d{1,18}", text):
-        raise FileFormatError(f"the number of {what} must be a whole number, got {word(text)}")
+        raise FileFormatError(f"the number of {what} must be an integer, got {printable_word(text)}")
     count = int(text)
-    if what == "triangles" and count > MOST_TRIANGLES:
-        raise too_many(count)
+    if what == "triangles" and count > MAX_TRIANGLES:
+        raise triangle_count_error(count)
     if count > most:
-        raise FileFormatError(f"it states {count} {what} and has room for {most}")
+        raise FileFormatError(f"the number of {what} must be at most {most} for the size of the file, got {count}")
     return count
 
 
-def too_many(count: int) -> InputError:
-    """Return the error of a file of too many triangles."""
+def triangle_count_error(count: int) -> InputError:
+    """Return the error of a file with too many triangles."""
     return InputError(
-        f"it has {count} triangles; at most {MOST_TRIANGLES} are read; decimate it first (30,000 are enough)"
+        f"it has {count} triangles; at most {MAX_TRIANGLES} are read; decimate it first (30,000 are enough)"
     )
 
 
-def numbers(text: bytes) -> Floats:
-    """Return the numbers of a text, which are separated by white space."""
+def read_numbers(text: bytes) -> Floats:
+    """Return the numbers of a text, separated by white space."""
     if not text.strip():
         return np.zeros(0)
     try:
@@ -59,13 +59,13 @@ def numbers(text: bytes) -> Floats:
         raise FileFormatError("it holds text where numbers are required") from None
 
 
-def whole_numbers(values: NDArray[Any], what: str) -> Ints:
-    """Return whole numbers from 0 to 2^31 as they are, and refuse others."""
-    if values.size and not (values.min() >= 0 and values.max() < LARGEST_INDEX):  # false of NaN, too
-        raise FileFormatError(f"its {what} must be from 0 to {LARGEST_INDEX - 1}")
+def check_indices(values: NDArray[Any], what: str) -> Ints:
+    """Return integer indices in [0, 2^31); raise `FileFormatError` for other values."""
+    if values.size and not (values.min() >= 0 and values.max() < MAX_INDEX):  # false of NaN, too
+        raise FileFormatError(f"its {what} must be from 0 to {MAX_INDEX - 1}")
     whole = values.astype(np.int64)
     if values.dtype.kind == "f" and np.any(whole != values):
-        raise FileFormatError(f"its {what} must be whole numbers")
+        raise FileFormatError(f"its {what} must be integers")
     return whole
 
 
@@ -79,24 +79,24 @@ def fans(corners: Ints, sizes: Ints) -> Ints:
     sizes : (p,) array
         Numbers of corners, c in all; polygons of fewer than three have no triangles.
     """
-    first, k = _within(corners, sizes)
+    first, k = _fan_indices(corners, sizes)
     return np.column_stack([corners[first], corners[first + k + 1], corners[first + k + 2]])
 
 
 def strips(corners: Ints, sizes: Ints) -> Ints:
     """Return the triangles (t, 3) of strips, every other one turned; parameters as of `fans`."""
-    first, k = _within(corners, sizes)
+    first, k = _fan_indices(corners, sizes)
     at, odd = first + k, k % 2
     return np.column_stack([corners[at], corners[at + 1 + odd], corners[at + 2 - odd]])
 
 
-def _within(corners: Ints, sizes: Ints) -> tuple[Ints, Ints]:
-    """First corner of each triangle's polygon, and the triangle's number in it."""
+def _fan_indices(corners: Ints, sizes: Ints) -> tuple[Ints, Ints]:
+    """Return the first corner of each triangle's polygon, and the triangle's index in it."""
     if sizes.sum() != len(corners):
         raise FileFormatError(f"its polygons have {sizes.sum()} corners in all, but {len(corners)} are given")
     count = np.maximum(sizes - 2, 0)
     total = int(count.sum())
-    if total > MOST_TRIANGLES:
-        raise too_many(total)
+    if total > MAX_TRIANGLES:
+        raise triangle_count_error(total)
     first = np.repeat(np.cumsum(sizes) - sizes, count)
     return first, np.arange(total) - np.repeat(np.cumsum(count) - count, count)

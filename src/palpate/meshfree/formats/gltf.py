@@ -12,17 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError, InputError
 from palpate.files import json_of
-from palpate.meshfree.formats.common import Floats, Ints, Parts, fans, strips, whole_numbers
+from palpate.meshfree.formats.common import Parts, check_indices, fans, strips
 
 __all__ = ["read_glb", "read_gltf"]
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives
-PLACING = {"matrix", "rotation", "scale", "translation"}
-LARGEST = 2**40  # bytes
+TRANSFORM_KEYS = {"matrix", "rotation", "scale", "translation"}
+MAX_BYTES = 2**40  # bytes
 
 
 def read_glb(data: bytes) -> Parts:
@@ -55,14 +56,14 @@ def _parts(text: bytes, binary: bytes | None) -> Parts:
         raise FileFormatError("its JSON must be an object")
     file = _GltfFile(content, binary)
     parts: Parts = {}
-    for number, matrix in _placed(file):
+    for number, matrix in _scene_meshes(file):
         mesh = file.entry("meshes", number)
         primitives = [
-            each for each in _dicts(mesh, "primitives") if each.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN)
+            each for each in _object_list(mesh, "primitives") if each.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN)
         ]
         if primitives:
             name = str(mesh.get("name", f"mesh {number}"))
-            parts[_unused(name, parts)] = partial(_joined, file, primitives, matrix)
+            parts[_unused(name, parts)] = partial(_join_primitives, file, primitives, matrix)
     return parts
 
 
@@ -86,7 +87,7 @@ class _GltfFile:
 
     def entry(self, table: str, number: Any) -> dict[str, Any]:
         if table not in self.tables:
-            self.tables[table] = _dicts(self.content, table)
+            self.tables[table] = _object_list(self.content, table)
         rows = self.tables[table]
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(rows):
             raise FileFormatError(f"it names {table}[{number!r:.30}] and has {len(rows)}")
@@ -105,7 +106,7 @@ class _GltfFile:
                     raise FileFormatError(f"its buffer {number} is not valid base64") from None
             else:
                 raise FileFormatError(f"its buffer {number} is in another file, which is not read; export it as GLB")
-            if _whole(row, "byteLength", LARGEST) > len(found):
+            if _integer(row, "byteLength", MAX_BYTES) > len(found):
                 raise FileFormatError(f"its buffer {number} is shorter than it states")
             self.buffers[number] = found
         return self.buffers[number]
@@ -124,9 +125,9 @@ class _GltfFile:
                 raise FileFormatError("its buffers are compressed, which is not supported; export it without")
             data = self.buffer(view.get("buffer"))
             dtype = np.dtype(COMPONENTS[row["componentType"]])
-            count, size = _whole(row, "count", LARGEST), width * dtype.itemsize
-            start, length = _whole(view, "byteOffset", LARGEST, 0), _whole(view, "byteLength", LARGEST)
-            offset, stride = _whole(row, "byteOffset", LARGEST, 0), _whole(view, "byteStride", 1 << 16, size)
+            count, size = _integer(row, "count", MAX_BYTES), width * dtype.itemsize
+            start, length = _integer(view, "byteOffset", MAX_BYTES, 0), _integer(view, "byteLength", MAX_BYTES)
+            offset, stride = _integer(row, "byteOffset", MAX_BYTES, 0), _integer(view, "byteStride", 1 << 16, size)
             last = offset + stride * (count - 1) + size
             if count == 0 or stride < size or last > length or start + length > len(data):
                 raise FileFormatError(f"its accessor {number} must lie within its buffer")
@@ -138,24 +139,24 @@ class _GltfFile:
         return self.arrays[number]
 
 
-def _dicts(row: dict[str, Any], key: str) -> list[dict[str, Any]]:
+def _object_list(row: dict[str, Any], key: str) -> list[dict[str, Any]]:
     rows = row.get(key, [])
     if not isinstance(rows, list) or not all(isinstance(each, dict) for each in rows):
         raise FileFormatError(f"its {key} must be a list of objects")
     return rows
 
 
-def _whole(row: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
+def _integer(row: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
     value = row.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
         raise FileFormatError(f"its {key} must be a whole number from 0 to {most}, got {value!r:.30}")
     return value
 
 
-def _placed(file: _GltfFile) -> list[tuple[Any, Floats]]:
+def _scene_meshes(file: _GltfFile) -> list[tuple[Any, Floats]]:
     """Numbers of meshes in the scene with their matrices, each node once."""
-    nodes = _dicts(file.content, "nodes")
-    if _dicts(file.content, "scenes"):
+    nodes = _object_list(file.content, "nodes")
+    if _object_list(file.content, "scenes"):
         roots = _numbers(file.entry("scenes", file.content.get("scene", 0)), "nodes")
     else:
         children = {k for node in nodes for k in _numbers(node, "children")}
@@ -168,7 +169,7 @@ def _placed(file: _GltfFile) -> list[tuple[Any, Floats]]:
             raise FileFormatError(f"its node {number} must have one parent only")
         node = file.entry("nodes", number)
         seen.add(number)
-        matrix = above @ _matrix(node) if PLACING & node.keys() else above
+        matrix = above @ _matrix(node) if TRANSFORM_KEYS & node.keys() else above
         if "mesh" in node:
             found.append((node["mesh"], matrix))
         waiting += [(k, matrix) for k in reversed(_numbers(node, "children"))]
@@ -209,7 +210,7 @@ def _vector(node: dict[str, Any], key: str, default: list[float]) -> Floats:
     return np.array(values, dtype=float)
 
 
-def _joined(file: _GltfFile, primitives: list[dict[str, Any]], matrix: Floats) -> tuple[Floats, Ints]:
+def _join_primitives(file: _GltfFile, primitives: list[dict[str, Any]], matrix: Floats) -> tuple[Floats, Ints]:
     """The primitives of a mesh as one, in place."""
     vertices: dict[Any, Floats] = {}  # by the accessor, which primitives may share
     first: dict[Any, int] = {}
@@ -222,7 +223,7 @@ def _joined(file: _GltfFile, primitives: list[dict[str, Any]], matrix: Floats) -
         if indices is None:
             corners = np.arange(len(vertices[position]))
         else:
-            corners = whole_numbers(file.array(indices, "SCALAR"), "indices")
+            corners = check_indices(file.array(indices, "SCALAR"), "indices")
             if corners.max() >= len(vertices[position]):
                 raise FileFormatError(f"its accessor {indices} names vertices that do not exist")
         if mode == TRIANGLES:

@@ -8,9 +8,18 @@ from itertools import chain
 
 import numpy as np
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError
-from palpate.meshfree.formats.common import Floats, Ints, Parts, count_of, fans, numbers, too_many, whole_numbers, word
-from palpate.meshfree.surfaces import MOST_TRIANGLES
+from palpate.meshfree.formats.common import (
+    Parts,
+    check_indices,
+    fans,
+    printable_word,
+    read_count,
+    read_numbers,
+    triangle_count_error,
+)
+from palpate.meshfree.surfaces import MAX_TRIANGLES
 
 __all__ = ["read_obj", "read_off", "read_stl"]
 
@@ -22,8 +31,8 @@ def read_stl(data: bytes) -> Parts:
     count = int.from_bytes(data[80:84], "little")
     size = 84 + FACET.itemsize * count
     if len(data) == size:
-        if count > MOST_TRIANGLES:
-            raise too_many(count)
+        if count > MAX_TRIANGLES:
+            raise triangle_count_error(count)
         corners = np.frombuffer(data, FACET, count, 84)["corners"]
         return {"": lambda: (corners.reshape(-1, 3).astype(float), np.arange(3 * count).reshape(-1, 3))}
     if not data.lstrip()[:5].lower() == b"solid":
@@ -39,7 +48,7 @@ def read_stl(data: bytes) -> Parts:
 def _facets(text: bytes) -> tuple[Floats, Ints]:
     words = [found[1] for found in re.finditer(rb"(?i)\bvertex\s+(\S+\s+\S+\s+\S+)", text)]
     facets = len(re.findall(rb"(?i)\bendfacet\b", text))
-    vertices = numbers(b" ".join(words))
+    vertices = read_numbers(b" ".join(words))
     if not facets or len(words) != 3 * facets or len(vertices) != 9 * facets:
         raise FileFormatError(f"its {facets} facets must have three vertices of three numbers each")
     return vertices.reshape(-1, 3), np.arange(3 * facets).reshape(-1, 3)
@@ -69,7 +78,7 @@ def read_obj(data: bytes) -> Parts:
         elif words[0] == b"o":
             name = line.strip()[1:].strip().decode("utf-8", "replace")
             current = polygons.setdefault(name, [])
-    vertices = numbers(b" ".join(chain.from_iterable(points)))
+    vertices = read_numbers(b" ".join(chain.from_iterable(points)))
     if len(vertices) != 3 * len(points):
         raise FileFormatError("its vertices must have three coordinates each")
     return {name: partial(_object, vertices.reshape(-1, 3), faces) for name, faces in polygons.items() if faces}
@@ -85,21 +94,21 @@ def read_off(data: bytes) -> Parts:
     text = re.sub(rb"#[^\n]*", b"", data).strip()
     head = re.match(rb"(ST)?C?N?OFF\b", text)
     if head is None or text[head.end() :].lstrip()[:6] == b"BINARY":
-        raise FileFormatError(f"it must start with OFF, and be text; it starts with {word(text[:12])}")
+        raise FileFormatError(f"it must start with OFF, and be text; it starts with {printable_word(text[:12])}")
     lines = [line for line in text[head.end() :].splitlines() if line.strip()]
     counts = lines[0].split() if lines else []
     if len(counts) < 2:
         raise FileFormatError("the numbers of vertices and faces are missing")
-    triangles = count_of(counts[1], "triangles", len(lines) - 1)
-    v = count_of(counts[0], "vertices", len(lines) - 1 - triangles)
-    vertices = numbers(b" ".join(chain.from_iterable(line.split()[:3] for line in lines[1 : v + 1])))
+    triangles = read_count(counts[1], "triangles", len(lines) - 1)
+    v = read_count(counts[0], "vertices", len(lines) - 1 - triangles)
+    vertices = read_numbers(b" ".join(chain.from_iterable(line.split()[:3] for line in lines[1 : v + 1])))
     if len(vertices) != 3 * v:
         raise FileFormatError("its vertices must have three coordinates each")
     faces = []
     for line in lines[v + 1 : v + 1 + triangles]:
         words = line.split()
-        size = count_of(words[0], "corners of a face", len(words) - 1)
+        size = read_count(words[0], "corners of a face", len(words) - 1)
         faces.append(words[1 : size + 1])
-    corners = whole_numbers(numbers(b" ".join(chain.from_iterable(faces))), "indices")
+    corners = check_indices(read_numbers(b" ".join(chain.from_iterable(faces))), "indices")
     sizes = np.fromiter(map(len, faces), dtype=np.int64, count=len(faces))
     return {"": lambda: (vertices.reshape(-1, 3), fans(corners, sizes))}

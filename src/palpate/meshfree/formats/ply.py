@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Ints
 from palpate.faults import FileFormatError
-from palpate.meshfree.formats.common import Ints, Parts, count_of, fans, numbers, whole_numbers, word
+from palpate.meshfree.formats.common import Parts, check_indices, fans, printable_word, read_count, read_numbers
 
 __all__ = ["read_ply"]
 
@@ -18,7 +19,7 @@ TYPES = {
     "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
 }  # fmt: skip
-LONGEST_HEADER = 1 << 16  # bytes
+MAX_HEADER_BYTES = 1 << 16  # bytes
 ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 
 
@@ -33,7 +34,7 @@ def read_ply(data: bytes) -> Parts:
     """Return the surface of a PLY file."""
     elements, order, at = _header(data)
     if not order:  # a file of text is one of doubles
-        data, at = numbers(data[at:]).astype("<f8").tobytes(), 0
+        data, at = read_numbers(data[at:]).astype("<f8").tobytes(), 0
         for element in elements:
             element.properties = [(name, "f8", "f8" if length else "") for name, _, length in element.properties]
     columns: dict[str, dict[str, tuple[NDArray[Any], Ints]]] = {}
@@ -43,16 +44,16 @@ def read_ply(data: bytes) -> Parts:
     polygons = faces.get("vertex_indices", faces.get("vertex_index"))
     if polygons is None or not {"x", "y", "z"} <= points.keys():
         raise FileFormatError("it must have vertices with x, y and z, and faces with a list vertex_indices")
-    corners = whole_numbers(polygons[0], "indices")
+    corners = check_indices(polygons[0], "indices")
     return {"": lambda: (np.column_stack([points[x][0].astype(float) for x in "xyz"]), fans(corners, polygons[1]))}
 
 
 def _header(data: bytes) -> tuple[list[_Element], str, int]:
     """Elements, the order of bytes (none of text), and where the rows begin."""
-    end = data.find(b"end_header", 0, LONGEST_HEADER)
+    end = data.find(b"end_header", 0, MAX_HEADER_BYTES)
     at = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or at == 0 or data[end + 10 : at].strip():
-        raise FileFormatError(f"its header must start with ply and end with end_header within {LONGEST_HEADER} bytes")
+        raise FileFormatError(f"its header must start with ply and end with end_header within {MAX_HEADER_BYTES} bytes")
     elements: list[_Element] = []
     order = None
     for line in data[:end].splitlines()[1:]:
@@ -63,16 +64,16 @@ def _header(data: bytes) -> tuple[list[_Element], str, int]:
             order = ORDERS.get(words[1])
         elif words[0] == b"element" and len(words) == 3:
             name = words[1].decode("ascii", "replace")
-            elements.append(_Element(name, count_of(words[2], "triangles" if name == "face" else "rows", len(data))))
+            elements.append(_Element(name, read_count(words[2], "triangles" if name == "face" else "rows", len(data))))
         elif (
             words[0] == b"property" and elements and len(words) in (3, 5) and (words[1] == b"list") == (len(words) == 5)
         ):
             kinds = [TYPES.get(each.decode("ascii", "replace"), "") for each in words[1:-1] if each != b"list"]
             if "" in kinds:
-                raise FileFormatError(f"its header states a property of unknown type: {word(line)}")
+                raise FileFormatError(f"its header states a property of unknown type: {printable_word(line)}")
             elements[-1].properties.append((words[-1].decode("ascii", "replace"), kinds[-1], "".join(kinds[:-1])))
         else:
-            raise FileFormatError(f"its header holds an unknown line {word(line)}")
+            raise FileFormatError(f"its header holds an unknown line {printable_word(line)}")
     if order is None:
         raise FileFormatError("its header must state a format: ascii, binary_little_endian or binary_big_endian")
     return elements, order, at
@@ -82,7 +83,9 @@ def _rows(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str
     """Values of each property, all rows in turn, with the lengths of lists; and where the next element begins."""
     least = sum(np.dtype(length or kind).itemsize for _, kind, length in element.properties)
     if element.count * least > len(data) - at:
-        raise FileFormatError(f"it states {element.count} rows of {word(element.name.encode())} and ends before them")
+        raise FileFormatError(
+            f"it states {element.count} rows of {printable_word(element.name.encode())} and ends before them"
+        )
     if not element.count or not element.properties:
         return {}, at
     sizes = _sizes(element, data, at, order)
@@ -95,7 +98,7 @@ def _rows(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str
                 for k, ((name, _, _), n) in enumerate(zip(element.properties, (s or 0 for s in sizes), strict=True))
             }
             return found, at + element.count * row.itemsize
-    return _uneven(element, data, at, order)
+    return _ragged_rows(element, data, at, order)
 
 
 def _sizes(element: _Element, data: bytes, at: int, order: str) -> list[int | None]:
@@ -130,7 +133,9 @@ def _row(element: _Element, sizes: list[int | None], order: str) -> np.dtype[Any
     return np.dtype(fields)
 
 
-def _uneven(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, tuple[NDArray[Any], Ints]], int]:
+def _ragged_rows(
+    element: _Element, data: bytes, at: int, order: str
+) -> tuple[dict[str, tuple[NDArray[Any], Ints]], int]:
     """Rows one by one, of lists of different lengths."""
     pieces: list[list[NDArray[Any]]] = [[] for _ in element.properties]
     for _ in range(element.count):

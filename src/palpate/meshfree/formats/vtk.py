@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError
-from palpate.meshfree.formats.common import Floats, Ints, Parts, count_of, fans, numbers, strips, whole_numbers, word
+from palpate.meshfree.formats.common import Parts, check_indices, fans, printable_word, read_count, read_numbers, strips
 
 __all__ = ["read_vtk"]
 
@@ -43,10 +44,10 @@ def read_vtk(data: bytes) -> Parts:
             while lines.next(blank=True):
                 pass
         elif key == b"FIELD" and len(words) == 3:
-            for _ in range(count_of(words[2], "arrays", len(data))):
+            for _ in range(read_count(words[2], "arrays", len(data))):
                 _field(lines)
         elif key == b"POINTS" and len(words) == 3:
-            n = count_of(words[1], "points", len(data))
+            n = read_count(words[1], "points", len(data))
             points = lines.array(3 * n, words[2]).astype(float).reshape(-1, 3)
         elif key in CELLS and len(words) == 3:
             corners, sizes = _cells(lines, words[1], words[2])
@@ -55,7 +56,7 @@ def read_vtk(data: bytes) -> Parts:
             elif key == b"TRIANGLE_STRIPS":
                 triangles.append(strips(corners, sizes))
         else:
-            raise FileFormatError(f"it has an unknown line {word(b' '.join(words))}")
+            raise FileFormatError(f"it has an unknown line {printable_word(b' '.join(words))}")
     if points is None or not triangles:
         raise FileFormatError("it must have POINTS, and POLYGONS or TRIANGLE_STRIPS")
     vertices = points
@@ -84,12 +85,12 @@ class _Lines:
     def array(self, count: int, kind: bytes) -> NDArray[Any]:
         """Return numbers of a type; of a text all that come before the next word."""
         if kind.lower() not in TYPES:
-            raise FileFormatError(f"it has numbers of an unknown type {word(kind)}")
+            raise FileFormatError(f"it has numbers of an unknown type {printable_word(kind)}")
         dtype = np.dtype(TYPES[kind.lower()])
         if self.text:
             found = re.compile(rb"^[ \t]*[A-Za-z]", re.MULTILINE).search(self.data, self.at)
             end = found.start() if found else len(self.data)
-            values = numbers(self.data[self.at : end])
+            values = read_numbers(self.data[self.at : end])
         else:
             end = min(self.at + count * dtype.itemsize, len(self.data))
             values = np.frombuffer(self.data, dtype, (end - self.at) // dtype.itemsize, self.at)
@@ -104,28 +105,28 @@ def _field(lines: _Lines) -> None:
     words = lines.next().split()
     if len(words) != 4:
         raise FileFormatError("an array of its FIELD must state name, components, tuples and type")
-    columns, rows = (count_of(each, "numbers", len(lines.data)) for each in words[1:3])
+    columns, rows = (read_count(each, "numbers", len(lines.data)) for each in words[1:3])
     lines.array(columns * rows, words[3])
 
 
 def _cells(lines: _Lines, first: bytes, second: bytes) -> tuple[Ints, Ints]:
     """Corners of polygons in turn and their numbers, of either layout."""
     most = len(lines.data)
-    count, size = count_of(first, "polygons", most), count_of(second, "indices", most)
+    count, size = read_count(first, "polygons", most), read_count(second, "indices", most)
     before = lines.at
     words = lines.next().split()
     if words and words[0].upper() == b"OFFSETS" and len(words) == 2:
-        offsets = whole_numbers(lines.array(count, words[1]), "offsets")
+        offsets = check_indices(lines.array(count, words[1]), "offsets")
         words = lines.next().split()
         if len(words) != 2 or words[0].upper() != b"CONNECTIVITY":
             raise FileFormatError("its OFFSETS must be followed by CONNECTIVITY")
-        corners = whole_numbers(lines.array(size, words[1]), "indices")
+        corners = check_indices(lines.array(size, words[1]), "indices")
         sizes = np.diff(offsets)
         if (count and offsets[0] != 0) or np.any(sizes < 0):
             raise FileFormatError("its OFFSETS must begin with 0 and ascend")
         return corners, sizes
     lines.at = before
-    both = whole_numbers(lines.array(size, b"int"), "indices")
+    both = check_indices(lines.array(size, b"int"), "indices")
     if count == 0 or size == 0:
         return both, np.zeros(0, dtype=np.int64)
     starts = np.arange(0, size, both[0] + 1)  # of polygons of as many corners as the first

@@ -13,8 +13,9 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError
-from palpate.meshfree.formats.common import Floats, Ints, Parts, count_of, fans, numbers, strips, whole_numbers, word
+from palpate.meshfree.formats.common import Parts, check_indices, fans, printable_word, read_count, read_numbers, strips
 
 __all__ = ["read_vtp"]
 
@@ -22,7 +23,7 @@ TYPES = {
     "Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4", "Int64": "i8",
     "UInt64": "u8", "Float32": "f4", "Float64": "f8",
 }  # fmt: skip
-EXPANSION = 64  # of all arrays together over the file; that of surfaces is below 10
+MAX_EXPANSION = 64  # of all arrays together over the file; that of surfaces is below 10
 SECTIONS = ("Points", "Polys", "Strips")
 
 
@@ -45,16 +46,18 @@ class _VtpFile:
 
 def read_vtp(data: bytes) -> Parts:
     """Return the surface of a VTP file: polygons and strips of its pieces."""
-    file = _parsed(data)
+    file = _parse(data)
     if file.attributes.get("type") != "PolyData":
         raise FileFormatError("it must be a VTKFile of type PolyData")
     if file.attributes.get("compressor", "vtkZLibDataCompressor") != "vtkZLibDataCompressor":
-        raise FileFormatError(f"its compressor must be zlib, got {word(file.attributes['compressor'].encode())}")
+        raise FileFormatError(
+            f"its compressor must be zlib, got {printable_word(file.attributes['compressor'].encode())}"
+        )
     vertices: list[Floats] = []
     triangles: list[Ints] = []
     before = 0
     for attributes, arrays in file.pieces:
-        n = count_of(attributes.get("NumberOfPoints", "0"), "points", len(data) * EXPANSION)
+        n = read_count(attributes.get("NumberOfPoints", "0"), "points", len(data) * MAX_EXPANSION)
         points = [array for (section, _), array in arrays.items() if section == "Points"]
         if n == 0 or not points:
             continue
@@ -73,7 +76,7 @@ def read_vtp(data: bytes) -> Parts:
     return {"": lambda: (np.concatenate(vertices), np.concatenate(triangles))}
 
 
-def _parsed(data: bytes) -> _VtpFile:
+def _parse(data: bytes) -> _VtpFile:
     """Read the XML without definitions of documents or entities; appended data, which is no XML, is cut out before."""
     appended, coded = b"", False
     begin = re.search(rb"<AppendedData([^>]*)>\s*_", data)
@@ -83,7 +86,7 @@ def _parsed(data: bytes) -> _VtpFile:
             raise FileFormatError("its AppendedData does not end")
         appended, coded = data[begin.end() : end], b"base64" in begin[1]
         data = data[: begin.end()] + data[end:]
-    file = _VtpFile(appended, coded, EXPANSION * (len(data) + len(appended)))
+    file = _VtpFile(appended, coded, MAX_EXPANSION * (len(data) + len(appended)))
     section, deeper = "", 0  # elements inside an array, whose text is not the array's
     array: _Array | None = None
 
@@ -130,8 +133,8 @@ def _parsed(data: bytes) -> _VtpFile:
 def _cells(file: _VtpFile, arrays: dict[tuple[str, str], _Array], section: str) -> tuple[Ints, Ints]:
     if (section, "connectivity") not in arrays or (section, "offsets") not in arrays:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    corners = whole_numbers(_values(file, arrays[section, "connectivity"]), "connectivity")
-    sizes = np.diff(whole_numbers(_values(file, arrays[section, "offsets"]), "offsets"), prepend=0)
+    corners = check_indices(_values(file, arrays[section, "connectivity"]), "connectivity")
+    sizes = np.diff(check_indices(_values(file, arrays[section, "offsets"]), "offsets"), prepend=0)
     if np.any(sizes < 0):
         raise FileFormatError(f"the offsets of its {section} must ascend")
     return corners, sizes
@@ -140,16 +143,16 @@ def _cells(file: _VtpFile, arrays: dict[tuple[str, str], _Array], section: str) 
 def _values(file: _VtpFile, array: _Array) -> NDArray[Any]:
     kind, form = array.attributes.get("type", ""), array.attributes.get("format", "ascii")
     if kind not in TYPES:
-        raise FileFormatError(f"it has an array of unknown type {word(kind.encode())}")
+        raise FileFormatError(f"it has an array of unknown type {printable_word(kind.encode())}")
     if form == "ascii":
-        return numbers("".join(array.text).encode())
+        return read_numbers("".join(array.text).encode())
     if form == "binary":
         source, coded, at = re.sub(rb"\s+", b"", "".join(array.text).encode()), True, 0
     elif form == "appended":
         source, coded = file.appended, file.coded
-        at = count_of(array.attributes.get("offset", ""), "bytes before an array", len(source))
+        at = read_count(array.attributes.get("offset", ""), "bytes before an array", len(source))
     else:
-        raise FileFormatError(f"it has an array of unknown format {word(form.encode())}")
+        raise FileFormatError(f"it has an array of unknown format {printable_word(form.encode())}")
     order = ">" if file.attributes.get("byte_order") == "BigEndian" else "<"
     raw = _bytes(file, source, coded, at, np.dtype(order + TYPES[_header_type(file)]))
     dtype = np.dtype(order + TYPES[kind])
@@ -161,7 +164,7 @@ def _values(file: _VtpFile, array: _Array) -> NDArray[Any]:
 def _header_type(file: _VtpFile) -> str:
     kind = file.attributes.get("header_type", "UInt32")
     if kind not in ("UInt32", "UInt64"):
-        raise FileFormatError(f"its header_type must be UInt32 or UInt64, got {word(kind.encode())}")
+        raise FileFormatError(f"its header_type must be UInt32 or UInt64, got {printable_word(kind.encode())}")
     return kind
 
 
@@ -169,18 +172,18 @@ def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype
     """The bytes of an array whose header begins at a place: one length, or those of compressed blocks."""
     wide = header.itemsize
     if "compressor" not in file.attributes:
-        length = int(np.frombuffer(_take(source, coded, at, wide)[0], header)[0])
-        _claim(file, length)
-        return _take(source, coded, at, wide + length)[0][wide:]
-    blocks, each, last = (int(n) for n in np.frombuffer(_take(source, coded, at, 3 * wide)[0], header))
+        length = int(np.frombuffer(_decode_bytes(source, coded, at, wide)[0], header)[0])
+        _reserve_bytes(file, length)
+        return _decode_bytes(source, coded, at, wide + length)[0][wide:]
+    blocks, each, last = (int(n) for n in np.frombuffer(_decode_bytes(source, coded, at, 3 * wide)[0], header))
     if blocks > len(source) // wide:
         raise FileFormatError(f"an array states {blocks} blocks, for which the file has no room")
     if blocks == 0:
         return b""
-    _claim(file, (blocks - 1) * each + (last or each))
-    head, at = _take(source, coded, at, (3 + blocks) * wide)
+    _reserve_bytes(file, (blocks - 1) * each + (last or each))
+    head, at = _decode_bytes(source, coded, at, (3 + blocks) * wide)
     lengths = [int(n) for n in np.frombuffer(head, header)[3:]]
-    packed, _ = _take(source, coded, at, sum(lengths))
+    packed, _ = _decode_bytes(source, coded, at, sum(lengths))
     found, begin = [], 0
     for k, length in enumerate(lengths):
         size = last if last and k == blocks - 1 else each
@@ -195,14 +198,14 @@ def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype
     return b"".join(found)
 
 
-def _claim(file: _VtpFile, size: int) -> None:
+def _reserve_bytes(file: _VtpFile, size: int) -> None:
     """Refuse arrays that expand to much more than the file."""
     file.room -= size
     if file.room < 0:
-        raise FileFormatError(f"its arrays must not expand to more than {EXPANSION} times the size of the file")
+        raise FileFormatError(f"its arrays must not expand to more than {MAX_EXPANSION} times the size of the file")
 
 
-def _take(source: bytes, coded: bool, at: int, size: int) -> tuple[bytes, int]:
+def _decode_bytes(source: bytes, coded: bool, at: int, size: int) -> tuple[bytes, int]:
     """Bytes from a place on, decoded, and the place after them."""
     end = at + ((size + 2) // 3 * 4 if coded else size)
     if end > len(source):

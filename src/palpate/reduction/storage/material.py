@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.faults import InputError, brief, number_in_range
-from palpate.tissue import own_law
-from palpate.tissue.catalogue import LAWS
-from palpate.tissue.fibres import FibreLaw, Fibres, Guccione, VolumeOnly
+from palpate.tissue import symbolic_law
+from palpate.tissue.catalogue import FIBRE_LAWS, LAWS
+from palpate.tissue.fibres import FibreLaw, VolumeOnly
 from palpate.tissue.isochoric import COUPLED
 from palpate.tissue.materials import Material
 from palpate.tissue.prony import Prony
@@ -22,7 +22,7 @@ from palpate.tissue.volumetric import QUADRATIC
 __all__ = ["describe_fibres", "describe_material", "describe_regions", "fibres_of", "material_of", "regions_of"]
 
 KINDS = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
-FIBRES: dict[str, type[FibreLaw]] = {"Fibres": Fibres, "Guccione": Guccione}
+FIBRES: dict[str, Any] = {law.name: law.kind for law in FIBRE_LAWS}
 OWN = "Hyperelastic"
 
 
@@ -35,7 +35,7 @@ def describe_material(material: Material) -> dict[str, str]:
         A material that is neither one of the library's nor an energy that is written down.
     """
     name, expression = type(material).__name__, getattr(material, "expression", "")
-    known = own_law.law_of(expression) if name == OWN and expression else KINDS.get(name)
+    known = symbolic_law.law_of(expression) if name == OWN and expression else KINDS.get(name)
     if type(material) is not known:
         raise InputError(f"the law of {material} is not one of palpate's: it cannot be kept in a file")
     parameters = {f.name: getattr(material, f.name) for f in fields(material) if f.name != "prony"}
@@ -63,7 +63,7 @@ def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Mate
     """
     if not isinstance(name, str) or (name != OWN and name not in KINDS):
         raise InputError(f"unknown material {brief(name)}: the laws are {', '.join(sorted(KINDS))}")
-    law: Any = own_law.law_of(expression) if name == OWN else KINDS[name]
+    law: Any = symbolic_law.law_of(expression) if name == OWN else KINDS[name]
     given = _mapping("parameters", parameters)
     forms = {"volumetric": given.pop("volumetric", QUADRATIC), "split": given.pop("split", COUPLED)}
     wanted = {field.name for field in fields(law)} - {"prony", *forms}

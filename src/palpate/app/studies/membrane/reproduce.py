@@ -31,14 +31,13 @@ from palpate.faults import integer_in_range
 from palpate.reduction.galerkin.model import GalerkinModel, galerkin
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import hyper_reduce
-from palpate.scenes.membrane import DURATION, EVERY, PUSHED, membrane
+from palpate.scenes.membrane import DURATION, EVERY, PUSH_TIME, membrane
 
 __all__ = ["FIGURES", "FILES", "reproduce_membrane"]
 
-
-SNAPSHOTS = round(PUSHED / EVERY)  # of a phase, that move
+SNAPSHOTS = round(PUSH_TIME / EVERY)  # of a phase, that move
 STEP = EVERY / 5  # of the projected runs while the tool pushes; after its jump they are not stable with such a step
-PHASES = (Phase("push", 0.0, PUSHED, STEP), Phase("after", PUSHED, DURATION - PUSHED))
+PHASES = (Phase("push", 0.0, PUSH_TIME, STEP), Phase("after", PUSH_TIME, DURATION - PUSH_TIME))
 FIGURES = (
     "figure7_error.png",
     "figure8_time.png",

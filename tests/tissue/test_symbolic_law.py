@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.materials import Hyperelastic
-from palpate.tissue.own_law import law_of
 from palpate.tissue.parameters import own_fields
-from palpate.tissue.straight_line import Tape, compiled_functions
+from palpate.tissue.straight_line import Tape, compile_functions
+from palpate.tissue.symbolic_law import Hyperelastic, law_of
 
 REST = {"density": 1000.0, "poisson": 0.45}
 TWINS = {
@@ -84,24 +83,24 @@ def test_one_text_is_one_class_whatever_its_parameters_and_spaces():
 
 
 REFUSED = {
-    "stress at rest": ("C1*(I1 - 3)", {"C1": 1.0}, r"stress of 2 Pa at rest: write it in I1bar"),
-    "stretches at rest": ("C1*(l1 + l2 + l3)", {"C1": 1.0}, r"stress of 1 Pa at rest: subtract"),
-    "no text": (3.0, {}, r"write it down as text"),
-    "no expression": ("C1*(I1bar - 3", {"C1": 1.0}, r"cannot be read"),
-    "a call": ("I1bar + __import__('os').getpid()", {}, r"which no energy may have"),
-    "an attribute": ("I1bar.real", {}, r"'I1bar.real', which no energy may have"),
-    "a string": ("I1bar + 'a'", {}, r"which no energy may have"),
-    "a function": ("abs(I1bar)", {}, r"the function abs: it may have exp, log"),
-    "two kinds": ("I1bar + l1", {}, r"of invariants and of stretches"),
-    "no deformation": ("C1", {"C1": 1.0}, r"does not depend on the deformation"),
-    "anisotropic": ("C1*(l1 - log(l1))", {"C1": 1.0}, r"not isotropic"),
-    "missing": ("C1*(I1bar - 3)", {}, r"parameter C1 is missing"),
-    "unknown": ("C1*(I1bar - 3)", {"C1": 1.0, "C2": 2.0}, r"C2 = 2.0 is no parameter of the energy"),
+    "stress at rest": ("C1*(I1 - 3)", {"C1": 1.0}, r"at rest must be zero, got 2 Pa; write it in I1bar"),
+    "stretches at rest": ("C1*(l1 + l2 + l3)", {"C1": 1.0}, r"at rest must be zero, got 1 Pa; subtract"),
+    "no text": (3.0, {}, r"energy must be text"),
+    "no expression": ("C1*(I1bar - 3", {"C1": 1.0}, r"must be a valid expression"),
+    "a call": ("I1bar + __import__('os').getpid()", {}, r"must be an expression of"),
+    "an attribute": ("I1bar.real", {}, r"must be an expression of .*, got 'I1bar.real'"),
+    "a string": ("I1bar + 'a'", {}, r"must be an expression of"),
+    "a function": ("abs(I1bar)", {}, r"a function must be one of exp, log.*, got abs"),
+    "two kinds": ("I1bar + l1", {}, r"must depend on invariants or on stretches"),
+    "no deformation": ("C1", {"C1": 1.0}, r"must depend on the deformation"),
+    "anisotropic": ("C1*(l1 - log(l1))", {"C1": 1.0}, r"must be symmetric in the stretches"),
+    "missing": ("C1*(I1bar - 3)", {}, r"C1 must be given"),
+    "unknown": ("C1*(I1bar - 3)", {"C1": 1.0, "C2": 2.0}, r"a parameter must be one of .*, got C2 = 2.0"),
     "no number": ("C1*(I1bar - 3)", {"C1": "a"}, r"C1 must be a number"),
-    "infinite": ("C1*log(J - 1) + I1bar", {"C1": 1.0}, r"not finite at rest"),
-    "singular slope": ("C1*sqrt(I1bar - 3)", {"C1": 1.0}, r"not finite at rest"),
-    "soft": ("-C1*(I1bar - 3)", {"C1": 1.0}, r"shear modulus of -2 Pa"),
-    "long": ("I1bar" + " + 1" * 2000, {}, r"characters; 4000 are allowed"),
+    "infinite": ("C1*log(J - 1) + I1bar", {"C1": 1.0}, r"finite at rest"),
+    "singular slope": ("C1*sqrt(I1bar - 3)", {"C1": 1.0}, r"finite at rest"),
+    "soft": ("-C1*(I1bar - 3)", {"C1": 1.0}, r"shear modulus of .*, got -2"),
+    "long": ("I1bar" + " + 1" * 2000, {}, r"at most 4000 characters"),
 }
 
 
@@ -249,9 +248,9 @@ TAKEN = [
 
 @pytest.mark.parametrize("name", TAKEN)
 def test_a_parameter_may_not_have_a_name_that_is_taken(name):
-    with pytest.raises(pt.InputError, match=r"taken; choose another|a word of Python|which no energy may have"):
+    with pytest.raises(pt.InputError, match=r"reserved name|a keyword of Python|must be an expression of"):
         law_of(f"{name}*(I1bar - 3)")
-    with pytest.raises(pt.InputError, match=r"taken; choose another|a word of Python|which no energy may have"):
+    with pytest.raises(pt.InputError, match=r"reserved name|a keyword of Python|must be an expression of"):
         law_of(f"{name}*(l1 + l2 + l3 - 3 - log(l1*l2*l3))")
 
 
@@ -273,9 +272,9 @@ def test_names_that_are_used_in_making_a_law_are_free():
     ],
 )  # fmt: skip
 def test_code_is_not_run_unless_it_is_arithmetic(code, monkeypatch):
-    monkeypatch.setattr(Tape, "_printed", lambda tape, row: code)
+    monkeypatch.setattr(Tape, "_row_source", lambda tape, row: code)
     before = len(linecache.cache)
-    with pytest.raises(pt.InputError, match="it is not run"):
+    with pytest.raises(pt.InputError, match="it is not executed"):
         law_of("C1*(I1bar - 3) + 0.125*J")
     assert len(linecache.cache) == before
 
@@ -295,8 +294,8 @@ def test_code_is_not_run_unless_it_is_arithmetic(code, monkeypatch):
     ],
 )  # fmt: skip
 def test_sources_are_functions_of_the_variables_alone(source):
-    with pytest.raises(pt.InputError, match="it is not run"):
-        compiled_functions({"energy": source}, ("I1", "I2", "J"))
+    with pytest.raises(pt.InputError, match="it is not executed"):
+        compile_functions({"energy": source}, ("I1", "I2", "J"))
 
 
 WORDS = (
