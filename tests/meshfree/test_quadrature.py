@@ -126,7 +126,7 @@ CLOUDS = {"lattice": (0.06, 0.0), "jitter": (0.03, 0.2), "more jitter": (0.03, 0
 
 
 @pytest.fixture(params=CLOUDS)
-def smooth(request):
+def smoothed(request):
     """A cloud, its weights, and a linear fit before and after its change."""
     length, jitter = CLOUDS[request.param]
     cloud = pt.box((length, 0.02, 0.02), 0.005, jitter)

@@ -37,7 +37,7 @@ def test_the_body_has_the_size_mass_and_stiffness_printed(scene):
 
 def test_the_load_pulls_on_the_free_end_along_the_axis(scene):
     prepared = scene.model.prepare(scene.loads)
-    half = prepared.schedule(np.array([0.25])).force[0, 0]
+    half = prepared.schedule(np.array([0.25])).amplitudes[0, 0]
     np.testing.assert_allclose(half, (1.0, 0.0, 0.0))
     assert scene.loads[0].group == "x+"
 

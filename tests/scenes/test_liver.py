@@ -69,7 +69,7 @@ def test_every_fourth_path_pulls_within_a_cone_turns_comes_back_and_lets_go(bloc
     for seed in range(3, 83, 4):
         grasp, moved, turned = forceps(block, seed, times)
         node = int(np.argmin(np.linalg.norm(block.cloud.points - grasp.point, axis=1)))
-        held = grasp.marked(block.cloud).group("grasp")
+        held = grasp.with_group(block.cloud).group("grasp")
         assert len(held) >= 5
         assert not np.isin(held, block.cloud.group("back")).any()
         assert grasp.radius == 0.02

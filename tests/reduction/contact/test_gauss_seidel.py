@@ -316,7 +316,7 @@ def test_a_grasp_anywhere_pulls_as_the_full_models(pressed):
     theirs, mine = full.reactions["grasp"][late, 2], own.reactions["grasp"][late, 2]
     assert theirs.min() > 0
     np.testing.assert_allclose(mine, theirs, rtol=0.15)
-    held = grasped()[0].marked(body.cloud).group("grasp")
+    held = grasped()[0].with_group(body.cloud).group("grasp")
     wanted = grasped()[0].displacement(body.cloud.points[held], 0.2)
     np.testing.assert_allclose(own.displacements[-1, held], wanted, atol=1e-2 * 0.003)
     top = body.cloud.group("z+")

@@ -141,7 +141,7 @@ def test_grip_and_held_nodes_are_kept(model, tmp_path):
     assert loaded.data.compliance.bonded_scale == model.data.compliance.bonded_scale
     loads = [*OTHERS["grasp"], replace(press(0.015, 0.03)[0], name="ball")]
     short = pt.rollout(loaded, loads, duration=0.05, every=0.01, file=tmp_path / "run.h5")
-    held = OTHERS["grasp"][0].marked(model.cloud).group("grasp")
+    held = OTHERS["grasp"][0].with_group(model.cloud).group("grasp")
     np.testing.assert_array_equal(np.unique(short.contact_forces[short.bonded, 1]), held)
     assert not short.bonded.all()
     np.testing.assert_array_equal(pt.Trajectory.load(tmp_path / "run.h5").bonded, short.bonded)
