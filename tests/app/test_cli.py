@@ -78,7 +78,7 @@ def test_a_part_of_a_surface_is_asked_for_by_its_option(assert_refused, tmp_path
     own = triangles.format("o left\n")
     (tmp_path / "two.obj").write_text(own + own.replace("left", "right"))
     line = ["check", str(tmp_path / "two.obj"), "--units", "m", "--out", str(tmp_path / "out")]
-    assert_refused(line, "choose one with --part: left, right")
+    assert_refused(line, ": --part must be given for a file of 2 parts; choose one of left, right")
 
 
 @pytest.fixture

@@ -185,7 +185,7 @@ def test_inside_a_lattice_the_smoothing_stays_as_it_is():
 
 def test_a_smoothing_that_is_not_found_is_refused_by_the_node(monkeypatch):
     cloud = pt.box((0.02,) * 3, 0.005)
-    monkeypatch.setattr(quadrature, "TOLERANCE", 0.0)
+    monkeypatch.setattr(quadrature, "INTEGRAL_TOLERANCE", 0.0)
     with pytest.raises(pt.CloudError, match=r"no smoothing of the pressure keeps its integral near node \d+ "):
         conservative_smoothing(linear_fit(cloud), cloud.volumes)
 

@@ -62,7 +62,7 @@ def test_a_spacing_that_is_too_coarse_is_said(liver, tmp_path, capsys):
     ("words", "said"),
     [
         (["nowhere.stl"], "nowhere.stl"),
-        (["pyproject.toml"], "not from 'toml'"),
+        (["pyproject.toml"], "got 'toml'"),
         ([__file__, "--units", "ell"], "--units must be one of m, cm, mm, in, got 'ell'"),
     ],
 )

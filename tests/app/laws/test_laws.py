@@ -23,9 +23,9 @@ def test_laws_are_listed_for_people_and_for_machines(capsys):
         assert law["energy"] in text
         assert {"name", "unit", "range"} == set(law["parameters"][0])
     for law in laws:
-        getattr(pt, law["name"])(**law["example"], density=1000.0, poisson=0.4)
+        getattr(pt.materials, law["name"])(**law["example"], density=1000.0, poisson=0.4)
     for law in fibres:
-        getattr(pt, law["name"])(**law["example"], directions=(1.0, 0.0, 0.0))
+        getattr(pt.materials, law["name"])(**law["example"], directions=(1.0, 0.0, 0.0))
     given = {"C1": 5e3, "density": 1000.0, "poisson": 0.4}
     pt.materials.NeoHookean(**given, prony=pt.materials.Prony(**relaxation["example"]))
     for form in found["volumetric"]:

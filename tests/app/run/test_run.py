@@ -44,7 +44,7 @@ def grasped(short):
 @pytest.fixture(scope="module")
 def file(grasped, tmp_path_factory):
     path = tmp_path_factory.mktemp("model") / "beam.rom"
-    grasped.save(path)
+    pt.save(grasped, path)
     return path
 
 
@@ -168,12 +168,12 @@ def test_a_state_that_runs_away_is_told(short, file, tmp_path, capsys, monkeypat
         (["--seconds", "3"], ["--seconds", "3", "--realtime"]),
         (["--rate", "3"], ["--rate", "3", "--realtime"]),
         (["--model", __file__], ["--model", "--realtime"]),
-        (["--modes", "0"], ["--modes", "from 1 to 100"]),
+        (["--modes", "0"], ["--modes", "an integer in [1, 100]"]),
         (["--spacing", "0.01"], ["--spacing", "0.00666667] m"]),
         (["--realtime", "--load", "3"], ["--load must be left out", "tool"]),
         (["--realtime", "--seconds", "0"], ["--seconds", "600] s"]),
         (["--realtime", "--rate", "1e5"], ["--rate", "20000] Hz"]),
-        (["--realtime", "--modes", "97"], ["--modes", "from 1 to 96"]),
+        (["--realtime", "--modes", "97"], ["--modes", "an integer in [1, 96]"]),
         (["--realtime", "--spacing", "0.1"], ["--spacing"]),
         (["--realtime", "--model", "nowhere.rom"], ["--model must be an existing file", "nowhere.rom"]),
         (["--realtime", "--model", __file__], [__file__, "not a palpate reduced model"]),

@@ -144,9 +144,9 @@ def test_the_snapshots_and_the_export_agree(study):
         (["--spacing", "nan"], "--spacing", "0.00666667] m"),
         (["--poisson", "0.6"], "--poisson", "0.499]"),
         (["--load", "0"], "--load", "(0, 1000] N"),
-        (["--modes", "0"], "--modes", "from 1 to 100"),
-        (["--modes", "2", "-3"], "--modes", "from 1 to 100"),
-        (["--modes", "1000"], "--modes", "from 1 to 100"),
+        (["--modes", "0"], "--modes", "an integer in [1, 100]"),
+        (["--modes", "2", "-3"], "--modes", "an integer in [1, 100]"),
+        (["--modes", "1000"], "--modes", "an integer in [1, 100]"),
         (["--modes", "two"], "--modes must be a whole number", "'two'"),
     ],
 )

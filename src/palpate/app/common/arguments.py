@@ -219,7 +219,7 @@ def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) ->
         value = match[2]
         return names[match[1]] + ("" if value in ("", "True") else f" {value}")
 
-    message = re.sub(rf"^({known})(?= (?:must|=|is|cannot) |:)", lambda match: names[match[1]], message)
+    message = re.sub(rf"(?:^|(?<=: ))({known})(?= (?:must|=|is|cannot) |:)", lambda match: names[match[1]], message)
     return re.sub(rf"(?<![\w.-])({known})=(True|[\w'\"]*)", keyword, message)
 
 

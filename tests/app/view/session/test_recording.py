@@ -183,7 +183,7 @@ def test_what_is_no_recording_is_refused(recorded, tmp_path, assert_refused):
         file.attrs["format"] = "another"
     assert_refused(["replay", str(tmp_path / "other.h5")], "is not a palpate recording")
     os.mkfifo(tmp_path / "pipe.h5")
-    assert_refused(["replay", str(tmp_path / "pipe.h5")], "not a regular file")
+    assert_refused(["replay", str(tmp_path / "pipe.h5")], "must be a regular file")
 
 
 def test_an_older_recording_is_refused_with_the_remedy(recorded, tmp_path):
@@ -258,7 +258,7 @@ LIES = {
     "a model of another law": (
         lambda header, arrays: header["model"].update(material="__import__"), "unknown material '__import__'"
     ),
-    "a model with other modes": (lambda header, arrays: header["model"].update(modes=3), "array columns has shape"),
+    "a model with other modes": (lambda header, arrays: header["model"].update(modes=3), "array basis_vectors has shape"),
     "a report that is text": (lambda header, arrays: header["model"].update(report="5"), "report is not a mapping"),
 }  # fmt: skip
 
