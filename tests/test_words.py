@@ -1,0 +1,53 @@
+"""Sources and docs use the words of docs/glossary.md, and no retired ones."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = ("src/palpate", "docs", "examples", "benchmarks", "validation", "page/src")
+SUFFIXES = (".py", ".pyi", ".md", ".js", ".css", ".html")
+RETIRED = {  # word: its place is taken by
+    r"[Dd]ents?|[Dd]ented": "compliance, contact displacement, indentation",
+    r"[Ww]itness(?:es|ed)?": "residual field",
+    r"[Ll]eeway": "residual scale",
+    r"[Ii]mbalances?": "residual norm",
+    r"[Cc]loseness": "near-field correction",
+    r"FullModel|ProjectedModel|ReducedParts": "Solid, GalerkinModel, ReducedData",
+    r"load_linear\b(?=\()|quickest": "load, select_time_step",
+    r"own_law": "symbolic law",
+    r"firm_\w+|_firm": "always taut, shear-weighted",
+    r"untouched\(|touch_of|Handling": "no_contact, contact_at_frame, ContactTools",
+    r"usual_imbalance|retool(?:ing|ed)?": "typical residual, change_tool",
+    r"fullrun|inbox|Hung": "full-model replay, queue, virtual coupling",
+    r"anew": "again, reset",
+    r"dear(?:er)?": "expensive",
+    r"[Mm]end(?:ed|s|ing)?": "repair, fix",
+}
+ALLOWED = {"docs/glossary.md"}
+
+
+def lines():
+    """Yield every line of sources and docs with its place."""
+    for folder in FOLDERS:
+        for path in sorted((ROOT / folder).rglob("*")):
+            name = path.relative_to(ROOT).as_posix()
+            bundle = "app/view/page/" in name or "node_modules" in name
+            if path.suffix in SUFFIXES and not bundle and name not in ALLOWED:
+                for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+                    yield f"{name}:{number}", line
+
+
+@pytest.mark.parametrize("word", RETIRED)
+def test_no_retired_word_is_used(word):
+    pattern = re.compile(rf"(?<![\w.]){word}(?!\w)" if word[-1].isalnum() or word[-1] in ")?" else word)
+    found = [place for place, line in lines() if pattern.search(line)]
+    assert not found, f"use {RETIRED[word]} in place of {word}: {found[:20]}"
+
+
+def test_the_search_reads_sources_and_docs():
+    places = {place.split(":")[0] for place, _ in lines()}
+    assert {"src/palpate/faults.py", "docs/contact.md", "page/src/main.js"} <= places
