@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.files import whole_file
 from palpate.realtime.exchange import acquire_fence, get_flag, make_flags, release_fence, set_flag
 from palpate.realtime.record import HEADER, HEADER_SIZE, UNITS
@@ -43,7 +43,7 @@ class RingBuffer(NamedTuple):
         return cls(make_flags(), np.zeros((count + 1, HEADER_SIZE + min(coordinates, MAX_COORDINATES))))
 
 
-@njit(cache=True)
+@kernel_njit()
 def append_record(buffer, record):  # type: ignore[no-untyped-def]
     """Append the first numbers of a record, as many as the buffer stores."""
     written = get_flag(buffer.written, 0)

@@ -14,9 +14,11 @@ import time
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from palpate.dynamics.compiled.cache import kernel_njit
 
 __all__ = ["HAS_ABSOLUTE_SLEEP", "SUPPORTED", "now", "sleep_until", "thread_time", "use_precise_sleep"]
 
@@ -89,13 +91,13 @@ def _sleep_for(typingctx, duration):  # type: ignore[no-untyped-def]
     return types.int32(types.int64), codegen
 
 
-@njit(cache=True)
+@kernel_njit()
 def now():  # type: ignore[no-untyped-def]
     """Return a monotonic time [ns], int64."""
     return _read_clock(MONOTONIC_CLOCK)
 
 
-@njit(cache=True)
+@kernel_njit()
 def thread_time():  # type: ignore[no-untyped-def]
     """Return the processor time [ns] of this thread, int64."""
     return _read_clock(THREAD_CLOCK)
@@ -103,14 +105,14 @@ def thread_time():  # type: ignore[no-untyped-def]
 
 if HAS_ABSOLUTE_SLEEP:
 
-    @njit(cache=True)
+    @kernel_njit()
     def sleep_until(instant):  # type: ignore[no-untyped-def]
         """Sleep until `now` reaches about `instant` [ns], or until a signal."""
         _sleep_until(instant)
 
 else:
 
-    @njit(cache=True)
+    @kernel_njit()
     def sleep_until(instant):  # type: ignore[no-untyped-def]
         """Sleep until `now` reaches about `instant` [ns], or until a signal."""
         left = instant - now()

@@ -11,9 +11,11 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
+
+from palpate.dynamics.compiled.cache import kernel_njit
 
 __all__ = [
     "Slot", "acquire_fence", "fetch", "get_flag", "make_flags", "publish", "release_fence", "set_flag", "snapshot",
@@ -95,7 +97,7 @@ def make_flags() -> NDArray[np.int64]:
     return np.zeros(FLAGS_LENGTH, dtype=np.int64)
 
 
-@njit(cache=True)
+@kernel_njit()
 def publish(slot, values):  # type: ignore[no-untyped-def]
     """Write values to the front of a slot; never waits."""
     version = _load_relaxed(slot.version, 0)
@@ -106,7 +108,7 @@ def publish(slot, values):  # type: ignore[no-untyped-def]
     _store_release(slot.version, 0, version + 2)
 
 
-@njit(cache=True)
+@kernel_njit()
 def fetch(slot, out):  # type: ignore[no-untyped-def]
     """Copy a slot to `out` once; return False if a write interfered, in which case `out` is invalid."""
     version = _load_acquire(slot.version, 0)
@@ -126,25 +128,25 @@ def snapshot(slot: Slot) -> NDArray[np.float64]:
     return out
 
 
-@njit(cache=True)
+@kernel_njit()
 def set_flag(flags, i, value):  # type: ignore[no-untyped-def]
     """Write a flag with release order: its readers see all earlier writes."""
     _store_release(flags, i, value)
 
 
-@njit(cache=True)
+@kernel_njit()
 def get_flag(flags, i):  # type: ignore[no-untyped-def]
     """Read a flag with acquire order: later reads see all writes before it was set."""
     return _load_acquire(flags, i)
 
 
-@njit(cache=True)
+@kernel_njit()
 def acquire_fence():  # type: ignore[no-untyped-def]
     """Acquire fence."""
     _fence_acquire()
 
 
-@njit(cache=True)
+@kernel_njit()
 def release_fence():  # type: ignore[no-untyped-def]
     """Release fence."""
     _fence_release()

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.realtime.black_box import RingBuffer, append_record
 from palpate.realtime.clock import now, sleep_until, thread_time
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
@@ -34,7 +33,6 @@ __all__ = [
     "Settings",
     "Work",
     "compile_loop",
-    "engine_sources",
     "function_key",
 ]
 
@@ -183,7 +181,7 @@ class Work(NamedTuple):
         self.length[0] = 1
 
 
-@njit(cache=True)
+@kernel_njit()
 def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
     """Sleep until shortly before the deadline [ns], then poll the clock; return whether to continue."""
     while get_flag(command, 0) == RUNNING:
@@ -196,14 +194,14 @@ def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True)
+@kernel_njit()
 def _copy_to(values, out, first):  # type: ignore[no-untyped-def]
     """Copy numbers; an assignment of slices would take seconds to compile."""
     for i in range(values.shape[0]):
         out[first + i] = values[i]
 
 
-@njit(cache=True)
+@kernel_njit()
 def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
     """Move the tool towards the newest pose, or a clamped tool towards its last trusted pose."""
     if fetch(slot, work.fetched):  # during a write, the next period reads it
@@ -220,7 +218,7 @@ def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
     tool_coordinates(work.tool, work.pose, work.target)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _is_beyond(work):  # type: ignore[no-untyped-def]
     """Return whether the requested pose is beyond the last trusted one, in the direction that lost trust."""
     tool_coordinates(work.tool, work.wanted, work.wanted_coordinates)
@@ -230,7 +228,7 @@ def _is_beyond(work):  # type: ignore[no-untyped-def]
     return beyond > 0.0
 
 
-@njit(cache=True)
+@kernel_njit()
 def _clamp_tool(work, seconds):  # type: ignore[no-untyped-def]
     """After a period [s], store a trusted pose, or clamp the tool to the last one."""
     if work.record[TRUSTED] > 1.0 and not work.record[CLAMPED]:
@@ -248,7 +246,7 @@ def _clamp_tool(work, seconds):  # type: ignore[no-untyped-def]
         work.length[0] += 1
 
 
-@njit(cache=True)
+@kernel_njit()
 def _retreat(work, seconds):  # type: ignore[no-untyped-def]
     """Move a clamped tool back along its trail if trust does not return."""
     length = work.length[0]
@@ -261,7 +259,7 @@ def _retreat(work, seconds):  # type: ignore[no-untyped-def]
                 tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.last_trusted)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _is_equal(numbers, others):  # type: ignore[no-untyped-def]
     different = 0
     for i in range(numbers.shape[0]):
@@ -269,7 +267,7 @@ def _is_equal(numbers, others):  # type: ignore[no-untyped-def]
     return different == 0
 
 
-@njit(cache=True)
+@kernel_njit()
 def _thin(trail):  # type: ignore[no-untyped-def]
     """Keep every second pose, including the first; return their number."""
     kept = (trail.shape[0] + 1) // 2
@@ -278,7 +276,7 @@ def _thin(trail):  # type: ignore[no-untyped-def]
     return kept
 
 
-@njit(cache=True)
+@kernel_njit()
 def _is_finite(array):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(array.size):
@@ -286,7 +284,7 @@ def _is_finite(array):  # type: ignore[no-untyped-def]
     return total == 0.0
 
 
-@njit(cache=True)
+@kernel_njit()
 def _write_record(work, settings):  # type: ignore[no-untyped-def]
     """Write the model's report to the record; return whether the state is finite."""
     report, record = work.report, work.record
@@ -313,7 +311,7 @@ def _write_record(work, settings):  # type: ignore[no-untyped-def]
     return valid
 
 
-@njit(cache=True)
+@kernel_njit()
 def _write_stiffness(work):  # type: ignore[no-untyped-def]
     """Write the contact stiffness (3, 3) to the record if it is finite."""
     tool, tools = work.tool, work.tool.shape[0]
@@ -328,7 +326,7 @@ def _write_stiffness(work):  # type: ignore[no-untyped-def]
             work.record[STIFFNESS + 3 * i + j] = total
 
 
-@njit(cache=True)
+@kernel_njit()
 def _no_stiffness(data, q, out):  # type: ignore[no-untyped-def]
     out[:] = 0.0
 
@@ -347,12 +345,6 @@ def function_key(function: Any) -> str | None:
 
 
 @cache
-def engine_sources() -> tuple[str, ...]:
-    """Return the sources of this folder, which are part of the key of compiled code."""
-    return tuple(path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py")))
-
-
-@cache
 def compile_loop(advance: Any, stiffness: Any) -> Any:
     """Compile the loop around a model's functions.
 
@@ -365,7 +357,7 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
     stiffness = _no_stiffness if stiffness is None else stiffness
     names = [function_key(function) for function in (advance, stiffness)]
     cached = None not in names
-    digest = law_digest(*(names if cached else (repr(advance), repr(stiffness))), *engine_sources())
+    digest = law_digest(__name__, *(names if cached else (repr(advance), repr(stiffness))))
 
     @law_njit(digest, cached=cached, nogil=True)
     def loop(data, work, channels, settings):  # type: ignore[no-untyped-def]

@@ -32,7 +32,7 @@ from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.faults import number_in_range
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
 from palpate.realtime.exchange import Slot, publish, snapshot
-from palpate.realtime.loop import engine_sources, function_key
+from palpate.realtime.loop import function_key
 from palpate.reduction.realtime.model import RealtimeModel
 
 __all__ = ["ObservableModel", "Observation", "VirtualCoupling", "make_observable"]
@@ -205,7 +205,7 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
 @cache
 def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
     """Compile the functions of an observable model."""
-    digest = law_digest("observable", function_key(inner_advance), function_key(inner_stiffness), *engine_sources())
+    digest = law_digest(__name__, function_key(inner_advance), function_key(inner_stiffness))
 
     @law_njit(digest)
     def move_coupled_tool(coupling, target, values, period):  # type: ignore[no-untyped-def]

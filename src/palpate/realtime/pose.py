@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from palpate.arrays import Floats
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.faults import InputError
 from palpate.files import shortened
 
@@ -62,7 +62,7 @@ def _finite_numbers(name: str, given: Any, count: int) -> Floats:
     return numbers
 
 
-@njit(cache=True)
+@kernel_njit()
 def follow_pose(pose, target, max_distance, max_angle):  # type: ignore[no-untyped-def]
     """Move a pose towards a target in place, by at most a distance [m] and an angle [rad].
 
@@ -91,7 +91,7 @@ def follow_pose(pose, target, max_distance, max_angle):  # type: ignore[no-untyp
         pose[i] /= np.sqrt(square)
 
 
-@njit(cache=True)
+@kernel_njit()
 def _rotation(pose, i, j):  # type: ignore[no-untyped-def]
     """Return entry (i, j) of the rotation matrix of a pose."""
     w, axis = pose[3], pose[4:]
@@ -102,7 +102,7 @@ def _rotation(pose, i, j):  # type: ignore[no-untyped-def]
     return 2.0 * (axis[i] * axis[j] + sign * w * axis[third])
 
 
-@njit(cache=True)
+@kernel_njit()
 def tool_coordinates(tool, pose, out):  # type: ignore[no-untyped-def]
     """Write the tool coordinates (l,): tool @ concatenate([d, (R - I).ravel()])."""
     for row in range(tool.shape[0]):
@@ -114,7 +114,7 @@ def tool_coordinates(tool, pose, out):  # type: ignore[no-untyped-def]
         out[row] = total
 
 
-@njit(cache=True)
+@kernel_njit()
 def wrench(tool, pose, forces, force, moment):  # type: ignore[no-untyped-def]
     """Write the force (3,) [N] and moment (3,) [N m] of the body on the tool, about the reference point.
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from palpate.describe import Described, Fact
+from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.realtime.clock import HAS_ABSOLUTE_SLEEP
 
 __all__ = ["Distribution", "Histograms", "Statistics", "count_step"]
@@ -55,7 +55,7 @@ class Histograms(NamedTuple):
             array[:] = 0
 
 
-@njit(cache=True)
+@kernel_njit()
 def count_step(histograms, computing, lateness, ended, deadline, period):  # type: ignore[no-untyped-def]
     """Count a step and return the next deadline [ns]: the first on the grid whose period is not over.
 
