@@ -28,8 +28,8 @@ from scipy.interpolate import LinearNDInterpolator
 
 import palpate as pt
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.dynamics.solid.model import DAMPING
-from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
+from palpate.dynamics.solid.model import ENERGY_DAMPING
+from palpate.meshfree.quadrature import integration_weights
 from palpate.meshfree.stencils import moving_least_squares
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "incompressible.json"
@@ -250,7 +250,7 @@ def model_of(
 def default_step(model: pt.Solid) -> float:
     """Stable step [s] at rest with the default viscosity."""
     highest = model.stability.highest_frequency
-    return stable_step(highest, DAMPING / highest) if model.conservative else model.stability.step
+    return stable_step(highest, ENERGY_DAMPING / highest) if model.conservative else model.stability.step
 
 
 def run(case: str, poisson: float, form: str, spacing: float, jitter: float) -> None:

@@ -63,7 +63,7 @@ def main() -> None:
         for (name, training), apart, modes in product(TRAININGS.items(), (False, True), (4, 8, 12, 20, 40)):
             if apart and name != "local lifting, relative snapshots":
                 continue
-            data = full if apart else [full[0].then(full[1])] * 2
+            data = full if apart else [full[0].concatenate(full[1])] * 2
             models = [pt.galerkin(scene.model, run, modes=modes, prescribed=["tool"], **training) for run in data]
             row = {"then": after, "training": name, "basis": "a phase" if apart else "one", "modes": modes}
             try:

@@ -50,7 +50,7 @@ def test_the_tool_moves_the_central_node_across_the_sheet(scene):
     prepared = scene.model.prepare(scene.loads)
     schedule = prepared.schedule(np.array([0.05, 0.2]))
     np.testing.assert_allclose(schedule.motion[:, 0], [(0.0, 0.0, 0.005), (0.0, 0.0, 0.0)])
-    assert schedule.holds.all()
+    assert schedule.constrained.all()
 
 
 def test_a_wide_tool_moves_all_nodes_within_its_radius():
@@ -62,7 +62,7 @@ def test_a_wide_tool_moves_all_nodes_within_its_radius():
 
 def test_a_tool_lets_go_after_a_tenth_of_a_second():
     scene = membrane(spacing=COARSE, after="release")
-    holds = scene.model.prepare(scene.loads).schedule(np.array([0.1, 0.1001])).holds[:, 0]
+    holds = scene.model.prepare(scene.loads).schedule(np.array([0.1, 0.1001])).constrained[:, 0]
     np.testing.assert_array_equal(holds, [True, False])
 
 

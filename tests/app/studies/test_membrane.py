@@ -196,7 +196,7 @@ def test_a_full_run_that_stops_keeps_the_frames_of_both_phases(tmp_path, capsys,
     push, after = map(pt.Trajectory.load, partials)
     assert push.complete
     assert not after.complete
-    np.testing.assert_allclose(push.then(after).times, np.arange(55) * 0.002)
+    np.testing.assert_allclose(push.concatenate(after).times, np.arange(55) * 0.002)
 
 
 @pytest.mark.slow

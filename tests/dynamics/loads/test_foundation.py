@@ -63,7 +63,7 @@ def test_a_patch_of_several_faces_has_all_their_areas(small_cloud, tissue):
     around = np.unique(small_cloud.face_nodes)
     cloud = replace(small_cloud, groups={**small_cloud.groups, "around": around})
     prepared = pt.Solid(cloud, tissue, form="energy").prepare([pt.Foundation("around", 1e5)])
-    assert prepared.places.foundation_spring.sum() == pytest.approx(1e5 * 6 * SIDE**2)
+    assert prepared.sites.foundation_spring.sum() == pytest.approx(1e5 * 6 * SIDE**2)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_a_patch_of_several_faces_has_all_their_areas(small_cloud, tissue):
         (lambda: pt.Foundation("z-", -1.0), "stiffness of Foundation on 'z-' must be .*, got -1.0"),
         (lambda: pt.Foundation("z-", 1.0, np.nan), "damping of Foundation on 'z-'"),
         (lambda: pt.Foundation("top", 1.0), "group must be one of .*, got 'top'"),
-        (lambda: pt.Foundation("inside", 1.0), "'inside': nodes 21.* not on the surface"),
+        (lambda: pt.Foundation("inside", 1.0), "must be on the surface, got 'inside' with inner nodes 21"),
     ],
 )
 def test_foundations_that_cannot_be_are_refused_by_name(small_cloud, tissue, make, message):

@@ -97,7 +97,7 @@ def test_runs_tell_touched_nodes_from_held_ones_in_memory_and_in_files(small_clo
     assert not first.bonded.all()
     kept = first.displacements[-1], first.velocities[-1]
     second = run(model, forceps, beside, duration=0.01, start=0.02, displacement=kept[0], velocity=kept[1])
-    both = first.then(second)
+    both = first.concatenate(second)
     both.save(tmp_path / "both.h5")
     np.testing.assert_array_equal(both.bonded, np.isin(both.contact_forces[:, 1], held))
     assert both.contact_forces[:, 0].max() == 30

@@ -17,9 +17,9 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
     [
         (lambda: pt.SurfaceForce("top", force=(1, 0, 0)), "group must be one of .*, got 'top'"),
         (lambda: pt.PrescribedMotion("top", (0, 0, 0)), "group must be one of .*, got 'top'"),
-        (lambda: pt.SurfaceForce("x-", force=(1, 0, 0)), "'x-': .* fixed or driven"),
-        (lambda: pt.PrescribedMotion("x-", (0, 0, 0)), "group 'x-': its nodes 0, 1, .* already fixed or driven"),
-        (lambda: pt.PrescribedMotion("y-", (0, 0, 0)), "group 'y-'.*already fixed or driven"),
+        (lambda: pt.SurfaceForce("x-", force=(1, 0, 0)), "got 'x-', which is all fixed or prescribed"),
+        (lambda: pt.PrescribedMotion("x-", (0, 0, 0)), "got 'x-', whose nodes 0, 1, .* already fixed or prescribed"),
+        (lambda: pt.PrescribedMotion("y-", (0, 0, 0)), "got 'y-'.*already fixed or prescribed"),
         (lambda: pt.SurfaceForce("x+"), "'x+' must have a force .* or a pressure"),
         (lambda: pt.SurfaceForce("x+", force=(1, 0, 0), pressure=1.0), "'x+' must have a force .* or a pressure"),
         (
@@ -73,7 +73,7 @@ def test_a_load_of_the_wrong_shape_is_refused_by_name(held, load):
 
 
 def test_two_motions_of_one_node_are_refused(held):
-    with pytest.raises(pt.InputError, match=r"'tip'.*already fixed or driven"):
+    with pytest.raises(pt.InputError, match=r"'tip'.*already fixed or prescribed"):
         pt.rollout(held, [pt.PrescribedMotion("x+", (0, 0, 0)), MOVE], duration=1e-3, every=5e-4)
 
 

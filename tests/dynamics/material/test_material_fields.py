@@ -126,10 +126,10 @@ def test_a_reduced_model_knows_the_parts(tmp_path):
         ({"": SOFT, "far": pt.materials.Gent(mu=1e3, Jm=1.0, **GIVEN, split="isochoric")}, "one split"),
         ({"": SOFT, "far": replace_prony(SOFT, pt.materials.Prony(shares=1.0, times=1.0))}, "one Prony series"),
         ({"": SOFT, "far": pt.materials.Gent(mu=1e3, Jm=1.0, density=1000.0, poisson=0.5)}, "compressible"),
-        ({"far": FIRM}, "nodes have no material"),
+        ({"far": FIRM}, "must cover all nodes"),
         ({"": SOFT, "nowhere": FIRM}, "nowhere"),
-        ({"": SOFT, "far": 5.0}, "material holds 5.0"),
-        ([SOFT, FIRM], "a list of 2: give one for each of the 225 nodes"),
+        ({"": SOFT, "far": 5.0}, "must be palpate's materials, got 5.0"),
+        ([SOFT, FIRM], "must have one entry for each of the 225 nodes, got 2"),
     ],
 )
 def test_materials_that_do_not_go_together_are_refused(materials, message):

@@ -155,7 +155,8 @@ def test_a_block_creeps_under_a_step_of_force_as_the_standard_solid():
     assert np.abs(run.balance).max() < 0.01 * np.abs(run.external).max()
     ease = pt.rollout(  # the same bar without branches, slowly pulled: the end of the creep
         pt.Solid(cloud, tissue(None, poisson=0.45), "x-", form="energy", stiffness_damping=5e-4),
-        [pt.SurfaceForce("x+", force=lambda t: (force * min(t / 0.1, 1), 0, 0))], duration=0.3, every=0.01, progress=False,
+        [pt.SurfaceForce("x+", force=lambda t: (force * min(t / 0.1, 1), 0, 0))],
+        duration=0.3, every=0.01, progress=False,
     )  # fmt: skip
     final = ease.displacements[-5:, cloud.group("x+"), 0].mean()
     # nearly incompressible, so shear alone decides; the bar rings about the creep, fast and damped

@@ -167,7 +167,7 @@ def test_turned_fibres_in_a_bent_sheet_pull_by_the_slope_of_the_energy():
             {"fibres": pt.materials.Fibres(**HGO, directions=(1.0, 0.0, 0.0)), "relaxed": False, "form": "strong"},
             "form='energy'",
         ),
-        ({"fibres": 3.0}, "give palpate.materials.Fibres"),
+        ({"fibres": 3.0}, "must be palpate.materials.Fibres"),
         ({"form": "strong"}, "form='energy'"),
     ],
 )

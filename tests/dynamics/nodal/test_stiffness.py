@@ -82,7 +82,7 @@ def test_a_reduced_model_knows_the_stiffer_part(tmp_path):
     model = bar(0.005, 5.0, stiffness_damping=2e-5)
     loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(150 * t) ** 2 * np.array([0.05, 0.01, 0.0]))]
     run = pt.rollout(model, loads, duration=0.03, every=0.001, progress=False)
-    whole = pt.ReducedModel(pt.hyper_reduce(model, run, modes=6, cubature=0.0, pressures=1000).parts, single=False)
+    whole = pt.ReducedModel(pt.hyper_reduce(model, run, modes=6, cubature=0.0, pressures=1000).data, single=False)
     columns = whole.data.basis_vectors[: whole.count]
     a = np.linalg.lstsq(columns.reshape(6, -1).T, run.displacements[15].ravel(), rcond=None)[0]
     u = np.tensordot(a, columns, 1)
@@ -118,7 +118,7 @@ def test_vibration_modes_are_those_of_the_stiffer_body():
         ({"nowhere": 2.0}, "nowhere"),
         ({"x+": 0.0}, r"stiffness\['x\+'\] must be .*, got 0"),
         ({"x+": np.nan}, r"stiffness\['x\+'\]"),
-        (np.ones(3), "one a node"),
+        (np.ones(3), "one per node"),
         (-np.ones(625), "positive numbers"),
     ],
 )

@@ -340,14 +340,14 @@ def test_a_body_turned_inside_out_has_no_energy(model):
 
 @pytest.mark.parametrize("form", ["weak", "Energy", "", None])
 def test_an_unknown_form_is_refused(small_cloud, tissue, form):
-    with pytest.raises(pt.InputError, match=rf"form = {form!r}: allowed are 'strong' and 'energy'"):
+    with pytest.raises(pt.InputError, match=rf"form must be 'strong' or 'energy', got {form!r}"):
         pt.Solid(small_cloud, tissue, form=form)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"stiffness_damping": -1e-5}, "viscosity must be .*, got -1e-05"),
+        ({"stiffness_damping": -1e-5}, "stiffness_damping must be .*, got -1e-05"),
         ({"neighbours": 9}, "neighbours must be .*, got 9"),
         ({"smoothing": 4}, "smoothing must be .*, got 4"),
         ({"fixed": "left"}, "group must be one of .*, got 'left'"),

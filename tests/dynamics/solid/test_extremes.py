@@ -38,7 +38,7 @@ def reduced(small_cloud, tissue):
 
 @pytest.mark.parametrize("newton", [-2e3, 2e4, 1e9, 1e200, 1e308])
 def test_forces_that_no_body_bears_end_runs_of_every_model(newton, held, energetic, reduced, monkeypatch):
-    monkeypatch.setattr(rollout_module, "CRAWL", 3)
+    monkeypatch.setattr(rollout_module, "MAX_STEP_RATIO", 3)
     for model in (held, energetic, reduced):
         with pytest.raises(pt.DivergenceError) as caught:
             pt.rollout(model, pull(newton), duration=0.02, every=1e-3, progress=False)
@@ -49,8 +49,10 @@ def test_forces_that_no_body_bears_end_runs_of_every_model(newton, held, energet
 def test_a_run_that_needs_ever_shorter_steps_is_ended_and_says_so(energetic, monkeypatch):
     steps, stable = iter([1e-4, *[1e-9] * 10**6]), 1e-4
     monkeypatch.setattr(energetic, "stable_step", lambda state, prepared: next(steps))
-    monkeypatch.setattr(rollout_module, "CHUNK", 2)
-    with pytest.raises(pt.DivergenceError, match=r"the run crawls: \d+ steps, 100 times those of the first") as caught:
+    monkeypatch.setattr(rollout_module, "STEPS_PER_ESTIMATE", 2)
+    with pytest.raises(
+        pt.DivergenceError, match=r"became too small: \d+ steps, 100 times those of the first"
+    ) as caught:
         pt.rollout(energetic, [], duration=stable * 40, every=stable * 20, progress=False)
     assert "smaller loads" in str(caught.value)
 
@@ -110,14 +112,14 @@ def test_an_initial_value_that_is_not_finite_is_named_by_its_node(energetic, red
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"every": 5e-324}, "start must be|makes inf snapshots"),
-        ({"every": 1e-12}, "makes 1e\\+09 snapshots of .* MB"),
-        ({"duration": 1e9, "every": 1e-2}, "makes 1e\\+11 snapshots"),
+        ({"every": 5e-324}, "start must be .*, got 0.0|snapshots and .* MB, got inf"),
+        ({"every": 1e-12}, "snapshots and .* MB, got 1e\\+09"),
+        ({"duration": 1e9, "every": 1e-2}, "snapshots and .* MB, got 1e\\+11"),
         ({"start": 1e20}, "start must be .*, got 1e\\+20"),
         ({"start": np.nan}, "start must be .*, got nan"),
         ({"start": 10**400}, "start must be a number"),
         ({"step": 1e-300}, "step must be .*, got 1e-300"),
-        ({"start": 4e5, "step": 1e-9}, "too far from 0 for steps of 1e-09 s"),
+        ({"start": 4e5, "step": 1e-9}, "start must be near 0 for steps of 1e-09 s"),
     ],
 )
 def test_times_that_make_no_run_are_refused(arguments, message, energetic):
@@ -127,7 +129,7 @@ def test_times_that_make_no_run_are_refused(arguments, message, energetic):
 
 def test_snapshots_that_memory_does_not_hold_are_refused(energetic, monkeypatch):
     monkeypatch.setattr(rollout_module, "machine_memory", lambda: 5e3)
-    with pytest.raises(pt.InputError, match=r"makes 2 snapshots of 0\.00614 MB: allowed are 1000000 and 0\.005 MB"):
+    with pytest.raises(pt.InputError, match=r"at most 1000000 snapshots and 0\.005 MB, got 2 and 0\.00614 MB"):
         pt.rollout(energetic, [], **SHORT)
 
 
@@ -158,7 +160,7 @@ def test_no_step_is_stable_where_a_frequency_is_not_finite():
 )
 def test_rotations_that_are_none_are_refused(turn, energetic):
     tool = pt.tools.Contact(pt.tools.Sphere(0.005), ((0.0, 0.0, 1.0), turn))
-    with pytest.raises(pt.InputError, match="the motion of Contact 'tool'"):
+    with pytest.raises(pt.InputError, match="motion of Contact 'tool'"):
         pt.rollout(energetic, [tool], **SHORT)
 
 
@@ -173,7 +175,7 @@ def test_quaternions_of_any_length_are_unit_ones():
 @pytest.mark.parametrize("value", [10**5000, np.inf, "much"], ids=["long", "inf", "text"])
 def test_loads_that_are_no_numbers_are_refused(value, energetic):
     for load in (pt.Gravity((0.0, 0.0, value)), pt.SurfaceForce("x+", pressure=value)):
-        with pytest.raises(pt.InputError, match=r"Gravity|Traction"):
+        with pytest.raises(pt.InputError, match=r"Gravity|SurfaceForce"):
             pt.rollout(energetic, [load], **SHORT)
 
 

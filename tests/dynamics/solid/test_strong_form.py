@@ -220,12 +220,12 @@ def test_plane_waves_travel_at_the_speeds_of_p_and_s_waves(poisson, wave):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"pressure": "mixed"}, "pressure = 'mixed': allowed are 'split' and 'direct'"),
-        ({"half_cell": 0.5}, r"half_cell must be in \[1, 4\], got 0.5"),
+        ({"pressure": "mixed"}, "pressure must be 'split' or 'direct', got 'mixed'"),
+        ({"half_cell": 0.5}, r"half_cell must be .*, got 0.5: allowed is \[1, 4\]"),
         ({"neighbours": 9}, "neighbours must be .*, got 9"),
         ({"smoothing": 4}, "smoothing must be .*, got 4"),
-        ({"stiffness_damping": -1e-5}, "viscosity must be .*, got -1e-05"),
-        ({"stiffness_damping": np.nan}, "viscosity must be .*, got nan"),
+        ({"stiffness_damping": -1e-5}, "stiffness_damping must be .*, got -1e-05"),
+        ({"stiffness_damping": np.nan}, "stiffness_damping must be .*, got nan"),
         ({"fixed": "left"}, "group must be one of .*, got 'left'"),
         ({"fixed": ("x-", "left")}, "group must be one of .*, got 'left'"),
     ],

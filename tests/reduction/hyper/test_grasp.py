@@ -89,7 +89,7 @@ def test_forces_on_nodes_lead_a_model_through_a_grasp(runs, model):
     led = _follow_run(model, full)
     size = np.linalg.norm(expected)
     assert np.linalg.norm(led - expected) < 0.1 * size
-    bare = _follow_run(model, replace(full, contact_forces=np.zeros((0, 5)), held=np.zeros(0, dtype=bool)))
+    bare = _follow_run(model, replace(full, contact_forces=np.zeros((0, 5)), bonded=np.zeros(0, dtype=bool)))
     assert np.linalg.norm(bare - expected) > 0.9 * size
 
 

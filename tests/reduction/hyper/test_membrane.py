@@ -182,18 +182,18 @@ def test_runs_that_follow_each_other_are_one(sheet, push):
         sheet, [PUSH], duration=0.05, every=0.0025, start=0.05, progress=False,
         displacement=half.displacements[-1], velocity=half.velocities[-1],
     )  # fmt: skip
-    whole = half.then(rest)
+    whole = half.concatenate(rest)
     np.testing.assert_allclose(whole.times, push.times, atol=1e-12)
     np.testing.assert_allclose(whole.displacements, push.displacements, atol=2e-5)
     np.testing.assert_allclose(whole.external, push.external, atol=0.02 * push.external[-1])
     assert whole.steps[-1] == half.steps[-1] + rest.steps[-1]
     assert whole.wall_seconds == half.wall_seconds + rest.wall_seconds
-    with pytest.raises(pt.InputError, match="cannot be followed"):
-        rest.then(half)
-    with pytest.raises(pt.InputError, match="another body"):
-        half.then(replace(rest, points=1.1 * rest.points))
-    with pytest.raises(pt.InputError, match="other supports"):
-        half.then(replace(rest, reactions={}))
+    with pytest.raises(pt.InputError, match="other must start at"):
+        rest.concatenate(half)
+    with pytest.raises(pt.InputError, match="the same body"):
+        half.concatenate(replace(rest, points=1.1 * rest.points))
+    with pytest.raises(pt.InputError, match="the same body, supports and tools"):
+        half.concatenate(replace(rest, reactions={}))
 
 
 # the sampled energy

@@ -37,7 +37,7 @@ def pressed():
 def test_vertices_are_where_the_model_says(pressed):
     model, prepared, state = pressed
     surface = Surface(model)
-    push = state.contact_state.pushes[0]
+    push = state.contact_state.surface_forces[0]
     on = np.flatnonzero(push.any(axis=1))
     nodal = model.displacement(state, prepared, surface.nodes)
     met = surface.displacements(state.coordinates, on, push[on])
@@ -55,7 +55,7 @@ def test_held_nodes_get_their_forces_themselves(pressed):
     for _ in range(10):
         steps = int(np.ceil(0.005 / model.stable_step(state, prepared)))
         state = model.advance(state, prepared, 0.005 / steps, steps)
-    push = state.contact_state.pushes[0]
+    push = state.contact_state.surface_forces[0]
     on = np.flatnonzero(push.any(axis=1))
     nodal = model.displacement(state, prepared, surface.nodes)
     seen = surface.displacements(state.coordinates, on, push[on], held=True)

@@ -165,7 +165,7 @@ def _kept_frames(partials: list[Path]) -> str:
 
 
 def _join(parts: Sequence[Trajectory]) -> Trajectory:
-    return reduce(Trajectory.then, parts)
+    return reduce(Trajectory.concatenate, parts)
 
 
 def _keep(study: Study, partials: list[Path], path: Path) -> None:

@@ -1,8 +1,9 @@
-"""The cache of compiled functions, which the next process reads again.
+"""The cache of compiled functions on disk.
 
-Numba looks a cached function up by its closure, and a closure over other compiled functions never compares equal
-in a new process. Nor does it notice a change of a function that it has inlined. Here the key is a digest of the law
-and of the sources that a kernel uses: its own module, and the modules of compiled functions that this imports.
+The key of Numba's cache contains the closure of a function, and a closure over other compiled
+functions never compares equal in a new process. Numba does not detect a change of an inlined function
+either. Here the key is a digest of the law and of the sources that a kernel uses: its own module, and
+the imported modules of compiled functions.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ __all__ = ["inline", "kernel_njit", "kernel_sources", "law_digest", "law_njit", 
 
 
 class KeyedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Compiled code on the disk, in a file of its own for each key.
+    """Compiled code on disk, one file per key.
 
-    Numba numbers these files. Two processes that save at once give two codes one number, and who reads them then runs
-    the code of another signature, which crashes.
+    Numba numbers these files. Two processes that save at once can use one number for two signatures,
+    and running the code of another signature crashes.
     """
 
     def save(self, key: Any, data: Any) -> None:
@@ -53,7 +54,7 @@ class _DigestCache(FunctionCache):  # type: ignore[misc]
 
 
 IMPORT = re.compile(r"^from (palpate\.[\w.]+) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)
-PLAIN = (bool, int, float, str, tuple)  # types of constants that compiled code holds
+PLAIN = (bool, int, float, str, tuple)  # types of constants in compiled code
 
 
 @cache
@@ -67,8 +68,8 @@ def _source(module: str) -> str:
 def kernel_sources(module: str) -> dict[str, str]:
     """Return the sources on which the compiled functions of a module depend.
 
-    Modules of compiled functions are followed through their imports. Of any other module of palpate the constants
-    that are imported count, by their values.
+    Imports of modules with compiled functions are followed recursively. Of other modules of palpate only
+    the values of imported constants are included.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def law_digest(module: str, *what: object) -> str:
     Parameters
     ----------
     module : str
-        ``__name__`` of the caller. Its source counts, and those of the compiled functions that it imports.
+        ``__name__`` of the caller, whose source and imported compiled functions are included.
     *what : object
         Functions of a law, flags and further digests.
     """
@@ -126,7 +127,7 @@ def law_digest(module: str, *what: object) -> str:
 
 
 def _text(item: object) -> str:
-    """Return the sources of a function and of all that it uses, or the repr of another value."""
+    """Return the sources of a function and of all functions that it uses, or the repr of another value."""
     if not inspect.isfunction(item):
         return repr(item)
     found: dict[object, str] = {}
@@ -145,10 +146,10 @@ def _text(item: object) -> str:
 
 
 def rename_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a copy of a function whose name holds a digest.
+    """Return a copy of a function with a digest in its name.
 
-    Compiled code is linked by name. Two laws' functions of one name, compiled in two processes and both read from the
-    cache by a third, would be taken for each other there.
+    Compiled code is linked by name. Functions of two laws with one name, compiled in two processes and
+    read from the cache by a third, would be confused there.
     """
     copy = FunctionType(
         function.__code__, function.__globals__, function.__name__, function.__defaults__, function.__closure__
@@ -159,7 +160,7 @@ def rename_for(digest: str, function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def inline(digest: str, function: Callable[..., Any]) -> Any:
-    """Return a function of a law as compiled code can call it, with the functions that it closes over."""
+    """Return a function of a law for calls from compiled code, with the functions in its closure."""
     cells = tuple(
         CellType(inline(digest, cell.cell_contents)) if inspect.isfunction(cell.cell_contents) else cell
         for cell in function.__closure__ or ()
@@ -170,14 +171,14 @@ def inline(digest: str, function: Callable[..., Any]) -> Any:
 
 
 def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile and cache a function under a digest of its module and of the compiled functions that this imports.
+    """Compile and cache a function under a digest of its module and of the imported compiled functions.
 
-    Numba's own cache notices a change of the function's own file only.
+    Numba's own cache detects a change of the function's own file only.
 
     Parameters
     ----------
     **options : Any
-        As of `law_njit`.
+        See `law_njit`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -189,19 +190,19 @@ def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 def law_njit(
     digest: str, *, cached: bool = True, inner: bool = False, **options: Any
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Compile as `numba.njit` does, under a name of its own and, by default, cached under a digest.
+    """Compile with `numba.njit` under a unique name, by default cached under a digest.
 
     Parameters
     ----------
     digest : str
-        Of all that the function is compiled from except its own module, see `law_digest`.
+        Digest of all sources except the function's own module (`law_digest`).
     cached : bool
-        Keep the compiled code on the disk.
+        True stores the compiled code on disk.
     inner : bool
-        The function is called by compiled code alone, and never from Python: the code that unpacks Python's arguments
-        is not compiled. For bodies of many arrays that is a quarter of all that there is to compile.
+        True for a function that only compiled code calls. The wrapper for calls from Python is not
+        compiled, which saves a quarter of the compilation for bodies of many arrays.
     **options : Any
-        Of `numba.njit`.
+        Options of `numba.njit`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

@@ -1,8 +1,9 @@
-"""Stencil sums for several nodes side by side, in the vector lanes of the processor.
+"""Stencil sums for several nodes in the vector lanes of the processor.
 
-Nodes are taken in blocks of `LANES`. A block whose nodes share one arrangement of neighbours (the inside of a lattice)
-reads one number a weight and broadcasts it; any other block has one number a weight and lane. The accumulators of a
-block live in vector registers, which no loop written in Python persuades the compiler to do; hence the intrinsic.
+Nodes are processed in blocks of `LANES`. A block whose nodes share one arrangement of neighbours (the
+interior of a lattice) stores one number per weight and broadcasts it. Any other block stores one
+number per weight and lane. The accumulators of a block are in vector registers. The compiler does not
+do so for loops in Python, which requires the intrinsic.
 """
 
 from __future__ import annotations
@@ -42,13 +43,13 @@ class Lanes(NamedTuple):
     nodes : (b, LANES) int32
         Nodes of every block; the last node of an unfilled block is repeated.
     start : (b + 1,) int64
-        Where a block's neighbours begin.
+        First entry of every block in `neighbours`.
     neighbours : (t, LANES) int32
-        Of every lane.
+        Neighbours of every lane.
     shared : (b,) bool
-        Whether the block's nodes share their weights.
+        True for blocks whose nodes share their weights.
     weight_start : (b,) int64
-        Where a block's weights begin, in the shared or the other table.
+        First entry of every block in the table of shared weights or of those by lane.
     """
 
     nodes: NDArray[np.int32]
@@ -59,20 +60,20 @@ class Lanes(NamedTuple):
 
     @classmethod
     def none(cls) -> Lanes:
-        """Lay out nothing."""
+        """Return an empty layout."""
         nodes, start = np.zeros((0, LANES), dtype=np.int32), np.zeros(1, dtype=np.int64)
         return cls(nodes, start, nodes.copy(), np.zeros(0, dtype=np.bool_), start[:0].copy())
 
 
 class Weights(NamedTuple):
-    """Weights that go with `Lanes`: shared ones (s, r), and one for every lane (t, r, LANES)."""
+    """Weights of `Lanes`: shared ones (s, r), and those by lane (t, r, LANES)."""
 
     one: NDArray[np.float64]
     lanes: NDArray[np.float64]
 
     @classmethod
     def none(cls) -> Weights:
-        """Hold nothing."""
+        """Return empty weights."""
         return cls(np.zeros((0, 1)), np.zeros((0, 1, LANES)))
 
 
@@ -111,7 +112,7 @@ def lane_table(
     for table in tables:
         table = table.reshape(len(table), k, -1)
         by_lane = np.empty((int(own.sum()), table.shape[2], LANES))
-        for lane in range(LANES):  # lane by lane, to hold one copy only
+        for lane in range(LANES):  # lane by lane, to store one copy only
             by_lane[:, :, lane] = table[row[nodes[block[own], lane]], position[own]]
         weights.append(Weights(np.ascontiguousarray(table[rows[r], row_position]), by_lane))
     neighbours = np.ascontiguousarray(near[nodes[block], position[:, None]])
@@ -121,21 +122,22 @@ def lane_table(
 def transpose(
     neighbours: NDArray[np.int32], weights: NDArray[np.float64], volumes: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """For every node the nodes whose stencils hold it (n, t), padded with itself, and their weights on it (n, t, w).
+    """Return the transposed stencils: the nodes whose stencils contain a node (n, t), and their weights (n, t, w).
 
-    The weights are those of a sum over nodes' volumes (areas, of a sheet), per volume of the node.
+    Rows are padded with the node itself. The weights are those of sums weighted by nodal volumes (areas
+    of a sheet), per volume of the node.
     """
     n = len(neighbours)
-    node, place = np.nonzero(neighbours != np.arange(n)[:, None])
-    other = neighbours[node, place]
+    node, position = np.nonzero(neighbours != np.arange(n)[:, None])
+    other = neighbours[node, position]
     order = np.lexsort((node, other))
-    node, place, other = node[order], place[order], other[order]
+    node, position, other = node[order], position[order], other[order]
     count = np.bincount(other, minlength=n)
     column = np.arange(len(other)) - np.repeat(np.cumsum(count) - count, count)
     near = np.tile(np.arange(n, dtype=np.int32)[:, None], (1, count.max()))
     near[other, column] = node
     back = np.zeros((n, count.max(), weights.shape[2]))
-    back[other, column] = weights[node, place] * (volumes[node] / volumes[other])[:, None]
+    back[other, column] = weights[node, position] * (volumes[node] / volumes[other])[:, None]
     return near, back
 
 
@@ -179,7 +181,7 @@ def _lane_sums(fields: int, weights: int, name: str) -> Any:
 
 
 def _emit_loop(builder: Any, args: list[Any], fields: int, weights: int, broadcast: bool) -> None:
-    """Emit the loop over neighbours; its sums are vectors that live in registers from start to end."""
+    """Emit the loop over neighbours, with sums in vector registers."""
     weight_at, field_at, out_at, count = args
     i64, scalar = ir.IntType(64), ir.DoubleType()
     vector = ir.VectorType(scalar, LANES)
@@ -225,11 +227,12 @@ def _emit_loop(builder: Any, args: list[Any], fields: int, weights: int, broadca
 
 
 def _column_pass(single: bool, back: bool, name: str) -> Any:
-    """Make an intrinsic that runs over the nine derivatives (m, 9, LANES) of columns at one block of nodes.
+    """Return an intrinsic for sums over the nine derivatives (m, 9, LANES) of basis vectors at one block.
 
-    Arguments are the addresses of the derivatives, of the columns' coordinates (m,) and of the result (9, LANES), which
-    becomes the sum over the columns; or, `back`, of nine vectors (9, LANES) and of the result (m, LANES), to which
-    their products with every column's derivatives are added. Last comes the number of columns.
+    Its arguments are the addresses of the derivatives, of the coordinates (m,) and of the result
+    (9, LANES), the sum over the basis vectors. With `back` they are those of the derivatives, of nine
+    vectors (9, LANES) and of the result (m, LANES), to which the products with every basis vector's
+    derivatives are added. The last argument is the number of basis vectors.
     """
 
     def sums(typingctx, table_at, given_at, out_at, count):  # type: ignore[no-untyped-def]
@@ -246,7 +249,7 @@ def _column_pass(single: bool, back: bool, name: str) -> Any:
 
 
 def _emit_column_loop(builder: Any, args: list[Any], single: bool, back: bool) -> None:
-    """Emit the loop over columns; the nine vectors stay in registers from start to end."""
+    """Emit the loop over basis vectors, with the nine vectors in registers."""
     table_at, given_at, out_at, count = args
     i64, i32, scalar = ir.IntType(64), ir.IntType(32), ir.DoubleType()
     vector = ir.VectorType(scalar, LANES)
@@ -256,7 +259,7 @@ def _emit_column_loop(builder: Any, args: list[Any], single: bool, back: bool) -
     out_ptr = builder.inttoptr(out_at, vector.as_pointer())
     undefined, lane_zero = ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(i32, LANES), [0] * LANES)
     nine = [ir.Constant(i64, q) for q in range(9)]
-    held = [builder.load(builder.gep(given_ptr, [q]), align=8) for q in nine] if back else []
+    factors = [builder.load(builder.gep(given_ptr, [q]), align=8) for q in nine] if back else []
     entry, loop = builder.block, builder.append_basic_block("column")
     end = builder.append_basic_block("columns.end")
     builder.branch(loop)
@@ -271,8 +274,8 @@ def _emit_column_loop(builder: Any, args: list[Any], single: bool, back: bool) -
     if back:
         at = builder.gep(out_ptr, [m])
         total, other = builder.load(at, align=8), ir.Constant(vector, [0.0] * LANES)
-        for q in range(9):  # two chains, to wait less for each other
-            product = builder.fmul(values[q], held[q], flags=("contract",))
+        for q in range(9):  # two independent chains of additions
+            product = builder.fmul(values[q], factors[q], flags=("contract",))
             total, other = other, builder.fadd(product, total, flags=("contract",))
         builder.store(builder.fadd(total, other), at, align=8)
     else:

@@ -1,8 +1,9 @@
-"""What the compiled forces of solids and membranes have in common.
+"""The common passes of the compiled forces of solids and membranes.
 
-A *formulation* turns displacements, or few coordinates, into forces in two passes over blocks of `LANES` nodes: first
-every node's derivatives and what its material answers; then, when all are known, the force at every node. Each
-node's result depends on no other's, so any number of threads gives the same bits.
+A *formulation* computes forces from displacements, or from few coordinates, in two passes over blocks
+of `LANES` nodes. The first computes the derivatives and the material response of every node, the
+second the force at every node. Each node's result is independent of the others, so the bits are equal
+for any number of threads.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ __all__ = [
 
 @kernel_njit()
 def without_history(work, interval):  # type: ignore[no-untyped-def]
-    """`Formulation.after` of a body that remembers nothing."""
+    """Do nothing: `Formulation.after` of a body without history variables."""
 
 
 class Formulation(NamedTuple):
@@ -40,24 +41,25 @@ class Formulation(NamedTuple):
     Parameters
     ----------
     digest : str
-        Of everything that the passes are made from.
+        Digest of all sources of the passes.
     numbers : int
-        Derivatives a node: 27 in a solid (12 in its energy form), 15 in a membrane.
+        Derivatives per node: 27 in a solid (12 in its energy form), 15 in a membrane.
     respond : function
-        ``respond(u, body, work)``: responses of all nodes to displacements (n, 3).
+        ``respond(u, body, work)`` computes the responses of all nodes to displacements (n, 3).
     respond_to_columns : function
-        ``respond_to_columns(columns, table, body, work)``: the same for displacements given by the coordinates (m,) of
-        columns whose derivatives stand in a table (b, m, numbers, LANES).
+        ``respond_to_columns(columns, table, body, work)`` does so for the coordinates (m,) of basis
+        vectors, whose derivatives are in a table (b, m, numbers, LANES).
     differentiate : function
-        ``differentiate(modes, body, work, table)``: writes that table for columns (m, n, 3).
+        ``differentiate(modes, body, work, table)`` writes that table for basis vectors (m, n, 3).
     finish : function
-        ``finish(body, work, force)``: forces by node [N/m^3] from the responses.
+        ``finish(body, work, force)`` computes the nodal forces [N/m^3] from the responses.
     project : function or None
-        ``project(table, body, work, volumes, partial, result)``: virtual work of the responses on the columns of the
-        table, by way of partial sums (b, m), where the forces are the derivative of an energy.
+        ``project(table, body, work, volumes, partial, result)`` computes the virtual work of the
+        responses on the basis vectors, with partial sums (b, m). None unless the forces are the
+        derivative of an energy.
     after : function
-        ``after(work, interval)``: the next evaluation is that of an interval [s] later, and remembered by tissue that
-        relaxes; with 0 none is.
+        ``after(work, interval)`` sets the interval [s] after which the next evaluation updates the
+        history variables; 0 for no update.
     """
 
     digest: str
@@ -72,7 +74,7 @@ class Formulation(NamedTuple):
 
 @kernel_njit(forceinline=True)
 def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
-    """Where the weights of block b begin in memory."""
+    """Return the address of the weights of block b."""
     if lanes.shared[b]:
         return weights.one[lanes.weight_start[b] :].ctypes.data
     return weights.lanes[lanes.weight_start[b] :].ctypes.data
@@ -80,7 +82,7 @@ def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
 
 @kernel_njit(forceinline=True)
 def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
-    """Gather u_J - u_I of the neighbours J of the nodes I of one block; return how many neighbours they have."""
+    """Gather u_J - u_I of the neighbours J of the nodes I of a block; return the number of neighbours."""
     begin, end = lanes.start[b], lanes.start[b + 1]
     for k in range(begin, end):
         for lane in range(LANES):
@@ -92,7 +94,7 @@ def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
 
 @kernel_njit(fastmath={"contract"})
 def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
-    """Derivatives of one block from the coordinates of columns."""
+    """Compute the derivatives of one block from the coordinates of basis vectors."""
     for q in range(table.shape[2]):
         for lane in range(LANES):
             out[q, lane] = table[b, 0, q, lane] * columns[0]
@@ -104,7 +106,7 @@ def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
 
 @kernel_njit(parallel=True, fastmath={"contract"})
 def smooth_field(lanes, value, own, fields, derivatives, values, smooth):  # type: ignore[no-untyped-def]
-    """Fitted value of a nodal field (n,) at every node."""
+    """Compute the fitted value of a nodal field (n,) at every node."""
     for b in prange(lanes.nodes.shape[0]):
         field = fields[get_thread_id()].reshape(-1, LANES)
         total = derivatives[get_thread_id()]
@@ -122,7 +124,7 @@ def smooth_field(lanes, value, own, fields, derivatives, values, smooth):  # typ
 
 @kernel_njit(parallel=True, fastmath={"contract"})
 def gather_fluxes(lanes, back, own, fields, sums, flux, force):  # type: ignore[no-untyped-def]
-    """Force [N/m^3] that is the slope of an energy: minus the transposed derivatives of the fluxes (n, 3 w)."""
+    """Compute the force [N/m^3], minus the transposed derivatives of the fluxes (n, 3 w)."""
     for b in prange(lanes.nodes.shape[0]):
         field, total = fields[get_thread_id()], sums[get_thread_id()]
         begin, end = lanes.start[b], lanes.start[b + 1]
@@ -145,7 +147,7 @@ def gather_fluxes(lanes, back, own, fields, sums, flux, force):  # type: ignore[
 
 @kernel_njit()
 def add_blocks(partial, result):  # type: ignore[no-untyped-def]
-    """Sum parts (b, m) over the blocks, in one order whatever the number of threads."""
+    """Sum partial results (b, m) over the blocks, in an order independent of the number of threads."""
     result[:] = 0.0
     for b in range(partial.shape[0]):
         for m in range(partial.shape[1]):
@@ -153,13 +155,14 @@ def add_blocks(partial, result):  # type: ignore[no-untyped-def]
 
 
 def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int) -> tuple[Any, Any]:
-    """Make the passes that differentiate displacements, from the sums of first and of second derivatives.
+    """Compile the passes that differentiate displacements.
 
     Returns
     -------
     lift, differentiate : functions
         ``lift(b, u, lanes, first, second, fields, out)`` writes the derivatives at the nodes of one block into out
-        (numbers, LANES), the first `first_numbers` being first derivatives; for `differentiate` see `Formulation`.
+        (numbers, LANES), the first `first_numbers` of which are first derivatives. For `differentiate` see
+        `Formulation`.
     """
     digest = law_digest(__name__, "lift", name, first_numbers)
 
@@ -185,7 +188,7 @@ def lift_passes(name: str, first_sums: Any, second_sums: Any, first_numbers: int
 
 @cache
 def internal_force(formulation: Formulation) -> Any:
-    """Compile ``internal_force(u, body, work, force)``: the force density [N/m^3] of displacements (n, 3)."""
+    """Compile ``internal_force(u, body, work, force)``, the force density [N/m^3] of displacements (n, 3)."""
     respond, finish = formulation.respond, formulation.finish
 
     @law_njit(formulation.digest)

@@ -1,1 +1,1 @@
-"""Rigid tools, their geometry, and contact impulses."""
+"""Rigid tools, their geometry and contact impulses."""

@@ -1,8 +1,8 @@
-"""Rigid tools and what they touch, compiled: distances, velocities, Coulomb's law, and the patches of a surface.
+"""Compiled geometry of rigid tools and contact patches: distances, velocities and Coulomb's law.
 
 A patch i is at X_i + sum of w_ij u_j: a node itself, or in the energy form the surface around it
-(`palpate.meshfree.patches`). Functions of a point take coordinates, not clouds, and know nothing of a discretisation.
-The impulses of a step are in `palpate.dynamics.contact.impulses`.
+(`palpate.meshfree.patches`). Functions of a point take coordinates and are independent of the
+discretisation. The impulses of a step are in `palpate.dynamics.contact.impulses`.
 """
 
 from __future__ import annotations
@@ -22,48 +22,95 @@ from palpate.meshfree.cloud import Cloud
 
 __all__ = [
     "Contacts",
+    "compute_gaps",
+    "compute_patch_positions",
     "contacts",
     "coulomb",
     "gap",
-    "gaps",
     "material_velocity",
     "patch",
-    "patch_places",
     "rotation",
     "signed_distance",
 ]
 
-TOUCHING = 1e-6, 1e-3  # of the spacing: gap below which a node, or a patch, counts as touching at the end of a step
-CLOSE = 0.1  # of the spacing: gap below which a patch is asked in every sweep
-SPREAD = 3.0  # spacings from a node within which its patch is sought
+CONTACT_GAP = {"nodes": 1e-6, "patches": 1e-3}  # gap of a node or patch in contact, in spacings
+SEARCH_GAP = 0.1  # gap of a patch that is included in the sweeps, in spacings
+PATCH_RADIUS = 3.0  # largest distance of a patch from its node, in spacings
 
 
 class Contacts(NamedTuple):
-    """Tools and the patches that they can touch, for the compiled step."""
+    """Rigid tools and contact patches, for the compiled step.
 
-    kind: NDArray[np.int64]  # (t,) of the shapes
-    sizes: Floats  # (t, 3) [m]
-    friction: Floats  # (t,)
-    start: NDArray[np.int64]  # (t + 1,)
-    nodes: NDArray[np.int64]  # (k,)
-    points: Floats  # (n, 3) reference places [m]
-    first: NDArray[np.int64]  # (n + 1,) of the nodes that carry each node's patch
-    near: NDArray[np.int64]  # (c,)
-    weights: Floats  # (c,)
-    prescribed_until: Floats  # (n,) time [s] until which a node is held, and not pushed by tools
-    tolerance: float  # gap [m] below which a patch counts as touching
-    close: float  # gap [m] below which it is asked in every sweep
-    spread: float  # how far [m] from its node a patch is sought
-    frames: Floats  # (t, 2, 3, 4) rotations and places of the tools before and after a step
-    bounds: Floats  # (t,) radius [m] about the origin beyond which a tool does not reach
-    tool: NDArray[np.int64]  # (k,) that may touch the node
-    found: NDArray[np.int64]  # (1,) how many nodes there are whose patches are close to a tool
-    active: NDArray[np.int64]  # (k,) which these are
-    pushes: Floats  # (k, 4) their impulses [N s], and 1 / m [1/kg]; zero for all others
-    rate: Floats  # (n,) 1 / mass of the nodes near them [1/kg], zero where they are held
-    impulse: Floats  # (n, 3) of the present step, by node [N s]
-    given: Floats  # (n, 3) impulse by node [N s], since a call began
-    total: Floats  # (t, 6) impulse [N s] and its moment about the tool's origin [N m s] on the body, since a call began
+    A candidate is a pair of a tool and a node whose patch the tool can reach.
+
+    Parameters
+    ----------
+    kind : (t,) array
+        Shape of every tool.
+    sizes : (t, 3) array [m]
+    friction : (t,) array
+    start : (t + 1,) array
+        First candidate of every tool, and their number k.
+    nodes, tool : (k,) arrays
+        Node and tool of every candidate.
+    points : (n, 3) array [m]
+        Reference positions.
+    patch_start : (n + 1,) array
+        First entry of every patch in the next two arrays.
+    patch_nodes, patch_weights : (c,) arrays
+        Nodes of the patches and their weights.
+    prescribed_until : (n,) array [s]
+        Time until which a node is constrained.
+    contact_gap : float [m]
+        Gap below which a patch is in contact at the end of a call.
+    search_gap : float [m]
+        Gap below which a patch is included in the sweeps.
+    patch_radius : float [m]
+        Largest distance of a patch from its node.
+    frames : (t, 2, 3, 4) array
+        Rotations and positions of the tools before and after a step.
+    tool_radius : (t,) array [m]
+        Radius about its origin that contains a tool.
+    active_count : (1,) array
+        Number of active candidates, within `search_gap`.
+    active : (k,) array
+        The active candidates.
+    patch_impulses : (k, 4) array
+        Impulses of the candidates [N s] and 1 / m [1/kg]; zero unless active.
+    inverse_mass : (n,) array [1/kg]
+        1 / mass of the nodes near the active patches; zero for constrained nodes.
+    step_impulses : (n, 3) array [N s]
+        Nodal impulses of the present step.
+    nodal_impulses : (n, 3) array [N s]
+        Nodal impulses since the start of a call.
+    tool_impulses : (t, 6) array [N s], [N m s]
+        Impulse of every tool on the body and its moment about the tool's origin, since the start of
+        a call.
+    """
+
+    kind: NDArray[np.int64]
+    sizes: Floats
+    friction: Floats
+    start: NDArray[np.int64]
+    nodes: NDArray[np.int64]
+    points: Floats
+    patch_start: NDArray[np.int64]
+    patch_nodes: NDArray[np.int64]
+    patch_weights: Floats
+    prescribed_until: Floats
+    contact_gap: float
+    search_gap: float
+    patch_radius: float
+    frames: Floats
+    tool_radius: Floats
+    tool: NDArray[np.int64]
+    active_count: NDArray[np.int64]
+    active: NDArray[np.int64]
+    patch_impulses: Floats
+    inverse_mass: Floats
+    step_impulses: Floats
+    nodal_impulses: Floats
+    tool_impulses: Floats
 
 
 @kernel_njit()
@@ -80,12 +127,12 @@ def signed_distance(kind, sizes, x, y, z):  # type: ignore[no-untyped-def]
     if kind == CAPSULE:
         z -= min(max(z, -sizes[1]), sizes[1])
         length = np.sqrt(x * x + y * y + z * z)
-        if length == 0.0:  # on the axis: some direction across it
+        if length == 0.0:  # on the axis: any direction across it
             return -sizes[0], 1.0, 0.0, 0.0
         return length - sizes[0], x / length, y / length, z / length
     across = np.sqrt(x * x + y * y)
     ux, uy = (x / across, y / across) if across > 0.0 else (1.0, 0.0)
-    # how far beyond the inner cylinder, smaller by the rounding, the point is
+    # distances beyond the inner cylinder, which is smaller by the rounding
     a, b = across - (sizes[0] - sizes[2]), sizes[2] - z
     if a > 0.0 and b > 0.0:
         length = np.sqrt(a * a + b * b)
@@ -97,7 +144,7 @@ def signed_distance(kind, sizes, x, y, z):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def rotation(pose, frame):  # type: ignore[no-untyped-def]
-    """Write the rotation matrix and the place of a pose (7,) into a frame (3, 4)."""
+    """Write the rotation matrix and the position of a pose (7,) into a frame (3, 4)."""
     w, x, y, z = pose[3], pose[4], pose[5], pose[6]
     frame[0, 0], frame[0, 1], frame[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     frame[1, 0], frame[1, 1], frame[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
@@ -107,7 +154,7 @@ def rotation(pose, frame):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def gap(kind, sizes, frame, x, y, z):  # type: ignore[no-untyped-def]
-    """Return signed distance [m] and outward normal, as `signed_distance`, of a point in space to a tool in a frame."""
+    """Return the signed distance [m] and outward normal of a point in space, as `signed_distance`."""
     x, y, z = x - frame[0, 3], y - frame[1, 3], z - frame[2, 3]
     g, a, b, c = signed_distance(
         kind,
@@ -126,7 +173,7 @@ def gap(kind, sizes, frame, x, y, z):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def material_velocity(before, after, step, x, y, z):  # type: ignore[no-untyped-def]
-    """Return the mean velocity [m/s] over a step of the tool's matter that ends the step at a point in space."""
+    """Return the mean velocity [m/s] of the tool's material point that ends a step at a point in space."""
     p = x - after[0, 3], y - after[1, 3], z - after[2, 3]
     a = after[0, 0] * p[0] + after[1, 0] * p[1] + after[2, 0] * p[2]
     b = after[0, 1] * p[0] + after[1, 1] * p[1] + after[2, 1] * p[2]
@@ -140,15 +187,15 @@ def material_velocity(before, after, step, x, y, z):  # type: ignore[no-untyped-
 
 @kernel_njit()
 def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """Return the tangential part (3) that goes with a normal impulse, by Coulomb's law.
+    """Return the tangential impulse (3) for a normal impulse by Coulomb's law.
 
     Parameters
     ----------
     normal : float
-        Impulse along the normal, in units of the velocity: over the mass.
+        Normal impulse over the mass [m/s].
     friction : float
     wx, wy, wz : float [m/s]
-        Velocity against the tool's; only its part across the normal counts.
+        Velocity relative to the tool; its normal component is ignored.
     nx, ny, nz : float
         Unit normal.
     """
@@ -162,93 +209,100 @@ def coulomb(normal, friction, wx, wy, wz, nx, ny, nz):  # type: ignore[no-untype
 
 
 @kernel_njit()
-def patch(points, first, near, weights, i, ahead, u, velocity):  # type: ignore[no-untyped-def]
-    """Return the place (3) [m] of a patch some time ahead [s], and its velocity (3) [m/s]."""
+def patch(points, patch_start, patch_nodes, patch_weights, i, ahead, u, velocity):  # type: ignore[no-untyped-def]
+    """Return the position (3) [m] of a patch after a time [s], and its velocity (3) [m/s]."""
     x, y, z = points[i, 0], points[i, 1], points[i, 2]
     vx, vy, vz = 0.0, 0.0, 0.0
-    for c in range(first[i], first[i + 1]):
-        j, w = near[c], weights[c]
+    for c in range(patch_start[i], patch_start[i + 1]):
+        j, w = patch_nodes[c], patch_weights[c]
         x, y, z = x + w * u[j, 0], y + w * u[j, 1], z + w * u[j, 2]
         vx, vy, vz = vx + w * velocity[j, 0], vy + w * velocity[j, 1], vz + w * velocity[j, 2]
     return x + ahead * vx, y + ahead * vy, z + ahead * vz, vx, vy, vz
 
 
 @kernel_njit()
-def patch_places(contacts, u, places):  # type: ignore[no-untyped-def]
-    """Write the places (n, 3) [m] of all patches for displacements u (n, 3) [m]."""
+def compute_patch_positions(contacts, u, positions):  # type: ignore[no-untyped-def]
+    """Write the positions (n, 3) [m] of all patches for displacements u (n, 3) [m]."""
     for i in range(u.shape[0]):
-        x, y, z, _, _, _ = patch(contacts.points, contacts.first, contacts.near, contacts.weights, i, 0.0, u, u)
-        places[i, 0], places[i, 1], places[i, 2] = x, y, z
+        x, y, z, _, _, _ = patch(
+            contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, 0.0, u, u
+        )
+        positions[i, 0], positions[i, 1], positions[i, 2] = x, y, z
 
 
 @kernel_njit()
-def gaps(kind, sizes, pose, places, result):  # type: ignore[no-untyped-def]
-    """Write the signed distances [m] of places (k, 3) to a tool in a pose (7,)."""
+def compute_gaps(kind, sizes, pose, positions, result):  # type: ignore[no-untyped-def]
+    """Write the signed distances [m] of positions (k, 3) to a tool in a pose (7,)."""
     frame = np.zeros((3, 4))
     rotation(pose, frame)
-    for i in range(places.shape[0]):
-        result[i] = gap(kind, sizes, frame, places[i, 0], places[i, 1], places[i, 2])[0]
+    for i in range(positions.shape[0]):
+        result[i] = gap(kind, sizes, frame, positions[i, 0], positions[i, 1], positions[i, 2])[0]
 
 
 def contacts(
     loads: Sequence[Contact], cloud: Cloud, prescribed_until: Floats, patches: sparse.csr_array | None = None
 ) -> Contacts:
-    """Make tools ready for a cloud.
+    """Prepare rigid tools for a cloud.
 
     Parameters
     ----------
     loads : sequence of Contact
     cloud : Cloud
     prescribed_until : (n,) array [s]
-        When tools that hold nodes let go.
+        Time until which a node is constrained.
     patches : csr_array, optional
-        (n, n) weights of the nodes in the displacements of the patches that tools touch; by default the nodes.
+        (n, n) weights of the nodal displacements in those of the contact patches; by default the
+        patches are the nodes.
 
     Raises
     ------
     InputError
-        An unknown group, two tools of one name, or a tool that could slip between the nodes.
+        A group is unknown, two tools have one name, or a tool is smaller than the spacing.
     """
+    _check_tools(loads, cloud)
+    # with the interior nodes: a tool that presses deep acts on them below a stretched surface
+    nodes = [np.arange(len(cloud)) if load.group is None else cloud.group(load.group) for load in loads]
+    sizes = np.array([load.tool.sizes for load in loads]).reshape(-1, 3)
+    kind = np.array([load.tool.kind for load in loads], dtype=np.int64)
+    tools, count, candidates = len(loads), len(cloud) if loads else 0, [len(n) for n in nodes]
+    table = sparse.csr_array(sparse.eye_array(count)) if patches is None else patches
+    return Contacts(
+        kind=kind,
+        sizes=sizes,
+        friction=np.array([float(load.friction) for load in loads]),
+        start=np.cumsum([0, *candidates]),
+        nodes=np.concatenate([np.zeros(0, dtype=np.int64), *nodes]),
+        points=np.ascontiguousarray(np.pad(cloud.points, ((0, 0), (0, 3 - cloud.points.shape[1]))), dtype=float),
+        patch_start=table.indptr.astype(np.int64),
+        patch_nodes=table.indices.astype(np.int64),
+        patch_weights=np.asarray(table.data, dtype=float),
+        prescribed_until=prescribed_until,
+        contact_gap=CONTACT_GAP["nodes" if patches is None else "patches"] * cloud.spacing,
+        search_gap=SEARCH_GAP * cloud.spacing,
+        patch_radius=0.0 if patches is None else PATCH_RADIUS * cloud.spacing,
+        frames=np.zeros((tools, 2, 3, 4)),
+        tool_radius=np.where(kind == CAPSULE, sizes[:, 0] + sizes[:, 1], np.inf),
+        tool=np.repeat(np.arange(tools), candidates),
+        active_count=np.zeros(1, dtype=np.int64),
+        active=np.zeros(sum(candidates), dtype=np.int64),
+        patch_impulses=np.zeros((sum(candidates), 4)),
+        inverse_mass=np.zeros(count),
+        step_impulses=np.zeros((count, 3)),
+        nodal_impulses=np.zeros((count, 3)),
+        tool_impulses=np.zeros((tools, 6)),
+    )
+
+
+def _check_tools(loads: Sequence[Contact], cloud: Cloud) -> None:
+    """Raise `InputError` for tools of one name, and for tools that could pass between nodes."""
     names = [load.name for load in loads]
     for load in loads:
         if names.count(load.name) > 1:
-            raise InputError(f"two tools are named {load.name!r}: give every Contact a name of its own")
-        radius = load.tool.sizes[0]
-        # a solid's run notices a tool between its nodes; a membrane has no inside
-        if load.tool.kind not in (PLANE, BONDED) and radius < cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2):
+            raise InputError(f"name of every Contact must be unique, got {load.name!r} twice; choose another name")
+        # runs of solids detect a tool between nodes; a membrane has no interior nodes
+        least = cloud.spacing * (1 if cloud.points.shape[1] == 3 else 2)
+        if load.tool.kind not in (PLANE, BONDED) and load.tool.sizes[0] < least:
             raise InputError(
-                f"Contact {load.name!r}: a radius of {radius:g} m could slip between nodes {cloud.spacing:g} m apart; "
-                "use a larger tool or a finer spacing"
+                f"radius of Contact {load.name!r} must be at least {least:g} m for a spacing of {cloud.spacing:g} m, "
+                f"got {load.tool.sizes[0]:g} m; use a larger tool or a finer spacing"
             )
-    # those inside too: a tool that presses deep meets them below a stretched surface
-    nodes = [np.arange(len(cloud)) if load.group is None else cloud.group(load.group) for load in loads]
-    points = np.pad(cloud.points, ((0, 0), (0, 3 - cloud.points.shape[1])))
-    sizes = np.array([load.tool.sizes for load in loads]).reshape(-1, 3)
-    kind = np.array([load.tool.kind for load in loads], dtype=np.int64)
-    count, held, sizes_of = len(loads), len(cloud) if loads else 0, [len(n) for n in nodes]
-    table = sparse.csr_array(sparse.eye_array(held)) if patches is None else patches
-    return Contacts(
-        kind,
-        sizes,
-        np.array([float(load.friction) for load in loads]),
-        np.cumsum([0, *sizes_of]),
-        np.concatenate([np.zeros(0, dtype=np.int64), *nodes]),
-        np.ascontiguousarray(points, dtype=float),
-        table.indptr.astype(np.int64),
-        table.indices.astype(np.int64),
-        np.asarray(table.data, dtype=float),
-        prescribed_until,
-        TOUCHING[patches is not None] * cloud.spacing,
-        CLOSE * cloud.spacing,
-        0.0 if patches is None else SPREAD * cloud.spacing,
-        np.zeros((count, 2, 3, 4)),
-        np.where(kind == CAPSULE, sizes[:, 0] + sizes[:, 1], np.inf),
-        np.repeat(np.arange(count), sizes_of),
-        np.zeros(1, dtype=np.int64),
-        np.zeros(sum(sizes_of), dtype=np.int64),
-        np.zeros((sum(sizes_of), 4)),
-        np.zeros(held),
-        np.zeros((held, 3)),
-        np.zeros((held, 3)),
-        np.zeros((count, 6)),
-    )

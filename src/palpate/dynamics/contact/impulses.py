@@ -1,21 +1,23 @@
-"""The impulses of rigid tools on a body in one explicit step, compiled.
+"""The compiled contact impulses of rigid tools in one explicit step.
 
-Patches of surface that would be inside a tool at the end of a step are put onto its surface by an impulse along its
-normal: the forward increment Lagrange multipliers of Carpenter, Taylor and Katona (Int. J. Numer. Meth. Engng 32,
-1991). Nothing is penalised, so that no stiffness is chosen, no patch enters a tool, and the stable step stays what it
-was. With the normal impulse p the tangential one is what stops the sliding, but at most mu p (Coulomb).
+Patches of surface that would be inside a tool at the end of a step are moved onto its surface by an
+impulse along its normal. This is the forward increment Lagrange multiplier method of Carpenter,
+Taylor and Katona (Int. J. Numer. Meth. Engng 32, 1991). It requires no penalty stiffness, no patch
+enters a tool, and the stable step is unchanged. The tangential impulse stops the sliding within the
+Coulomb limit of mu times the normal impulse.
 
-An impulse P on patch i is w_ij P on the nodes j, changes the patch's velocity by P / m, 1 / m = sum of w_ij^2 / m_j,
-and those of the patches around. In a step of length dt, with the velocity v that all other impulses leave the patch,
-the place x = X + u + dt v and the gap g(x) < 0 to the tool where it will be,
+An impulse P on patch i is w_ij P on the nodes j. It changes the patch's velocity by P / m,
+1 / m = sum of w_ij^2 / m_j, and those of the neighbouring patches. In a step of length dt, with the
+velocity v that all other impulses leave the patch, the position x = X + u + dt v and the gap
+g(x) < 0 to the tool in its next pose,
 
     P_n = - m g / dt,    P_t = - m w_t min(1, mu P_n / (m |w_t|)),
 
-w_t the sliding velocity against the tool's matter at that place. Where patches share nodes, Gauss and Seidel's sweeps
-find impulses that do this on all of them, from those of the step before (Moreau, in Nonsmooth Mechanics and
-Applications, CISM 302, 1988). Impulses on the nodes and their opposites on the tool are the same numbers: momentum is
-exact. At the end of a call of some steps, patches that touch a tool must not move into it with their half kick; that is
-the same law for velocities.
+with w_t the sliding velocity relative to the tool's material point at that position. Patches that
+share nodes are solved by Gauss-Seidel sweeps, from the impulses of the previous step (Moreau, in
+Nonsmooth Mechanics and Applications, CISM 302, 1988). Impulses on the nodes and their reactions on
+the tool are the same numbers, so momentum is exact. At the end of a call, patches in contact must
+not move into the tool with their half kick; the same law holds for velocities.
 """
 
 from __future__ import annotations
@@ -23,42 +25,39 @@ from __future__ import annotations
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity, patch, rotation
 
-__all__ = ["push"]
+__all__ = ["apply_contact_impulses"]
 
-SWEEPS, ENOUGH = 30, 3e-2  # most sweeps; change of an impulse, of the largest, that ends them
+MAX_SWEEPS = 30
+SWEEP_TOLERANCE = 3e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
 
 
 @kernel_njit(inner=True)
-def _give(first, near, weights, rate, i, x, y, z, impulse, velocity):  # type: ignore[no-untyped-def]
-    """Give the nodes of a patch, with `rate` their 1 / mass, their shares of an impulse (3) [N s]."""
-    for c in range(first[i], first[i + 1]):
-        j, w = near[c], weights[c]
+def _apply_to_patch(contacts, i, x, y, z, velocity):  # type: ignore[no-untyped-def]
+    """Distribute an impulse (3) [N s] on patch i to its nodes, and change their velocities."""
+    inverse_mass, impulse = contacts.inverse_mass, contacts.step_impulses
+    for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
+        j, w = contacts.patch_nodes[c], contacts.patch_weights[c]
         impulse[j, 0] += w * x
         impulse[j, 1] += w * y
         impulse[j, 2] += w * z
-        velocity[j, 0] += w * rate[j] * x
-        velocity[j, 1] += w * rate[j] * y
-        velocity[j, 2] += w * rate[j] * z
+        velocity[j, 0] += w * inverse_mass[j] * x
+        velocity[j, 1] += w * inverse_mass[j] * y
+        velocity[j, 2] += w * inverse_mass[j] * z
 
 
 @kernel_njit(inner=True)
-def _begin(contacts, ahead, again, time, u, velocity, mass):  # type: ignore[no-untyped-def]
-    """Find the patches that are close to a tool, and push them `again` times as much as in the step before."""
-    points, first, near, weights = contacts.points, contacts.first, contacts.near, contacts.weights
-    nodes, prescribed_until, active, pushes = (
-        contacts.nodes,
-        contacts.prescribed_until,
-        contacts.active,
-        contacts.pushes,
-    )
-    rate, impulse = contacts.rate, contacts.impulse
-    for k in active[: contacts.found[0]]:
-        for c in range(first[nodes[k]], first[nodes[k] + 1]):
-            impulse[near[c]] = 0.0
-    count, close, around = 0, contacts.close, contacts.close + contacts.spread
+def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # type: ignore[no-untyped-def]
+    """Find the patches near a tool, and apply `ratio` times their impulses of the previous step."""
+    points, start, near, weights = contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights
+    nodes, active, impulses = contacts.nodes, contacts.active, contacts.patch_impulses
+    prescribed_until, inverse_mass = contacts.prescribed_until, contacts.inverse_mass
+    for k in active[: contacts.active_count[0]]:
+        for c in range(start[nodes[k]], start[nodes[k] + 1]):
+            contacts.step_impulses[near[c]] = 0.0
+    count, search, around = 0, contacts.search_gap, contacts.search_gap + contacts.patch_radius
     for t in range(contacts.kind.shape[0]):
         kind, sizes, frame = contacts.kind[t], contacts.sizes[t], contacts.frames[t, 1]
-        reach = contacts.bounds[t] + around
+        radius = contacts.tool_radius[t] + around
         for k in range(contacts.start[t], contacts.start[t + 1]):
             i = nodes[k]
             x = points[i, 0] + u[i, 0] + ahead * velocity[i, 0]
@@ -66,47 +65,47 @@ def _begin(contacts, ahead, again, time, u, velocity, mass):  # type: ignore[no-
             z = points[i, 2] + u[i, 2] + ahead * velocity[i, 2]
             square = (x - frame[0, 3]) ** 2 + (y - frame[1, 3]) ** 2 + (z - frame[2, 3]) ** 2
             found = (
-                square < reach * reach and time > prescribed_until[i] and gap(kind, sizes, frame, x, y, z)[0] < around
+                square < radius * radius and time > prescribed_until[i] and gap(kind, sizes, frame, x, y, z)[0] < around
             )
-            if found:  # its node, which costs less to ask
-                x, y, z, _, _, _ = patch(points, first, near, weights, i, ahead, u, velocity)
-                found = gap(kind, sizes, frame, x, y, z)[0] < close
+            if found:  # after the cheaper test of its node
+                x, y, z, _, _, _ = patch(points, start, near, weights, i, ahead, u, velocity)
+                found = gap(kind, sizes, frame, x, y, z)[0] < search
             if not found:
-                if pushes[k, 3] != 0.0:
-                    pushes[k] = 0.0
+                if impulses[k, 3] != 0.0:
+                    impulses[k] = 0.0
                 continue
             response = 0.0
-            for c in range(first[i], first[i + 1]):
+            for c in range(start[i], start[i + 1]):
                 j = near[c]
-                rate[j] = 1.0 / mass[j] if time > prescribed_until[j] else 0.0
-                response += weights[c] ** 2 * rate[j]
-            pushes[k] *= again
-            pushes[k, 3] = response
-            _give(first, near, weights, rate, i, pushes[k, 0], pushes[k, 1], pushes[k, 2], impulse, velocity)
+                inverse_mass[j] = 1.0 / mass[j] if time > prescribed_until[j] else 0.0
+                response += weights[c] ** 2 * inverse_mass[j]
+            impulses[k] *= ratio
+            impulses[k, 3] = response
+            _apply_to_patch(contacts, i, impulses[k, 0], impulses[k, 1], impulses[k, 2], velocity)
             active[count] = k
             count += 1
-    contacts.found[0] = count
+    contacts.active_count[0] = count
 
 
 @kernel_njit(inner=True)
 def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
-    """Give every close patch the impulse that its tool asks for; return the largest change, and the largest [m/s].
+    """Update the impulse of every active patch; return the largest change and the largest impulse [m/s].
 
-    With `ends` the step is over, and only patches that touch the tool and move into it are pushed.
+    With `ends` only patches in contact are pushed that move into the tool.
     """
-    points, first, near, weights = contacts.points, contacts.first, contacts.near, contacts.weights
+    points, start, near, weights = contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights
     kind, sizes, friction, frames = contacts.kind, contacts.sizes, contacts.friction, contacts.frames
-    nodes, tool, pushes, rate, impulse = contacts.nodes, contacts.tool, contacts.pushes, contacts.rate, contacts.impulse
-    changed, largest, ahead, tolerance = 0.0, 0.0, 0.0 if ends else step, contacts.tolerance
-    for k in contacts.active[: contacts.found[0]]:
-        i, t, response = nodes[k], tool[k], pushes[k, 3]
-        ox, oy, oz = pushes[k, 0], pushes[k, 1], pushes[k, 2]
-        x, y, z, vx, vy, vz = patch(points, first, near, weights, i, ahead, u, velocity)
+    nodes, tool, impulses = contacts.nodes, contacts.tool, contacts.patch_impulses
+    changed, largest, ahead, tolerance = 0.0, 0.0, 0.0 if ends else step, contacts.contact_gap
+    for k in contacts.active[: contacts.active_count[0]]:
+        i, t, response = nodes[k], tool[k], impulses[k, 3]
+        ox, oy, oz = impulses[k, 0], impulses[k, 1], impulses[k, 2]
+        x, y, z, vx, vy, vz = patch(points, start, near, weights, i, ahead, u, velocity)
         g, nx, ny, nz = gap(kind[t], sizes[t], frames[t, 1], x, y, z)
-        if not ends:  # the place on the surface
+        if not ends:  # the nearest point of the surface
             x, y, z = x - g * nx, y - g * ny, z - g * nz
         tx, ty, tz = material_velocity(frames[t, 0], frames[t, 1], step, x, y, z)
-        # against the tool's matter, without the impulse so far
+        # relative to the tool, without the present impulse
         wx, wy, wz = vx - tx - response * ox, vy - ty - response * oy, vz - tz - response * oz
         if ends:
             normal = -(wx * nx + wy * ny + wz * nz) if g < tolerance else 0.0
@@ -116,74 +115,84 @@ def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
         if normal > 0.0:
             px, py, pz = coulomb(normal, friction[t], wx, wy, wz, nx, ny, nz)
             px, py, pz = (px + normal * nx) / response, (py + normal * ny) / response, (pz + normal * nz) / response
-        pushes[k, 0], pushes[k, 1], pushes[k, 2] = px, py, pz
+        impulses[k, 0], impulses[k, 1], impulses[k, 2] = px, py, pz
         largest = max(largest, response * max(abs(px), abs(py), abs(pz)))
         px, py, pz = px - ox, py - oy, pz - oz
         if px != 0.0 or py != 0.0 or pz != 0.0:
             changed = max(changed, response * max(abs(px), abs(py), abs(pz)))
-            _give(first, near, weights, rate, i, px, py, pz, impulse, velocity)
+            _apply_to_patch(contacts, i, px, py, pz, velocity)
     return changed, largest
 
 
 @kernel_njit(inner=True)
-def _add_up(contacts, k, ahead, step, u, velocity, kick, loading):  # type: ignore[no-untyped-def]
-    """Add one patch's impulse to what the tools have given; return works [J] as `push` does.
+def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
+    """Add a patch's impulse to the sums of the call; return energies as `apply_contact_impulses`.
 
-    Work on a node is the impulse times the mean of its velocities before the kick and after everything.
+    The work on a node is the impulse times the mean of its velocities before the kick and after all
+    impulses.
     """
-    i, t, push, rate = contacts.nodes[k], contacts.tool[k], contacts.pushes[k], contacts.rate
-    force, surface, gravity, half_cell, volumes, density = loading
-    origin = contacts.frames[t, 1, :, 3]
-    place = patch(contacts.points, contacts.first, contacts.near, contacts.weights, i, ahead, u, velocity)[:3]
-    speed = material_velocity(contacts.frames[t, 0], contacts.frames[t, 1], step, place[0], place[1], place[2])
-    tools, given, loads = 0.0, 0.0, 0.0
+    i, t, push, inverse_mass = contacts.nodes[k], contacts.tool[k], contacts.patch_impulses[k], contacts.inverse_mass
+    nodes, scratch, gravity = data
+    origin, density = contacts.frames[t, 1, :, 3], nodes.density
+    position = patch(
+        contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, ahead, u, velocity
+    )[:3]
+    speed = material_velocity(contacts.frames[t, 0], contacts.frames[t, 1], step, position[0], position[1], position[2])
+    tools, on_nodes, loads = 0.0, 0.0, 0.0
     for d in range(3):
         a, b = (d + 1) % 3, (d + 2) % 3
-        contacts.total[t, d] += push[d]
-        contacts.total[t, 3 + d] += (place[a] - origin[a]) * push[b] - (place[b] - origin[b]) * push[a]
+        contacts.tool_impulses[t, d] += push[d]
+        contacts.tool_impulses[t, 3 + d] += (position[a] - origin[a]) * push[b] - (position[b] - origin[b]) * push[a]
         tools += push[d] * speed[d]
-    for c in range(contacts.first[i], contacts.first[i + 1]):
-        j = contacts.near[c]
+    for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
+        j = contacts.patch_nodes[c]
         for d in range(3):
-            share, mean = contacts.weights[c] * push[d], velocity[j, d]
-            contacts.given[j, d] += share
-            if rate[j] > 0.0:
-                kicked = kick * ((force[j, d] + half_cell * surface[j, d]) / density + gravity[d])
-                mean -= 0.5 * (kicked + contacts.impulse[j, d] * rate[j])
-                loads += 0.5 * kick * volumes[j] * (surface[j, d] + density * gravity[d]) * share * rate[j]
-            else:  # what holds the node takes it
+            share, mean = contacts.patch_weights[c] * push[d], velocity[j, d]
+            contacts.nodal_impulses[j, d] += share
+            if inverse_mass[j] > 0.0:
+                surface = scratch.surface[j, d]
+                kicked = kick * ((scratch.force[j, d] + nodes.half_cell * surface) / density + gravity[d])
+                mean -= 0.5 * (kicked + contacts.step_impulses[j, d] * inverse_mass[j])
+                loads += 0.5 * kick * nodes.volumes[j] * (surface + density * gravity[d]) * share * inverse_mass[j]
+            else:  # the constraint takes the impulse
                 loads -= share * mean
-            given += share * mean
-    return tools, tools - given, loads
+            on_nodes += share * mean
+    return tools, tools - on_nodes, loads
 
 
 @kernel_njit()
-def push(contacts, poses, s, time, step, kick, u, velocity, mass, force, surface, gravity, half_cell, volumes, density):  # type: ignore[no-untyped-def]
-    """Let the tools push the body after the kick of step s.
+def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data):  # type: ignore[no-untyped-def]
+    """Apply the impulses of the tools after the kick of step s.
 
-    The last of the `poses` (s, t, 7) [m] has no step after it.
+    The last time of the load history has no step after it. `data` are the nodal data and the scratch
+    arrays of the step (`palpate.dynamics.nodal.central_difference`).
 
     Returns
     -------
     tools, lost, loads : float [J]
-        Works of the tools, lost by friction and impact, and more of the loads and of what holds nodes.
+        Work of the tools, energy dissipated by friction and impact, and change of the work of loads
+        and constraints.
     """
+    nodes, scratch = data
+    poses, gravity = schedule.poses, schedule.gravity[s]
     ends = s == poses.shape[0] - 1
     first, ahead = (s - 1, 0.0) if ends else (s, step)
     for t in range(contacts.kind.shape[0]):
         rotation(poses[first, t], contacts.frames[t, 0])
         rotation(poses[first + 1, t], contacts.frames[t, 1])
-    # the first kick of a call is half of the others, and begins anew
-    again = 0.0 if s == 0 else kick / (0.5 * step if s == 1 else step)
-    _begin(contacts, ahead, again, time, u, velocity, mass)
-    for _ in range(SWEEPS):
+    # the first kick of a call is half of the others, and starts from zero impulses
+    ratio = 0.0 if s == 0 else kick / (0.5 * step if s == 1 else step)
+    _find_active_patches(
+        contacts, ahead, ratio, schedule.times[min(s + 1, poses.shape[0] - 1)], u, velocity, nodes.mass
+    )
+    for _ in range(MAX_SWEEPS):
         changed, largest = _sweep(contacts, ends, step, u, velocity)
-        if changed <= ENOUGH * largest:
+        if changed <= SWEEP_TOLERANCE * largest:
             break
     tools, lost, loads = 0.0, 0.0, 0.0
-    loading = (force, surface, gravity, half_cell, volumes, density)
-    for k in contacts.active[: contacts.found[0]]:
-        if contacts.pushes[k, 0] != 0.0 or contacts.pushes[k, 1] != 0.0 or contacts.pushes[k, 2] != 0.0:
-            works = _add_up(contacts, k, ahead, step, u, velocity, kick, loading)
+    impulses = contacts.patch_impulses
+    for k in contacts.active[: contacts.active_count[0]]:
+        if impulses[k, 0] != 0.0 or impulses[k, 1] != 0.0 or impulses[k, 2] != 0.0:
+            works = _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, (nodes, scratch, gravity))
             tools, lost, loads = tools + works[0], lost + works[1], loads + works[2]
     return tools, lost, loads

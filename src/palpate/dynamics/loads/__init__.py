@@ -1,1 +1,1 @@
-"""Loads, foundations, and loads prepared for a body."""
+"""Loads, foundations, and prepared loads."""

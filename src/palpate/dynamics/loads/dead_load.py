@@ -1,4 +1,4 @@
-"""Dead loads: nodal forces of fixed patterns whose amplitudes depend on time."""
+"""Dead loads: fixed patterns of nodal forces with time-dependent amplitudes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ __all__ = ["DeadLoad", "ForcePattern"]
 
 
 class ForcePattern(NamedTuple):
-    """The nodal forces of unit amplitudes.
+    """Nodal forces of unit amplitudes.
 
     Parameters
     ----------
     nodes : (g,) int array
-        Nodes on which the load acts.
+        Loaded nodes.
     forces : (g, a, 3) array [N per unit of each amplitude]
     """
 
@@ -26,10 +26,11 @@ class ForcePattern(NamedTuple):
 
 
 class DeadLoad(ABC):
-    """A load whose nodal forces are sums of fixed patterns times functions of time.
+    """A sum of fixed patterns of nodal forces times functions of time.
 
-    Every model takes every dead load: solids and membranes add its forces, reduced models project its patterns, and
-    linear systems have its amplitudes as inputs. A new dead load is a frozen dataclass that derives from this one.
+    Every model supports every dead load. Solids and membranes add its forces, reduced models project
+    its patterns, and linear systems use its amplitudes as inputs. A new dead load is a frozen
+    dataclass derived from this class.
     """
 
     group: str

@@ -1,4 +1,4 @@
-"""Elastic foundations: springs that tie part of a body's surface to where it is at rest."""
+"""Elastic foundations: springs and dashpots on part of a body's surface."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ __all__ = ["Foundation", "foundation_areas"]
 
 @dataclass(frozen=True)
 class Foundation(Described):
-    """Springs and dashpots that tie the nodes of a group to their places: a ligament, or what lies around an organ.
+    """An elastic foundation, such as a ligament or the tissue around an organ.
 
-    A node with its share A of the surface is drawn back by A (stiffness u + damping du/dt). What the springs store
-    counts as work of the load, and is given back.
+    The force on a node with its share A of the surface is -A (stiffness u + damping du/dt). The energy
+    stored in the springs counts as work of the load.
 
     Parameters
     ----------
     group : str
-        Nodes on the surface of a solid, or of a membrane. Their areas are those of the face that they make up, or where
-        they make up none, of all their faces.
+        Nodes on the surface of a solid, or of a membrane. Their areas are those of the face that the
+        group forms, or else those of all adjacent faces.
     stiffness : float [N/m^3]
     damping : float [N s/m^3]
 
     Raises
     ------
     InputError
-        A stiffness or damping that is negative.
+        A stiffness or damping is negative.
     """
 
     group: str
@@ -52,7 +52,7 @@ class Foundation(Described):
 
 
 def foundation_areas(cloud: Cloud, load: Foundation) -> Floats:
-    """Return areas [m^2] of a foundation's nodes: of the face that they make up, or else of all their faces."""
+    """Return the areas [m^2] of a foundation's nodes, shape (g,); raise `InputError` off the surface."""
     nodes = cloud.group(load.group)
     if cloud.points.shape[1] == 2:
         return np.asarray(cloud.volumes[nodes])
@@ -62,6 +62,7 @@ def foundation_areas(cloud: Cloud, load: Foundation) -> Floats:
         areas = np.bincount(cloud.face_nodes, cloud.face_areas, minlength=len(cloud))[nodes]
     if not np.all(areas > 0):
         raise InputError(
-            f"Foundation on group {load.group!r}: nodes {first_few(nodes[areas == 0])} are not on the surface"
+            f"group of Foundation must be on the surface, got {load.group!r} with inner nodes "
+            f"{first_few(nodes[areas == 0])}; use a group of surface nodes"
         )
     return np.asarray(areas)

@@ -1,4 +1,4 @@
-"""Loads prepared for a body: the arrays that compiled steps read, for a given cloud and support."""
+"""Loads prepared for a cloud and its supports, as arrays for the compiled steps."""
 
 from __future__ import annotations
 
@@ -43,88 +43,155 @@ Load = DeadLoad | Gravity | PrescribedMotion | Grasp | Contact | Foundation
 
 
 def is_pressure(load: object) -> TypeGuard[SurfaceForce]:
-    """Return True for a pressure, which follows the face of the deformed body."""
+    """Return True for a pressure, which follows the deformed face."""
     return isinstance(load, SurfaceForce) and load.pressure is not None
 
 
 class LoadHistory(NamedTuple):
-    """Values of the loads at the times of some steps, for the compiled step."""
+    """Values of the loads at s times, for the compiled step.
 
-    gravity: Floats  # (s, 3)
-    amplitudes: Floats  # (s, dead loads, a), zero beyond those of a load
-    pressure: Floats  # (s, groups) [Pa]
-    motion: Floats  # (s, driven nodes, 3) [m]
-    holds: NDArray[np.bool_]  # (s, driven nodes) whether the tool still holds them
-    poses: Floats  # (s, tools that may touch the body, 7) places [m] and quaternions
-    times: Floats  # (s,) [s]
+    Parameters
+    ----------
+    gravity : (s, 3) array [m/s^2]
+    amplitudes : (s, dead loads, a) array
+        Amplitudes of the dead loads, padded with zeros.
+    pressure : (s, pressures) array [Pa]
+    motion : (s, p, 3) array [m]
+        Displacements of the prescribed nodes.
+    constrained : (s, p) bool array
+        True while a prescribed node follows its motion.
+    poses : (s, tools, 7) array
+        Positions [m] and quaternions of the tools.
+    times : (s,) array [s]
+    """
+
+    gravity: Floats
+    amplitudes: Floats
+    pressure: Floats
+    motion: Floats
+    constrained: NDArray[np.bool_]
+    poses: Floats
+    times: Floats
 
 
 class LoadSites(NamedTuple):
-    """Where loads act, for the compiled step."""
+    """Nodes of the loads and their constant factors, for the compiled step.
 
-    kind: NDArray[np.uint8]  # (n,) FREE, FIXED or DRIVEN
-    dead_start: NDArray[np.int64]  # (dead loads + 1,) first node of each, and the end
-    dead_node: NDArray[np.int64]  # (k,)
-    dead_pattern: Floats  # (k, a, 3) forces [N] of unit amplitudes
+    Parameters
+    ----------
+    kind : (n,) array
+        FREE, FIXED or PRESCRIBED.
+    dead_start : (dead loads + 1,) array
+        First entry of every dead load, and the number of entries.
+    dead_node : (k,) array
+    dead_pattern : (k, a, 3) array
+        Forces [N] of unit amplitudes.
+    pressure_start, pressure_node : arrays
+        As for the dead loads.
+    pressure_area : (k, 3) array [m^2]
+        Area vectors.
+    prescribed : (p,) array
+        Nodes of prescribed motion.
+    impulses : (p, 3) array [N s]
+        Impulses on the prescribed nodes, summed by the step.
+    foundation_node : (k,) array
+    foundation_spring : (k,) array [N/m]
+    foundation_dashpot : (k,) array [N s/m]
+    """
+
+    kind: NDArray[np.uint8]
+    dead_start: NDArray[np.int64]
+    dead_node: NDArray[np.int64]
+    dead_pattern: Floats
     pressure_start: NDArray[np.int64]
     pressure_node: NDArray[np.int64]
-    pressure_area: Floats  # (k, 3) area vectors [m^2]
+    pressure_area: Floats
     prescribed: NDArray[np.int64]
-    impulses: Floats  # (driven nodes, 3) [N s] that drive them, added up by the step
+    impulses: Floats
     foundation_node: NDArray[np.int64]
-    foundation_spring: Floats  # (k,) [N/m]
-    foundation_dashpot: Floats  # (k,) [N s/m]
+    foundation_spring: Floats
+    foundation_dashpot: Floats
 
 
 @dataclass(frozen=True)
 class PreparedLoads(Described):
-    """Loads made ready for a cloud and its support.
+    """Loads prepared for a cloud and its supports.
 
     Parameters
     ----------
     loads : tuple of loads
-    places : Places
+    sites : LoadSites
     supports : mapping of group name to nodes
-        Fixed and driven groups, whose reaction forces are reported.
+        Fixed groups and groups of prescribed motion, whose reaction forces are reported.
+    points : (n, d) array [m]
+    contacts : Contacts
+    motions : tuple of pairs
+        Prescribed motions, with their slices of `sites.prescribed`.
     grasps : tuple of str
-        Those driven groups that a `Grasp` holds.
+        Names of the prescribed groups of a `Grasp`.
+    partitions : dict
+        Partitions of unity by groups, computed on first use.
     """
 
     loads: tuple[Load, ...]
-    places: LoadSites
+    sites: LoadSites
     supports: dict[str, NDArray[np.int64]]
     points: Floats
     contacts: Contacts
     motions: tuple[tuple[PrescribedMotion, slice], ...] = field(default=())
     grasps: tuple[str, ...] = ()
-    partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)  # once computed
+    partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)
 
     def _facts(self) -> list[Fact]:
         return [("nodes", len(self.points), ""), ("supports", list(self.supports), ""), ("loads", self.loads, "")]
 
     def schedule(self, times: Floats) -> LoadHistory:
-        """Evaluate every load at the given times [s].
+        """Evaluate the loads at some times [s].
 
         Raises
         ------
         InputError
             A load's function returned the wrong shape or a value that is not finite.
         """
+        motion, constrained = self._motion(times)
+        pressures = [
+            scalars_at(load.pressure or 0.0, times, f"pressure of SurfaceForce on {load.group!r}")
+            for load in self.loads
+            if is_pressure(load)
+        ]
+        return LoadHistory(
+            gravity=self._gravity(times),
+            amplitudes=self._amplitudes(times),
+            pressure=np.stack(pressures, axis=1) if pressures else np.zeros((len(times), 0)),
+            motion=motion,
+            constrained=constrained,
+            poses=np.stack([tool.poses(times) for tool in self.tools], axis=1)
+            if self.tools
+            else np.zeros((len(times), 0, 7)),
+            times=np.asarray(times, dtype=float),
+        )
+
+    def _gravity(self, times: Floats) -> Floats:
         gravity = np.zeros((len(times), 3))
-        amplitudes, pressures = np.zeros((len(times), *self._dead_shape)), []
-        for g, dead in enumerate(self.dead):
-            own = dead.amplitudes(times)
-            amplitudes[:, g, : own.shape[1]] = own
         for load in self.loads:
             if isinstance(load, Gravity):
                 gravity += vectors_at(load.acceleration, times, "acceleration of Gravity")
-            elif is_pressure(load):
-                pressures.append(scalars_at(load.pressure or 0.0, times, f"pressure of SurfaceForce on {load.group!r}"))
-        motion = np.zeros((len(times), len(self.places.prescribed), 3))
-        holds = np.ones(motion.shape[:2], dtype=np.bool_)
+        return gravity
+
+    def _amplitudes(self, times: Floats) -> Floats:
+        amplitudes = np.zeros((len(times), len(self.dead_loads), self.sites.dead_pattern.shape[1]))
+        for g, load in enumerate(self.dead_loads):
+            own = load.amplitudes(times)
+            amplitudes[:, g, : own.shape[1]] = own
+        return amplitudes
+
+    def _motion(self, times: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the displacements (s, p, 3) [m] of the prescribed nodes, and where they apply (s, p)."""
+        motion = np.zeros((len(times), len(self.sites.prescribed), 3))
+        constrained = np.ones(motion.shape[:2], dtype=np.bool_)
         for prescribed, where in self.motions:
-            holds[:, where] = prescribed.holds(times)[:, None]
-            points, displacement = self.points[self.places.prescribed[where]], prescribed.displacement
+            constrained[:, where] = prescribed.is_active(times)[:, None]
+            points, displacement = self.points[self.sites.prescribed[where]], prescribed.displacement
             name = f"displacement of PrescribedMotion of {prescribed.group!r}"
             last = np.minimum(times, prescribed.until)
             values = [displacement(points, float(t)) if callable(displacement) else displacement for t in last]
@@ -132,67 +199,59 @@ class PreparedLoads(Described):
                 motion[:, where] = arrays_at(values, (3,), times, name)[:, None]
             else:
                 motion[:, where] = arrays_at(values, (len(points), 3), times, name)
-        return LoadHistory(
-            gravity,
-            amplitudes,
-            np.stack(pressures, axis=1) if pressures else np.zeros((len(times), 0)),
-            motion,
-            holds,
-            np.stack([tool.poses(times) for tool in self.tools], axis=1)
-            if self.tools
-            else np.zeros((len(times), 0, 7)),
-            np.asarray(times, dtype=float),
-        )
+        return motion, constrained
 
     @cached_property
-    def dead(self) -> tuple[DeadLoad, ...]:
+    def dead_loads(self) -> tuple[DeadLoad, ...]:
         """Dead loads, in the order of `LoadSites.dead_start`."""
         return tuple(load for load in self.loads if isinstance(load, DeadLoad) and not is_pressure(load))
 
-    @property
-    def _dead_shape(self) -> tuple[int, int]:
-        return len(self.dead), self.places.dead_pattern.shape[1]
-
     @cached_property
     def tools(self) -> tuple[Contact, ...]:
-        """Return the tools that may touch the body."""
+        """Rigid tools that can come into contact with the body."""
         return tuple(load for load in self.loads if isinstance(load, Contact))
 
-    def stops(self, start: float, end: float) -> list[float]:
-        """Return the times [s] after `start` at which tools let go, and then `end`."""
-        near = 1e-9 * abs(end)
-        return [*sorted({m.until for m, _ in self.motions if start + near < m.until < end - near}), end]
+    def breakpoints(self, start: float, end: float) -> list[float]:
+        """Return the times [s] after `start` at which prescribed motions end, and then `end`."""
+        margin = 1e-9 * abs(end)
+        return [*sorted({m.until for m, _ in self.motions if start + margin < m.until < end - margin}), end]
 
-    def grasped(self) -> dict[str, slice]:
-        """Return which of the driven nodes every `Grasp` holds."""
+    def grasp_slices(self) -> dict[str, slice]:
+        """Return the slice of `sites.prescribed` of every `Grasp`."""
         return {motion.group: where for motion, where in self.motions if motion.group in self.grasps}
 
-    def held(self, time: float) -> NDArray[np.bool_]:
-        """Return which nodes are fixed or held by a tool at a time [s], shape (n,)."""
-        held = self.places.kind != FREE
+    def constraint_mask(self, time: float) -> NDArray[np.bool_]:
+        """Return True for the nodes that are fixed or prescribed at a time [s], shape (n,)."""
+        mask = self.sites.kind != FREE
         for load, where in self.motions:
-            if not load.holds(np.array(time)):
-                held[self.places.prescribed[where]] = False
-        return held
+            if not load.is_active(np.array(time)):
+                mask[self.sites.prescribed[where]] = False
+        return mask
 
-    def holding(self, time: float) -> dict[str, NDArray[np.int64]]:
-        """Return the supports and the tools that still hold the body at a time [s], with their nodes."""
-        gone = {load.group for load, _ in self.motions if not load.holds(np.array(time))}
-        return {name: nodes for name, nodes in self.supports.items() if name not in gone}
+    def active_supports(self, time: float) -> dict[str, NDArray[np.int64]]:
+        """Return the nodes of the supports and prescribed groups that are active at a time [s]."""
+        released = {load.group for load, _ in self.motions if not load.is_active(np.array(time))}
+        return {name: nodes for name, nodes in self.supports.items() if name not in released}
 
     @staticmethod
     def rates(values: Callable[[Floats], Floats], time: float, interval: float = 1e-4) -> tuple[Floats, Floats]:
-        """Return first and second time derivatives of prescribed values, by differences over `interval` [s].
+        """Return first and second time derivatives of prescribed values.
 
-        The differences look back: at a time when the motion jumps or changes its speed, they tell what was until then.
+        One-sided differences over `interval` [s] use past values only. At a jump of the motion or of
+        its velocity they are the derivatives before the jump.
         """
         f3, f2, f1, now = values(time - interval * np.array([3.0, 2.0, 1.0, 0.0]))
         return (3 * now - 4 * f1 + f2) / (2 * interval), (2 * now - 5 * f1 + 4 * f2 - f3) / interval**2
 
 
-def _padded(forces: Floats, amplitudes: int) -> Floats:
-    """Return the forces (k, a, 3) of unit amplitudes with zeros for further amplitudes."""
-    return np.pad(forces, ((0, 0), (0, amplitudes - forces.shape[1]), (0, 0)))
+class _Constraints(NamedTuple):
+    """Fixed nodes and prescribed motions."""
+
+    kind: NDArray[np.uint8]  # (n,) FREE, FIXED or PRESCRIBED
+    supports: dict[str, NDArray[np.int64]]
+    prescribed: NDArray[np.int64]  # (p,) nodes
+    motions: tuple[tuple[PrescribedMotion, slice], ...]
+    until: Floats  # (n,) time [s] until which a node is constrained
 
 
 def listed(loads: Any) -> tuple[Load, ...]:
@@ -245,7 +304,7 @@ def prepare_loads(
     areas_of: Callable[[DeadLoad], Floats] | None = None,
     patches: sparse.csr_array | None = None,
 ) -> PreparedLoads:
-    """Make loads ready for a cloud whose groups `fixed` are held.
+    """Prepare loads for a cloud with fixed groups.
 
     Parameters
     ----------
@@ -253,15 +312,16 @@ def prepare_loads(
     fixed : sequence of str
     loads : sequence of loads
     areas_of : function, optional
-        Of a traction, returns its group's area vectors (g, 3) [m^2]; by default those of the cloud's faces.
+        Returns the area vectors (g, 3) [m^2] of a load's group; by default those of the cloud's faces.
     patches : csr_array, optional
-        (n, n) weights of the nodes in the displacements of what tools touch; by default they touch the nodes.
+        (n, n) weights of the nodal displacements in those of the contact patches; by default the
+        patches are the nodes.
 
     Raises
     ------
     InputError
-        An unknown group, a load on a fixed group, a moment on nodes in one line, two motions for one node, or no node
-        that is free.
+        A group is unknown, a load acts on constrained nodes only, a moment acts on nodes in one
+        line, a node has two motions, or no node is free.
     """
     loads = listed(loads)
     grasps = tuple(load.name for load in loads if isinstance(load, Grasp))
@@ -271,40 +331,99 @@ def prepare_loads(
         PrescribedMotion(load.name, load.displacement, load.until) if isinstance(load, Grasp) else load
         for load in loads
     )
-    kind = np.full(len(cloud), FREE, dtype=np.uint8)
-    supports = {}
+    constraints = _constraints(cloud, fixed, loads)
+    sites = _load_sites(cloud, loads, constraints, areas_of)
+    _check_free_nodes(cloud, loads, constraints)
+    tools = [load for load in loads if isinstance(load, Contact)]
+    for tool in tools:
+        if tool.name in constraints.supports:
+            raise InputError(
+                f"name of Contact must differ from supports and prescribed groups, got {tool.name!r}; choose another"
+            )
+    return PreparedLoads(
+        loads=loads,
+        sites=sites,
+        supports=constraints.supports,
+        points=cloud.points,
+        contacts=contacts(tools, cloud, constraints.until, patches),
+        motions=constraints.motions,
+        grasps=grasps,
+    )
+
+
+def _constraints(cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load]) -> _Constraints:
+    """Return the constraints of fixed groups and prescribed motions; raise `InputError` for overlaps."""
+    kind, supports = np.full(len(cloud), FREE, dtype=np.uint8), {}
     for name in fixed:
         supports[name] = cloud.group(name)
         kind[supports[name]] = FIXED
-    prescribed: list[NDArray[np.int64]] = []
-    motions, count = [], 0
+    until = np.where(kind == FIXED, np.inf, -np.inf)
+    prescribed, motions, count = [np.zeros(0, dtype=np.int64)], [], 0
+    for load in loads:
+        if not isinstance(load, PrescribedMotion):
+            continue
+        nodes = cloud.group(load.group)
+        taken = nodes[kind[nodes] != FREE]
+        if taken.size:
+            raise InputError(
+                f"group of PrescribedMotion must have free nodes only, got {load.group!r}, whose nodes "
+                f"{first_few(taken)} are already fixed or prescribed; use another group"
+            )
+        kind[nodes] = PRESCRIBED
+        until[nodes] = load.until * (1 + 1e-9)
+        supports[load.group] = nodes
+        prescribed.append(nodes)
+        motions.append((load, slice(count, count + len(nodes))))
+        count += len(nodes)
+    return _Constraints(kind, supports, np.concatenate(prescribed), tuple(motions), until)
+
+
+def _load_sites(
+    cloud: Cloud,
+    loads: Sequence[Load],
+    constraints: _Constraints,
+    areas_of: Callable[[DeadLoad], Floats] | None,
+) -> LoadSites:
+    """Return the nodes and factors of dead loads, pressures and foundations."""
     dead: list[ForcePattern] = []
     pressures: list[tuple[NDArray[np.int64], Floats]] = []
     foundations: list[tuple[NDArray[np.int64], Floats, Floats]] = []
-    prescribed_until = np.where(kind == FIXED, np.inf, -np.inf)
     for load in loads:
-        if isinstance(load, PrescribedMotion):
-            nodes = cloud.group(load.group)
-            held = nodes[kind[nodes] != FREE]
-            if held.size:
-                raise InputError(
-                    f"PrescribedMotion on group {load.group!r}: its nodes {first_few(held)} are already fixed or driven"
-                )
-            kind[nodes] = PRESCRIBED
-            prescribed_until[nodes] = load.until * (1 + 1e-9)
-            supports[load.group] = nodes
-            prescribed.append(nodes)
-            motions.append((load, slice(count, count + len(nodes))))
-            count += len(nodes)
-        elif isinstance(load, DeadLoad):
+        if isinstance(load, DeadLoad):
             areas = cloud.area_vectors(load.group) if areas_of is None else areas_of(load)
             if is_pressure(load):
                 pressures.append((cloud.group(load.group), areas))
             else:
                 dead.append(load.pattern(cloud, areas))
         elif isinstance(load, Foundation):
-            nodes, areas = cloud.group(load.group), foundation_areas(cloud, load)
-            foundations.append((nodes, load.stiffness * areas, load.damping * areas))
+            nodes, shares = cloud.group(load.group), foundation_areas(cloud, load)
+            foundations.append((nodes, load.stiffness * shares, load.damping * shares))
+    no_nodes = np.zeros(0, dtype=np.int64)
+    amplitudes = max((own.forces.shape[1] for own in dead), default=0)
+    return LoadSites(
+        kind=constraints.kind,
+        dead_start=np.cumsum([0, *(len(own.nodes) for own in dead)]),
+        dead_node=np.concatenate([no_nodes, *(own.nodes for own in dead)]),
+        dead_pattern=np.concatenate([np.zeros((0, amplitudes, 3)), *(_pad(own.forces, amplitudes) for own in dead)]),
+        pressure_start=np.cumsum([0, *(len(n) for n, _ in pressures)]),
+        pressure_node=np.concatenate([no_nodes, *(n for n, _ in pressures)]),
+        pressure_area=np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),
+        prescribed=constraints.prescribed,
+        impulses=np.zeros((len(constraints.prescribed), 3)),
+        foundation_node=np.concatenate([no_nodes, *(n for n, _, _ in foundations)]),
+        foundation_spring=np.concatenate([np.zeros(0), *(k for _, k, _ in foundations)]),
+        foundation_dashpot=np.concatenate([np.zeros(0), *(d for _, _, d in foundations)]),
+    )
+
+
+def _pad(forces: Floats, amplitudes: int) -> Floats:
+    """Pad the forces (k, a, 3) of unit amplitudes with zeros for further amplitudes."""
+    return np.pad(forces, ((0, 0), (0, amplitudes - forces.shape[1]), (0, 0)))
+
+
+def _check_free_nodes(cloud: Cloud, loads: Sequence[Load], constraints: _Constraints) -> None:
+    """Raise `InputError` for a load on constrained nodes only, and for a body without free nodes."""
+    kind = constraints.kind
     for load in loads:
         if isinstance(load, DeadLoad) and np.all(kind[cloud.group(load.group)] != FREE):
             raise InputError(
@@ -312,27 +431,5 @@ def prepare_loads(
                 "prescribed; load another group"
             )
     if np.all(kind != FREE):
-        names = ", ".join(map(repr, supports))
-        raise InputError(f"all {len(cloud)} nodes are fixed or driven by {names}: none is left to move")
-    empty = np.zeros(0, dtype=np.int64)
-    most = max((own.forces.shape[1] for own in dead), default=0)
-    places = LoadSites(
-        kind,
-        np.cumsum([0, *(len(own.nodes) for own in dead)]),
-        np.concatenate([empty, *(own.nodes for own in dead)]),
-        np.concatenate([np.zeros((0, most, 3)), *(_padded(own.forces, most) for own in dead)]),
-        np.cumsum([0, *(len(n) for n, _ in pressures)]),
-        np.concatenate([empty, *(n for n, _ in pressures)]),
-        np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),
-        np.concatenate([empty, *prescribed]),
-        np.zeros((count, 3)),
-        np.concatenate([empty, *(n for n, _, _ in foundations)]),
-        np.concatenate([np.zeros(0), *(k for _, k, _ in foundations)]),
-        np.concatenate([np.zeros(0), *(d for _, _, d in foundations)]),
-    )
-    tools = [load for load in loads if isinstance(load, Contact)]
-    for tool in tools:
-        if tool.name in supports:
-            raise InputError(f"Contact {tool.name!r}: a support or a driven group has that name; choose another")
-    touching = contacts(tools, cloud, prescribed_until, patches)
-    return PreparedLoads(loads, places, supports, cloud.points, touching, tuple(motions), grasps)
+        names = ", ".join(map(repr, constraints.supports))
+        raise InputError(f"the body must have free nodes, got all {len(cloud)} nodes fixed or prescribed by {names}")

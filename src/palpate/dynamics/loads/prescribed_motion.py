@@ -18,22 +18,22 @@ __all__ = ["PrescribedMotion"]
 
 @dataclass(frozen=True)
 class PrescribedMotion(Described):
-    """Nodes that follow a tool (equation 6).
+    """A prescribed displacement of a group of nodes (equation 6).
 
     Parameters
     ----------
     group : str
-        The nodes the tool holds.
+        Nodes bonded to the tool.
     displacement : (3,) sequence [m] or function
-        ``displacement(points, time)``, with the group's reference positions (g, 3) [m] and the time [s], returns the
-        displacements, shape (g, 3) or (3,) [m].
+        ``displacement(points, time)`` returns the displacements, shape (g, 3) or (3,) [m], at the
+        group's reference positions (g, 3) [m] and a time [s].
     until : float [s]
-        Last time at which the tool holds the nodes; by default it never lets go.
+        Time of release; by default infinity.
 
     Raises
     ------
     InputError
-        `until` is no number of at least 0.
+        `until` is negative or not a number.
     """
 
     group: str
@@ -47,13 +47,13 @@ class PrescribedMotion(Described):
             valid = False
         if not valid:
             raise InputError(
-                f"PrescribedMotion of {self.group!r}: until = {self.until!r} must be a time of at least 0 s"
+                f"until of PrescribedMotion of {self.group!r} must be a time of at least 0 s, got {self.until!r}"
             )
 
     def _facts(self) -> list[Fact]:
         until = float(self.until) if self.until < np.inf else None
         return [("group", self.group, ""), ("displacement", self.displacement, "m"), ("until", until, "s")]
 
-    def holds(self, times: Floats) -> NDArray[np.bool_]:
-        """Return whether the tool holds its nodes at some times [s]."""
+    def is_active(self, times: Floats) -> NDArray[np.bool_]:
+        """Return True for the times [s] before the release."""
         return np.asarray(times <= self.until * (1 + 1e-9))

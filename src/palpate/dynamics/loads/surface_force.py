@@ -1,4 +1,4 @@
-"""Forces, moments and pressures on a face of a body."""
+"""Surface forces: forces, moments and pressures on a face of a body."""
 
 from __future__ import annotations
 
@@ -21,28 +21,29 @@ AXES = "xyz"
 
 @dataclass(frozen=True)
 class SurfaceForce(Described, DeadLoad):
-    """A force, a moment or a pressure on the face that a group of nodes makes up (equation 4).
+    """A force, a moment or a pressure on the face of a group of nodes (equation 4).
 
-    Give a force, a moment or both, or a pressure.
+    Either a force, a moment or both are required, or a pressure.
 
     Parameters
     ----------
     group : str
         Nodes of one face of the body.
     force : (3,) sequence, or function of time [s] that returns one, optional [N]
-        Total force, spread evenly over the face's reference area, fixed in direction.
+        Total force, distributed uniformly over the face's reference area, fixed in direction.
     moment : (3,) sequence, or function of time [s] that returns one, optional [N m]
-        Total moment about the centroid of the face's reference area. Its traction, c x (X - centroid) with one c for
-        the face, is fixed in direction too and sums to no force.
+        Total moment about the centroid of the face's reference area. Its traction is
+        c x (X - centroid) with one c for the face. It is fixed in direction too, and its resultant
+        force is zero.
     pressure : float, or function of time [s], optional [Pa]
-        Pressure on the deformed face: it follows the face as it moves and turns, and pushes against its normal. On a
-        membrane the normal is +z and the face is that of the group's nodes; a force is spread over the flat edge that
-        the group makes up, or else over its nodes' areas.
+        Pressure on the deformed face, against its current normal. On a membrane the normal is +z and
+        the face is that of the group's nodes. A force on a membrane is distributed over the flat edge
+        of the group, or else over the areas of its nodes.
 
     Raises
     ------
     InputError
-        Neither a force, a moment nor a pressure, or a pressure together with one of them.
+        No load is given, or a pressure together with a force or a moment.
     """
 
     group: str
@@ -53,7 +54,8 @@ class SurfaceForce(Described, DeadLoad):
     def __post_init__(self) -> None:
         if (self.force is None and self.moment is None) == (self.pressure is None):
             raise InputError(
-                f"SurfaceForce on {self.group!r} must have a force [N], a moment [N m] or both, or a pressure [Pa]"
+                f"SurfaceForce on {self.group!r} must have a force [N], a moment [N m] or both, or a pressure [Pa], "
+                f"got force={self.force!r:.60}, moment={self.moment!r:.60}, pressure={self.pressure!r:.60}"
             )
 
     def _facts(self) -> list[Fact]:
@@ -85,7 +87,7 @@ class SurfaceForce(Described, DeadLoad):
         return np.hstack(values)
 
     def _moment_pattern(self, points: Floats, shares: Floats) -> Floats:
-        """Return forces [N] of nodes at `points` (g, d) [m] for unit moments [N m], shape (g, 3, 3).
+        """Return the nodal forces [N] of unit moments [N m] at points (g, d) [m], shape (g, 3, 3).
 
         With r_i = X_i - centroid and areas A_i, the forces A_i (c x r_i) have the moment I c,
         I = sum A_i (|r_i|^2 1 - r_i r_i^T).
@@ -96,7 +98,7 @@ class SurfaceForce(Described, DeadLoad):
         smallest, _, largest = np.linalg.eigvalsh(inertia)
         if smallest <= 1e-9 * largest:
             raise InputError(
-                f"group of SurfaceForce {self.group!r} must be a face for a moment; its nodes are on one line "
-                "or at one point"
+                f"group of SurfaceForce {self.group!r} must be a face for a moment, got nodes on one line or at one "
+                "point; use another group"
             )
         return np.asarray(np.einsum("g,gia,ij->gja", shares, crossed, np.linalg.inv(inertia)))

@@ -1,4 +1,4 @@
-"""Values of loads at the times of some steps."""
+"""Values of loads at given times."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def vectors_at(value: Vector | None, times: Floats, name: str) -> Floats:
     value : (3,) sequence, or function of time [s] that returns one, or None
     times : (t,) array [s]
     name : str
-        Of the value, for errors.
+        Name of the value for errors.
 
     Raises
     ------
     InputError
-        A value of another shape, or not finite.
+        A value has another shape or is not finite.
     """
     if value is None:
         return np.zeros((len(times), 3))
@@ -36,12 +36,12 @@ def vectors_at(value: Vector | None, times: Floats, name: str) -> Floats:
 
 
 def scalars_at(value: float | Callable[[float], float], times: Floats, name: str) -> Floats:
-    """Return the values (t,) of a number, or of a function of time [s]; raise as `vectors_at` does."""
+    """Return the values (t,) of a number or of a function of time [s]; errors as in `vectors_at`."""
     return arrays_at([value(float(t)) if callable(value) else value for t in times], (), times, name)
 
 
 def arrays_at(values: list[Any], shape: tuple[int, ...], times: Floats, name: str) -> Floats:
-    """Stack values over times, shape (t, *shape); raise as `vectors_at` does."""
+    """Stack values over times, shape (t, *shape); errors as in `vectors_at`."""
     try:
         array = np.array(values, dtype=float)
     except (ValueError, TypeError, OverflowError):

@@ -1,1 +1,1 @@
-"""Compiled stresses: principal stretches, fibres, viscoelastic history and material fields."""
+"""Compiled stresses of laws and fibres, history variables and material fields."""

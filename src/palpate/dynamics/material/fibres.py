@@ -1,7 +1,7 @@
-"""The compiled stress and energy of fibres (`palpate.tissue.fibres`), added to those of a law point by point.
+"""The compiled stress and energy of fibres (`palpate.tissue.fibres`), added to those of a law.
 
-Both take F - I as it is at a point, nine numbers row by row, and the point's lane in its block. Bodies without fibres
-get functions that add nothing, and cost nothing.
+Both take F - I at a point, nine numbers row by row, and the point's lane in its block. The functions
+for bodies without fibres return their argument at no cost.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from palpate.faults import InputError
 from palpate.tissue.fibres import MIN_VOLUME_RATIO, FibreLaw
 from palpate.tissue.materials import Material
 
-__all__ = ["BARE", "Families", "FibrePoints", "always_taut", "fibre_points", "lay_out_fibres", "prepare_fibres"]
+__all__ = ["NO_FIBRES", "Families", "FibrePoints", "always_taut", "fibre_points", "lay_out_fibres", "prepare_fibres"]
 
 
 class Families(NamedTuple):
-    """Fibres of points in blocks of lanes: coefficients of their law, and directions (b, f, 3, LANES)."""
+    """Coefficients of the fibre law, and directions (b, f, 3, LANES) in blocks of lanes."""
 
     coefficients: Floats
     directions: Floats
 
 
 class FibrePoints(NamedTuple):
-    """Compiled functions of a point.
+    """Compiled functions of fibres at a point.
 
     Parameters
     ----------
     digest : str
-        Of what they are made from; empty without fibres.
+        Digest of their sources; empty without fibres.
     add_stress : function
-        ``stressed(P, d0, ..., d8, b, v, families)`` returns P, nine numbers, with the stress of the fibres.
+        ``add_stress(P, d0, ..., d8, b, v, families)`` returns P, nine numbers, plus the fibres' stress.
     add_energy : function
-        ``charged(W, d0, ..., d8, b, v, families)`` returns W with their energy.
+        ``add_energy(W, d0, ..., d8, b, v, families)`` returns W plus their energy.
     """
 
     digest: str
@@ -49,25 +49,25 @@ class FibrePoints(NamedTuple):
 
 
 def prepare_fibres(fibres: FibreLaw | None, material: Material, form: str, points: Floats) -> FibreLaw | None:
-    """Return the fibres of a body with a direction for every node; refuse bodies that cannot have any."""
+    """Return the fibres with a direction at every node; raise `InputError` for unsupported bodies."""
     if fibres is None:
         return None
     if not isinstance(fibres, FibreLaw):
-        raise InputError(f"fibres is {fibres!r}: give palpate.materials.Fibres or palpate.materials.Guccione")
+        raise InputError(f"fibres must be palpate.materials.Fibres or palpate.materials.Guccione, got {fibres!r:.200}")
     if form != "energy" or material.variables == "small strain":
-        raise InputError("tissue with fibres needs form='energy' and a law of finite strain")
+        raise InputError("fibres must be None unless form='energy' with a law of finite strain; use form='energy'")
     return fibres.at(points)
 
 
 def always_taut(families: Families) -> Families:
-    """Return fibres for the search of a stable step: they carry compression, too."""
+    """Return fibres that carry compression too, for the stable step."""
     coefficients = families.coefficients.copy()
     coefficients[-1:] = 1.0
     return families._replace(coefficients=coefficients)
 
 
 def lay_out_fibres(fibres: FibreLaw | None, nodes: NDArray[np.integer[Any]]) -> Families:
-    """Lay out the fibres of nodes (b, LANES), or of none."""
+    """Lay out the fibres of nodes (b, LANES); empty for None."""
     if fibres is None:
         return Families(np.zeros(0), np.zeros((0, 0, 3, LANES)))
     directions = np.ascontiguousarray(fibres.directions[:, nodes].transpose(1, 0, 3, 2))
@@ -75,13 +75,13 @@ def lay_out_fibres(fibres: FibreLaw | None, nodes: NDArray[np.integer[Any]]) -> 
 
 
 @register_jitable
-def _unchanged(of, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
-    return of
+def _unchanged(value, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
+    return value
 
 
 @register_jitable
-def _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8):  # type: ignore[no-untyped-def]
-    """F, cof F, C (00 11 22 01 02 12), and J^(-2/3) with its derivative."""
+def _isochoric_strain(d0, d1, d2, d3, d4, d5, d6, d7, d8):  # type: ignore[no-untyped-def]
+    """Return F, cof F, C (00 11 22 01 02 12), and J^(-2/3) with its derivative."""
     F = (1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8)
     cofactor = (
         F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
@@ -101,25 +101,25 @@ def _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8):  # type: ignore[no-untyped-de
     return F, cofactor, C, power + slope * (J - large), slope
 
 
-BARE = FibrePoints("", _unchanged, _unchanged)
+NO_FIBRES = FibrePoints("", _unchanged, _unchanged)
 
 
 def fibre_points(fibres: FibreLaw | None) -> FibrePoints:
-    """Return the compiled functions of some fibres, or of none."""
+    """Return the compiled functions of fibres, or those for None."""
     if fibres is None:
-        return BARE
+        return NO_FIBRES
     return _compiled(type(fibres), len(fibres.directions))
 
 
 @cache
 def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
-    """Compile the points of a law with some number of families."""
+    """Compile the functions of a fibre law with `count` families."""
     digest = law_digest(__name__, "fibres", law.respond, count, MIN_VOLUME_RATIO)
     respond = register_jitable(rename_for(digest, law.respond))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def add_stress(P, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
-        F, c, C, s, slope = _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
+        F, c, C, s, slope = _isochoric_strain(d0, d1, d2, d3, d4, d5, d6, d7, d8)
         isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
         S0, S1, S2, S3, S4, S5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for f in range(count):
@@ -141,7 +141,7 @@ def _compiled(law: type[FibreLaw], count: int) -> FibrePoints:
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def add_energy(W, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families):  # type: ignore[no-untyped-def]
-        _, _, C, s, _ = _strained(d0, d1, d2, d3, d4, d5, d6, d7, d8)
+        _, _, C, s, _ = _isochoric_strain(d0, d1, d2, d3, d4, d5, d6, d7, d8)
         isochoric = (s * C[0], s * C[1], s * C[2], s * C[3], s * C[4], s * C[5])
         for f in range(count):
             a = families.directions[b, f]

@@ -1,8 +1,8 @@
-"""Laws whose parameters differ from node to node: their place in a body, and in the compiled kernels.
+"""Parameters of a law that differ from node to node, in a body and in the compiled kernels.
 
-Where they do not, a law's parameters are one tuple, and a kernel is compiled for that. Where they do, they stand in an
-array (b, p + 1, LANES), lane by lane, of which a kernel takes the p numbers of its lane as a tuple; the last row is the
-shear modulus at rest over the first material's.
+The parameters of a uniform body are one tuple, and a kernel is compiled for that. Parameters that
+differ are an array (b, p + 1, LANES), from which a kernel takes the p numbers of its lane as a tuple.
+The last row is the ratio of the shear modulus at rest to that of the first material.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from palpate.tissue.regions import Regions
 
 __all__ = ["EVERYWHERE", "parameters_at", "regions_of", "spread"]
 
-EVERYWHERE = 0  # parameters that differ: none
+EVERYWHERE = 0  # number of parameters that differ in a uniform body
 
 
 def regions_of(
     material: Material | Mapping[str, Material] | Sequence[Material], cloud: Cloud
 ) -> tuple[Material, Regions | None]:
-    """Return the material that a body's moduli count in, and its regions if there are several.
+    """Return the reference material of a body, and its regions if it has several materials.
 
     Raises
     ------
     InputError
-        An unknown group, nodes without a material, or materials that do not go together.
+        A group is unknown, nodes have no material, or the materials are incompatible.
     """
     if isinstance(material, Material):
         return material, None
@@ -43,22 +43,24 @@ def regions_of(
         for k, group in enumerate(material):
             which[cloud.group(group) if group else np.arange(count)] = k
         if np.any(which < 0):
-            raise InputError(f"{np.sum(which < 0)} nodes have no material: say with '' what lies everywhere else")
+            raise InputError(
+                f"material must cover all nodes, got {np.sum(which < 0)} without one; use the key '' for all others"
+            )
         given = list(material.values())
     else:
         given, which = list(material), np.arange(count)
         if len(given) != count:
-            raise InputError(f"material is a list of {len(given)}: give one for each of the {count} nodes")
+            raise InputError(f"material must have one entry for each of the {count} nodes, got {len(given)}")
     for each in given:
         if not isinstance(each, Material):
-            raise InputError(f"material holds {each!r}: give palpate's materials, by group or by node")
-    kinds = {each: i for i, each in enumerate(dict.fromkeys(given[k] for k in np.unique(which)))}  # equal ones are one
+            raise InputError(f"material must be palpate's materials, got {each!r:.200}; give them by group or by node")
+    kinds = {each: i for i, each in enumerate(dict.fromkeys(given[k] for k in np.unique(which)))}
     regions = Regions(tuple(kinds), np.array([kinds.get(each, 0) for each in given])[which])
     return regions.materials[0], regions if len(kinds) > 1 else None
 
 
 def spread(regions: Regions, nodes: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
-    """Lay the parameters of nodes (b, LANES) out, (b, p + 1, LANES)."""
+    """Lay out the parameters of nodes (b, LANES) as (b, p + 1, LANES)."""
     every = np.column_stack([regions.coefficients, regions.modulus_ratio])
     return np.ascontiguousarray(every[nodes].transpose(0, 2, 1))
 
@@ -70,7 +72,7 @@ def _everywhere(coefficients, b, v):  # type: ignore[no-untyped-def]
 
 @cache
 def parameters_at(count: int) -> Any:
-    """Return the function ``at(coefficients, b, v)``: the law's parameters in a lane, `count` if they differ."""
+    """Return ``at(coefficients, b, v)``, which returns the law's parameters in a lane."""
     if count == EVERYWHERE:
         return _everywhere
     if count == 1:
@@ -84,6 +86,6 @@ def parameters_at(count: int) -> Any:
 
     @register_jitable
     def at(coefficients, b, v):  # type: ignore[no-untyped-def]
-        return fewer(coefficients, b, v) + (coefficients[b, last, v],)  # noqa: RUF005 - as the compiler takes it
+        return fewer(coefficients, b, v) + (coefficients[b, last, v],)  # noqa: RUF005 - required by the compiler
 
     return at

@@ -1,15 +1,15 @@
-"""A single compiled point of a law of the principal stretches, that may be crushed or turned inside out.
+"""The compiled stress and energy of one point for laws of the principal stretches, also if inverted.
 
-Sampled bodies need an energy there, too. With l1 and l2 the two largest stretches and J = det F the law is
-W_s(l1, l2, J / (l1 l2)); below J = c it goes on as a parabola in J,
+Sampled bodies require an energy for crushed and inverted states. With l1 and l2 the two largest
+stretches and J = det F the law is W_s(l1, l2, J / (l1 l2)). Below J = c it continues as a parabola in J,
 
     E = W + S (J - c) + R/2 (J - c)^2,   W and S = dW/dJ at (l1, l2, c),   R = d2W/dJ2 at (1, 1, c),
 
-which is bounded from below, whatever its sign J has. The stress is the slope of that energy,
+which is bounded from below for every sign of J. The stress is the derivative of that energy,
 
     P = sum over a = 1, 2 of (dE/dl_a) / l_a F N_a N_a^T + dE/dJ cof(F),
 
-in which nothing is divided by the smallest stretch.
+without division by the smallest stretch.
 """
 
 from __future__ import annotations
@@ -27,38 +27,39 @@ __all__ = ["make_principal_point"]
 def make_principal_point(
     digest: str, energy_of: Any, law_first: Any, law_second: Any, crushed: float
 ) -> tuple[Any, Any]:
-    """Make the stress and the energy of a point.
+    """Compile the stress and the energy of a point.
 
     Parameters
     ----------
     digest : str
     energy_of, law_first, law_second : functions
-        As `palpate.tissue.stretch_laws.StretchLaw` has them.
+        Of a `palpate.tissue.stretch_laws.StretchLaw`.
     crushed : float
-        The c.
+        Volume ratio c.
 
     Returns
     -------
     stress, density : functions
-        Of F - I (nine numbers, row by row) and the coefficients: P, cof(F) and J - 1; and E [J/m^3] and J - 1.
+        They take F - I (nine numbers, row by row) and the coefficients. They return P, cof(F) and J - 1;
+        and E [J/m^3] and J - 1.
     """
     energy, first_of, second_of = (inline(digest, f) for f in (energy_of, law_first, law_second))
-    whole = make_principal_stress(digest, law_first)
+    regular_stress = make_principal_stress(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"})
     def slopes(l1, l2, J, coefficients):  # type: ignore[no-untyped-def]
-        """dE/dl1, dE/dl2 and dE/dJ of a crushed point."""
+        """Return dE/dl1, dE/dl2 and dE/dJ of a crushed point."""
         l3 = crushed / (l1 * l2)
         w1, w2, w3 = first_of(l1, l2, l3, coefficients)
         _, _, w33, _, w13, w23 = second_of(l1, l2, l3, coefficients)
-        area, less = l1 * l2, J - crushed
+        area, below = l1 * l2, J - crushed
         S1 = (w13 - (w33 * l3 + w3) / l1) / area
         S2 = (w23 - (w33 * l3 + w3) / l2) / area
         _, _, R, _, _, _ = second_of(1.0, 1.0, crushed, coefficients)
-        return w1 - w3 * l3 / l1 + S1 * less, w2 - w3 * l3 / l2 + S2 * less, w3 / area + R * less
+        return w1 - w3 * l3 / l1 + S1 * below, w2 - w3 * l3 / l2 + S2 * below, w3 / area + R * below
 
     @law_njit(digest, cached=False, fastmath={"contract"})
-    def beyond(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
+    def crushed_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c = _cofactor(F)
         J = F[0] * c[0] + F[1] * c[1] + F[2] * c[2]
@@ -86,8 +87,8 @@ def make_principal_point(
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c = _cofactor(F)
         if F[0] * c[0] + F[1] * c[1] + F[2] * c[2] < crushed:
-            return beyond(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients)
-        return whole(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients)
+            return crushed_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients)
+        return regular_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients)
 
     @law_njit(digest, cached=False, fastmath={"contract"})
     def density(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
@@ -96,11 +97,11 @@ def make_principal_point(
         J = F[0] * c[0] + F[1] * c[1] + F[2] * c[2]
         l1, l2, _, _ = _two_largest(F)
         E = energy(l1, l2, max(J, crushed) / (l1 * l2), coefficients)
-        less = J - crushed
-        if less < 0.0:
+        below = J - crushed
+        if below < 0.0:
             _, _, slope = slopes(l1, l2, crushed, coefficients)
             _, _, R, _, _, _ = second_of(1.0, 1.0, crushed, coefficients)
-            E += (slope + 0.5 * R * less) * less
+            E += (slope + 0.5 * R * below) * below
         return E, J - 1.0
 
     return stress, density
@@ -118,7 +119,7 @@ def _cofactor(F):  # type: ignore[no-untyped-def]
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
 def _two_largest(F):  # type: ignore[no-untyped-def]
-    """Return the two largest stretches, and their directions; none is less than a thousandth."""
+    """Return the two largest stretches, at least a thousandth, and their directions."""
     x, n = principal(
         F[0] * F[0] + F[3] * F[3] + F[6] * F[6],
         F[1] * F[1] + F[4] * F[4] + F[7] * F[7],

@@ -1,10 +1,11 @@
 """The compiled stress of laws of the principal stretches, by the eigenvectors of C.
 
-The eigenvalue that stands farthest from the other two is the root of largest size of b^3 - 3 b - 2 h = 0, of the scaled
-deviator of C; that root depends smoothly on h, and three Newton steps from a parabola give it to the last bit. Its
-eigenvector is the largest cross product of two rows (Eberly, A Robust Eigensolver for 3x3 Symmetric Matrices, 2014);
-one Jacobi rotation in the plane across separates the other two. No eigenvalue is divided by its distance from another,
-so equal stretches are no special case: the directions are orthonormal always, if arbitrary where stretches meet.
+The eigenvalue farthest from the other two is the root of largest size of b^3 - 3 b - 2 h = 0, of the
+scaled deviator of C. That root depends smoothly on h, and three Newton steps from a parabola compute
+it to the last bit. Its eigenvector is the largest cross product of two rows (Eberly, A Robust
+Eigensolver for 3x3 Symmetric Matrices, 2014). One Jacobi rotation in the normal plane separates the
+other two. No eigenvalue is divided by its distance from another, so equal stretches are not a special
+case: the directions are always orthonormal, and arbitrary for equal stretches.
 """
 
 from __future__ import annotations
@@ -18,17 +19,16 @@ from palpate.dynamics.compiled.lanes import LANES
 
 __all__ = ["make_principal_response", "make_principal_stress", "principal"]
 
-NEAR = 1e-5  # of squared stretches: closer ones count as equal in quotients of differences, wrong by its square
-
-NEVER = 1e-300  # added to squares that are divided by where they vanish
+EQUAL_STRETCH_TOLERANCE = 1e-5  # relative difference of squared stretches below which quotients use their limit
+TINY = 1e-300  # added to divisors that can vanish
 
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
 def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
-    """Return the eigenvalues of a symmetric matrix, in no order, and the matrix of its eigenvectors, row by row."""
+    """Return the eigenvalues of a symmetric matrix, unordered, and the matrix of its eigenvectors row by row."""
     mean = (C00 + C11 + C22) / 3.0
     a, b, c = C00 - mean, C11 - mean, C22 - mean
-    size = np.sqrt((a * a + b * b + c * c + 2.0 * (C01 * C01 + C02 * C02 + C12 * C12)) / 6.0 + NEVER)
+    size = np.sqrt((a * a + b * b + c * c + 2.0 * (C01 * C01 + C02 * C02 + C12 * C12)) / 6.0 + TINY)
     scale = 1.0 / size
     a, b, c, d, e, f = a * scale, b * scale, c * scale, C01 * scale, C02 * scale, C12 * scale
     half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
@@ -39,7 +39,7 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
         square = root * root
         root -= (root * (square - 3.0) - 2.0 * h) / (3.0 * (square - 1.0))
     far = sign * root
-    # rows of the deviator less its farthest eigenvalue span the plane across its eigenvector
+    # rows of the deviator minus its farthest eigenvalue span the plane normal to its eigenvector
     a, b, c = a - far, b - far, c - far
     x0, x1, x2 = d * f - e * b, e * d - a * f, a * b - d * d
     y0, y1, y2 = d * c - e * f, e * e - a * c, a * f - d * e
@@ -49,11 +49,11 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
         x0, x1, x2, xx = y0, y1, y2, yy
     if zz > xx:
         x0, x1, x2, xx = z0, z1, z2, zz
-    if xx < 1e-30:  # the unit matrix times a number: any direction will do
+    if xx < 1e-30:  # a multiple of the unit matrix: any direction
         x0, x1, x2, xx = 1.0, 0.0, 0.0, 1.0
     r = 1.0 / np.sqrt(xx)
     n00, n10, n20 = x0 * r, x1 * r, x2 * r
-    # a basis across it (Duff and others, J. Comput. Graph. Tech. 6, 2017)
+    # a basis of the normal plane (Duff and others, J. Comput. Graph. Tech. 6, 2017)
     s = 1.0 if n20 >= 0.0 else -1.0
     t = -1.0 / (s + n20)
     q = n00 * n10 * t
@@ -64,10 +64,10 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
     Cn0, Cn1 = C00 * n00 + C01 * n10 + C02 * n20, C01 * n00 + C11 * n10 + C12 * n20
     Cn2 = C02 * n00 + C12 * n10 + C22 * n20
     uu, vv, uv = u0 * Cu0 + u1 * Cu1 + u2 * Cu2, v0 * Cv0 + v1 * Cv1 + v2 * Cv2, u0 * Cv0 + u1 * Cv1 + u2 * Cv2
-    # tangent of the smaller angle that makes the plane's part diagonal
+    # tangent of the smaller angle of the Jacobi rotation
     gap = 0.5 * (vv - uu)
-    reach = abs(gap) + np.sqrt(gap * gap + uv * uv) + NEVER
-    tangent = (uv if gap >= 0.0 else -uv) / reach
+    radius = abs(gap) + np.sqrt(gap * gap + uv * uv) + TINY
+    tangent = (uv if gap >= 0.0 else -uv) / radius
     cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
     sine = tangent * cosine
     return (
@@ -82,13 +82,13 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
 def _quotient(x, y, s, t, slope):  # type: ignore[no-untyped-def]
-    """(s - t) / (x - y), or `slope`, its limit, where x and y meet."""
-    near = abs(x - y) <= NEAR * (x + y)
+    """Return (s - t) / (x - y), or its limit `slope` for equal x and y."""
+    near = abs(x - y) <= EQUAL_STRETCH_TOLERANCE * (x + y)
     return slope if near else (s - t) / (1.0 if near else x - y)
 
 
 def make_principal_stress(digest: str, law_first: Any) -> Any:
-    """Make the compiled shear stress of one point for a law of the stretches, as `solid_energy.make_stress` does."""
+    """Compile the shear stress of one point for a law of the stretches, as `energy_form.make_stress`."""
     first_of = inline(digest, law_first)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -123,15 +123,15 @@ def make_principal_stress(digest: str, law_first: Any) -> Any:
 
 
 def make_principal_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
-    """Make the compiled response of one block for a law of the stretches, as `solid` does for one of the invariants.
+    """Compile the response of one block for a law of the stretches, as in `strong_form`.
 
-    All is said in the axes N of C, where S is diagonal: with F and H turned there, column a of P and its divergence are
+    In the principal axes N of C, where S is diagonal, column a of P and its divergence are
 
         P_a = s_a F_a,   Div P = sum of s_a H_aa + F_a v_a,
         v_a = sum over j of ds_a/dx_j G_jj,a + sum over b of g_ab G_ab,b,
 
-    G_ij,b = dC_ij/dX_b, and g the quotients (s_a - s_b)/(x_a - x_b). The law is called in a loop of its own, which has
-    powers and logarithms in it; the loops before and after have none, and run in vector lanes.
+    with G_ij,b = dC_ij/dX_b and the quotients g = (s_a - s_b)/(x_a - x_b). The law is called in a
+    separate loop because of its powers and logarithms; the other loops are vectorised.
     """
     slopes = _make_slopes(digest, law_first, law_second, volume, direct)
 
@@ -139,7 +139,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         axes, squares = cofactor[b], shear[b]
         for v in range(LANES):
-            _axes(v, d, axes, squares)
+            _principal_axes(v, d, axes, squares)
         for v in range(LANES):
             slopes(v, squares, d, coefficients, lame)
         for v in range(LANES):
@@ -153,7 +153,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
 
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
-def _axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
+def _principal_axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
     """Write the principal axes (9) and squared stretches (3) of a lane."""
     F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
     F10, F11, F12 = d[3, v], 1.0 + d[4, v], d[5, v]
@@ -173,7 +173,7 @@ def _axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
 
 
 def _make_slopes(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
-    """Make the function that writes s_a, ds_a/dx_b and the quotients of a lane, twelve numbers, into rows 27 to 38."""
+    """Compile the function that writes s_a, ds_a/dx_b and the quotients of a lane into rows 27 to 38."""
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -182,7 +182,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any, volume: Any, dire
         l0, l1, l2 = np.sqrt(x0), np.sqrt(x1), np.sqrt(x2)
         w0, w1, w2 = first_of(l0, l1, l2, coefficients)
         w00, w11, w22, w01, w02, w12 = second_of(l0, l1, l2, coefficients)
-        if direct:  # the volumetric part, too
+        if direct:  # with the volumetric part
             J = l0 * l1 * l2
             slope, bend = volume(J - 1.0)
             p, k = lame * slope * J, lame * bend * J * J
@@ -203,7 +203,7 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any, volume: Any, dire
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
 def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
-    """Div P - P b of a lane, from what `_axes` and the slopes have left."""
+    """Write Div P - P b of a lane from the results of `_principal_axes` and the slopes."""
     n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
     n10, n11, n12 = axes[3, v], axes[4, v], axes[5, v]
     n20, n21, n22 = axes[6, v], axes[7, v], axes[8, v]
@@ -219,7 +219,7 @@ def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
         F1 = d[3 * c + 1, v] + (1.0 if c == 1 else 0.0)
         F2 = d[3 * c + 2, v] + (1.0 if c == 2 else 0.0)
         f0, f1, f2 = F0 * n00 + F1 * n10 + F2 * n20, F0 * n01 + F1 * n11 + F2 * n21, F0 * n02 + F1 * n12 + F2 * n22
-        h00, h11, h22, h01, h02, h12 = _turned(c, v, d, axes)
+        h00, h11, h22, h01, h02, h12 = _in_principal_axes(c, v, d, axes)
         force[c, v] = s0 * h00 + s1 * h11 + s2 * h22
         v0 += 2.0 * (s00 * f0 * h00 + s01 * f1 * h01 + s02 * f2 * h02)
         v1 += 2.0 * (s01 * f0 * h01 + s11 * f1 * h11 + s12 * f2 * h12)
@@ -234,8 +234,8 @@ def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(fastmath={"contract"}, forceinline=True)
-def _turned(c, v, d, axes):  # type: ignore[no-untyped-def]
-    """Second derivatives of component c of a lane, in the principal axes: 00 11 22 01 02 12, as they stand in d."""
+def _in_principal_axes(c, v, d, axes):  # type: ignore[no-untyped-def]
+    """Return the second derivatives of component c of a lane in the principal axes, 00 11 22 01 02 12."""
     n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
     n10, n11, n12 = axes[3, v], axes[4, v], axes[5, v]
     n20, n21, n22 = axes[6, v], axes[7, v], axes[8, v]

@@ -1,15 +1,15 @@
-"""The compiled overstress of relaxing tissue (`palpate.tissue.prony.Prony`), and the memory that it needs.
+"""The compiled overstress of viscoelastic tissue (`palpate.tissue.prony.Prony`), and its history variables.
 
-Between two evaluations that are an interval h apart, the isochoric strain is taken to change evenly. Then
+With an isochoric strain that changes linearly over an interval h between two evaluations,
 
     A(t + h) = exp(-h / tau) A(t) + (1 - exp(-h / tau)) tau / h (C̄(t + h) - C̄(t))
 
-is exact, whatever h, and so is what is lost in between. An evaluation with h = 0 answers at once (the limit) and is
-not remembered: it asks what the forces would be. The overstress follows from the branches' energy,
+is exact for every h, and so is the dissipated energy. An evaluation with h = 0 is the limit of an
+instantaneous change, and does not update the history. The overstress follows from the branches' energy,
 
     P = J^(-2/3) (F Q - (Q : C) / (3 J) cof F),     Q = sum of mu_i A_i.
 
-F comes from its cofactor, cof(cof F) = J F, which all passes leave behind.
+F follows from its cofactor, cof(cof F) = J F, which all passes compute.
 """
 
 from __future__ import annotations
@@ -45,11 +45,20 @@ __all__ = [
 ]
 
 
-LEAST = 0.1  # volume ratio that a crushed point counts with
+MIN_VOLUME_RATIO = 0.1  # volume ratio of a crushed point
 
 
 class Relaxation(NamedTuple):
-    """The branches: shear moduli [Pa], bulk moduli over the law's volumetric coefficient, times [s], (k,) each."""
+    """Branches of a Prony series.
+
+    Parameters
+    ----------
+    moduli : (k,) array [Pa]
+        Shear moduli.
+    bulk : (k,) array
+        Bulk moduli over the law's volumetric coefficient.
+    times : (k,) array [s]
+    """
 
     moduli: Floats
     bulk: Floats
@@ -57,31 +66,31 @@ class Relaxation(NamedTuple):
 
 
 class HistoryVariables(NamedTuple):
-    """What relaxing tissue remembers, point by point in blocks of lanes.
+    """History variables of viscoelastic tissue, in blocks of lanes.
 
     Parameters
     ----------
     interval : (2,) array [s]
-        From the last evaluation that was remembered to the next, 0 to ask without remembering; and the time that has
-        passed since, where the steps keep it.
+        Interval from the last update to the next evaluation, 0 for an evaluation without update; and the
+        time since the last update, if the steps count it.
     strain : (b, 6, LANES) array
-        C̄ as last remembered: 00 11 22 01 02 12.
+        C̄ of the last update: 00 11 22 01 02 12.
     branches : (b, k, 6, LANES) array
         A_i.
     dilatation : (v,) array
-        What the bulk modulus multiplies, as last remembered: theta of the nodes, or the moments of a reduced model.
+        Volumetric measure of the last update: theta of the nodes, or the moments of a reduced model.
     volume : (v, k) array
         Its branches.
     effective : (v,) array
-        It and what its branches add, as last evaluated.
+        Volumetric measure plus its branches, as last evaluated.
     factors : (k, 5) array
-        Of every branch, for the interval.
+        Factors of every branch for the interval.
     stress : (b, 9, LANES) array [Pa]
         Overstress, as last evaluated, row by row.
     energy, lost : (b, LANES) arrays [J/m^3]
-        Stored in the branches as last evaluated; lost in them since it was last set to zero.
+        Energy in the branches as last evaluated, and energy dissipated since the last restore.
     volume_energy, volume_lost : (v,) arrays
-        The same of the volume's, over its modulus.
+        The same of the volumetric branches, over the bulk modulus.
     """
 
     interval: Floats
@@ -99,7 +108,7 @@ class HistoryVariables(NamedTuple):
 
 
 def relaxation(material: Material) -> Relaxation:
-    """Return the branches of a material; none if it does not relax."""
+    """Return the branches of a material; empty without relaxation."""
     series = material.prony
     if series is None:
         return Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))
@@ -110,75 +119,76 @@ def relaxation(material: Material) -> Relaxation:
 
 
 def history(branches: int, blocks: int, volumes: int) -> HistoryVariables:
-    """Allocate the memory of a body at rest that has always been there."""
+    """Allocate the history variables of a body at rest."""
     if branches == 0:
         blocks = volumes = 0
-    kept = HistoryVariables(
-        np.zeros(2),
-        np.zeros((blocks, 6, LANES)),
-        np.zeros((blocks, branches, 6, LANES)),
-        np.zeros(volumes),
-        np.zeros((volumes, branches)),
-        np.zeros(volumes),
-        np.zeros((branches, 5)),
-        np.zeros((blocks, 9, LANES)),
-        np.zeros((blocks, LANES)),
-        np.zeros((blocks, LANES)),
-        np.zeros(volumes),
-        np.zeros(volumes),
+    variables = HistoryVariables(
+        interval=np.zeros(2),
+        strain=np.zeros((blocks, 6, LANES)),
+        branches=np.zeros((blocks, branches, 6, LANES)),
+        dilatation=np.zeros(volumes),
+        volume=np.zeros((volumes, branches)),
+        effective=np.zeros(volumes),
+        factors=np.zeros((branches, 5)),
+        stress=np.zeros((blocks, 9, LANES)),
+        energy=np.zeros((blocks, LANES)),
+        lost=np.zeros((blocks, LANES)),
+        volume_energy=np.zeros(volumes),
+        volume_lost=np.zeros(volumes),
     )
-    kept.strain[:, :3] = 1.0
-    return kept
+    variables.strain[:, :3] = 1.0
+    return variables
 
 
-def _kept(of: HistoryVariables) -> tuple[Floats, ...]:
-    return of.strain, of.branches, of.dilatation, of.volume
+def _persistent(variables: HistoryVariables) -> tuple[Floats, ...]:
+    """Return the arrays that a state stores."""
+    return variables.strain, variables.branches, variables.dilatation, variables.volume
 
 
-def restore_history(into: HistoryVariables, old: tuple[Floats, ...]) -> None:
-    """Let a memory go on from what was remembered, or from rest if that is nothing; its losses are counted anew."""
-    if not into.branches.size:
+def restore_history(variables: HistoryVariables, saved: tuple[Floats, ...]) -> None:
+    """Restore saved history variables, or those at rest for an empty tuple; reset the dissipated energy."""
+    if not variables.branches.size:
         return
-    if old:
-        for own, was in zip(_kept(into), old, strict=True):
-            own[:] = was
+    if saved:
+        for array, values in zip(_persistent(variables), saved, strict=True):
+            array[:] = values
     else:
-        reset_history(into)
-    into.lost[:] = 0.0
-    into.volume_lost[:] = 0.0
+        reset_history(variables)
+    variables.lost[:] = 0.0
+    variables.volume_lost[:] = 0.0
 
 
 def history_after(
-    of: HistoryVariables, old: tuple[Floats, ...], interval: float, evaluate: Callable[[], object]
+    variables: HistoryVariables, saved: tuple[Floats, ...], interval: float, evaluate: Callable[[], object]
 ) -> tuple[Floats, ...]:
-    """Return what a body remembers in the state that is evaluated, an even change over an interval [s] later."""
-    restore_history(of, old)
-    of.interval[0] = interval
+    """Return the history variables after a linear change over an interval [s] to the evaluated state."""
+    restore_history(variables, saved)
+    variables.interval[0] = interval
     evaluate()
-    of.interval[0] = 0.0
-    return saved_history(of)
+    variables.interval[0] = 0.0
+    return saved_history(variables)
 
 
-def equilibrium_history(of: HistoryVariables, evaluate: Callable[[], object]) -> tuple[Floats, ...]:
-    """Return what a body remembers that has long been in the state that is evaluated; nothing if it does not relax."""
-    if not of.branches.size:
+def equilibrium_history(variables: HistoryVariables, evaluate: Callable[[], object]) -> tuple[Floats, ...]:
+    """Return the history variables at equilibrium in the evaluated state; empty without relaxation."""
+    if not variables.branches.size:
         return ()
-    of.interval[0] = 1.0  # any: the strain is remembered, and the branches then have faded
+    variables.interval[0] = 1.0  # any interval updates the strain; the branches are zero at equilibrium
     evaluate()
-    of.interval[:] = 0.0
-    of.branches[:] = 0.0
-    of.volume[:] = 0.0
-    return saved_history(of)
+    variables.interval[:] = 0.0
+    variables.branches[:] = 0.0
+    variables.volume[:] = 0.0
+    return saved_history(variables)
 
 
-def saved_history(of: HistoryVariables) -> tuple[Floats, ...]:
-    """Return copies of what a memory must not forget between evaluations; nothing if the body does not relax."""
-    return tuple(array.copy() for array in _kept(of)) if of.branches.size else ()
+def saved_history(variables: HistoryVariables) -> tuple[Floats, ...]:
+    """Return copies of the persistent history variables; empty without relaxation."""
+    return tuple(array.copy() for array in _persistent(variables)) if variables.branches.size else ()
 
 
 @kernel_njit()
 def prepare(relaxation, history):  # type: ignore[no-untyped-def]
-    """Write for every branch what is left of it after the interval, what of an even change is, and what both lose."""
+    """Write the decay, response and dissipation factors of every branch for the interval."""
     interval = history.interval[0]
     for k in range(relaxation.times.shape[0]):
         factors = history.factors[k]
@@ -191,9 +201,9 @@ def prepare(relaxation, history):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(forceinline=True)
-def _lost(a, added, factors):  # type: ignore[no-untyped-def]
-    """Integral of A^2 / tau over an interval in which A begins at a and the strain changes evenly by `added`."""
-    rate = added / factors[4]
+def _dissipation(a, change, factors):  # type: ignore[no-untyped-def]
+    """Return the integral of A^2 / tau for a branch that starts at a and a linear strain change."""
+    rate = change / factors[4]
     b = a - rate
     return 0.5 * b * b * factors[3] + 2.0 * b * rate * factors[2] + rate * rate * factors[4]
 
@@ -202,7 +212,7 @@ def _lost(a, added, factors):  # type: ignore[no-untyped-def]
 def _isochoric(c):  # type: ignore[no-untyped-def]
     """Return F, J, J^(-2/3) and C̄ from cof F (nine numbers, row by row)."""
     det = c[0] * (c[4] * c[8] - c[5] * c[7]) - c[1] * (c[3] * c[8] - c[5] * c[6]) + c[2] * (c[3] * c[7] - c[4] * c[6])
-    J = np.sqrt(max(det, LEAST * LEAST))
+    J = np.sqrt(max(det, MIN_VOLUME_RATIO * MIN_VOLUME_RATIO))
     r = 1.0 / J
     F = (
         r * (c[4] * c[8] - c[5] * c[7]), r * (c[5] * c[6] - c[3] * c[8]), r * (c[3] * c[7] - c[4] * c[6]),
@@ -220,12 +230,12 @@ def _isochoric(c):  # type: ignore[no-untyped-def]
 
 @kernel_njit(forceinline=True)
 def update_history(relaxation, history, b, v, C):  # type: ignore[no-untyped-def]
-    """Bring the branches and the strain of one point up to date."""
+    """Update the branches and the strain of one point."""
     for k in range(relaxation.times.shape[0]):
         factors, lost = history.factors[k], 0.0
         for q in range(6):
             old, change = history.branches[b, k, q, v], C[q] - history.strain[b, q, v]
-            lost += (1.0 if q < 3 else 2.0) * _lost(old, change, factors)
+            lost += (1.0 if q < 3 else 2.0) * _dissipation(old, change, factors)
             history.branches[b, k, q, v] = factors[0] * old + factors[1] * change
         history.lost[b, v] += 0.5 * relaxation.moduli[k] * lost
     for q in range(6):
@@ -234,7 +244,7 @@ def update_history(relaxation, history, b, v, C):  # type: ignore[no-untyped-def
 
 @kernel_njit(forceinline=True)
 def even_change(history, b, k, q, v, now):  # type: ignore[no-untyped-def]
-    """Return component q of a point's branch k when its strain there has changed evenly over the interval."""
+    """Return component q of a point's branch k after a linear strain change over the interval."""
     return history.factors[k, 0] * history.branches[b, k, q, v] + history.factors[k, 1] * (
         now - history.strain[b, q, v]
     )
@@ -242,14 +252,14 @@ def even_change(history, b, k, q, v, now):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def after(work, interval):  # type: ignore[no-untyped-def]
-    """Let the next evaluation be remembered as that of an interval [s] later; with 0 none is."""
+    """Set the interval [s] after which the next evaluation updates the history; 0 for no update."""
     work.history.interval[0] = interval
 
 
 @kernel_njit(fastmath={"contract"})
-def _answer(relaxation, history, cofactor, b, interval):  # type: ignore[no-untyped-def]
+def _block_overstress(relaxation, history, cofactor, b, interval):  # type: ignore[no-untyped-def]
     """Write the overstress of the points of one block."""
-    old, kept, stress = history.branches[b], history.strain[b], history.stress[b]
+    old, strain, stress = history.branches[b], history.strain[b], history.stress[b]
     for v in range(LANES):
         c = (cofactor[b, 0, v], cofactor[b, 1, v], cofactor[b, 2, v], cofactor[b, 3, v], cofactor[b, 4, v],
              cofactor[b, 5, v], cofactor[b, 6, v], cofactor[b, 7, v], cofactor[b, 8, v])  # fmt: skip
@@ -257,9 +267,18 @@ def _answer(relaxation, history, cofactor, b, interval):  # type: ignore[no-unty
         Q0, Q1, Q2, Q3, Q4, Q5, stored = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(relaxation.times.shape[0]):
             left, new, mu = history.factors[k, 0], history.factors[k, 1], relaxation.moduli[k]
-            A0, A1 = left * old[k, 0, v] + new * (C[0] - kept[0, v]), left * old[k, 1, v] + new * (C[1] - kept[1, v])
-            A2, A3 = left * old[k, 2, v] + new * (C[2] - kept[2, v]), left * old[k, 3, v] + new * (C[3] - kept[3, v])
-            A4, A5 = left * old[k, 4, v] + new * (C[4] - kept[4, v]), left * old[k, 5, v] + new * (C[5] - kept[5, v])
+            A0, A1 = (
+                left * old[k, 0, v] + new * (C[0] - strain[0, v]),
+                left * old[k, 1, v] + new * (C[1] - strain[1, v]),
+            )
+            A2, A3 = (
+                left * old[k, 2, v] + new * (C[2] - strain[2, v]),
+                left * old[k, 3, v] + new * (C[3] - strain[3, v]),
+            )
+            A4, A5 = (
+                left * old[k, 4, v] + new * (C[4] - strain[4, v]),
+                left * old[k, 5, v] + new * (C[5] - strain[5, v]),
+            )
             Q0, Q1, Q2 = Q0 + mu * A0, Q1 + mu * A1, Q2 + mu * A2
             Q3, Q4, Q5 = Q3 + mu * A3, Q4 + mu * A4, Q5 + mu * A5
             stored += 0.25 * mu * (A0 * A0 + A1 * A1 + A2 * A2 + 2.0 * (A3 * A3 + A4 * A4 + A5 * A5))
@@ -277,15 +296,15 @@ def _answer(relaxation, history, cofactor, b, interval):  # type: ignore[no-unty
 
 @kernel_njit()
 def overstress_alone(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
-    """Do as `overstress` on one thread."""
+    """Compute `overstress` on one thread."""
     prepare(relaxation, history)
     for b in range(cofactor.shape[0]):
-        _answer(relaxation, history, cofactor, b, history.interval[0])
+        _block_overstress(relaxation, history, cofactor, b, history.interval[0])
 
 
 @kernel_njit()
 def reset_history(history):  # type: ignore[no-untyped-def]
-    """Let a memory be that of a body that has always been at rest."""
+    """Reset the history variables to those of a body at rest."""
     for b in range(history.strain.shape[0]):
         for q in range(6):
             for v in range(LANES):
@@ -298,21 +317,21 @@ def reset_history(history):  # type: ignore[no-untyped-def]
 
 @kernel_njit(parallel=True)
 def overstress(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
-    """Write the overstress of all points into `memory.stress`; remember their strain if the interval is not 0.
+    """Write the overstress of all points into `history.stress`; update the history unless the interval is 0.
 
     `cofactor` is cof F, (b, 9, LANES), row by row.
     """
     prepare(relaxation, history)
     for b in prange(cofactor.shape[0]):
-        _answer(relaxation, history, cofactor, b, history.interval[0])
+        _block_overstress(relaxation, history, cofactor, b, history.interval[0])
 
 
 @kernel_njit()
 def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
-    """Write values (v,) that the volumetric coefficient multiplies, and what branches add, to `memory.effective`."""
+    """Write volumetric measures (v,) plus their branches into `history.effective`."""
     interval = history.interval[0]
     for i in range(values.shape[0]):
-        total, stored, gone = values[i], 0.0, 0.0
+        total, stored, dissipated = values[i], 0.0, 0.0
         change = values[i] - history.dilatation[i]
         for k in range(relaxation.times.shape[0]):
             share = relaxation.bulk[k]
@@ -321,10 +340,10 @@ def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
             total += share * now
             stored += 0.5 * share * now * now
             if interval > 0.0:
-                gone += share * _lost(old, change, history.factors[k])
+                dissipated += share * _dissipation(old, change, history.factors[k])
                 history.volume[i, k] = now
         history.effective[i] = total
         history.volume_energy[i] = stored
         if interval > 0.0:
-            history.volume_lost[i] += gone
+            history.volume_lost[i] += dissipated
             history.dilatation[i] = values[i]

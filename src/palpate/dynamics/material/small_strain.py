@@ -1,6 +1,7 @@
-"""The compiled answers of a solid of small strain: Hooke's law, linear in the displacements.
+"""The compiled stress of a solid of small strain: Hooke's law, linear in the displacements.
 
-They take the place of `solid`'s and `solid_energy`'s own. cof(F) is the unit matrix and J - 1 the trace of the strain.
+The functions replace those of the strong form and the energy form. cof(F) is the unit matrix and
+J - 1 the trace of the strain.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ __all__ = ["make_linear_response", "make_linear_stress"]
 
 
 def make_linear_stress(digest: str) -> Any:
-    """Make the compiled shear stress of one point, as `solid_energy.make_stress` does."""
+    """Compile the shear stress of one point, as `energy_form.make_stress`."""
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
@@ -27,7 +28,7 @@ def make_linear_stress(digest: str) -> Any:
 
 
 def make_linear_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
-    """Make the compiled response of one block, as `solid` does: mu (lap u + grad div u) - P b."""
+    """Compile the response of one block, mu (lap u + grad div u) - P b, as in `strong_form`."""
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
     def respond(b, nodes, d, boundary, coefficients, lame, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
@@ -35,7 +36,7 @@ def make_linear_response(digest: str, law_first: Any, law_second: Any, volume: A
         for v in range(LANES):
             b0, b1, b2 = boundary[b, 0, v], boundary[b, 1, v], boundary[b, 2, v]
             trace = d[0, v] + d[4, v] + d[8, v]
-            # gradient of the trace; second derivatives of a component stand in the order 00 11 22 01 02 12
+            # gradient of the trace; second derivatives of a component are ordered 00 11 22 01 02 12
             k0 = d[9, v] + d[18, v] + d[25, v]
             k1 = d[12, v] + d[16, v] + d[26, v]
             k2 = d[13, v] + d[20, v] + d[23, v]

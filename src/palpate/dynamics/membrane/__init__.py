@@ -1,1 +1,1 @@
-"""Membranes: passes, moduli and additional stress."""
+"""Membranes: the model, its passes, moduli and additional stress."""

@@ -1,16 +1,17 @@
-"""What stands beside the law of a membrane: the overstress of relaxing tissue, and fibres in the sheet's plane.
+"""The additional stress of a membrane: viscoelastic overstress, and fibres in the plane of the sheet.
 
-Both are energies of the whole strain of the incompressible sheet: of C in its plane and of C33 = 1 / det C across it.
-With Q twice their derivative by that strain, and no stress across the sheet, the second Piola-Kirchhoff stress is
+Both are energies of the strain of the incompressible sheet: of C in its plane and of C33 = 1 / det C
+across it. With Q twice their derivative by that strain, and no stress across the sheet, the second
+Piola-Kirchhoff stress is
 
     S = Q - Q33 / (det C)^2 adj(C).
 
-Where a relaxed sheet is wrinkled, its strain is that of simple tension, C* = c1 N N^T + w (1 - N N^T), w = c1^(-1/2),
-and where it is slack it is none: what the material between the wrinkles has. The chain rule through C* gives
+The strain of a wrinkled sheet is that of simple tension, C* = c1 N N^T + w (1 - N N^T) with
+w = c1^(-1/2), and that of a slack sheet is zero. The chain rule through C* yields
 
     S = (Q_NN - w^3 / 2 (Q_TT + Q_33)) N N^T + Q_NT (c1 - w) / (c1 - c2) (N T^T + T N^T),
 
-T across N, c2 the lesser eigenvalue of C: forces are the slope of an energy there, too.
+with T normal to N and c2 the lesser eigenvalue of C. So forces are the derivative of an energy there too.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ __all__ = [
 ]
 
 
-NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
+MIN_SQUARE_GAP = 1e-30  # least difference of squared stretches in quotients, whose numerators vanish too
 
 
 class AdditionalStressData(NamedTuple):
-    """Arrays that the functions of `AdditionalStress` read and write: of fibres, relaxation and history variables."""
+    """Arrays of fibres, relaxation and history variables for `AdditionalStress`."""
 
     coefficients: Floats
     directions: Floats
@@ -54,7 +55,7 @@ class AdditionalStressData(NamedTuple):
 
 @kernel_njit()
 def flatten_additional(families, relaxation, history):  # type: ignore[no-untyped-def]
-    """Gather them in one flat tuple, as threads take it."""
+    """Return the arrays in one flat tuple; parallel loops do not support nested tuples."""
     return AdditionalStressData(
         families.coefficients, families.directions, relaxation.moduli, relaxation.times,
         history.interval, history.strain, history.branches, history.factors, history.lost,
@@ -62,26 +63,26 @@ def flatten_additional(families, relaxation, history):  # type: ignore[no-untype
 
 
 class AdditionalStress(NamedTuple):
-    """What is compiled beside a law.
+    """The compiled additional stress of a sheet.
 
     Parameters
     ----------
     digest : str
-        Of what it is made from; empty where there is nothing.
-    answer : function
-        ``answer(C00, C11, C01, b, point, v, extras)``: energy, then S as 00 11 01, of a lane's point; `b` is the block
-        of the node, `point` that of the point. None where there is nothing.
+        Digest of its sources; empty without additional stress.
+    response : function or None
+        ``response(C00, C11, C01, b, point, v, extras)`` returns the energy, then S as 00 11 01, of a point in
+        lane v; `b` is the block of the node, `point` that of the point. None without additional stress.
     """
 
     digest: str
-    answer: Any
+    response: Any
 
 
 NO_ADDITIONAL_STRESS = AdditionalStress("", None)
 
 
 def additional_stress(fibres: FibreLaw | None, relaxing: bool, relaxed: bool) -> AdditionalStress:
-    """Return what stands beside a sheet's law: some fibres, the branches of tissue that relaxes, both or nothing."""
+    """Return the additional stress of fibres and viscoelastic branches, of both or neither."""
     if fibres is None and not relaxing:
         return NO_ADDITIONAL_STRESS
     kind = (None, 0) if fibres is None else (type(fibres), len(fibres.directions))
@@ -90,12 +91,12 @@ def additional_stress(fibres: FibreLaw | None, relaxing: bool, relaxed: bool) ->
 
 @cache
 def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: bool) -> AdditionalStress:
-    respond_of = _nothing if law is None else law.respond
-    digest = law_digest(__name__, "beside a sheet", respond_of, count, relaxing, relaxed)
+    respond_of = _no_fibres if law is None else law.respond
+    digest = law_digest(__name__, "additional stress of a sheet", respond_of, count, relaxing, relaxed)
     respond = inline(digest, respond_of)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(C00, C11, C01, b, point, v, extras):  # type: ignore[no-untyped-def]
+    def response(C00, C11, C01, b, point, v, extras):  # type: ignore[no-untyped-def]
         D = C00 * C11 - C01 * C01
         E = (C00, C11, 1.0 / D, C01, 0.0, 0.0)
         c1, c2, w, p, q = 1.0, 1.0, 0.0, 1.0, 0.0
@@ -118,23 +119,23 @@ def _compiled(law: type[FibreLaw] | None, count: int, relaxing: bool, relaxed: b
                 return W, 0.0, 0.0, 0.0
             along = p * p * Q0 + q * q * Q1 + 2.0 * p * q * Q3
             across = q * q * Q0 + p * p * Q1 - 2.0 * p * q * Q3
-            turn = (p * q * (Q1 - Q0) + (p * p - q * q) * Q3) * (c1 - w) / max(c1 - c2, NEVER)
+            shear = (p * q * (Q1 - Q0) + (p * p - q * q) * Q3) * (c1 - w) / max(c1 - c2, MIN_SQUARE_GAP)
             along -= 0.5 * w * w * w * (across + Q2)
-            both = 2.0 * p * q * turn
-            return W, p * p * along - both, q * q * along + both, p * q * along + (p * p - q * q) * turn
+            both = 2.0 * p * q * shear
+            return W, p * p * along - both, q * q * along + both, p * q * along + (p * p - q * q) * shear
         r = Q2 / (D * D)
         return W, Q0 - r * C11, Q1 - r * C00, Q3 + r * C01
 
-    return AdditionalStress(digest, answer)
+    return AdditionalStress(digest, response)
 
 
-def _nothing(C, a, c):  # type: ignore[no-untyped-def]
+def _no_fibres(C, a, c):  # type: ignore[no-untyped-def]
     return 0.0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @kernel_njit(fastmath={"contract"})
 def _overstress(E, point, v, extras):  # type: ignore[no-untyped-def]
-    """Energy of a point's branches and Q (00 11 33 01); their strain is remembered if the interval is not 0."""
+    """Return the energy of a point's branches and Q (00 11 33 01); update the history unless the interval is 0."""
     stored, Q0, Q1, Q2, Q3 = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(extras.times.shape[0]):
         mu = extras.moduli[k]

@@ -31,10 +31,10 @@ from palpate.tissue.materials import Material
 __all__ = ["Membrane", "load_areas"]
 
 
-FLAT = 1e-6  # how far the direction of a fibre may stand out of the plane
-TAUT = 1e-3  # extension at which the whole sheet answers, to find its highest frequency
-DAMPING = {"energy": 0.1, "strong": 0.5}  # default viscosity times the highest frequency
-NEIGHBOURS = {"energy": 14, "strong": 18}  # default; fewer do not hold the strong form, more soften the energy form
+MAX_FIBRE_TILT = 1e-6  # largest component of a fibre direction out of the plane
+TAUT_STRAIN = 1e-3  # extension of the taut sheet for its highest frequency
+DAMPING = {"energy": 0.1, "strong": 0.5}  # default stiffness damping times the highest frequency
+NEIGHBOURS = {"energy": 14, "strong": 18}  # default; fewer destabilise the strong form, more soften the energy form
 
 
 class Membrane(NodalModel):
@@ -43,36 +43,38 @@ class Membrane(NodalModel):
     Parameters
     ----------
     cloud : Cloud
-        In the plane (d = 2), as mounted. Displacements have three components; the sheet lies in z = 0.
+        The mounted sheet in the plane z = 0 (d = 2). Displacements have three components.
     material : Material
-        With ``poisson=0.5``.
+        Incompressible, ``poisson=0.5``.
     thickness : float [m]
-        Of the unstressed sheet.
+        Thickness of the stress-free sheet.
     fixed : str or sequence of str
-        Groups that are held; none leaves the sheet free.
+        Clamped groups; none for a free sheet.
     prestretch : float
-        How many times longer the mounted sheet is than unstressed, in both directions; at least 1.
+        Stretch of the mounted sheet in both directions, at least 1.
     relaxed : bool
-        Whether the sheet wrinkles instead of carrying compression (tension-field theory).
+        True replaces compression by wrinkles (tension-field theory).
     form : str
-        ``"energy"``: nodal forces are the derivative of a nodally summed energy, stable in every state of tension.
-        ``"strong"``: the equations of motion are collocated; a slack or wrinkling sheet is not stable then.
+        ``"energy"``: nodal forces are the derivative of an energy summed over nodes, stable in every
+        state of tension. ``"strong"``: the equations of motion are collocated, unstable for a slack or
+        wrinkled sheet.
     stiffness_damping : float, optional [s]
-        Stiffness-proportional viscosity beta of C = beta K in (29). By default 0.1 over the highest frequency, so that
-        waves as short as the spacing lose a tenth of their amplitude in a third of a period; 0.5 over it in the
-        strong form.
+        Rayleigh stiffness damping beta of C = beta K in (29). By default 0.1 over the highest
+        frequency: waves as short as the spacing lose a tenth of their amplitude in a third of a period.
+        In the strong form it is 0.5 over the highest frequency.
     neighbours : int, optional
-        Wished number of points in a stencil; by default 14, in the strong form 18.
+        Target number of points in a stencil; by default 14, in the strong form 18.
     fibres : FibreLaw, optional
-        What reinforces the sheet, in its plane; of the energy form, and of a sheet that is not relaxed: how fibres let
-        a sheet narrow before it wrinkles is not known here.
+        Fibre reinforcement in the plane of the sheet, in the energy form with ``relaxed=False``. The
+        relaxed energy of a sheet with fibres is not implemented.
 
     Raises
     ------
     InputError
-        A cloud in space, a compressible or linear elastic material, an unknown group or a parameter out of range.
+        The cloud is in space, the material compressible or linear elastic, a group unknown, or a
+        parameter out of range.
     CloudError
-        The cloud cannot carry the stencils.
+        The cloud does not admit the stencils.
     """
 
     name = "full"
@@ -91,17 +93,17 @@ class Membrane(NodalModel):
         neighbours: int | None = None,
         fibres: FibreLaw | None = None,
     ) -> None:
-        self.fibres = _checked(cloud, material, form, relaxed, fibres)
+        self.fibres = _validated_fibres(cloud, material, form, relaxed, fibres)
         self.cloud, self.material = cloud, material
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
         self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
         self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
         self.relaxed, self.form, self.conservative = bool(relaxed), form, form == "energy"
-        # the mounted boundary vectors are those of the half cell, c = 2, which the energy form has by itself
+        # the mounted boundary vectors have c = 2, which the energy form includes by itself
         self.half_cell = 1.0
         self.stiffness_damping = 0.0
-        wished = NEIGHBOURS[form] if neighbours is None else neighbours
-        self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=wished)
+        target = NEIGHBOURS[form] if neighbours is None else neighbours
+        self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=target)
         self._areas = cloud.volumes / self.prestretch**2
         body, longest = self._body()
         self._compile(
@@ -113,12 +115,12 @@ class Membrane(NodalModel):
             body.lanes,
         )
         self._equilibrium_history(np.zeros((len(cloud), 3)))
-        self._taut = resting_frequency(self, TAUT * self._flat(cloud.points))
-        wanted = DAMPING[form] / self._taut if stiffness_damping is None else stiffness_damping
-        used = number_in_range("stiffness_damping", wanted, 0.0, unit="s")
+        self._taut = resting_frequency(self, TAUT_STRAIN * self._in_space(cloud.points))
+        chosen = DAMPING[form] / self._taut if stiffness_damping is None else stiffness_damping
+        used = number_in_range("stiffness_damping", chosen, 0.0, unit="s")
         needed = 0.0 if self.conservative else np.nan
         step = stable_step(self._taut, used)
-        self._examined(StabilityReport("the taut sheet", None, needed, used, self._taut, step))
+        self._set_stability(StabilityReport("taut sheet", None, needed, used, self._taut, step))
 
     def _own_facts(self) -> list[Fact]:
         return [
@@ -130,15 +132,15 @@ class Membrane(NodalModel):
         ]
 
     def _additional_stress(self) -> AdditionalStress:
-        """What is compiled beside the law."""
+        """Return the compiled additional stress of fibres and relaxation."""
         return additional_stress(self.fibres, self.material.prony is not None, self.relaxed)
 
     def _body(self) -> tuple[SheetBody, int]:
-        """Lay out the stencils; return them with the longest list of neighbours that a pass holds."""
+        """Lay out the stencils; return them with the largest number of neighbours in a pass."""
         cloud, stencils = self.cloud, self.stencils
         row, first, second = stencils.row, stencils.first, stencils.second
         own = np.zeros((len(cloud), 5))
-        carriers, back = Lanes.none(), Weights.none()
+        transposed, back = Lanes.none(), Weights.none()
         if self.form == "energy":
             edges = cloud.boundary_vectors() * cloud.volumes[:, None] / self.prestretch
             first = consistent_gradient(stencils, cloud.points / self.prestretch, self._areas, edges)
@@ -146,19 +148,27 @@ class Membrane(NodalModel):
             both = np.concatenate([first, second], axis=2)
             own = -both.sum(axis=1)
             near, weights = transpose(stencils.neighbours, both, self._areas)
-            carriers, (back,) = lane_table(near, row, weights)
+            transposed, (back,) = lane_table(near, row, weights)
         lanes, (first_weights, second_weights) = lane_table(stencils.neighbours, row, first, second)
         body = SheetBody(
-            lanes, first_weights, second_weights, carriers, back, own,
-            np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
-            RADIUS * np.sqrt(self._areas), self.material.coefficients, self.prestretch,
-            relaxation(self.material), lay_out_fibres(self.fibres, lanes.nodes),
-        )  # fmt: skip
-        return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(carriers.start).max(initial=0)))
+            lanes=lanes,
+            first=first_weights,
+            second=second_weights,
+            transposed=transposed,
+            back=back,
+            own=own,
+            boundary=np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
+            radius=RADIUS * np.sqrt(self._areas),
+            coefficients=self.material.coefficients,
+            prestretch=self.prestretch,
+            relaxation=relaxation(self.material),
+            families=lay_out_fibres(self.fibres, lanes.nodes),
+        )
+        return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(transposed.start).max(initial=0)))
 
     @staticmethod
-    def _flat(points: Floats) -> Floats:
-        """Plane points as displacements or places in space, shape (n, 3)."""
+    def _in_space(points: Floats) -> Floats:
+        """Append a zero third component to plane vectors, shape (n, 3)."""
         return np.column_stack([points, np.zeros(len(points))])
 
     @property
@@ -166,9 +176,10 @@ class Membrane(NodalModel):
         return self._areas * self.thickness
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
-        """Return F = dx/dX of the unstressed sheet at every node, (n, 3, 2), for displacements (n, 3) [m].
+        """Return F = dx/dX of the stress-free sheet at every node, (n, 3, 2), for displacements (n, 3) [m].
 
-        By the fit at the node. The forces and the energy of the energy form come from six points about it instead.
+        It is that of the fit at the node. Forces and energy of the energy form use six points around
+        the node.
         """
         return self.stencils.gradient(displacements) + self.prestretch * np.eye(3, 2)
 
@@ -194,7 +205,7 @@ class Membrane(NodalModel):
     def stress(self, displacements: Floats) -> Floats:
         """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 2), for displacements (n, 3) [m].
 
-        With fibres, or in tissue that relaxes, the mean over the six points about the node.
+        With fibres or relaxation it is the mean over the six points around the node.
         """
         if self._additional_stress() == NO_ADDITIONAL_STRESS:
             return self.stress_at(self.deformation_gradient(displacements))
@@ -202,7 +213,7 @@ class Membrane(NodalModel):
         return np.array(self.work.flux[:, :6].reshape(-1, 2, 3).transpose(0, 2, 1))
 
     def stress_at(self, F: Floats) -> Floats:
-        """Return the law's own first Piola-Kirchhoff stress [Pa], (..., 3, 2), for gradients (..., 3, 2)."""
+        """Return the law's first Piola-Kirchhoff stress [Pa], (..., 3, 2), for gradients (..., 3, 2)."""
         stretches, directions = _principal(F)
         tensions = self._nominal(stretches)
         scaled = np.divide(tensions, stretches, out=np.zeros_like(tensions), where=stretches > 0)
@@ -221,17 +232,17 @@ class Membrane(NodalModel):
         return np.asarray(np.sum((F @ directions) * (self.stress(displacements) @ directions), axis=1))
 
     def tension(self, displacements: Floats) -> NDArray[np.int8]:
-        """Return 0 where the sheet is slack, 1 wrinkled, 2 taut, shape (n,), for displacements (n, 3) [m]."""
+        """Return 0 at slack, 1 at wrinkled and 2 at taut nodes, shape (n,), for displacements (n, 3) [m]."""
         stretches = self.principal_stretches(displacements)
         taut = stretches[:, 1] >= np.maximum(stretches[:, 0], 1.0) ** -0.5
         return np.where(taut, 2, np.where(stretches[:, 0] > 1.0, 1, 0)).astype(np.int8)
 
     def wrinkled_area(self, displacements: Floats) -> float:
-        """Return how much of the mounted sheet [m^2] is taut in one direction only, for displacements (n, 3) [m]."""
+        """Return the wrinkled area [m^2] of the mounted sheet for displacements (n, 3) [m]."""
         return float(self.cloud.volumes[self.tension(displacements) == 1].sum())
 
     def _nominal(self, stretches: Floats) -> Floats:
-        """Principal nominal stresses [Pa], (..., 2), of principal stretches."""
+        """Return the principal nominal stresses [Pa], (..., 2), of principal stretches."""
         l1, l2 = stretches[..., 0], stretches[..., 1]
         if self.relaxed:
             l1 = np.maximum(l1, 1.0)
@@ -250,37 +261,39 @@ class Membrane(NodalModel):
         return prepare_loads(self.cloud, self.fixed, loads, partial(load_areas, self.cloud, self.prestretch))
 
     def stable_step(self, state: State, prepared: PreparedLoads) -> float:
-        # a slack place has no frequency until it is taut, sooner than the next estimate
-        frequency = self.highest_frequency(state.coordinates, prepared.held(state.time))
+        # a slack region can become taut before the next estimate
+        frequency = self.highest_frequency(state.coordinates, prepared.constraint_mask(state.time))
         return self._step(max(frequency, self._taut), prepared)
 
 
-def _checked(cloud: Cloud, material: Material, form: str, relaxed: bool, fibres: FibreLaw | None) -> FibreLaw | None:
-    """Refuse what is no membrane; return its fibres, with a direction for every node."""
+def _validated_fibres(
+    cloud: Cloud, material: Material, form: str, relaxed: bool, fibres: FibreLaw | None
+) -> FibreLaw | None:
+    """Check the arguments of a membrane; return its fibres with a direction at every node."""
     if cloud.points.shape[1] != 2:
-        raise InputError("Membrane needs a plane cloud, as disc and sheet make; this one is in space")
+        raise InputError("cloud of Membrane must be a plane cloud, got one in space; use disc or sheet")
     if not isinstance(material, Material):
-        raise InputError(f"a membrane has one material everywhere, not {material!r}")
+        raise InputError(f"material of Membrane must be one material, got {material!r:.200}")
     if not material.incompressible:
-        raise InputError(f"a membrane is incompressible: give its material poisson=0.5, not {material.poisson:g}")
+        raise InputError(f"material of Membrane must be incompressible, got {material.poisson:g}; use poisson=0.5")
     if material.variables == "small strain":
-        raise InputError("a membrane needs a law of large strains; a linear elastic sheet has no forces out of plane")
+        raise InputError("material of Membrane must be a law of large strains, got LinearElastic; use NeoHookean")
     if form not in DAMPING:
-        raise InputError(f"form = {form!r}: allowed are 'energy' and 'strong'")
+        raise InputError(f"form must be 'energy' or 'strong', got {form!r}")
     if material.prony is not None and material.prony.bulk_shares:
-        raise InputError("a membrane keeps its volume: leave bulk_shares out of its Prony series")
+        raise InputError("bulk_shares of a membrane's Prony series must be empty; its volume is constant")
     if material.prony is not None and form != "energy":
-        raise InputError("tissue that relaxes (prony=) needs form='energy'")
-    placed_fibres = prepare_fibres(fibres, material, form, cloud.points)
-    if placed_fibres is not None and relaxed:
-        raise InputError("a sheet with fibres carries compression: give it relaxed=False")
-    if placed_fibres is not None and np.abs(placed_fibres.directions[..., 2]).max() > FLAT:
-        raise InputError("directions of fibres must lie in the plane of the sheet: their third component is 0")
-    return placed_fibres
+        raise InputError("prony of the material must be None in the strong form; use form='energy'")
+    nodal_fibres = prepare_fibres(fibres, material, form, cloud.points)
+    if nodal_fibres is not None and relaxed:
+        raise InputError("relaxed must be False for a sheet with fibres; use relaxed=False")
+    if nodal_fibres is not None and np.abs(nodal_fibres.directions[..., 2]).max() > MAX_FIBRE_TILT:
+        raise InputError("directions of fibres must be in the plane of the sheet; set their third component to 0")
+    return nodal_fibres
 
 
 def load_areas(cloud: Cloud, prestretch: float, load: DeadLoad) -> Floats:
-    """Return area vectors (k, 3) of a load on a sheet: a pressure acts on the face, a force on an edge, or all over."""
+    """Return the area vectors (k, 3) of a load: of the face for a pressure, of an edge or the face for a force."""
     face = cloud.volumes[cloud.group(load.group), None] / prestretch**2 * [0.0, 0.0, 1.0]
     if is_pressure(load):
         return face
@@ -291,6 +304,6 @@ def load_areas(cloud: Cloud, prestretch: float, load: DeadLoad) -> Floats:
 
 
 def _principal(F: Floats) -> tuple[Floats, Floats]:
-    """Principal stretches (..., 2), the larger first, and their directions in the sheet (..., 2, 2), last the pair."""
+    """Return the principal stretches (..., 2), the larger first, and their directions (..., 2, 2) as columns."""
     squares, directions = np.linalg.eigh(np.swapaxes(F, -1, -2) @ F)
     return np.sqrt(np.maximum(squares[..., ::-1], 0.0)), directions[..., ::-1]

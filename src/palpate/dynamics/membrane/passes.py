@@ -1,13 +1,14 @@
-"""The compiled internal force of a membrane: three displacements over a plane sheet.
+"""The compiled internal force of a membrane.
 
-With F = dx/dX (3, 2) and C = F^T F, incompressibility gives the thickness stretch 1 / sqrt(det C), and plane stress
-the first Piola-Kirchhoff stress of any isotropic law W(I1, I2),
+With F = dx/dX (3, 2) and C = F^T F, the thickness stretch of the incompressible sheet is
+1 / sqrt(det C). Plane stress yields the first Piola-Kirchhoff stress of any isotropic law W(I1, I2),
 
     P = a F + g F adj(C),    I1 = tr C + 1 / det C,    I2 = det C + tr C / det C.
 
 A sheet without bending stiffness wrinkles instead of carrying compression. Its relaxed energy (Pipkin, IMA J. Appl.
 Math. 36, 1986) follows from the principal stretches l1 >= l2: where l2 < l1^(-1/2), the width that simple tension
-leaves, the sheet is wrinkled, l2 drops out of the energy and P is uniaxial; where l1 <= 1 it is slack, and P = 0.
+leaves, the sheet is wrinkled, l2 drops out of the energy and P is uniaxial. Where l1 <= 1 it is slack,
+and P = 0.
 
 Two forms of the equations of motion are compiled from the first and second derivatives H of the displacement at nodes:
 
@@ -35,26 +36,26 @@ from palpate.tissue.materials import Material
 
 __all__ = ["COSINE", "POINTS", "SINE", "SheetBody", "SheetWork", "make_moduli", "sheet", "sheet_work"]
 
-NUMBERS = 15  # derivatives a node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
-POINTS = 6  # about a node: six keep the symmetry of a triangular lattice
-# Distance of the points from the node, in roots of its area. In a hexagonal cell 0.4 would integrate exactly; but the
-# fitted gradient is too small in short waves, by about as much as points at 1.0 add: they cancel the leading error.
+NUMBERS = 15  # derivatives per node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
+POINTS = 6  # integration points around a node, with the symmetry of a triangular lattice
+# Distance of the points from the node, in roots of its area. In a hexagonal cell 0.4 would integrate
+# exactly. The fitted gradient is too small in short waves; points at 1.0 cancel this leading error.
 RADIUS = 1.0
 COSINE, SINE = (f(np.arange(POINTS) * (2 * np.pi / POINTS)) for f in (np.cos, np.sin))
-NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
+MIN_SQUARE_GAP = 1e-30  # least difference of squared stretches in quotients, whose numerators vanish too
 
 
 class SheetBody(NamedTuple):
-    """Everything constant about a membrane that the compiled passes read."""
+    """Constants of a membrane for the compiled passes."""
 
     lanes: Lanes
     first: Weights
     second: Weights
-    transposed: Lanes  # of every node, the nodes whose stencils hold it
+    transposed: Lanes  # of every node, the nodes whose stencils contain it
     back: Weights  # their five weights on it, times the ratio of the volumes
     own: NDArray[np.float64]  # (n, 5) own weights
     boundary: NDArray[np.float64]  # (b, 2, LANES) boundary vectors [1/m]
-    radius: NDArray[np.float64]  # (n,) of the points about a node [m]
+    radius: NDArray[np.float64]  # (n,) distance of the points from their node [m]
     coefficients: tuple[float, ...]
     prestretch: float
     relaxation: Relaxation
@@ -62,18 +63,18 @@ class SheetBody(NamedTuple):
 
 
 class SheetWork(NamedTuple):
-    """What the passes hand on, so that a step allocates nothing."""
+    """Scratch arrays of the passes."""
 
     fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences, or their fluxes
     derivatives: NDArray[np.float64]  # (threads, 15, LANES)
     cofactor: NDArray[np.float64]  # (b, 9, LANES): the last of every three is the deformed normal's component
     flux: NDArray[np.float64]  # (n, 15) stress and its first moments; in the strong form the force (n, 0:3)
     energy: NDArray[np.float64]  # (n,) [J/m^3]
-    history: HistoryVariables  # of tissue that relaxes: of point q about the nodes of block b at POINTS b + q
+    history: HistoryVariables  # of viscoelastic tissue; point q of block b at POINTS b + q
 
 
 def sheet_work(nodes: int, blocks: int, longest: int, threads: int, branches: int = 0) -> SheetWork:
-    """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
+    """Allocate scratch arrays for `nodes` in `blocks` with at most `longest` neighbours."""
     return SheetWork(
         np.zeros((threads, longest, 3, LANES)),
         np.zeros((threads, NUMBERS, LANES)),
@@ -89,7 +90,7 @@ _lift, _differentiate = lift_passes("sheet", lane_sums_3x2, lane_sums_3x3, 6)
 
 @kernel_njit(parallel=True, fastmath={"contract"})
 def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
-    """Minus the work [J] of the fluxes of every block on the derivatives of every column, (b, m)."""
+    """Write minus the work [J] of every block's fluxes on the derivatives of every vector, (b, m)."""
     for b in prange(table.shape[0]):
         for m in range(table.shape[1]):
             total = 0.0
@@ -121,17 +122,17 @@ def _copy_force(flux, force):  # type: ignore[no-untyped-def]
 
 @kernel_njit(forceinline=True)
 def _principal(C00, C11, C01):  # type: ignore[no-untyped-def]
-    """Eigenvalues of C, and the squared stretch to which a sheet in simple tension narrows."""
-    mean, reach = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
-    return mean + reach, mean - reach, 1.0 / np.sqrt(max(mean + reach, 1.0))
+    """Return the eigenvalues of C, and the squared lateral stretch in simple tension."""
+    mean, radius = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
+    return mean + radius, mean - radius, 1.0 / np.sqrt(max(mean + radius, 1.0))
 
 
 def make_moduli(
     digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool, variables: str = "invariants"
 ) -> tuple[Any, Any]:
-    """Make the functions of C that give energy, a and g in P = a F + g F adj(C), and their derivatives.
+    """Compile the functions of C for energy, a and g in P = a F + g F adj(C), and for their derivatives.
 
-    For a law of the stretches the second is None (the strong form takes another way).
+    For a law of the stretches the second is None (`make_principal_strong`).
 
     In a wrinkled state P = h F N N^T, N the direction of tension, is of the same form: by the theorem of Cayley and
     Hamilton F N N^T (c1 - c2) = c1 F - F adj(C), c1 > c2 the eigenvalues of C.
@@ -142,14 +143,14 @@ def make_moduli(
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
-        """Energy, a and g; in the relaxed law the state is first moved to where the energy is the same."""
+        """Return the energy, a and g; the relaxed energy of a wrinkled state is that of simple tension."""
         t, D = C00 + C11, C00 * C11 - C01 * C01
         if relaxed:
             c1, c2, width = _principal(C00, C11, C01)
             if c2 < width:
                 I1, I2 = 1.0 / (width * width) + 2.0 * width, 2.0 / width + width * width
                 W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
-                h = 2.0 * (W1 * (1.0 - width**3) + W2 * (width - width**4)) / max(c1 - c2, NEVER)
+                h = 2.0 * (W1 * (1.0 - width**3) + W2 * (width - width**4)) / max(c1 - c2, MIN_SQUARE_GAP)
                 return energy(I1, I2, 1.0, coefficients), h * c1, -h
         I1, I2 = t + 1.0 / D, D + t / D
         W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
@@ -158,7 +159,7 @@ def make_moduli(
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def slopes(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
-        """Derivatives of a and g by t = tr C, then by D = det C."""
+        """Return the derivatives of a and g by t = tr C and D = det C."""
         t, D = C00 + C11, C00 * C11 - C01 * C01
         if relaxed:
             c1, c2, width = _principal(C00, C11, C01)
@@ -166,7 +167,7 @@ def make_moduli(
                 I1, I2 = 1.0 / (width * width) + 2.0 * width, 2.0 / width + width * width
                 W1, W2, _ = first_of(I1, I2, 1.0, coefficients)
                 W11, W12, W22, _, _, _ = second_of(I1, I2, 1.0, coefficients)
-                gap = max(c1 - c2, NEVER)
+                gap = max(c1 - c2, MIN_SQUARE_GAP)
                 s1, s2 = 1.0 - width**3, width - width**4  # derivatives of I1 and I2 by c1
                 h = 2.0 * (W1 * s1 + W2 * s2) / gap
                 dh = 2.0 * (W11 * s1 * s1 + 2.0 * W12 * s1 * s2 + W22 * s2 * s2)
@@ -191,12 +192,12 @@ def make_moduli(
     return moduli, slopes
 
 
-def _make_energy_answer(digest: str, moduli: Any, added: Any) -> Any:
-    """Make the energy form's answer of one block: mean stress about a node, its moments with xi, the energy."""
-    more = added is not None
+def _make_energy_response(digest: str, moduli: Any, added: Any) -> Any:
+    """Compile the energy form's response of one block: mean stress at a node, its moments with xi, the energy."""
+    has_additional = added is not None
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
             total = 0.0
@@ -215,7 +216,7 @@ def _make_energy_answer(digest: str, moduli: Any, added: Any) -> Any:
                 C01 = F00 * F01 + F10 * F11 + F20 * F21
                 W, a, g = moduli(C00, C11, C01, coefficients)
                 l00, l01, l11 = (a + g * C11) / POINTS, -g * C01 / POINTS, (a + g * C00) / POINTS
-                if more:
+                if has_additional:
                     w, S00, S11, S01 = added(C00, C11, C01, b, POINTS * b + q, v, extras)
                     W, l00, l01, l11 = W + w, l00 + S00 / POINTS, l01 + S01 / POINTS, l11 + S11 / POINTS
                 total += W
@@ -240,14 +241,14 @@ def _make_energy_answer(digest: str, moduli: Any, added: Any) -> Any:
             energy[i] = total / POINTS
             _normal(b, v, d, prestretch, cofactor)
 
-    return answer
+    return node_response
 
 
-def _make_strong_answer(digest: str, moduli: Any, slopes: Any) -> Any:
-    """Make the strong form's answer of one block: Div P - P b from F and H."""
+def _make_strong_response(digest: str, moduli: Any, slopes: Any) -> Any:
+    """Compile the strong form's response of one block: Div P - P b from F and H."""
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
             C00, C11, C01, K00, K11, L00, L11, L01, M01 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -276,12 +277,12 @@ def _make_strong_answer(digest: str, moduli: Any, slopes: Any) -> Any:
                 flux[i, c] = a * (H00 + H11) + F0 * a0 + F1 * a1 + g * spread + G0 * g0 + G1 * g1
             _normal(b, v, d, prestretch, cofactor)
 
-    return answer
+    return node_response
 
 
 @kernel_njit(forceinline=True)
 def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
-    """Deformed normal times the ratio of areas, where `surface_force` looks for it."""
+    """Write the deformed normal times the ratio of areas into `cofactor`, for `surface_force`."""
     F00, F01, F10 = prestretch + d[0, v], d[1, v], d[2, v]
     F11, F20, F21 = prestretch + d[3, v], d[4, v], d[5, v]
     cofactor[b, 2, v] = F10 * F21 - F20 * F11
@@ -289,13 +290,14 @@ def _normal(b, v, d, prestretch, cofactor):  # type: ignore[no-untyped-def]
     cofactor[b, 8, v] = F00 * F11 - F10 * F01
 
 
-def _make_answer(digest: str, law: type[Material], relaxed: bool, strong: bool, added: Any) -> Any:
+def _make_response(digest: str, law: type[Material], relaxed: bool, strong: bool, added: Any) -> Any:
+    """Compile the response of one block in the energy or the strong form."""
     moduli, slopes = make_moduli(digest, law.energy, law.first, law.second, relaxed, law.variables)
     if not strong:
-        return _make_energy_answer(digest, moduli, added)
+        return _make_energy_response(digest, moduli, added)
     if law.variables == "stretches":
         return make_principal_strong(digest, law.first, law.second, moduli, relaxed, _normal)
-    return _make_strong_answer(digest, moduli, slopes)
+    return _make_strong_response(digest, moduli, slopes)
 
 
 @cache
@@ -307,18 +309,19 @@ def sheet(
     Parameters
     ----------
     law : type
-        A material; its functions are compiled, not its parameters.
+        Material whose functions are compiled, without its parameters.
     relaxed : bool
-        Whether wrinkled and slack states carry no compression.
+        True for the relaxed energy of wrinkled and slack states.
     strong : bool
-        The strong form instead of the energy form.
-    added : Beside
-        Fibres and branches of tissue that relaxes, of the energy form.
+        True for the strong form, False for the energy form.
+    added : AdditionalStress
+        Fibres and viscoelastic branches of the energy form.
     """
     digest = law_digest(
         __name__, "sheet", law.variables, law.energy, law.first, law.second, relaxed, strong, added.digest
     )
-    answer, more = _make_answer(digest, law, relaxed, strong, added.answer), added.answer is not None
+    has_additional = added.response is not None
+    node_response = _make_response(digest, law, relaxed, strong, added.response)
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(  # type: ignore[no-untyped-def]
@@ -328,11 +331,13 @@ def sheet(
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
-            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy)
+            node_response(
+                b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy
+            )
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
-        if more:
+        if has_additional:
             prepare(body.relaxation, work.history)
         each(u, body.lanes, body.first, body.second, body.boundary, body.radius, body.coefficients, body.prestretch,
              flatten_additional(body.families, body.relaxation, work.history),
@@ -345,11 +350,13 @@ def sheet(
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
-            answer(b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy)
+            node_response(
+                b, lanes.nodes, out, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy
+            )
 
     @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
-        if more:
+        if has_additional:
             prepare(body.relaxation, work.history)
         each_column(columns, table, body.lanes, body.boundary, body.radius, body.coefficients, body.prestretch,
                     flatten_additional(body.families, body.relaxation, work.history),

@@ -1,4 +1,4 @@
-"""The compiled answers of a membrane whose law is one of the principal stretches.
+"""The compiled stresses of a membrane with a law of the principal stretches.
 
 With l3 = 1 / (l1 l2) the law is w(l1, l2) = W(l1, l2, l3), in a wrinkled state w(l1) = W(l1, m, m) with the width
 m = l1^(-1/2) of simple tension. The second Piola-Kirchhoff stress has the principal values s_a = (dw/dl_a) / l_a, so
@@ -16,34 +16,34 @@ import numpy as np
 
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
-from palpate.dynamics.material.principal_stretches import NEAR
+from palpate.dynamics.material.principal_stretches import EQUAL_STRETCH_TOLERANCE
 
 __all__ = ["axes", "make_principal_moduli", "make_principal_strong"]
 
-NEVER = 1e-30  # a difference of squared stretches; smaller ones divide a stress that vanishes
+MIN_SQUARE_GAP = 1e-30  # least difference of squared stretches in quotients, whose numerators vanish too
 
 
 def make_principal_moduli(digest: str, energy_of: Any, law_first: Any, law_second: Any, relaxed: bool) -> Any:
-    """Make the function of C that gives energy, a and g, as `sheet` makes it for a law of the invariants."""
+    """Compile the function of C for energy, a and g (`make_moduli`) of a law of the stretches."""
     energy, first_of = (inline(digest, f) for f in (energy_of, law_first))
     plane, _ = _make_slopes(digest, law_first, law_second)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
     def moduli(C00, C11, C01, coefficients):  # type: ignore[no-untyped-def]
-        mean, reach = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
-        x1, x2 = mean + reach, mean - reach
+        mean, radius = 0.5 * (C00 + C11), np.sqrt(0.25 * (C00 - C11) ** 2 + C01 * C01)
+        x1, x2 = mean + radius, mean - radius
         if relaxed:
             l1 = np.sqrt(max(x1, 1.0))
             m = 1.0 / np.sqrt(l1)
             if x2 < m * m:
                 w1, w2, _ = first_of(l1, m, m, coefficients)
-                h = (w1 - w2 * m / l1) / (l1 * max(x1 - x2, NEVER))
+                h = (w1 - w2 * m / l1) / (l1 * max(x1 - x2, MIN_SQUARE_GAP))
                 return energy(l1, m, m, coefficients), h * x1, -h
         l1, l2 = np.sqrt(x1), np.sqrt(x2)
         l3 = 1.0 / (l1 * l2)
         w1, w2, w3 = first_of(l1, l2, l3, coefficients)
         s1, s2 = (w1 - w3 * l3 / l1) / l1, (w2 - w3 * l3 / l2) / l2
-        if x1 - x2 <= NEAR * mean:
+        if x1 - x2 <= EQUAL_STRETCH_TOLERANCE * mean:
             _, _, s11, s22, s12 = plane(l1, l2, coefficients)
             g = s12 - 0.5 * (s11 + s22)
         else:
@@ -54,7 +54,7 @@ def make_principal_moduli(digest: str, energy_of: Any, law_first: Any, law_secon
 
 
 def _make_slopes(digest: str, law_first: Any, law_second: Any) -> tuple[Any, Any]:
-    """Make the functions of a taut state's stretches, and of a wrinkled one's, that give the slopes of its stress."""
+    """Compile the derivatives of the stress by the squared stretches, for taut and wrinkled states."""
     first_of, second_of = (inline(digest, f) for f in (law_first, law_second))
 
     @law_njit(digest, cached=False, fastmath={"contract"})
@@ -85,9 +85,9 @@ def _make_slopes(digest: str, law_first: Any, law_second: Any) -> tuple[Any, Any
 
 
 def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: Any, relaxed: bool, normal: Any) -> Any:
-    """Make the strong form's answer of one block, Div P - P b from F and H, said in the principal axes of C.
+    """Compile the strong form's response of one block, Div P - P b from F and H, in the principal axes of C.
 
-    As in `palpate.dynamics.material.principal_stretches`: Div P = sum of s_a H_aa + F_a v_a; here over two axes.
+    Div P = sum of s_a H_aa + F_a v_a over two axes (`palpate.dynamics.material.principal_stretches`).
     """
     plane, wrinkled = _make_slopes(digest, law_first, law_second)
 
@@ -98,14 +98,14 @@ def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: 
             l1 = np.sqrt(max(x1, 1.0))
             if x2 < 1.0 / l1:
                 s1, s11 = wrinkled(l1, coefficients)
-                return s1, 0.0, s11 if x1 > 1.0 else 0.0, 0.0, 0.0, s1 / max(x1 - x2, NEVER)
+                return s1, 0.0, s11 if x1 > 1.0 else 0.0, 0.0, 0.0, s1 / max(x1 - x2, MIN_SQUARE_GAP)
         s1, s2, s11, s22, s12 = plane(np.sqrt(x1), np.sqrt(x2), coefficients)
-        if x1 - x2 <= 0.5 * NEAR * (x1 + x2):
+        if x1 - x2 <= 0.5 * EQUAL_STRETCH_TOLERANCE * (x1 + x2):
             return s1, s2, s11, s22, s12, 0.5 * (s11 + s22) - s12
         return s1, s2, s11, s22, s12, (s1 - s2) / (x1 - x2)
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, d, boundary, radius, coefficients, prestretch, extras, cofactor, flux, energy):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             i = nodes[b, v]
             C00, C11, C01 = 0.0, 0.0, 0.0
@@ -119,33 +119,33 @@ def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: 
             b0, b1 = boundary[b, 0, v], boundary[b, 1, v]
             v1, v2 = -s1 * (p * b0 + q * b1), -s2 * (p * b1 - q * b0)
             for c in range(3):
-                f1, f2, h11, h22, h12 = _turned(c, v, d, prestretch, p, q)
+                f1, f2, h11, h22, h12 = _in_principal_axes(c, v, d, prestretch, p, q)
                 flux[i, c] = s1 * h11 + s2 * h22
                 v1 += 2.0 * (s11 * f1 * h11 + s12 * f2 * h12) + k * (h12 * f2 + f1 * h22)
                 v2 += 2.0 * (s12 * f1 * h12 + s22 * f2 * h22) + k * (h12 * f1 + f2 * h11)
             for c in range(3):
-                f1, f2, _, _, _ = _turned(c, v, d, prestretch, p, q)
+                f1, f2, _, _, _ = _in_principal_axes(c, v, d, prestretch, p, q)
                 flux[i, c] += f1 * v1 + f2 * v2
             normal(b, v, d, prestretch, cofactor)
 
-    return answer
+    return node_response
 
 
 @kernel_njit(forceinline=True)
 def axes(C00, C11, C01):  # type: ignore[no-untyped-def]
-    """Eigenvalues of C, the larger first, and the direction (p, q) of the larger; the other's is (-q, p)."""
+    """Return the eigenvalues of C, the larger first, and the direction (p, q) of the larger one."""
     mean, gap = 0.5 * (C00 + C11), 0.5 * (C00 - C11)
-    reach = np.sqrt(gap * gap + C01 * C01)
-    p, q = (gap + reach, C01) if gap >= 0.0 else (C01, reach - gap)
+    radius = np.sqrt(gap * gap + C01 * C01)
+    p, q = (gap + radius, C01) if gap >= 0.0 else (C01, radius - gap)
     size = np.sqrt(p * p + q * q)
     if size == 0.0:
         return mean, mean, 1.0, 0.0
-    return mean + reach, mean - reach, p / size, q / size
+    return mean + radius, mean - radius, p / size, q / size
 
 
 @kernel_njit(forceinline=True)
-def _turned(c, v, d, prestretch, p, q):  # type: ignore[no-untyped-def]
-    """Component c of F and of the second derivatives 11, 22 and 12 of a lane, in the principal axes."""
+def _in_principal_axes(c, v, d, prestretch, p, q):  # type: ignore[no-untyped-def]
+    """Return component c of F and of the second derivatives 11, 22 and 12 of a lane in the principal axes."""
     F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)
     F1 = d[2 * c + 1, v] + (prestretch if c == 1 else 0.0)
     H00, H11, H01 = d[6 + 3 * c, v], d[7 + 3 * c, v], d[8 + 3 * c, v]

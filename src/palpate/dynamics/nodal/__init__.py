@@ -1,1 +1,1 @@
-"""Models of nodal displacements: central differences and stability."""
+"""Models of nodal displacements, central differences and stability."""

@@ -1,13 +1,13 @@
-"""How large a step is stable, and how much viscosity a collocated body needs.
+"""The stable step, and the stiffness damping of a collocated body.
 
-The collocated stiffness is not symmetric, so some of its eigenvalues w^2 are complex: such a mode grows at the rate
-|Im w| unless stiffness-proportional viscosity beta damps it, beta >= 2 |Im w| / |w|^2. On small clouds the dense
-spectrum says what is needed; on large ones the body itself does: a tiny random motion is stepped without loads, what
-grows is what needs damping, and beta is raised until nothing grows (a power iteration on the step map). A negative
-real part of w^2 cannot be damped away: it is a fault of the cloud, and is refused.
+The collocated stiffness is not symmetric, so some of its eigenvalues w^2 are complex. Such a mode
+grows at the rate |Im w| unless stiffness damping beta damps it, beta >= 2 |Im w| / |w|^2. On small
+clouds beta follows from the dense spectrum. On large ones it follows from a power iteration on the
+step map: a tiny random motion is stepped without loads, and beta is raised until nothing grows. A
+negative real part of w^2 cannot be damped. It results from the cloud, and raises an error.
 
-With viscosity, the step is stable up to dt = (sqrt(z^2 + 4) - z) / w with z = beta w, at the highest frequency w; w
-follows the deforming body by a few power iterations on its present tangent.
+With damping, the step is stable up to dt = (sqrt(z^2 + 4) - z) / w with z = beta w, at the highest
+frequency w. A few power iterations on the present tangent update w for the deforming body.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ __all__ = [
 ]
 
 
-SAFETY = 0.85  # of the step: the power iteration comes from below, and the body moves on
-MARGIN = 2.0  # of the viscosity: a body stretched four times over needs 1.8 times what it needs at rest
-DENSE_NODES = 400
-WINDOW, WINDOWS, ROUNDS = 100, 12, 8  # steps a window, windows a round, rounds of raising the viscosity
-GROWTH = 0.03  # logarithmic growth a window that counts as growth
-LOWEST, HIGHEST = 1e-6, 1e15  # [rad/s] of a body's highest frequency: beyond, its squares leave double precision
+STEP_SAFETY = 0.85  # factor of the step: the power iteration converges from below, and the body deforms
+DAMPING_SAFETY = 2.0  # factor of the damping: a body stretched four times requires 1.8 times that at rest
+MAX_DENSE_NODES = 400  # largest cloud of the dense spectrum
+WINDOW_STEPS, WINDOWS, MAX_ROUNDS = 100, 12, 8  # steps a window, windows a round, rounds of raising beta
+MIN_GROWTH = 0.03  # logarithmic growth per window of an unstable motion
+MIN_FREQUENCY, MAX_FREQUENCY = 1e-6, 1e15  # [rad/s], so that squares are in double precision
 
 
 class ElasticBody(Protocol):
-    """The parts of a nodal model on which its stability depends.
+    """The interface of a nodal model for its stability analysis.
 
     Parameters
     ----------
     stiffness_damping : float [s]
     highest_frequency : function
-        Of displacements (n, 3) [m] and fixed nodes (n,): the highest frequency [rad/s].
+        Returns the highest frequency [rad/s] for displacements (n, 3) [m] and constrained nodes (n,).
     """
 
     stiffness_damping: float
@@ -72,22 +72,22 @@ class ElasticBody(Protocol):
 
 @dataclass(frozen=True)
 class StabilityReport(Described):
-    """What decides the stability of a full model at rest.
+    """Results of a stability analysis at rest.
 
     Parameters
     ----------
     method : str
-        ``"dense spectrum"``, ``"step map"``, ``"given"`` where nothing was examined, or ``"the taut sheet"`` of a
-        membrane.
+        ``"dense spectrum"``, ``"step map"``, ``"given"`` for a given damping, ``"energy form"``, or
+        ``"taut sheet"`` of a membrane.
     worst_real_part : float or None [1/s^2]
-        Least real part among the eigenvalues w^2; None where only the step map was examined.
+        Least real part of the eigenvalues w^2; None without a dense spectrum.
     needed, used : float [s]
-        Viscosity that just stops growth, and the one in use.
+        Least stiffness damping of a stable body, and the damping in use.
     highest_frequency : float [rad/s]
     step : float [s]
         Stable step at rest, with the safety factor.
     growth : float or None [1/s]
-        Fastest growth left in the step map, with the needed viscosity.
+        Remaining growth rate in the step map, with the needed damping.
     """
 
     method: str
@@ -100,49 +100,46 @@ class StabilityReport(Described):
 
     @property
     def verdict(self) -> str:
-        """Whether the viscosity in use stops all growth at rest, as far as it was examined."""
+        """Whether the damping in use stops all growth at rest, as far as it was examined."""
         if np.isnan(self.needed):
             return "stability not examined"
-        return "stable at rest" if self.used >= self.needed else "not stable at rest: use more viscosity"
+        return "stable at rest" if self.used >= self.needed else "not stable at rest: use more damping"
 
     def _facts(self) -> list[Fact]:
         return [
             ("verdict", self.verdict, ""),
             ("method", self.method, ""),
-            ("viscosity needed", self.needed, "s"),
-            ("viscosity used", self.used, "s"),
+            ("stiffness damping needed", self.needed, "s"),
+            ("stiffness damping used", self.used, "s"),
             ("stable step", self.step, "s"),
             ("highest frequency", self.highest_frequency, "rad/s"),
         ]
 
-    @property
-    def _needed(self) -> str:
-        return "not examined" if np.isnan(self.needed) else f"{self.needed:.3g} s"
-
     def __str__(self) -> str:
+        needed = "not computed" if np.isnan(self.needed) else f"{self.needed:.3g} s"
         worst = "not computed" if self.worst_real_part is None else f"{self.worst_real_part:.4g} 1/s^2"
         lines = [
             f"stability at rest, by {self.method}",
             f"  worst real part of the spectrum  {worst}",
-            f"  viscosity needed                 {self._needed}",
-            f"  viscosity used                   {self.used:.3g} s",
+            f"  stiffness damping needed         {needed}",
+            f"  stiffness damping used           {self.used:.3g} s",
             f"  highest frequency                {self.highest_frequency:.4g} rad/s",
             f"  stable step                      {self.step:.3g} s",
         ]
         if self.growth is not None:
-            lines.insert(3, f"  growth left at that viscosity    {self.growth:.3g} 1/s")
+            lines.insert(3, f"  growth left at that damping      {self.growth:.3g} 1/s")
         return "\n".join(lines)
 
 
 def stable_step(frequency: float, stiffness_damping: float) -> float:
-    """Return the stable step [s] for a highest frequency [rad/s] and a viscosity [s], with the safety factor.
+    """Return the stable step [s] for a highest frequency [rad/s] and a stiffness damping [s].
 
-    It is 0 where their product is not finite.
+    It includes a safety factor, and is 0 if the product of the arguments is not finite.
     """
     z = stiffness_damping * frequency
     if not z * z < np.inf:
         return 0.0
-    return float(SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency)
+    return float(STEP_SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency)
 
 
 def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -> float:
@@ -152,21 +149,21 @@ def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -
     ----------
     model : ElasticBody
     displacements : (n, 3) array, optional [m]
-        Of a sheet, which resists when it is taut.
+        State of linearisation, such as a taut sheet.
 
     Raises
     ------
     InputError
-        It is zero, not finite, or beyond what double precision resolves.
+        The frequency is zero, not finite, or out of the range of double precision.
     """
     at = np.zeros((len(model.cloud), 3)) if displacements is None else displacements
     with np.errstate(all="ignore"):
         frequency = model.highest_frequency(at, model.fixed_mask)
-    if not LOWEST <= frequency <= HIGHEST:
+    if not MIN_FREQUENCY <= frequency <= MAX_FREQUENCY:
         raise InputError(
-            f"the highest frequency of the body must be from {LOWEST:g} to {HIGHEST:g} rad/s, got {frequency:.3g}: "
-            f"give its shear modulus ({model.material.shear_modulus:.3g} Pa), density ({model.material.density:.3g} "
-            f"kg/m^3) and spacing ({model.cloud.spacing:.3g} m) in SI units"
+            f"the highest frequency of the body must be {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} rad/s, got "
+            f"{frequency:.3g}; give its shear modulus ({model.material.shear_modulus:.3g} Pa), density "
+            f"({model.material.density:.3g} kg/m^3) and spacing ({model.cloud.spacing:.3g} m) in SI units"
         )
     return frequency
 
@@ -188,7 +185,7 @@ def stiffness(model: ElasticBody, displacements: Floats | None = None) -> Floats
 
 
 def spectrum(model: ElasticBody, displacements: Floats | None = None) -> NDArray[np.complex128]:
-    """Return all eigenvalues w^2 [1/s^2] of the linearised body at a state: the oracle for small clouds."""
+    """Return all eigenvalues w^2 [1/s^2] of the linearised body at a state; for small clouds."""
     return np.linalg.eigvals(stiffness(model, displacements)).astype(complex)
 
 
@@ -200,7 +197,7 @@ def needed_stiffness_damping(eigenvalues: NDArray[np.complex128]) -> float:
 
 
 class FrequencyTracker:
-    """Highest frequency of a deforming body, by power iterations that go on from call to call."""
+    """The highest frequency of a deforming body, by power iterations that continue between calls."""
 
     def __init__(self, model: ElasticBody) -> None:
         self._model = model
@@ -208,22 +205,22 @@ class FrequencyTracker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the body's past, so that equal runs take equal steps."""
+        """Reset the iteration vector, so that equal runs take equal steps."""
         self._vector, self._iterations = self._noise, 60
 
-    def __call__(self, displacements: Floats, held: NDArray[np.bool_]) -> float:
-        """Return the highest frequency [rad/s] at a state with some nodes held."""
+    def __call__(self, displacements: Floats, constrained: NDArray[np.bool_]) -> float:
+        """Return the highest frequency [rad/s] for displacements (n, 3) [m] and constrained nodes (n,)."""
         model, vector = self._model, self._vector
         amplitude = 1e-6 * model.cloud.spacing
         rest, ratio = model.always_taut_force(displacements), 0.0
-        # some noise lets another mode take over when the fastest place of the body moves
+        # the noise lets another mode grow when the fastest part of the body changes
         vector = vector / np.abs(vector).max() + 0.03 * self._noise
         for _ in range(self._iterations):
-            vector = np.where(held[:, None], 0.0, vector)
+            vector = np.where(constrained[:, None], 0.0, vector)
             vector *= amplitude / np.abs(vector).max()
             image = (rest - model.always_taut_force(displacements + vector)) / model.material.density
-            image[held] = 0.0
-            if not image.any():  # nothing resists, as in a slack sheet
+            image[constrained] = 0.0
+            if not image.any():  # no stiffness, as in a slack sheet
                 self.restart()
                 return 0.0
             ratio = float(np.linalg.norm(image) / np.linalg.norm(vector))
@@ -233,53 +230,54 @@ class FrequencyTracker:
 
 
 def choose_stiffness_damping(model: ElasticBody, stiffness_damping: float | None, neighbours: int) -> StabilityReport:
-    """Examine a model at rest and choose its viscosity unless it is given.
+    """Analyse a model at rest, and choose its stiffness damping unless it is given.
 
     Raises
     ------
     CloudError
-        A mode that no viscosity can damp; names the node where it lives.
+        A mode cannot be damped; the message names the node of its largest amplitude.
     InputError
-        A given viscosity that is negative or not finite, or a highest frequency that double precision does not resolve.
+        The given damping is negative or not finite, or the highest frequency is out of the range of
+        double precision.
     """
     frequency = resting_frequency(model)
     if stiffness_damping is not None:
         given = number_in_range("stiffness_damping", stiffness_damping, 0.0, unit="s")
         return StabilityReport("given", None, np.nan, given, frequency, stable_step(frequency, given))
-    if len(model.cloud) <= DENSE_NODES:
+    if len(model.cloud) <= MAX_DENSE_NODES:
         eigenvalues = spectrum(model)
         worst = float(eigenvalues.real.min())
         if worst < -1e-6 * np.abs(eigenvalues).max():
-            raise _undampable(model, neighbours, np.linalg.eig(stiffness(model)))
+            raise _undamped_mode_error(model, neighbours, np.linalg.eig(stiffness(model)))
         needed = needed_stiffness_damping(eigenvalues)
-        used = MARGIN * needed
+        used = DAMPING_SAFETY * needed
         return StabilityReport("dense spectrum", worst, needed, used, frequency, stable_step(frequency, used))
     needed, growth = _damping_by_steps(model, neighbours, frequency)
-    used = MARGIN * needed
+    used = DAMPING_SAFETY * needed
     return StabilityReport("step map", None, needed, used, frequency, stable_step(frequency, used), growth)
 
 
-def _undampable(
+def _undamped_mode_error(
     model: ElasticBody, neighbours: int, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]
 ) -> CloudError:
     values, vectors = eigen
     shape = np.abs(vectors[:, np.argmin(values.real)]).reshape(-1, 3)
-    return _cloud_fault(
+    return _cloud_error(
         model, neighbours, int(np.flatnonzero(~model.fixed_mask)[np.argmax(np.linalg.norm(shape, axis=1))])
     )
 
 
-def _cloud_fault(model: ElasticBody, neighbours: int, node: int) -> CloudError:
+def _cloud_error(model: ElasticBody, neighbours: int, node: int) -> CloudError:
     return CloudError(
-        f"the body is unstable at rest: a mode that viscosity cannot damp lives at node {node}, "
+        f"the body is unstable at rest: stiffness damping cannot damp a mode at node {node}, "
         f"{model.cloud.points[node]} m. Use more neighbours (now {neighbours}), less jitter, or move that node"
     )
 
 
 def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> tuple[float, float]:
-    """Raise beta until a tiny random motion no longer grows; return it and the growth rate left."""
+    """Raise beta until a tiny random motion decays; return beta and the remaining growth rate."""
     prepared, needed, rate = model.prepare(()), 0.0, 0.0
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         model.stiffness_damping = needed
         step = stable_step(frequency, needed)
         tiny = 1e-9 * model.cloud.spacing * np.random.default_rng(1).standard_normal((len(model.cloud), 3))
@@ -287,20 +285,20 @@ def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> 
         state, logs = State(tiny, np.zeros_like(tiny)), []
         size = np.linalg.norm(model.force(state.coordinates))
         for _ in range(WINDOWS):
-            state = model.advance(state, prepared, step, WINDOW)
+            state = model.advance(state, prepared, step, WINDOW_STEPS)
             force = model.force(state.coordinates)
             logs.append(np.log(np.linalg.norm(force) / size))
             scale = np.linalg.norm(tiny) / max(float(np.linalg.norm(state.coordinates)), 1e-300)
             state = State(state.coordinates * scale, state.velocities * scale)
             size = np.linalg.norm(force) * scale
         growth = float(np.mean(logs[-4:]))
-        rate = growth / (WINDOW * step)
-        if growth < GROWTH:
+        rate = growth / (WINDOW_STEPS * step)
+        if growth < MIN_GROWTH:
             return needed, rate
         power = -np.sum(state.coordinates * model.force(state.coordinates)) / model.material.density
         stiff = power / np.sum(state.coordinates**2)
         node = int(np.argmax(np.linalg.norm(state.coordinates, axis=1)))
         if stiff <= 0 or needed * frequency > 10:
-            raise _cloud_fault(model, neighbours, node)
+            raise _cloud_error(model, neighbours, node)
         needed = max(1.25 * needed, needed + 2 * rate / stiff)
-    raise _cloud_fault(model, neighbours, node)
+    raise _cloud_error(model, neighbours, node)

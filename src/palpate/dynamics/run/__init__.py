@@ -1,1 +1,1 @@
-"""Runs: the contract of a model, trajectories and their files, rollout and reactions."""
+"""Runs: the interface of a model, time integration, reactions, trajectories and their files."""

@@ -1,4 +1,4 @@
-"""Checks of tools that touch a body, and what a run keeps of them."""
+"""Checks of rigid tools, and the contact state that a run carries from step to step."""
 
 from __future__ import annotations
 
@@ -6,121 +6,157 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.contact.geometry import gaps, patch_places
+from palpate.dynamics.contact.geometry import compute_gaps, compute_patch_positions
 from palpate.dynamics.contact.tools import BONDED, PLANE
 from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads
 from palpate.dynamics.run.model import ContactState
 from palpate.faults import DivergenceError, InputError, first_few
 
-__all__ = ["check_apart", "check_pierced", "check_way", "contact_after", "no_contact"]
+__all__ = [
+    "check_initial_penetration",
+    "check_penetration",
+    "check_tool_step",
+    "initial_contact_state",
+    "next_contact_state",
+]
 
 
-INSIDE = 1e-2  # of the spacing: how far inside a tool a node may be when a run begins
-PIERCED = 0.5  # of a tool's force: more of it on nodes of the body's inside, and it is no longer on the surface
-SUNK = 0.5  # of the spacing: how far inside a tool a node of the surface may be, whose patch keeps out
-WAY = 0.5  # of a tool's radius: how far it may move in a step
+MAX_INITIAL_DEPTH = 1e-2  # penetration of a node at the start of a run, in spacings
+MAX_INTERIOR_SHARE = 0.5  # share of a tool's force on interior nodes
+MAX_NODE_DEPTH = 0.5  # penetration of a surface node whose patch is outside the tool, in spacings
+MAX_TOOL_STEP = 0.5  # motion of a tool in a step, in its radii
 
 
-def check_apart(prepared: PreparedLoads, schedule: LoadHistory, displacements: Floats, spacing: float) -> None:
-    """Refuse tools that have nodes inside them at a schedule's first time.
+def check_initial_penetration(
+    prepared: PreparedLoads, schedule: LoadHistory, displacements: Floats, spacing: float
+) -> None:
+    """Check that no node is inside a tool at the first time of a load history.
 
     Raises
     ------
     InputError
-        Names the tool, the nodes and the depth.
+        A node is inside; the message names the tool, the nodes and the depth.
     """
     if not prepared.tools:
         return
-    contacts, depth, places = prepared.contacts, np.zeros(len(displacements)), np.zeros((len(displacements), 3))
-    patch_places(contacts, np.ascontiguousarray(displacements), places)
+    contacts, depth, positions = prepared.contacts, np.zeros(len(displacements)), np.zeros((len(displacements), 3))
+    compute_patch_positions(contacts, np.ascontiguousarray(displacements), positions)
     for t, tool in enumerate(prepared.tools):
         if tool.tool.kind == BONDED:
             continue
-        gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], places, depth)
+        compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], positions, depth)
         free = schedule.times[0] > contacts.prescribed_until
-        if tool.group is not None:  # others may be inside by intention
+        if tool.group is not None:  # other nodes may be inside on purpose
             free &= np.isin(np.arange(len(free)), contacts.nodes[contacts.start[t] : contacts.start[t + 1]])
-        inside = np.flatnonzero(free & (depth < -INSIDE * spacing))
+        inside = np.flatnonzero(free & (depth < -MAX_INITIAL_DEPTH * spacing))
         if inside.size:
             raise InputError(
-                f"Contact {tool.name!r} starts {-depth[inside].min():.3g} m inside the body, at nodes "
-                f"{first_few(inside)}: start it outside and move it in"
+                f"motion of Contact {tool.name!r} must start outside the body, got a depth of "
+                f"{-depth[inside].min():.3g} m at nodes {first_few(inside)}; start it outside and move it in"
             )
 
 
-def check_way(prepared: PreparedLoads, schedule: LoadHistory, spacing: float) -> None:
-    """Refuse tools that move so far in one step that they could pass a node.
+def check_tool_step(prepared: PreparedLoads, schedule: LoadHistory, spacing: float) -> None:
+    """Check that no tool moves so far in one step that it could pass a node.
 
     Raises
     ------
     InputError
-        Names the tool, the time and the way.
+        A tool moves too far; the message names the tool, the time and the distance.
     """
     for t, tool in enumerate(prepared.tools):
         radius, half, _ = tool.tool.sizes
-        most = spacing if tool.tool.kind == PLANE else WAY * radius
+        allowed = spacing if tool.tool.kind == PLANE else MAX_TOOL_STEP * radius
         poses = schedule.poses[:, t]
-        turned = 2 * np.arccos(np.clip(np.abs(np.sum(poses[1:, 3:] * poses[:-1, 3:], axis=1)), 0.0, 1.0))
-        way = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + half * turned
-        if way.max(initial=0.0) > most:
-            worst = int(np.argmax(way))
+        angle = 2 * np.arccos(np.clip(np.abs(np.sum(poses[1:, 3:] * poses[:-1, 3:], axis=1)), 0.0, 1.0))
+        distance = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) + half * angle
+        if distance.max(initial=0.0) > allowed:
+            worst = int(np.argmax(distance))
             raise InputError(
-                f"Contact {tool.name!r} moves {way[worst]:.3g} m in the step after t = {schedule.times[worst]:.4g} s: "
-                f"allowed is {most:.3g} m; move it without a jump, or slower"
+                f"motion of Contact {tool.name!r} must be at most {allowed:.3g} m in a step, got "
+                f"{distance[worst]:.3g} m after t = {schedule.times[worst]:.4g} s; move it more slowly"
             )
 
 
-def check_pierced(
+def check_penetration(
     prepared: PreparedLoads, schedule: LoadHistory, displacements: Floats, surface: NDArray[np.int64], spacing: float
 ) -> None:
-    """Refuse tools that have slipped in between the nodes of the surface by a schedule's last time.
+    """Check that no tool has passed between the nodes of the surface at the last time of a load history.
 
-    A tool that presses deep meets nodes below a stretched surface too; one that is through meets mostly them, or has
-    nodes of the surface far inside it, though the patches about them are not.
+    A tool that presses deep also acts on interior nodes below a stretched surface. After passing
+    through, it acts mostly on them, or surface nodes are far inside it while their patches are not.
 
     Raises
     ------
     DivergenceError
-        Names the tool, the time and a node.
+        A tool has passed through; the message names the tool, the time and a node.
     """
     contacts, depth = prepared.contacts, np.zeros(len(displacements))
     for t, tool in enumerate(prepared.tools):
         if tool.group is not None:
             continue
         own = slice(contacts.start[t], contacts.start[t + 1])
-        nodes, sizes = contacts.nodes[own], np.linalg.norm(contacts.pushes[own, :3], axis=1)
+        nodes, impulses = contacts.nodes[own], np.linalg.norm(contacts.patch_impulses[own, :3], axis=1)
         below = ~np.isin(nodes, surface)
-        gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], contacts.points + displacements, depth)
+        positions = contacts.points + displacements
+        compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], positions, depth)
         depth[schedule.times[-1] <= contacts.prescribed_until] = 0.0
         deepest = int(np.argmin(depth))
-        through = sizes[below].sum() > PIERCED * sizes.sum()
-        if through or depth[deepest] < -SUNK * spacing:
-            node = nodes[below][np.argmax(sizes[below])] if through else deepest
+        through = impulses[below].sum() > MAX_INTERIOR_SHARE * impulses.sum()
+        if through or depth[deepest] < -MAX_NODE_DEPTH * spacing:
+            node = nodes[below][np.argmax(impulses[below])] if through else deepest
             raise DivergenceError(
-                f"Contact {tool.name!r} slipped in between the nodes of the surface by t = {schedule.times[-1]:.4g} s: "
-                f"node {node} is beside or inside it. Use a larger tool, a finer spacing, or press less"
+                f"Contact {tool.name!r} passed between the nodes of the surface by t = {schedule.times[-1]:.4g} s: "
+                f"node {node} is next to or inside it. Use a larger tool, a finer spacing, or press less"
             )
 
 
-def no_contact(tools: int, nodes: int, time: float, surface: int = 0, held: int = 0) -> ContactState:
-    """Return what tools do that do not touch, at a time [s].
+def initial_contact_state(tools: int, nodes: int, time: float, surface: int = 0, prescribed: int = 0) -> ContactState:
+    """Return the state of tools without contact at a time [s].
 
-    `surface` is a reduced model's number of surface nodes, `held` how many nodes are driven where a `Grasp` holds some.
+    Parameters
+    ----------
+    tools, nodes : int
+    time : float [s]
+    surface : int
+        Surface nodes of a reduced model.
+    prescribed : int
+        Nodes of prescribed motion, if a `Grasp` is among the loads.
     """
-    forces, given, nothing = np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((tools, surface, 3))
-    return ContactState(forces, np.zeros((tools, 6)), time, given, nothing, nothing, np.zeros((held, 3)))
+    return ContactState(
+        forces=np.zeros((nodes, 3)),
+        impulses=np.zeros((tools, 6)),
+        start_time=time,
+        nodal_impulses=np.zeros((nodes, 3)),
+        surface_positions=np.zeros((tools, surface, 3)),
+        surface_forces=np.zeros((tools, surface, 3)),
+        constraint_impulses=np.zeros((prescribed, 3)),
+    )
 
 
-def contact_after(prepared: PreparedLoads, before: ContactState, last: float, holds: NDArray[np.bool_]) -> ContactState:
-    """Return what the tools do after a call of some steps, the last kick of which took a time `last` [s].
+def next_contact_state(
+    prepared: PreparedLoads, before: ContactState, kick: float, constrained: NDArray[np.bool_]
+) -> ContactState:
+    """Return the contact state after a call of some steps.
 
-    In it, `holds` tells which of the driven nodes were held: what tools gave those, the others had to bear.
+    Parameters
+    ----------
+    prepared : PreparedLoads
+    before : ContactState
+    kick : float [s]
+        Length of the last kick.
+    constrained : (p,) bool array
+        Prescribed nodes that were constrained in it. Impulses of other tools on them act on the
+        constraint.
     """
-    contacts, places, after = prepared.contacts, prepared.places, before
+    contacts, sites, after = prepared.contacts, prepared.sites, before
     if prepared.tools:
-        impulses, given = before.impulses + contacts.total, before.given + contacts.given
-        after = before._replace(forces=contacts.impulse / last, impulses=impulses, given=given)
+        after = before._replace(
+            forces=contacts.step_impulses / kick,
+            impulses=before.impulses + contacts.tool_impulses,
+            nodal_impulses=before.nodal_impulses + contacts.nodal_impulses,
+        )
     if not len(before.constraint_impulses):
         return after
-    borne = contacts.given[places.prescribed] * holds[:, None] if prepared.tools else 0.0
-    return after._replace(constraint_impulses=before.constraint_impulses + places.impulses - borne)
+    on_constraint = contacts.nodal_impulses[sites.prescribed] * constrained[:, None] if prepared.tools else 0.0
+    return after._replace(constraint_impulses=before.constraint_impulses + sites.impulses - on_constraint)

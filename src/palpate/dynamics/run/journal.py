@@ -1,8 +1,9 @@
-"""Journals: the frames of a run while it goes on, one record after the other.
+"""Journals: append-only files of the frames of a run.
 
-A journal begins with a line that names it. Then follow records, each of which holds its length, a check of the length,
-a header of plain values and arrays, and a SHA-256 over the record and all records before it. So a reader finds the last
-whole record, whatever stopped the writer, and distinguishes a journal that was cut off from one that is damaged.
+A journal begins with two lines of text for its format and version. Each record consists of its
+length, a check of the length, a header of plain values, arrays, and a SHA-256 digest. The digest
+covers the record and all previous ones. So a reader finds the last complete record after any
+interruption, and distinguishes a truncated journal from a damaged one.
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ Arrays = Mapping[str, NDArray[Any]]
 Record = tuple[dict[str, Any], dict[str, NDArray[Any]]]
 
 BEGIN = b"palpate journal\nversion 1\n"
-LENGTH = struct.Struct("<Q8s")  # of a record's content, and the first bytes of the digest of that
+LENGTH = struct.Struct("<Q8s")  # of a record's content, and the first bytes of its digest
 DIGEST = 32  # bytes
 TABLE = struct.Struct("<I")
 
 
 class Journal:
-    """A journal that is being written, under a temporary name until it is renamed.
+    """A writer of a journal, under a temporary name until `rename`.
 
     Parameters
     ----------
     path : path
-        Next to which it lies.
+        Final path; the temporary file is in the same folder.
 
     Raises
     ------
@@ -55,19 +56,21 @@ class Journal:
         self._chain, self._end, self._named = sha256(BEGIN).digest(), len(BEGIN), False
 
     def add(self, header: Mapping[str, Any], arrays: Arrays) -> None:
-        """Append a record and hand it to the operating system; after an error the records before it are whole.
+        """Append a record and pass it to the operating system.
+
+        An error leaves the previous records complete.
 
         Raises
         ------
         InputError
-            The header is not one that can be read again.
+            The header cannot be read back.
         OSError
             The disk is full.
         """
-        content = _packed(header, arrays)
+        content = _pack(header, arrays)
         chain = sha256(self._chain + content).digest()
         try:
-            self._write(_length(self._chain, len(content)) + content + chain)
+            self._write(_pack_length(self._chain, len(content)) + content + chain)
         except OSError:
             self._file.seek(self._end)
             self._file.truncate()
@@ -75,7 +78,7 @@ class Journal:
         self._chain, self._end = chain, self._end + LENGTH.size + len(content) + DIGEST
 
     def rename(self, path: Path) -> None:
-        """Give the journal its name, in place of an older file, and go on with it there.
+        """Rename the journal, replace an older file, and continue writing there.
 
         Raises
         ------
@@ -89,7 +92,7 @@ class Journal:
         self._file.seek(self._end)
 
     def close(self) -> None:
-        """Close the file; remove it if it never got its name."""
+        """Close the file, and remove it unless it was renamed."""
         self._file.close()
         if not self._named:
             self.path.unlink(missing_ok=True)
@@ -101,18 +104,27 @@ class Journal:
 
 
 def is_journal(path: Path) -> bool:
-    """Return whether a file begins as a journal does."""
+    """Return True if a file begins like a journal."""
     with path.open("rb") as file:
         return file.read(len(BEGIN)) == BEGIN
 
 
 def records(path: Path) -> Iterator[tuple[int, bytes, Record]]:
-    """Yield the whole records of a journal, each with its place and the digest before it, for `read_record`.
+    """Yield the complete records of a journal.
+
+    Yields
+    ------
+    position : int
+        Offset [bytes] of the record, for `read_record`.
+    chain : bytes
+        Digest of the previous records.
+    record : Record
 
     Raises
     ------
     InputError
-        The file is not a journal, or a record is damaged; the message gives the number of whole ones before it.
+        The file is not a journal, or a record is damaged; the message gives the number of complete
+        records before it.
     """
     size, count = regular_file(path, "journal"), 0
     with path.open("rb") as file:
@@ -120,62 +132,62 @@ def records(path: Path) -> Iterator[tuple[int, bytes, Record]]:
             raise InputError("this is not a palpate journal")
         chain = sha256(BEGIN).digest()
         while size - file.tell() >= LENGTH.size:
-            place = file.tell()
+            position = file.tell()
             try:
-                found = _next(file, size, chain)
+                found = _read_next(file, size, chain)
             except InputError as error:
                 raise InputError(f"{error}; {count} records before it are whole") from None
             if found is None:
                 return
             record, digest = found
-            yield place, chain, record
+            yield position, chain, record
             chain, count = digest, count + 1
 
 
-def read_record(path: Path, place: int, chain: bytes) -> Record:
-    """Return the record at a place of a journal.
+def read_record(path: Path, position: int, chain: bytes) -> Record:
+    """Return the record at a position [bytes] of a journal.
 
     Raises
     ------
     InputError
-        It is damaged, or no longer there.
+        The record is damaged or missing.
     """
     with path.open("rb") as file:
-        file.seek(place)
-        found = _next(file, regular_file(path, "journal"), chain)
+        file.seek(position)
+        found = _read_next(file, regular_file(path, "journal"), chain)
     if found is None:
-        raise InputError("the journal was cut off since it was opened")
+        raise InputError("the journal was truncated after it was opened")
     return found[0]
 
 
-def _next(file: BinaryIO, size: int, chain: bytes) -> tuple[Record, bytes] | None:
-    """Return the next record and its digest; None where the file ends before the record does."""
+def _read_next(file: BinaryIO, size: int, chain: bytes) -> tuple[Record, bytes] | None:
+    """Return the next record and its digest; None for a truncated record."""
     head = file.read(LENGTH.size)
     length, _ = LENGTH.unpack(head)
-    if head != _length(chain, length):
+    if head != _pack_length(chain, length):
         raise InputError("the length of a record does not match its check: the journal is damaged")
     if file.tell() + length + DIGEST > size:
         return None
     content, digest = file.read(length), file.read(DIGEST)
     if sha256(chain + content).digest() != digest:
         raise InputError("a record does not match its checksum: the journal is damaged")
-    return _unpacked(content), digest
+    return _unpack(content), digest
 
 
-def _length(chain: bytes, length: int) -> bytes:
+def _pack_length(chain: bytes, length: int) -> bytes:
     return LENGTH.pack(length, sha256(chain + length.to_bytes(8, "little")).digest()[:8])
 
 
-def _packed(header: Mapping[str, Any], arrays: Arrays) -> bytes:
+def _pack(header: Mapping[str, Any], arrays: Arrays) -> bytes:
     listed = {name: [values.dtype.str, list(values.shape)] for name, values in arrays.items()}
     table = json.dumps({"header": dict(header), "arrays": listed}, allow_nan=False).encode()
-    json_of(table)  # what cannot be read again is refused now
+    json_of(table)  # raises an error for a header that cannot be read back
     return b"".join(
         [TABLE.pack(len(table)), table, *(np.ascontiguousarray(each).tobytes() for each in arrays.values())]
     )
 
 
-def _unpacked(content: bytes) -> Record:
+def _unpack(content: bytes) -> Record:
     if len(content) < TABLE.size or len(content) < TABLE.size + TABLE.unpack_from(content)[0]:
         raise InputError("a record is shorter than its table")
     at = TABLE.size + TABLE.unpack_from(content)[0]

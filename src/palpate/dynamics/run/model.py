@@ -1,4 +1,4 @@
-"""The contract of a model: what `rollout` and the real-time engine need of a body, full or reduced."""
+"""The interface of a model, full or reduced, that `rollout` and the real-time engine require."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
-from palpate.faults import InputError
+from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
@@ -24,22 +24,38 @@ Nodes = NDArray[np.int64] | slice
 
 
 class ContactState(NamedTuple):
-    """What tools that touch a body do to it."""
+    """The forces and impulses of tools on a body.
 
-    forces: Floats  # (n, 3) on the nodes, now [N]
-    impulses: Floats  # (tools, 6) impulse [N s] and its moment about the tool's origin [N m s], since then
-    since: float  # then [s]
-    given: Floats  # (n, 3) impulses [N s] on the nodes, since then
-    places: Floats  # (tools, k, 3) of a reduced model's surface nodes that are touched [m]; empty in a full one
-    pushes: Floats  # (tools, k, 3) forces on them [N]
-    constraint_impulses: (
-        Floats  # (driven nodes, 3) impulses [N s] that hold them, since then; empty where no `Grasp` does
-    )
+    Parameters
+    ----------
+    forces : (n, 3) array [N]
+        Present forces on the nodes.
+    impulses : (t, 6) array [N s], [N m s]
+        Impulse of every tool and its moment about the tool's origin, since `start_time`.
+    start_time : float [s]
+        Time from which impulses are summed.
+    nodal_impulses : (n, 3) array [N s]
+        Impulses on the nodes since `start_time`.
+    surface_positions : (t, k, 3) array [m]
+        Positions of a reduced model's surface nodes in contact; empty in a full model.
+    surface_forces : (t, k, 3) array [N]
+        Forces on those nodes.
+    constraint_impulses : (p, 3) array [N s]
+        Impulses on the prescribed nodes since `start_time`; empty without a `Grasp`.
+    """
 
-    def anew(self, time: float) -> ContactState:
-        """Return this with impulses counted from now, a time [s]."""
-        nothing = {name: np.zeros_like(getattr(self, name)) for name in ("impulses", "given", "constraint_impulses")}
-        return self._replace(since=time, **nothing)
+    forces: Floats
+    impulses: Floats
+    start_time: float
+    nodal_impulses: Floats
+    surface_positions: Floats
+    surface_forces: Floats
+    constraint_impulses: Floats
+
+    def reset_impulses(self, time: float) -> ContactState:
+        """Return the same forces with zero impulses, summed from a time [s] on."""
+        names = ("impulses", "nodal_impulses", "constraint_impulses")
+        return self._replace(start_time=time, **{name: np.zeros_like(getattr(self, name)) for name in names})
 
 
 @dataclass(frozen=True)
@@ -49,14 +65,15 @@ class State(Described):
     Parameters
     ----------
     coordinates, velocities : arrays
-        Nodal (n, 3) [m], [m/s] for a full model, of modes and lifting columns (M + l,) for a reduced one.
+        Nodal (n, 3) [m], [m/s] of a full model; of modes and lifting vectors (M + l,) of a reduced one.
     time : float [s]
     external_work, dissipated : float [J]
-        Work of loads and tools, and work lost to viscosity, relaxation, friction and impact, since the run began.
+        Work of loads and tools, and energy dissipated by damping, relaxation, friction and impact,
+        since the start of the run.
     history : tuple of arrays
-        What relaxing tissue remembers; empty where it does not relax.
+        History variables of viscoelastic tissue; empty without relaxation.
     contact_state : ContactState, optional
-        What tools do that touch the body; None where there are none.
+        Forces and impulses of the tools; None without tools.
     """
 
     coordinates: Floats
@@ -81,22 +98,23 @@ class State(Described):
 
 @dataclass(frozen=True)
 class Outputs(Described):
-    """What a model tells about a state.
+    """Displacements, reactions and energies of a state.
 
     Parameters
     ----------
     displacements, velocities : (n, 3) arrays [m], [m/s]
     reactions : mapping of group name to (3,) array [N]
-        Force of every support and tool on the body; of a tool that touches it, and in the energy form of a `Grasp`,
-        the mean since the last frame.
+        Force of every support and tool on the body. For a tool in contact, and in the energy form
+        for a `Grasp`, it is the mean since the last frame.
     kinetic, strain, external, dissipated : float [J]
     moments : mapping of tool name to (3,) array [N m]
-        Moment about its origin, on the body, of every tool that touches it, the mean since the last frame.
+        Mean moment on the body of every tool in contact since the last frame, about the tool's
+        origin.
     contact_forces : (c, 4) array
-        Nodes that tools have touched or a `Grasp` has held since the last frame, and the mean forces [N] of those
-        tools on them.
+        Nodes in contact with a tool or bonded to a `Grasp` since the last frame, and the mean
+        forces [N] on them.
     bonded : (c,) bool array
-        Which of them a `Grasp` has held.
+        True for the nodes bonded to a `Grasp`.
     """
 
     displacements: Floats
@@ -120,24 +138,26 @@ class Outputs(Described):
 
 
 def initial_field(name: str, given: Any, count: int) -> Floats:
-    """Return an initial field (n, 3) as a new array: zero where none is given.
+    """Return a copy of an initial field (n, 3), or zeros for None.
 
     Raises
     ------
     InputError
-        It has another shape, or is not finite; names the first such node.
+        The field has another shape, or is not finite; the message names the first such node.
     """
     if given is None:
         return np.zeros((count, 3))
     try:
         array = np.array(given, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"initial {name} must be an array of numbers of shape {(count, 3)}") from None
+        raise InputError(
+            f"initial {name} must be an array of numbers of shape {(count, 3)}, got {brief(given)}"
+        ) from None
     if array.shape != (count, 3):
-        raise InputError(f"initial {name} must be finite, of shape {(count, 3)}, not {array.shape}")
+        raise InputError(f"initial {name} must have shape {(count, 3)}, got {array.shape}")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if bad.size:
-        raise InputError(f"initial {name} must be finite, got {array[bad[0]]} at node {bad[0]}: check how it was made")
+        raise InputError(f"initial {name} must be finite, got {array[bad[0]]} at node {bad[0]}; correct that node")
     return array
 
 
@@ -149,18 +169,19 @@ class Model(Described, ABC):
     cloud : Cloud
     material : Material
     fixed : tuple of str
-        Groups that are held.
+        Clamped groups.
     stencils : Stencils
-        For derivatives of nodal fields.
+        Stencils for derivatives of nodal fields.
     stiffness_damping : float [s]
-        Stiffness-proportional viscosity beta, C = beta K.
+        Rayleigh stiffness damping beta of C = beta K.
     name : str
         ``"full"``, ``"reduced"`` ...
     min_steps_per_frame : int
-        Steps between two snapshots of a run at least: a model of few modes is stable long before it is accurate.
+        Least number of steps between two snapshots of a run. The stable step of a model with few
+        modes is too long to be accurate.
     conservative : bool
-        Whether the nodal forces are the derivative of an energy of the nodes' displacements: their virtual work is then
-        that of the stresses.
+        True if the nodal forces are the derivative of an energy of the nodal displacements. Their
+        virtual work is then that of the stresses.
     """
 
     cloud: Cloud
@@ -205,7 +226,7 @@ class Model(Described, ABC):
 
     @abstractmethod
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        """Make loads ready for this model."""
+        """Prepare loads for this model."""
 
     @abstractmethod
     def stable_step(self, state: State, prepared: PreparedLoads) -> float:
@@ -216,9 +237,9 @@ class Model(Described, ABC):
         """Advance by a number of steps of one length [s]."""
 
     def accept_step(self, before: State, after: State) -> bool:
-        """Return whether the steps just taken from one state to another may be believed, or finer ones should be tried.
+        """Return True to accept the last steps, False to retry with a smaller step.
 
-        A model whose steps can fail otherwise than by numbers that are not finite says so.
+        The default accepts every finite state.
         """
         return bool(np.isfinite(after.coordinates).all())
 
@@ -232,36 +253,36 @@ class Model(Described, ABC):
 
     @abstractmethod
     def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
-        """Return what there is to tell about a state."""
+        """Return displacements, reactions and energies of a state."""
 
     @abstractmethod
     def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
-        """Return the nodal accelerations [m/s^2], shape (n, 3): zero where fixed, the motion's where driven."""
+        """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""
 
     @abstractmethod
     def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
-        """Return the nodal forces [N] of tractions and gravity, shape (n, 3)."""
+        """Return the nodal forces [N] of surface loads and gravity, shape (n, 3)."""
 
     @abstractmethod
     def nodal_force(self, displacements: Floats) -> Floats:
-        """Return the internal force density [N/m^3] at every node for nodal displacements, shape (n, 3)."""
+        """Return the internal force density [N/m^3] of nodal displacements, shape (n, 3)."""
 
     @abstractmethod
     def deformation_gradient(self, displacements: Floats) -> Floats:
-        """Return F = dx/dX at every node for nodal displacements, shape (n, 3, d)."""
+        """Return F = dx/dX of nodal displacements at every node, shape (n, 3, d)."""
 
     @abstractmethod
     def stress(self, displacements: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa] at every node for nodal displacements, shape (n, 3, d)."""
+        """Return the nodal first Piola-Kirchhoff stress [Pa] of displacements, shape (n, 3, d)."""
 
     @abstractmethod
     def strain_energy(self, displacements: Floats) -> float:
-        """Return the strain energy [J] of nodal displacements; not a number where the body is turned inside out."""
+        """Return the strain energy [J] of nodal displacements; NaN for an inverted body."""
 
     @property
     @abstractmethod
     def volumes(self) -> Floats:
-        """Nodal volumes [m^3] of the unstressed body, shape (n,)."""
+        """Nodal volumes [m^3] of the stress-free body, shape (n,)."""
 
     @property
     def masses(self) -> Floats:

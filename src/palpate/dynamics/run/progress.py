@@ -1,4 +1,4 @@
-"""A progress bar with the real-time factor, on standard error and only where a person watches."""
+"""A progress bar with the real-time factor, on an interactive standard error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["progress_bar"]
 
 @contextmanager
 def progress_bar(label: str, duration: float, shown: bool) -> Iterator[Callable[[float, float], None]]:
-    """Yield a function to call with the simulated and the wall time [s] reached."""
+    """Yield a function that takes the simulated and the wall time [s]."""
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),

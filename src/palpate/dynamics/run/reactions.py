@@ -1,12 +1,14 @@
-"""Forces of supports and tools on the body, and what else a state tells.
+"""Reaction forces of supports and tools, and the other outputs of a state.
 
-The force on a group of held nodes is the virtual work of a displacement that is 1 there and 0 at the other groups,
+The force on a group of constrained nodes is the virtual work of a displacement that is 1 there and
+0 at the other groups,
 
     R_i = sum over the nodes of  m phi a_i + V P_iL dphi/dX_L - phi f_i,
 
-phi a partition of unity over the groups. It needs no stress at the held nodes themselves, where it is singular, and
-the forces of all groups balance the body's momentum exactly. With one group phi = 1: momentum alone decides. Where the
-nodal forces f are the derivative of an energy, the stresses' virtual work is - V phi f, and R the exact residual.
+with phi a partition of unity over the groups. This does not require the singular stress at the
+constrained nodes themselves, and the forces of all groups balance the body's momentum exactly. With
+one group phi = 1, and R follows from momentum alone. For nodal forces f that are the derivative of
+an energy, the virtual work of the stresses is - V phi f, and R is the exact residual.
 """
 
 from __future__ import annotations
@@ -19,11 +21,11 @@ from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import Model, Outputs, State
 
-__all__ = ["evaluate", "partition", "reactions", "tool_power", "touching"]
+__all__ = ["contact_outputs", "evaluate", "partition", "reactions", "tool_power"]
 
 
 def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:
-    """Return functions (groups, n), 1 on their own group and 0 on the others, that sum to 1 (Shepard's)."""
+    """Return Shepard's partition of unity (groups, n): 1 on the own group and 0 on the others."""
     if len(supports) == 1:
         return np.ones((1, len(points)))
     distance = np.stack([cKDTree(points[nodes]).query(points)[0] for nodes in supports.values()])
@@ -32,11 +34,11 @@ def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:
 
 
 def reactions(model: Model, state: State, prepared: PreparedLoads) -> dict[str, Floats]:
-    """Return the force [N] of every support and tool on the body, shape (3,) each; zero once a tool has let go."""
-    none = {name: np.zeros(3) for name in prepared.supports}
-    supports = prepared.holding(state.time)
+    """Return the force (3,) [N] of every support and tool on the body; zero after a tool's release."""
+    zero = {name: np.zeros(3) for name in prepared.supports}
+    supports = prepared.active_supports(state.time)
     if not supports:
-        return none
+        return zero
     names = tuple(supports)
     if names not in prepared.partitions:
         prepared.partitions[names] = partition(model.cloud.points, supports)
@@ -50,7 +52,7 @@ def reactions(model: Model, state: State, prepared: PreparedLoads) -> dict[str, 
         moved = model.displacement(state, prepared) + model.stiffness_damping * model.velocity(state, prepared)
         slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
         forces = forces + np.einsum("n,nil,ngl->gi", model.volumes, model.stress(moved), slopes)
-    return none | dict(zip(supports, forces, strict=True))
+    return zero | dict(zip(supports, forces, strict=True))
 
 
 def tool_power(model: Model, state: State, prepared: PreparedLoads) -> float:
@@ -62,44 +64,54 @@ def tool_power(model: Model, state: State, prepared: PreparedLoads) -> float:
     return float(sum(forces[g] @ model.velocity(state, prepared, prepared.supports[g]).mean(axis=0) for g in groups))
 
 
-def touching(
+def contact_outputs(
     state: State, prepared: PreparedLoads
 ) -> tuple[dict[str, Floats], dict[str, Floats], Floats, NDArray[np.bool_]]:
-    """Return the force [N] on the body and the moment [N m] about its origin of every tool that may touch it.
+    """Return the mean contact forces since the last frame of a run.
 
-    And (c, 4) the nodes touched with the forces [N] on them. All are means over the time since the last frame of a run,
-    so that their sum times that time is the momentum given. Forces of a `Grasp` on the nodes that it holds in the
-    energy form are among them, without a moment; (c,) tells which nodes these are.
+    Their sum times that interval is the momentum transferred to the body. In the energy form they
+    include the forces of a `Grasp` on its nodes, without a moment.
+
+    Returns
+    -------
+    forces, moments : mappings of tool name to (3,) array [N], [N m]
+        Force on the body, and moment about the tool's origin.
+    contact_forces : (c, 4) array
+        Nodes in contact and the forces [N] on them.
+    bonded : (c,) bool array
+        True for the nodes of a `Grasp`.
     """
     if state.contact_state is None:
         return {}, {}, np.zeros((0, 4)), np.zeros(0, dtype=np.bool_)
     contact_state, names = state.contact_state, [tool.name for tool in prepared.tools]
-    rate = 1.0 / (state.time - contact_state.since) if state.time > contact_state.since else 0.0
+    interval = state.time - contact_state.start_time
+    rate = 1.0 / interval if interval > 0.0 else 0.0
     forces = dict(zip(names, rate * contact_state.impulses[:, :3], strict=True))
     moments = dict(zip(names, rate * contact_state.impulses[:, 3:], strict=True))
-    given, holding = rate * contact_state.given, np.zeros(len(contact_state.given), dtype=np.bool_)
-    for name, where in prepared.grasped().items() if len(contact_state.constraint_impulses) else ():
-        nodes, own = prepared.places.prescribed[where], rate * contact_state.constraint_impulses[where]
+    nodal_forces = rate * contact_state.nodal_impulses
+    bonded = np.zeros(len(nodal_forces), dtype=np.bool_)
+    for name, where in prepared.grasp_slices().items() if len(contact_state.constraint_impulses) else ():
+        nodes, own = prepared.sites.prescribed[where], rate * contact_state.constraint_impulses[where]
         forces[name] = own.sum(axis=0)
-        given[nodes] += own
-        holding[nodes] = own.any()
-    nodes = np.flatnonzero(given.any(axis=1))
-    return forces, moments, np.column_stack([nodes, given[nodes]]), holding[nodes]
+        nodal_forces[nodes] += own
+        bonded[nodes] = own.any()
+    nodes = np.flatnonzero(nodal_forces.any(axis=1))
+    return forces, moments, np.column_stack([nodes, nodal_forces[nodes]]), bonded[nodes]
 
 
 def evaluate(model: Model, state: State, prepared: PreparedLoads) -> Outputs:
-    """Return displacements, velocities, forces and energies at a state."""
+    """Return displacements, velocities, forces and energies of a state."""
     u, v = model.displacement(state, prepared), model.velocity(state, prepared)
-    forces, moments, contact_forces, held = touching(state, prepared)
+    forces, moments, contact_forces, bonded = contact_outputs(state, prepared)
     return Outputs(
-        u,
-        v,
-        reactions(model, state, prepared) | forces,
-        float(0.5 * np.sum(model.masses[:, None] * v**2)),
-        model.strain_energy(u),
-        state.external_work,
-        state.dissipated,
-        moments,
-        contact_forces,
-        held,
+        displacements=u,
+        velocities=v,
+        reactions=reactions(model, state, prepared) | forces,
+        kinetic=float(0.5 * np.sum(model.masses[:, None] * v**2)),
+        strain=model.strain_energy(u),
+        external=state.external_work,
+        dissipated=state.dissipated,
+        moments=moments,
+        contact_forces=contact_forces,
+        bonded=bonded,
     )

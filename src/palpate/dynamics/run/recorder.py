@@ -1,4 +1,4 @@
-"""Recorders: the frames of a run, in memory and in a file while the run goes on."""
+"""A recorder of the frames of a run, in memory and in a file."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.run.journal import Journal
 from palpate.dynamics.run.model import Outputs
-from palpate.dynamics.run.trajectory import NAMED, ROWS, SERIES, Trajectory, stack
+from palpate.dynamics.run.trajectory import FRAME_ARRAYS, GROUP_ARRAYS, SERIES, Trajectory, stack
 
 __all__ = ["Recorder"]
 
 
 class Recorder:
-    """Collects the frames of a run, and keeps them in a file on the way where there is a path.
+    """A collector of the frames of a run, with an optional file.
 
-    From the first frame on the file is a journal (`palpate.dynamics.run.journal`), which holds all frames until then
-    whatever stops the program. In the end it becomes the HDF5 file of the trajectory.
+    During the run the file is a journal (`palpate.dynamics.run.journal`), which survives an
+    interruption of the program. `close` replaces it with the HDF5 file of the trajectory.
 
     Parameters
     ----------
@@ -35,70 +35,65 @@ class Recorder:
     Raises
     ------
     OSError
-        The file cannot be created or the disk is full; names the file.
+        The file cannot be created or the disk is full; the message names the file.
     """
 
     def __init__(
         self, path: Path | None, model: str, points: Floats, stiffness_damping: float, label: str = ""
     ) -> None:
-        self.path, self.model, self.points, self.stiffness_damping, self.label = (
-            path,
-            model,
-            points,
-            float(stiffness_damping),
-            label,
-        )
+        self.path, self.model, self.label = path, model, label
+        self.points, self.stiffness_damping = points, float(stiffness_damping)
         self.times: list[float] = []
         self.steps: list[int] = []
         self.frames: list[Outputs] = []
         self._journal: Journal | None = None
         if path is not None:
-            with _writing(path):
+            with _write_errors(path):
                 if path.exists() and not path.is_file():
                     raise OSError("it exists and is not a regular file")
                 self._journal = Journal(path)
 
     def add(self, time: float, steps: int, frame: Outputs) -> None:
-        """Keep a frame."""
+        """Append a frame."""
         self.times.append(time)
         self.steps.append(steps)
         self.frames.append(frame)
         if self._journal is None or self.path is None:
             return
-        with _writing(self.path):
+        with _write_errors(self.path):
             if len(self.times) == 1:
                 about = {"model": self.model, "label": self.label, "stiffness_damping": self.stiffness_damping}
                 names = {"reactions": list(frame.reactions), "moments": list(frame.moments)}
                 self._journal.add(about | names, {"points": np.asarray(self.points, dtype=float)})
             numbers = {"times": time, "steps": steps} | {n: getattr(frame, n) for n in SERIES if hasattr(frame, n)}
             arrays: dict[str, Any] = {"numbers": [numbers[name] for name in SERIES]}
-            arrays |= {name: getattr(frame, name) for name in (*ROWS, "contact_forces")}
-            arrays |= {name: np.reshape(list(getattr(frame, name).values()), (-1, 3)) for name in NAMED}
+            arrays |= {name: getattr(frame, name) for name in (*FRAME_ARRAYS, "contact_forces")}
+            arrays |= {name: np.reshape(list(getattr(frame, name).values()), (-1, 3)) for name in GROUP_ARRAYS}
             arrays = {name: np.asarray(values, dtype=float) for name, values in arrays.items()}
             self._journal.add({}, arrays | {"bonded": np.asarray(frame.bonded, dtype=np.bool_)})
             if len(self.times) == 1:
                 self._journal.rename(self.path)
 
     def close(self, wall_seconds: float, complete: bool) -> Trajectory:
-        """Finish the file, and return what was collected."""
-        run = self._collected(wall_seconds, complete)
+        """Finish the file, and return the trajectory."""
+        run = self._trajectory(wall_seconds, complete)
         if self._journal is not None and self.path is not None:
             self._journal.close()
             run.save(self.path)
         return run
 
-    def _collected(self, wall_seconds: float, complete: bool) -> Trajectory:
+    def _trajectory(self, wall_seconds: float, complete: bool) -> Trajectory:
         frames, n = self.frames, len(self.points)
         points: Any = np.asarray(self.points, dtype=float)
-        count = len(frames)  # a signal may have come between the time and the frame
+        count = len(frames)  # a signal may arrive between the time and the frame
         series: dict[str, Any] = {"times": self.times[:count], "steps": self.steps[:count]}
         series |= {name: [getattr(o, name) for o in frames] for name in SERIES if name not in series}
         own: dict[str, Any] = {name: np.array(values, dtype=float) for name, values in series.items()}
         forces: dict[str, Any] = {
             name: {of: np.array([getattr(o, name)[of] for o in frames]) for of in getattr(frames[0], name)}
-            if frames else {} for name in NAMED
+            if frames else {} for name in GROUP_ARRAYS
         }  # fmt: skip
-        rows: dict[str, Any] = {name: stack([getattr(o, name) for o in frames], (n, 3)) for name in ROWS}
+        rows: dict[str, Any] = {name: stack([getattr(o, name) for o in frames], (n, 3)) for name in FRAME_ARRAYS}
         return Trajectory(
             model=self.model, label=self.label, points=points,
             **own, **forces, **rows,
@@ -111,7 +106,8 @@ class Recorder:
 
 
 @contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def _write_errors(path: Path) -> Iterator[None]:
+    """Name the file and a remedy in errors of writing."""
     try:
         yield
     except OSError as error:

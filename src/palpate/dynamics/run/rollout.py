@@ -1,4 +1,4 @@
-"""A run of a model under loads."""
+"""Time integration of a model under loads."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from palpate.faults import DivergenceError, InputError, number_in_range
 __all__ = ["machine_memory", "rollout"]
 
 
-CHUNK = 50  # steps between two estimates of the stable step
-FINEST = 1 / 256  # of the stable step, below which steps that the body does not survive are not tried again
-RUNAWAY = 100.0  # displacement in body sizes
-CRAWL = 100  # steps to the next snapshot, over those that the run's first stable step would need
-MOST_FRAMES = 10**6
-MOST_STEPS = 1e7  # between two snapshots
-LATEST = 1e9  # largest start, in times between snapshots
-RESOLVED = 64  # least step, in distances between neighbouring floating-point numbers at its time
+STEPS_PER_ESTIMATE = 50  # steps between two estimates of the stable step
+MIN_RETRY_STEP = 1 / 256  # smallest retry step, as a fraction of the stable step
+MAX_DISPLACEMENT = 100.0  # largest displacement, in body sizes
+MAX_STEP_RATIO = 100  # most steps to a snapshot, relative to their number at the run's first stable step
+MAX_FRAMES = 10**6
+MAX_STEPS_PER_FRAME = 1e7
+MAX_START = 1e9  # largest start time, in frame intervals
+MIN_STEP_ULPS = 64  # smallest step, in spacings of floating-point numbers at its time
+DEFAULT_MEMORY = 8e9  # [bytes] where the system reports none
 
 
 def rollout(
@@ -46,7 +47,7 @@ def rollout(
     label: str = "",
     progress: bool | Callable[[float, float], None] = True,
 ) -> Trajectory:
-    """Run a model and keep a snapshot at regular times.
+    """Integrate a model in time and record snapshots at regular intervals.
 
     Parameters
     ----------
@@ -54,22 +55,24 @@ def rollout(
         Full or reduced.
     loads : sequence of loads
     duration, every : float [s]
-        Length of the run, and time between snapshots, at most a million; the first is the initial state.
+        Length of the run, and interval between snapshots (at most a million). The first snapshot
+        is the initial state.
     start : float [s]
-        Time of the initial state; at most 1e9 times `every` from zero, so that times differ in double precision.
+        Time of the initial state, at most 1e9 times `every` from zero, so that times differ in
+        double precision.
     displacement, velocity : (n, 3) arrays, optional [m], [m/s]
         Initial state (equations 7 and 8); at rest by default.
     step : float, optional [s]
-        Time step. By default the stable step, which follows the state of the body; steps that a body crushed flat does
-        not survive are taken again, half as long, down to 1/256. What energy these still make is in the run's
-        `balance`.
+        Time step. By default the stable step, which is estimated again as the body deforms.
+        Rejected steps are retried at half their length, down to 1/256. The remaining energy error
+        is in the run's `balance`.
     file : path, optional
-        File of the trajectory. It holds the frames until then if the run is stopped, whatever stops it.
+        File of the trajectory. After an interruption it contains all frames until then.
     label : str
-        Of the trajectory.
+        Label of the trajectory.
     progress : bool or function
-        Whether to show a bar on standard error when that is a terminal; or a function to call at every snapshot with
-        the simulated and the wall time [s] since the start.
+        True shows a bar on standard error if that is a terminal. A function is called at every
+        snapshot with the simulated and the wall time [s] since the start.
 
     Returns
     -------
@@ -78,36 +81,38 @@ def rollout(
     Raises
     ------
     DivergenceError
-        The state became non-finite, ran away or turned inside out, or needs more than 100 times the steps that it
-        needed at first. Its `trajectory` holds the frames until then.
-    InputError, OSError
-        Bad arguments; a file that cannot be written.
+        The state became non-finite, too large or inverted, or requires more than 100 times the
+        initial number of steps. The error's `trajectory` contains the frames until then.
+    InputError
+        An argument is out of range.
+    OSError
+        The file cannot be written.
     """
-    frames = _frames(model, duration, every, start)
+    frames = _frame_count(model, duration, every, start)
     if step is not None:
-        number_in_range("step", step, every / MOST_STEPS, every, unit="s")
+        number_in_range("step", step, every / MAX_STEPS_PER_FRAME, every, unit="s")
     prepared = model.prepare(listed(loads))
-    with np.errstate(all="ignore"):  # what is not finite is refused by name
+    with np.errstate(all="ignore"):  # non-finite values raise errors that name them
         state = model.state(prepared, displacement, velocity, float(start))
-        outputs = _initial(model, state, prepared)
+        outputs = _initial_outputs(model, state, prepared)
     path = None if file is None else Path(file)
     recorder = Recorder(path, model.name, model.cloud.points, model.stiffness_damping, label)
-    pace = _Pace(step, every / model.min_steps_per_frame)
+    control = _StepControl(step, every / model.min_steps_per_frame)
     began, steps = perf_counter(), 0
     try:
-        shows = nullcontext(progress) if callable(progress) else progress_bar(model.name, duration, progress)
-        with shows as shown, np.errstate(all="ignore"):
+        bar = nullcontext(progress) if callable(progress) else progress_bar(model.name, duration, progress)
+        with bar as report_progress, np.errstate(all="ignore"):
             recorder.add(start, 0, outputs)
             for frame in range(1, frames + 1):
-                for time in prepared.stops(state.time, start + frame * every):
-                    state, taken, last = _advance_to(model, state, prepared, time, pace)
+                for time in prepared.breakpoints(state.time, start + frame * every):
+                    state, taken, last = _advance_to(model, state, prepared, time, control)
                     steps += taken
                 outputs = model.outputs(state, prepared)
-                _check(model, state, prepared, outputs, last)
+                _check_outputs(model, state, prepared, outputs, last)
                 recorder.add(state.time, steps, outputs)
-                if state.contact_state is not None:  # the next frame's means are of its own interval
-                    state = replace(state, contact_state=state.contact_state.anew(state.time))
-                shown(state.time - start, perf_counter() - began)
+                if state.contact_state is not None:  # contact forces are means over one frame
+                    state = replace(state, contact_state=state.contact_state.reset_impulses(state.time))
+                report_progress(state.time - start, perf_counter() - began)
     except DivergenceError as error:
         error.trajectory = recorder.close(perf_counter() - began, complete=False)
         raise
@@ -118,52 +123,53 @@ def rollout(
 
 
 @dataclass
-class _Pace:
-    """Lengths of steps [s]: one that is given, or the longest allowed and the first stable one."""
+class _StepControl:
+    """Step lengths [s]: a fixed step, or the longest allowed and the first stable one."""
 
     fixed: float | None
     longest: float
     first: float = 0.0
 
-    def wished(self, model: Model, state: State, prepared: PreparedLoads, share: float) -> float:
+    def step(self, model: Model, state: State, prepared: PreparedLoads, share: float) -> float:
+        """Return the fixed step [s], or a share of the stable one."""
         if self.fixed is not None:
             return self.fixed
         stable = min(model.stable_step(state, prepared), self.longest)
         self.first = self.first or stable
         return share * stable
 
-    def most(self, interval: float) -> float:
-        """Return the largest number of steps in an interval [s] that is longer than a step."""
-        return MOST_STEPS if self.fixed else CRAWL * np.ceil(max(interval, self.longest) / self.first)
+    def max_steps(self, interval: float) -> float:
+        """Return the largest number of steps allowed in an interval [s]."""
+        return MAX_STEPS_PER_FRAME if self.fixed else MAX_STEP_RATIO * np.ceil(max(interval, self.longest) / self.first)
 
 
-def _frames(model: Model, duration: float, every: float, start: float) -> int:
-    """Return the number of snapshots after the first, or raise `InputError` for times that make no run."""
+def _frame_count(model: Model, duration: float, every: float, start: float) -> int:
+    """Return the number of snapshots after the first; raise `InputError` for times out of range."""
     duration = number_in_range("duration", duration, 0.0, open_low=True, unit="s")
     every = number_in_range("every", every, 0.0, duration * (1 + 1e-9), open_low=True, unit="s")
-    number_in_range("start", start, -LATEST * every, LATEST * every, unit="s")
+    number_in_range("start", start, -MAX_START * every, MAX_START * every, unit="s")
     needed = 2.0 * model.cloud.points.shape[0] * 3 * 8 * duration / every
-    if duration / every > MOST_FRAMES or needed > machine_memory():
+    if duration / every > MAX_FRAMES or needed > machine_memory():
         raise InputError(
-            f"every = {every:g} s in {duration:g} s makes {duration / every:.3g} snapshots of {needed / 1e6:.3g} MB: "
-            f"allowed are {MOST_FRAMES} and {machine_memory() / 1e6:.3g} MB; keep fewer, or run shorter"
+            f"duration / every must be at most {MAX_FRAMES} snapshots and {machine_memory() / 1e6:.3g} MB, "
+            f"got {duration / every:.3g} and {needed / 1e6:.3g} MB; use a longer interval or a shorter run"
         )
     return round(duration / every)
 
 
 def machine_memory() -> float:
-    """Return the memory of this machine [bytes]; 8 GB where the system does not say."""
+    """Return the physical memory [bytes]; 8 GB if the system reports none."""
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, ValueError, OSError):
-        return 8e9
+        return DEFAULT_MEMORY
 
 
-def _initial(model: Model, state: State, prepared: PreparedLoads) -> Outputs:
-    """Return the outputs at the start, or raise `DivergenceError` with a trajectory without frames."""
+def _initial_outputs(model: Model, state: State, prepared: PreparedLoads) -> Outputs:
+    """Return the outputs at the start; attach an empty trajectory to a `DivergenceError`."""
     try:
         outputs = model.outputs(state, prepared)
-        _check(model, state, prepared, outputs, 0.0)
+        _check_outputs(model, state, prepared, outputs, 0.0)
     except DivergenceError as error:
         error.trajectory = Recorder(None, model.name, model.cloud.points, model.stiffness_damping).close(
             0.0, complete=False
@@ -173,38 +179,44 @@ def _initial(model: Model, state: State, prepared: PreparedLoads) -> Outputs:
 
 
 def _advance_to(
-    model: Model, state: State, prepared: PreparedLoads, time: float, pace: _Pace
+    model: Model, state: State, prepared: PreparedLoads, time: float, control: _StepControl
 ) -> tuple[State, int, float]:
-    taken, used, share, interval = 0, pace.longest, 1.0, time - state.time
+    """Advance to a time [s]; return the state, the number of steps and the last step [s]."""
+    taken, used, share, interval = 0, control.longest, 1.0, time - state.time
     while time - state.time > 1e-12 * abs(time):
-        wished = pace.wished(model, state, prepared, share)
-        if not wished > 0 or (time - state.time) / wished > MOST_STEPS:
-            raise _diverged(model, state, prepared, "no step is stable", wished)
-        if wished < RESOLVED * np.spacing(abs(time)):
-            raise InputError(f"t = {time:g} s is too far from 0 for steps of {wished:.3g} s: start the run nearer to 0")
-        if taken > pace.most(interval):
-            what = f"the run crawls: {taken} steps, {CRAWL} times those of the first stable step, {pace.first:.3g} s,"
-            raise _diverged(model, state, prepared, what, wished)
-        left = int(np.ceil((time - state.time) / wished * (1 - 1e-9)))
+        target = control.step(model, state, prepared, share)
+        if not target > 0 or (time - state.time) / target > MAX_STEPS_PER_FRAME:
+            raise _divergence(model, state, prepared, "no step is stable", target)
+        if target < MIN_STEP_ULPS * np.spacing(abs(time)):
+            raise InputError(
+                f"start must be near 0 for steps of {target:.3g} s, got t = {time:g} s; start the run nearer to 0"
+            )
+        if taken > control.max_steps(interval):
+            what = (
+                f"the stable step became too small: {taken} steps, {MAX_STEP_RATIO} times those of the first stable "
+                f"step, {control.first:.3g} s,"
+            )
+            raise _divergence(model, state, prepared, what, target)
+        left = int(np.ceil((time - state.time) / target * (1 - 1e-9)))
         step = (time - state.time) / left
-        count = min(left, CHUNK)
+        count = min(left, STEPS_PER_ESTIMATE)
         new = model.advance(state, prepared, step, count)
-        if pace.fixed is None and share > FINEST and not model.accept_step(state, new):
-            share /= 2  # the body has stiffened since the step was estimated
+        if control.fixed is None and share > MIN_RETRY_STEP and not model.accept_step(state, new):
+            share /= 2  # the body is stiffer than at the estimate
             continue
         if not np.isfinite(new.coordinates).all():
-            raise _diverged(model, state, prepared, "the state became non-finite", step, new)
+            raise _divergence(model, state, prepared, "the state became non-finite", step, new)
         state, taken, used, share = new, taken + count, step, min(1.0, 2 * share)
     return state, taken, used
 
 
-def _check(model: Model, state: State, prepared: PreparedLoads, outputs: Outputs, step: float) -> None:
-    """Refuse what must not be kept: a snapshot that is not finite, or of a body that ran away."""
+def _check_outputs(model: Model, state: State, prepared: PreparedLoads, outputs: Outputs, step: float) -> None:
+    """Raise `DivergenceError` for outputs that are not finite or too large."""
     size = np.ptp(model.cloud.points, axis=0).max()
-    if np.abs(outputs.displacements).max() > RUNAWAY * size:
-        raise _diverged(model, state, prepared, f"the body moved more than {RUNAWAY:g} times its size", step)
+    if np.abs(outputs.displacements).max() > MAX_DISPLACEMENT * size:
+        raise _divergence(model, state, prepared, f"the body moved more than {MAX_DISPLACEMENT:g} times its size", step)
     if np.isnan(outputs.strain):
-        raise _diverged(model, state, prepared, "the body turned inside out (J <= 0)", step)
+        raise _divergence(model, state, prepared, "the body turned inside out (J <= 0)", step)
     forces = {f"force of {name!r}": force for name, force in outputs.reactions.items()}
     moments = {f"moment of {name!r}": moment for name, moment in outputs.moments.items()}
     energies = {f"{name} energy": getattr(outputs, name) for name in ("kinetic", "strain", "external", "dissipated")}
@@ -215,28 +227,29 @@ def _check(model: Model, state: State, prepared: PreparedLoads, outputs: Outputs
     }
     for name, values in {**fields, **energies, **forces, **moments}.items():
         if not np.isfinite(values).all():
-            raise _diverged(model, state, prepared, f"the {name} became non-finite", step)
+            raise _divergence(model, state, prepared, f"the {name} became non-finite", step)
 
 
-def _diverged(
+def _divergence(
     model: Model, state: State, prepared: PreparedLoads, what: str, step: float, after: State | None = None
 ) -> DivergenceError:
-    """Return the error of a run at a state; with the state `after` it, name a node that is not finite there."""
-    node, which = _worst(model, state if after is None else after, prepared)
+    """Return the error of a run at a state; it names a node that is not finite in `after`."""
+    node, which = _worst_node(model, state if after is None else after, prepared)
     if node is None:
-        node, which = _worst(model, state, prepared)
+        node, which = _worst_node(model, state, prepared)
     where = "all nodes at once"
     if node is not None:
         where = f"{which} node {node} at {np.array2string(model.cloud.points[node], precision=4)} m"
+    more_damping = 2 * max(model.stiffness_damping, 1e-5)
     return DivergenceError(
-        f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, stiffness damping {model.stiffness_damping:.3g} s. "
-        f"Try more damping (stiffness_damping={2 * max(model.stiffness_damping, 1e-5):.2g}), smaller loads, or a finer "
-        "spacing"
+        f"{what} at t = {state.time:.5g} s; {where}, step {step:.3g} s, stiffness damping "
+        f"{model.stiffness_damping:.3g} s. Try more damping (stiffness_damping={more_damping:.2g}), smaller loads, or "
+        "a finer spacing"
     )
 
 
-def _worst(model: Model, state: State, prepared: PreparedLoads) -> tuple[int | None, str]:
-    """Return the first node that is not finite, or else the fastest; none where all are the same."""
+def _worst_node(model: Model, state: State, prepared: PreparedLoads) -> tuple[int | None, str]:
+    """Return the first non-finite node or else the fastest; None if all nodes are non-finite."""
     velocity = model.velocity(state, prepared)
     bad = ~np.isfinite(np.column_stack([model.displacement(state, prepared), velocity])).all(axis=1)
     if bad.all():

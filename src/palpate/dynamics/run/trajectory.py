@@ -1,4 +1,4 @@
-"""Trajectories: the states of a run at chosen times, in memory and in HDF5 files."""
+"""Trajectories of runs, in memory and in HDF5 files."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from palpate.files import regular_file
 from palpate.plotting import curve_svg, plot_curves
 from palpate.sealed import loading, open_sealed, write_sealed
 
-__all__ = ["NAMED", "ROWS", "SERIES", "StoredTrajectory", "Trajectory", "stack"]
+__all__ = ["FRAME_ARRAYS", "GROUP_ARRAYS", "SERIES", "StoredTrajectory", "Trajectory", "stack"]
 
 
 FORMAT, VERSION = "palpate trajectory", 3
 REMEDY = "run the simulation again"
-FARTHEST = 1e30  # [m] of a displacement, so that sums of squares are finite
+MAX_DISPLACEMENT = 1e30  # [m], so that sums of squares are finite
 SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
-ROWS = ("displacements", "velocities")  # stored frame by frame
-NAMED = ("reactions", "moments")  # (f, 3) arrays by name
+FRAME_ARRAYS = ("displacements", "velocities")  # stored frame by frame
+GROUP_ARRAYS = ("reactions", "moments")  # (f, 3) arrays of groups and tools
 HEADER = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
 
 @dataclass(frozen=True)
 class Trajectory(Described):
-    """What a run leaves: the snapshots, forces and energies at f times.
+    """Snapshots, forces and energies of a run at f times.
 
     Parameters
     ----------
@@ -41,28 +41,30 @@ class Trajectory(Described):
     times : (f,) array [s]
     displacements, velocities : (f, n, 3) arrays [m], [m/s]
     reactions : mapping of group name to (f, 3) array [N]
-        Force of every support and tool on the body; of a tool that touches it, and in the energy form of a `Grasp`,
-        the mean since the frame before.
+        Force of every support and tool on the body. For a tool in contact, and in the energy form
+        for a `Grasp`, it is the mean since the previous frame.
     kinetic, strain, external, dissipated : (f,) arrays [J]
-        Energies; `external` is the work of loads and tools, `dissipated` what viscosity took.
+        Energies; `external` is the work of loads and tools, `dissipated` the energy lost to
+        damping, relaxation, friction and impact.
     steps : (f,) array
-        Time steps taken until then.
+        Number of time steps since the start.
     points : (n, d) array [m]
         Reference positions.
     wall_seconds : float [s]
         Computing time of the run.
     stiffness_damping : float [s]
     complete : bool
-        False if the run stopped before its end.
+        False for a run that stopped before its end.
     moments : mapping of tool name to (f, 3) array [N m]
-        Moment about its origin, on the body, of every tool that touches it, the mean since the frame before.
+        Mean moment on the body of every tool in contact since the previous frame, about the
+        tool's origin.
     contact_forces : (c, 5) array
-        A row for every node that tools touched, or in the energy form a `Grasp` held: frame, node, and the mean force
-        [N] of all of these on it since the frame before.
+        Frame, node and mean force [N] since the previous frame, a row for every node in contact
+        with tools or, in the energy form, bonded to a `Grasp`.
     bonded : (c,) bool array
-        Which rows are of nodes that a `Grasp` held.
+        True for the rows of nodes bonded to a `Grasp`.
     label : str
-        What distinguishes the run from others, such as the campaign and the number in it.
+        Label of the run, such as the campaign and the number in it.
     """
 
     model: str
@@ -145,24 +147,25 @@ class Trajectory(Described):
 
     @property
     def balance(self) -> Floats:
-        """Kinetic + strain + dissipated - external energy since the start [J], (f,): what the balance misses."""
+        """Energy error since the start [J], (f,): kinetic + strain + dissipated - external."""
         total = self.kinetic + self.strain + self.dissipated - self.external
         return np.asarray(total - total[0])
 
-    def then(self, other: Trajectory) -> Trajectory:
-        """Return this run with another one that went on from its last frame.
+    def concatenate(self, other: Trajectory) -> Trajectory:
+        """Return this run joined with a run that continues from its last frame.
 
         Raises
         ------
         InputError
-            The other run does not start at this one's end, or has another body or other supports and tools.
+            The other run does not start at the end of this one, or its body, supports or tools
+            differ.
         """
         one_body = self.points.shape == other.points.shape and np.allclose(self.points, other.points)
         one_body = one_body and self.reactions.keys() == other.reactions.keys()
         if not one_body or not np.isclose(self.times[-1], other.times[0], rtol=1e-9):
             raise InputError(
-                f"a run that ends at {self.times[-1]:g} s cannot be followed by one that starts at "
-                f"{other.times[0]:g} s, nor by one of another body or with other supports and tools"
+                f"other must start at {self.times[-1]:g} s with the same body, supports and tools, "
+                f"got a run from {other.times[0]:g} s; continue the run from its last state"
             )
         joined: dict[str, Any] = {}
         for name in (*SERIES, "displacements", "velocities"):
@@ -180,18 +183,18 @@ class Trajectory(Described):
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
     def save(self, path: str | Path) -> None:
-        """Write to a sealed HDF5 file (`palpate.sealed`), whole or not at all.
+        """Write the trajectory to a sealed HDF5 file (`palpate.sealed`) atomically.
 
         Raises
         ------
         InputError
-            Values that are not finite.
+            An array has values that are not finite.
         OSError
-            The file cannot be written; a file that was there is unchanged.
+            The file cannot be written; an existing file is unchanged.
         """
         arrays: dict[str, Any] = {name: getattr(self, name) for name in (*SERIES, "points", "contact_forces", "bonded")}
-        arrays |= {_key(name, of): force for name in NAMED for of, force in getattr(self, name).items()}
-        rows = {name: getattr(self, name) for name in ROWS}
+        arrays |= {_array_name(name, of): force for name in GROUP_ARRAYS for of, force in getattr(self, name).items()}
+        rows = {name: getattr(self, name) for name in FRAME_ARRAYS}
         if not len(self.times):
             arrays, rows = arrays | rows, {}
         for name, values in (arrays | rows).items():
@@ -199,20 +202,19 @@ class Trajectory(Described):
                 raise InputError(f"{name} is not finite: {path} was not written")
         header = {name: getattr(self, name) for name in HEADER}
         header |= {name: float(header[name]) for name in ("wall_seconds", "stiffness_damping")}
-        write_sealed(Path(path), FORMAT, VERSION, header | {name: list(getattr(self, name)) for name in NAMED},
+        write_sealed(Path(path), FORMAT, VERSION, header | {name: list(getattr(self, name)) for name in GROUP_ARRAYS},
                      arrays, rows)  # fmt: skip
 
     @staticmethod
     def load(path: str | Path) -> Trajectory:
         """Read a trajectory.
 
-        The file of a run that was cut off gives the frames that are whole, with `complete` False: the last of `times`
-        is the time up to which the file is whole.
+        The file of an interrupted run yields its complete frames, with `complete` False.
 
         Raises
         ------
         FileNotFoundError
-            There is no such file.
+            The file does not exist.
         FileFormatError
             The file is truncated, damaged, or not a trajectory.
         """
@@ -222,40 +224,41 @@ class Trajectory(Described):
             if is_journal(path):
                 return _from_journal(path)
             file = open_sealed(path, FORMAT, VERSION)
-            return _checked(file.header, {name: file.read(name) for name in file.arrays})
+            return _from_arrays(file.header, {name: file.read(name) for name in file.arrays})
 
 
 def _from_journal(path: Path) -> Trajectory:
+    """Return the trajectory of the complete records of a journal."""
     found = [record for _, _, record in records(path)]
     (about, first), frames = found[0], found[1:]
-    points, names = first["points"], {name: check_names(name, about.get(name)) for name in NAMED}
+    points, names = first["points"], {name: check_names(name, about.get(name)) for name in GROUP_ARRAYS}
     numbers = stack([arrays["numbers"] for _, arrays in frames], (len(SERIES),))
     data = {name: numbers[:, k] for k, name in enumerate(SERIES)} | {"points": points}
-    data |= {name: stack([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in ROWS}
+    data |= {name: stack([arrays[name] for _, arrays in frames], (*points.shape[:1], 3)) for name in FRAME_ARRAYS}
     for name, each in names.items():
         forces = stack([arrays[name] for _, arrays in frames], (len(each), 3))
-        data |= {_key(name, of): forces[:, k] for k, of in enumerate(each)}
+        data |= {_array_name(name, of): forces[:, k] for k, of in enumerate(each)}
     numbered = [np.insert(arrays["contact_forces"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
     data["contact_forces"] = np.concatenate([np.zeros((0, 5)), *numbered])
     data["bonded"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["bonded"] for _, arrays in frames)])
-    return _checked(about | names | {"wall_seconds": 0.0, "complete": False}, data)
+    return _from_arrays(about | names | {"wall_seconds": 0.0, "complete": False}, data)
 
 
 def stack(values: list[Any], shape: tuple[int, ...]) -> Floats:
-    """Return equal arrays as one; of no frames, too."""
+    """Stack arrays of one shape, also for no frames."""
     return np.stack(values) if values else np.zeros((0, *shape))
 
 
-def _checked(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
-    """Return a trajectory of what a file holds; refuse what no run leaves.
+def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
+    """Return the trajectory of a file's header and arrays.
 
     Raises
     ------
     InputError
         A value is missing, not finite, or of another type, shape or range.
     """
-    if header.keys() != {*HEADER, *NAMED}:
-        raise InputError(f"the header has {sorted(header)}, expected {sorted({*HEADER, *NAMED})}")
+    if header.keys() != {*HEADER, *GROUP_ARRAYS}:
+        raise InputError(f"header must have {sorted({*HEADER, *GROUP_ARRAYS})}, got {sorted(header)}")
     for name in ("model", "label"):
         if not isinstance(header[name], str):
             raise InputError(f"{name} must be text, got {header[name]!r:.60}")
@@ -264,10 +267,10 @@ def _checked(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
     numbers: dict[str, Any] = {
         name: number_in_range(name, header[name], 0.0, unit="s") for name in ("wall_seconds", "stiffness_damping")
     }
-    names = {name: check_names(name, header[name]) for name in NAMED}
+    names = {name: check_names(name, header[name]) for name in GROUP_ARRAYS}
     frames, n = len(data["times"]), len(data["points"])
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(ROWS, (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
-    shapes |= {_key(name, of): (frames, 3) for name, each in names.items() for of in each}
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(FRAME_ARRAYS, (frames, n, 3)) | dict.fromkeys(SERIES, (frames,))
+    shapes |= {_array_name(name, of): (frames, 3) for name, each in names.items() for of in each}
     contact_forces = len(data.get("contact_forces", ()))
     shapes |= {
         "contact_forces": (contact_forces, 5),
@@ -275,30 +278,30 @@ def _checked(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
         "points": (n, 2 if data["points"].shape[-1:] == (2,) else 3),
     }
     if data.keys() != shapes.keys():
-        raise InputError(f"the arrays are {', '.join(sorted(data))}; expected {', '.join(sorted(shapes))}")
+        raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(data))}")
     for name, shape in shapes.items():
         wanted = np.bool_ if name == "bonded" else np.float64
         if data[name].shape != shape or data[name].dtype != wanted or not np.isfinite(data[name]).all():
-            raise InputError(f"{name} is not finite, or has shape {data[name].shape}, expected {shape}")
-    if np.abs(data["displacements"]).max(initial=0.0) > FARTHEST:
-        raise InputError(f"displacements go beyond {FARTHEST:g} m, which no run does")
+            raise InputError(f"{name} must be finite, of shape {shape}, got shape {data[name].shape}")
+    if np.abs(data["displacements"]).max(initial=0.0) > MAX_DISPLACEMENT:
+        raise InputError(f"displacements must be at most {MAX_DISPLACEMENT:g} m")
     if not n or np.any(np.diff(data["times"]) < 0) or np.any(np.diff(data["steps"]) < 0):
-        raise InputError("times and steps must not decrease, and there must be points")
+        raise InputError("times and steps must not decrease, and points must not be empty")
     _check_contact_forces(data["contact_forces"], frames, n)
-    forces: dict[str, Any] = {name: {of: data[_key(name, of)] for of in each} for name, each in names.items()}
-    arrays = {name: data[name] for name in (*SERIES, *ROWS, "points", "contact_forces", "bonded")}
+    forces: dict[str, Any] = {name: {of: data[_array_name(name, of)] for of in each} for name, each in names.items()}
+    arrays = {name: data[name] for name in (*SERIES, *FRAME_ARRAYS, "points", "contact_forces", "bonded")}
     return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
 
 
 def check_names(what: str, names: Any) -> list[str]:
-    """Return names that a file lists, each once."""
+    """Return the names of a list in a file; raise `InputError` unless they are unique texts."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or len({*names}) < len(names):
         raise InputError(f"{what} must be a list of names, got {names!r:.60}")
     return names
 
 
-def _key(what: str, of: str) -> str:
-    """Return the name of an array of a group or tool, in which HDF5 finds neither a path nor an end."""
+def _array_name(what: str, of: str) -> str:
+    """Return the HDF5 name of an array of a group or tool, without slashes and zero bytes."""
     if of in ("", ".", ".."):
         return f"{what}/%{of}"
     return f"{what}/{of.replace('%', '%25').replace('/', '%2F').replace(chr(0), '%00')}"
@@ -307,11 +310,11 @@ def _key(what: str, of: str) -> str:
 def _check_contact_forces(contact_forces: Floats, frames: int, nodes: int) -> None:
     which = contact_forces[:, :2]
     if not np.all((which >= 0) & (which < [frames, nodes]) & (which == np.floor(which))):
-        raise InputError(f"contact_forces names a frame outside 0..{frames - 1} or a node outside 0..{nodes - 1}")
+        raise InputError(f"contact_forces must have frames in 0..{frames - 1} and nodes in 0..{nodes - 1}")
 
 
 class StoredTrajectory(Described):
-    """A trajectory that stays in its file: frames of its displacements are read when they are asked for.
+    """A trajectory in a file, whose displacements are read frame by frame on demand.
 
     Parameters
     ----------
@@ -325,14 +328,14 @@ class StoredTrajectory(Described):
     points : (n, d) array [m]
     times, steps : (f,) arrays [s], [-]
     displacements : Frames
-        Takes a number or a slice, as the (f, n, 3) array [m] would. Every frame is verified when it is read.
+        Supports indices and slices like the (f, n, 3) array [m]. Every frame is verified on reading.
     contact_forces, bonded : (c, 5) and (c,) arrays
-        As of `Trajectory`.
+        See `Trajectory`.
 
     Raises
     ------
     FileNotFoundError, FileFormatError
-        As `Trajectory.load`; of a frame that cannot be read, when it is asked for.
+        See `Trajectory.load`; an unreadable frame raises the error on access.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -362,25 +365,25 @@ class StoredTrajectory(Described):
         self.contact_forces, self.bonded = map(file.read, ("contact_forces", "bonded"))
         shape, wanted = file.arrays["displacements"].shape, (len(self.times), len(self.points), 3)
         if shape != wanted or not len(self.points) or self.contact_forces.shape != (len(self.bonded), 5):
-            raise InputError(f"displacements have shape {shape}, expected {wanted}; or contact_forces do not fit")
+            raise InputError(f"displacements must have shape {wanted}, got {shape}; and contact_forces must fit bonded")
         if self.points.ndim != 2 or self.times.ndim != 1 or self.steps.shape != self.times.shape:
-            raise InputError("points, times and steps do not fit together")
+            raise InputError("points must be 2-d, and times and steps 1-d and of equal length")
         if file.arrays["displacements"].type not in ("<f8", "<f4") or np.any(np.diff(self.times) < 0):
             raise InputError("displacements must be of type <f8 or <f4, and times must not decrease")
         if not all(np.isfinite(each).all() for each in (self.points, self.times, self.steps, self.contact_forces)):
-            raise InputError("points, times, steps or contact_forces are not finite")
+            raise InputError("points, times, steps and contact_forces must be finite")
         _check_contact_forces(self.contact_forces, len(self.times), len(self.points))
         self.displacements = Frames(self.path, shape, lambda k: file.row("displacements", k))
 
     def _open_journal(self) -> None:
         run = _from_journal(self.path)
-        places = [(place, chain) for place, chain, _ in records(self.path)][1:]
+        positions = [(position, chain) for position, chain, _ in records(self.path)][1:]
         self.label, self.wall_seconds = run.label, run.wall_seconds
         self.points, self.times, self.steps = run.points, run.times, run.steps
         self.contact_forces, self.bonded = run.contact_forces, run.bonded
 
         def frame(k: int) -> Floats:
-            return read_record(self.path, *places[k])[1]["displacements"]
+            return read_record(self.path, *positions[k])[1]["displacements"]
 
         self.displacements = Frames(self.path, run.displacements.shape, frame)
 
@@ -414,6 +417,6 @@ class Frames:
 
     def _frame(self, k: int) -> Floats:
         frame = self.read(k)
-        if not np.all(np.abs(frame) <= FARTHEST):
-            raise InputError(f"frame {k} of the displacements is not finite, or goes beyond {FARTHEST:g} m")
+        if not np.all(np.abs(frame) <= MAX_DISPLACEMENT):
+            raise InputError(f"frame {k} of the displacements must be finite, at most {MAX_DISPLACEMENT:g} m")
         return frame

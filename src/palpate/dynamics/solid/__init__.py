@@ -1,1 +1,1 @@
-"""Solids: the strong form and the energy form."""
+"""Solids in the strong form and in the energy form."""

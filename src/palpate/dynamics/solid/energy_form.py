@@ -1,20 +1,23 @@
-"""The compiled internal force of a solid as the slope of an energy.
+"""The compiled internal force of a solid as the derivative of an energy.
 
 With F = I + du/dX at the nodes, J = det F, V the nodal weights,
 
     E(u) = sum over nodes of V k [ W_s(F) + lame/2 theta^2 + s/2 |e|^2 ],      rho V a = -dE/du.
 
-W_s holds the energy of fibres, if there are any (`palpate.tissue.fibres`); k is 1, or a node's own stiffness. The law's
-parameters, lame and s may differ from node to node (`palpate.dynamics.material.material_fields`). theta is
-J - 1, or another form's measure g(J) (`palpate.tissue.volumetric`), smoothed over about 27 nodes such that its integral
-stays: the pressure lame theta, times g', neither locks nor oscillates, and a uniform one moves no node inside. e is
-what an evenly weighted quadratic fit misses of the node's own displacement. Gradients at nodes alone do not see the
-shortest waves, which would cost no energy; e does, is zero in every quadratic field, and so changes neither stretching
-nor bending (hourglass control as in Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
+W_s includes the energy of fibres (`palpate.tissue.fibres`). k is 1 or a node's stiffness factor. The
+law's parameters, lame and s can differ from node to node
+(`palpate.dynamics.material.material_fields`). theta is J - 1, or another form's measure g(J)
+(`palpate.tissue.volumetric`), smoothed over about 27 nodes with its integral preserved. The pressure
+lame theta, times g', neither locks nor oscillates, and a uniform pressure moves no interior node.
 
-Four passes over blocks of nodes: deformation and shear stress; smoothing of g; the transposed smoothing, which
-gives the pressure; the transposed derivatives of the stresses. Each node's result depends on no other's, so any number
-of threads gives the same bits.
+e is the hourglass residual: the node's displacement minus that of an evenly weighted quadratic fit.
+Nodal gradients vanish in the shortest waves, which would have no energy. The residual does not. It is
+zero in every quadratic field, and so changes neither stretching nor bending (hourglass control as in
+Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
+
+The force requires four passes over blocks of nodes: deformation and shear stress; smoothing of g;
+the transposed smoothing, which yields the pressure; the transposed derivatives of the stresses. Each
+node's result is independent of the others, so the bits are equal for any number of threads.
 """
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ from numpy.typing import NDArray
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
 from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
-from palpate.dynamics.material.fibres import BARE, Families, FibrePoints
+from palpate.dynamics.material.fibres import NO_FIBRES, Families, FibrePoints
 from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
 from palpate.dynamics.material.principal_stretches import make_principal_stress
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, after, history, overstress, relax_volume
@@ -39,16 +42,16 @@ from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
 __all__ = ["EnergyBody", "EnergyWork", "energy_work", "make_stress", "solid_energy"]
 
-NUMBERS = 12  # a node: du_c/dX_d as 3 c + d, then the misses e_c
+NUMBERS = 12  # per node: du_c/dX_d as 3 c + d, then the residuals e_c
 
 
 class EnergyBody(NamedTuple):
-    """Everything constant about a body that the compiled passes read."""
+    """Constants of a body for the compiled passes."""
 
     lanes: Lanes
     first: Weights
-    second: Weights  # of the misses e
-    transposed: Lanes  # of every node, the nodes whose stencils hold it
+    second: Weights  # of the residuals e
+    transposed: Lanes  # of every node, the nodes whose stencils contain it
     back: Weights  # their four weights on it, times the ratio of the volumes
     own: NDArray[np.float64]  # (n, 4) own weights
     smoothing: Lanes
@@ -56,34 +59,34 @@ class EnergyBody(NamedTuple):
     smoothing_own: NDArray[np.float64]  # (n,)
     transposed_smoothing: Lanes
     transposed_value: Weights
-    coefficients: tuple[float, ...] | NDArray[np.float64]  # by lane where they differ
+    coefficients: tuple[float, ...] | NDArray[np.float64]  # by lane if they differ
     lame: float
     hourglass: float  # s [Pa/m^2]
     relaxation: Relaxation
-    stiffness: NDArray[np.float64]  # (n, 3) of the law, of s and of lame, empty where all are 1 everywhere
+    stiffness: NDArray[np.float64]  # (n, 3) factors of the law, of s and of lame; empty if all are 1
     families: Families  # of fibres
 
 
 class EnergyWork(NamedTuple):
-    """What the passes hand on, so that a step allocates nothing."""
+    """Scratch arrays of the passes."""
 
     fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences, or their fluxes
     derivatives: NDArray[np.float64]  # (threads, 12, LANES)
     cofactor: NDArray[np.float64]  # (b, 9, LANES)
     flux: NDArray[np.float64]  # (n, 12): P_cd [Pa] as 3 d + c, then s e_c
-    dilatation: NDArray[np.float64]  # (n,) J - 1, or the form's g(J)
-    slope: NDArray[np.float64]  # (n,) g'(J); none where it is 1
+    dilatation: NDArray[np.float64]  # (n,) J - 1, or g(J)
+    slope: NDArray[np.float64]  # (n,) g'(J); empty if it is 1
     smooth: NDArray[np.float64]  # (n,) theta
     pressure: NDArray[np.float64]  # (n,) [Pa]
-    history: HistoryVariables  # of tissue that relaxes
-    scaled: NDArray[np.float64]  # (n,) theta times its stiffness
-    least: NDArray[np.float64]  # (1,) the least dilatation of all evaluations in a call of the step
+    history: HistoryVariables  # of viscoelastic tissue
+    scaled: NDArray[np.float64]  # (n,) theta times its stiffness factor
+    least: NDArray[np.float64]  # (1,) least dilatation of all evaluations in a call of the step
 
 
 def energy_work(
     nodes: int, blocks: int, longest: int, threads: int, branches: int, volumetric: str = QUADRATIC
 ) -> EnergyWork:
-    """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
+    """Allocate scratch arrays for `nodes` in `blocks` with at most `longest` neighbours."""
     return EnergyWork(
         np.zeros((threads, longest, 3, LANES)),
         np.zeros((threads, NUMBERS, LANES)),
@@ -104,7 +107,7 @@ _lift, _differentiate = lift_passes("solid energy", lane_sums_3x3, lane_sums_3x1
 
 @kernel_njit(parallel=True, fastmath={"contract"})
 def _add_pressure(lanes, cofactor, pressure, lame, flux):  # type: ignore[no-untyped-def]
-    """Add p cof(F) to the stresses; p comes as what the transposed smoothing leaves, without the modulus."""
+    """Add lame p cof(F) to the stresses, with p the result of the transposed smoothing."""
     for b in prange(lanes.nodes.shape[0]):
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
@@ -117,21 +120,21 @@ def _add_pressure(lanes, cofactor, pressure, lame, flux):  # type: ignore[no-unt
 
 @kernel_njit(parallel=True)
 def _add_overstress(lanes, stress, stiffness, flux):  # type: ignore[no-untyped-def]
-    """Add the overstresses (b, 9, LANES), which are as stiff as the law at rest, to the stresses."""
+    """Add the overstresses (b, 9, LANES), scaled like the shear modulus, to the stresses."""
     for b in prange(lanes.nodes.shape[0]):
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
             if lane > 0 and i == lanes.nodes[b, lane - 1]:
                 break  # the last node of an unfilled block is repeated
-            firm = stiffness[i, 1] if stiffness.shape[0] > 0 else 1.0
+            factor = stiffness[i, 1] if stiffness.shape[0] > 0 else 1.0
             for c in range(3):
                 for d in range(3):
-                    flux[i, 3 * d + c] += firm * stress[b, 3 * c + d, lane]
+                    flux[i, 3 * d + c] += factor * stress[b, 3 * c + d, lane]
 
 
 @kernel_njit()
-def _stiffen(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
-    """Multiply what every node answers by its stiffness."""
+def _scale_by_stiffness(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
+    """Multiply the fluxes and theta of every node by its stiffness factors."""
     for i in range(stiffness.shape[0]):
         for q in range(NUMBERS):
             flux[i, q] *= stiffness[i, 0] if q < 9 else stiffness[i, 1]
@@ -139,16 +142,17 @@ def _stiffen(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def _keep_least(values, least):  # type: ignore[no-untyped-def]
+def _update_least(values, least):  # type: ignore[no-untyped-def]
+    """Update the least value; NaN counts as -inf."""
     for value in values:
         if not value >= least[0]:
-            least[0] = value if value == value else -np.inf  # what is not a number compares with none
+            least[0] = value if value == value else -np.inf
 
 
 @kernel_njit(inner=True)
 def _complete(body, work):  # type: ignore[no-untyped-def]
-    """From the shear stresses and dilatations that the deformation pass left: the whole stresses."""
-    _keep_least(work.dilatation, work.least)
+    """Compute the total stresses from the results of the deformation pass."""
+    _update_least(work.dilatation, work.least)
     smooth_field(
         body.smoothing, body.value, body.smoothing_own, work.fields, work.derivatives, work.dilatation, work.smooth
     )
@@ -158,7 +162,7 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
         relax_volume(body.relaxation, work.history, work.smooth)
         effective = work.history.effective
     if body.stiffness.shape[0] > 0:
-        _stiffen(body.stiffness, work.flux, effective, work.scaled)
+        _scale_by_stiffness(body.stiffness, work.flux, effective, work.scaled)
         effective = work.scaled
     if body.relaxation.times.shape[0] > 0:
         _add_overstress(body.lanes, work.history.stress, body.stiffness, work.flux)
@@ -171,7 +175,7 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
 
 @kernel_njit(parallel=True, fastmath={"contract"})
 def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
-    """Minus the work [J] of the fluxes of every block on the derivatives of every column, (b, m)."""
+    """Write minus the work [J] of every block's fluxes on the derivatives of every vector, (b, m)."""
     for b in prange(table.shape[0]):
         for m in range(table.shape[1]):
             total = 0.0
@@ -196,20 +200,21 @@ def _project(table, body, work, volumes, partial, result):  # type: ignore[no-un
 
 
 def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> Any:
-    """Make the compiled shear stress of one point: of F - I (9 numbers, row by row) its P, cof(F) and J - 1.
+    """Compile the shear stress of one point: P, cof(F) and J - 1 as functions of F - I.
 
     Parameters
     ----------
     digest : str
     law_first : function
-        First derivatives of the law's energy, or a compiled function that takes their place.
+        First derivatives of the law's energy, or a compiled function in their place.
     variables : str
-        By which variables it derives, as `Material.variables` says.
+        Variables of the derivatives (`Material.variables`).
 
     Returns
     -------
     function
-        ``stress(d0, ..., d8, coefficients)`` returns two tuples of nine numbers, row by row, and J - 1.
+        ``stress(d0, ..., d8, coefficients)`` takes F - I row by row, and returns two tuples of nine
+        numbers, row by row, and J - 1.
     """
     if variables == "stretches":
         return make_principal_stress(digest, law_first)
@@ -253,19 +258,19 @@ def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> A
 
 @cache
 def solid_energy(
-    law: type[Material], volumetric: str = QUADRATIC, fibres: FibrePoints = BARE, varied: int = EVERYWHERE
+    law: type[Material], volumetric: str = QUADRATIC, fibres: FibrePoints = NO_FIBRES, varied: int = EVERYWHERE
 ) -> Formulation:
     """Compile the passes of a solid.
 
     Parameters
     ----------
     law : type
-        A material; its functions are compiled, not its parameters.
+        Material whose functions are compiled, without its parameters.
     volumetric : str
         Form of U(J).
     fibres : FibrePoints
     varied : int
-        Number of the law's parameters if they differ from node to node.
+        Number of parameters that differ from node to node.
     """
     measure_of, curved = volumetric_form(volumetric).measure, volumetric != QUADRATIC
     digest = law_digest(__name__, "solid energy", law.variables, law.first, measure_of, fibres.digest, varied)
@@ -273,7 +278,7 @@ def solid_energy(
     measure = inline(digest, measure_of)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def answer(b, nodes, d, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, d, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for v in range(LANES):
             P, c, volume = stress(
                 d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
@@ -299,11 +304,11 @@ def solid_energy(
                 dilatation[i], slope[i] = measure(d[0, v])
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each(u, lanes, first, miss, law, hourglass, families, fields, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def each(u, lanes, first, second, law, hourglass, families, fields, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
-            _lift(b, u, lanes, first, miss, fields[get_thread_id()], out)
-            answer(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
+            _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
+            node_response(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
@@ -315,7 +320,7 @@ def solid_energy(
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
-            answer(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
+            node_response(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
     @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]

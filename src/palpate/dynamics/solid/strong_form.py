@@ -1,16 +1,17 @@
-"""The compiled internal force of the collocated body (equations 3 and 4).
+"""The compiled internal force of a collocated solid (equations 3 and 4).
 
 At every node, with F = I + du/dX and H = d2u/dX2,
 
     rho a = Div P_s + cof(F) grad p  -  P b,      P = P_s + p cof(F),
 
-P_s the shear part's first Piola-Kirchhoff stress, differentiated directly with the second derivatives; p the pressure,
-smoothed and then differentiated (cof(F) has no divergence: Piola's identity); b the boundary vector of the half-cell
-balance, (area / volume) times normal summed over the node's faces, zero inside. In the plain direct form p is
-differentiated with H like everything else.
+with P_s the shear part's first Piola-Kirchhoff stress, differentiated directly with the second
+derivatives, and p the pressure, smoothed and then differentiated (cof(F) has no divergence: Piola's
+identity). b is the boundary vector of the half-cell balance, (area / volume) times normal summed over
+the node's faces, zero at interior nodes. In the direct form p is differentiated with H too.
 
-Three passes over blocks of nodes: deformation and shear force; smoothing of the pressure; its gradient. Each
-node's result depends on no other's, so any number of threads gives the same bits.
+The force requires three passes over blocks of nodes: deformation and shear force; smoothing of the
+pressure; its gradient. Each node's result is independent of the others, so the bits are equal for any
+number of threads.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ __all__ = ["Body", "Workspace", "solid", "workspace"]
 
 
 class Body(NamedTuple):
-    """Everything constant about a body that the compiled passes read."""
+    """Constants of a body for the compiled passes."""
 
     lanes: Lanes
     first: Weights
@@ -48,7 +49,7 @@ class Body(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """What the passes hand on, so that a step allocates nothing."""
+    """Scratch arrays of the passes."""
 
     fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences
     derivatives: NDArray[np.float64]  # (threads, 39, LANES) first (3, 3), second (3, 6), then a law's twelve slopes
@@ -59,7 +60,7 @@ class Workspace(NamedTuple):
 
 
 def workspace(nodes: int, blocks: int, longest: int, threads: int) -> Workspace:
-    """Allocate for a cloud of `nodes` in `blocks` with at most `longest` neighbours, on at most `threads`."""
+    """Allocate scratch arrays for `nodes` in `blocks` with at most `longest` neighbours."""
     return Workspace(
         np.zeros((threads, longest, 3, LANES)),
         np.zeros((threads, 39, LANES)),
@@ -75,7 +76,7 @@ _lift, _differentiate = lift_passes("solid", lane_sums_3x3, lane_sums_3x6, 9)
 
 @kernel_njit(parallel=True, fastmath={"contract"})
 def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, smooth, force):  # type: ignore[no-untyped-def]
-    """Force = shear + cof(F) (grad p - p b) with the smoothed pressure."""
+    """Write shear + cof(F) (grad p - p b) with the smoothed pressure p into `force`."""
     for b in prange(lanes.nodes.shape[0]):
         field = fields[get_thread_id()].reshape(-1, LANES)
         gradient = derivatives[get_thread_id()]
@@ -105,7 +106,7 @@ def _write_direct(lanes, shear, force):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
-    """From what the deformation pass left: smooth the pressure, add its gradient, write the force by node."""
+    """Smooth the pressure of the deformation pass, and write the force by node."""
     if direct:
         _write_direct(body.lanes, work.shear, force)
     else:
@@ -115,7 +116,7 @@ def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
 
 
 def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, direct: bool) -> Any:
-    """Make the compiled response of one block: stress divergence, cofactor and pressure from F and H.
+    """Compile the response of one block: stress divergence, cofactor and pressure from F and H.
 
     `volume` is the compiled function of J - 1 that returns U'(J) and U''(J) over lame.
     """
@@ -177,7 +178,7 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, di
                 slope, bend = volume(J - 1.0)
                 WJ += lame * slope
                 WJJ += lame * bend
-            # gradients of the energy's derivatives, twice for those that multiply a doubled tensor
+            # gradients of the energy's derivatives, doubled if they multiply a doubled tensor
             s0 = 2.0 * (W11 * 2.0 * h0 + W12 * 2.0 * e0 + W1J * j0)
             s1 = 2.0 * (W11 * 2.0 * h1 + W12 * 2.0 * e1 + W1J * j1)
             s2 = 2.0 * (W11 * 2.0 * h2 + W12 * 2.0 * e2 + W1J * j2)
@@ -213,7 +214,7 @@ def _make_response(digest: str, law_first: Any, law_second: Any, volume: Any, di
             cofactor[b, 3, v], cofactor[b, 4, v], cofactor[b, 5, v] = c10, c11, c12
             cofactor[b, 6, v], cofactor[b, 7, v], cofactor[b, 8, v] = c20, c21, c22
             d[0, v] = J - 1.0
-        for v in range(LANES):  # a loop of its own: logarithms do not run in lanes
+        for v in range(LANES):  # a separate loop: logarithms are not vectorised
             pressure[nodes[b, v]] = lame * volume(d[0, v])[0]
 
     return respond
@@ -226,9 +227,9 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
     Parameters
     ----------
     law : type
-        A material; its functions are compiled, not its parameters.
+        Material whose functions are compiled, without its parameters.
     direct : bool
-        Whether the pressure is differentiated directly instead of smoothed.
+        True differentiates the pressure directly instead of smoothing it.
     volumetric : str
         Form of U(J).
     """
@@ -238,14 +239,14 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
         "invariants": _make_response, "stretches": make_principal_response, "small strain": make_linear_response,
     }[law.variables]  # fmt: skip
     volume = inline(digest, pressure_of)
-    answer = make(digest, law.first, law.second, volume, direct)
+    node_response = make(digest, law.first, law.second, volume, direct)
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
         for b in prange(lanes.nodes.shape[0]):
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
-            answer(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
+            node_response(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
@@ -257,7 +258,7 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
         for b in prange(table.shape[0]):
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
-            answer(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
+            node_response(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
 
     @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]

@@ -9,7 +9,7 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads
-from palpate.dynamics.run.contact_state import check_apart, check_way, no_contact
+from palpate.dynamics.run.contact_state import check_initial_penetration, check_tool_step, initial_contact_state
 from palpate.dynamics.run.model import ContactState
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.contact.compliance import SurfaceCompliance, contact_displacements
@@ -38,18 +38,18 @@ class ContactTools:
             return None
         schedule = self.prepared.schedule(np.array([time]))
         moved = displacements()
-        check_apart(self.prepared, schedule, moved, spacing)
-        return no_contact(len(self.prepared.tools), len(moved), time, len(self.contact_surface.nodes))
+        check_initial_penetration(self.prepared, schedule, moved, spacing)
+        return initial_contact_state(len(self.prepared.tools), len(moved), time, len(self.contact_surface.nodes))
 
     def poses(self, times: Floats, before: ContactState | None, spacing: float) -> Floats:
         """Return the tools' poses (s, t, 7) at the times of some steps, ready to go on from what they did before."""
         if before is None:
             return np.zeros((0, 0, 7))
         schedule = self.prepared.schedule(times)
-        check_way(self.prepared, schedule, spacing)
+        check_tool_step(self.prepared, schedule, spacing)
         self.contact_state.force[:], self.contact_state.place[:], self.contact_state.busy[:] = (
-            before.pushes,
-            before.places,
+            before.surface_forces,
+            before.surface_positions,
             True,
         )
         self.tools.impulses[:], self.tools.given[:] = 0.0, 0.0
@@ -62,11 +62,12 @@ class ContactTools:
         """Return what the tools have done after some steps."""
         if before is None:
             return None
-        forces, given, nodes = np.zeros_like(before.forces), before.given.copy(), self.contact_surface.nodes
+        nodes = self.contact_surface.nodes
+        forces, nodal_impulses = np.zeros_like(before.forces), before.nodal_impulses.copy()
         forces[nodes] = self.contact_state.force.sum(axis=0)
-        given[nodes] += self.tools.given
+        nodal_impulses[nodes] += self.tools.given
         return ContactState(
-            forces, before.impulses + self.tools.impulses, before.since, given,
+            forces, before.impulses + self.tools.impulses, before.start_time, nodal_impulses,
             self.contact_state.place.copy(), self.contact_state.force.copy(), before.constraint_impulses,
         )  # fmt: skip
 
@@ -81,8 +82,8 @@ def tool_displacements(
     """Return displacements (n, 3) [m] and energy [J] that tools add to those of a reduced model's modes."""
     if contact_state is None or compliance is None:
         return np.zeros((len(points), 3)), 0.0
-    pushes = np.zeros((len(contact_state.pushes), len(points), 3))
-    pushes[:, of.nodes] = contact_state.pushes
+    pushes = np.zeros((len(contact_state.surface_forces), len(points), 3))
+    pushes[:, of.nodes] = contact_state.surface_forces
     bonded = [isinstance(tool.tool, Forceps) for tool in prepared.tools]
     return contact_displacements(compliance, points, pushes[:, compliance.nodes], bonded)
 
@@ -92,7 +93,7 @@ def bonded_nodes(of: ContactSurface, contact_state: ContactState | None, prepare
     if contact_state is None:
         return of.nodes[:0]
     forceps = np.array([isinstance(tool.tool, Forceps) for tool in prepared.tools], dtype=bool)
-    return np.asarray(of.nodes[contact_state.pushes[forceps].any(axis=(0, 2))])
+    return np.asarray(of.nodes[contact_state.surface_forces[forceps].any(axis=(0, 2))])
 
 
 def contact_at_frame(run: Trajectory, frame: int, nodes: int) -> ContactState | None:
@@ -100,6 +101,6 @@ def contact_at_frame(run: Trajectory, frame: int, nodes: int) -> ContactState | 
     rows = run.contact_forces[run.contact_forces[:, 0] == frame]
     if not len(rows):
         return None
-    contact_state = no_contact(0, nodes, float(run.times[frame]))
+    contact_state = initial_contact_state(0, nodes, float(run.times[frame]))
     contact_state.forces[rows[:, 1].astype(int)] = rows[:, 2:]
     return contact_state

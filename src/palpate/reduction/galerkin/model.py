@@ -101,18 +101,18 @@ class GalerkinModel(Model):
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         check_kinds(loads, KINDS, "loads of a projected model")
         prepared = self.full.prepare(loads)
-        if len(prepared.places.prescribed) and not len(self.lifting):
+        if len(prepared.sites.prescribed) and not len(self.lifting):
             raise InputError(
                 "this reduced model was trained without a prescribed motion; train it with one on "
                 + ", ".join(repr(m.group) for m, _ in prepared.motions)
             )
-        if len(self.lifting) and not len(prepared.places.prescribed):
+        if len(self.lifting) and not len(prepared.sites.prescribed):
             raise InputError("this reduced model was trained with a prescribed motion: give it one, or train without")
         if len({m.until for m, _ in prepared.motions}) > 1:
             raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
         modes = np.abs(self.basis.modes)
         for motion, where in prepared.motions:
-            if modes[:, prepared.places.prescribed[where]].max() > UNTRAINED * modes.max():
+            if modes[:, prepared.sites.prescribed[where]].max() > UNTRAINED * modes.max():
                 raise InputError(
                     f"this reduced model was not trained with group {motion.group!r} driven; train with it"
                 )
@@ -121,14 +121,14 @@ class GalerkinModel(Model):
     @staticmethod
     def _holds(prepared: PreparedLoads, times: Floats) -> NDArray[np.bool_]:
         """Whether the tools hold the body at some times, shape (t,)."""
-        return prepared.motions[0][0].holds(times) if prepared.motions else np.ones(len(times), dtype=np.bool_)
+        return prepared.motions[0][0].is_active(times) if prepared.motions else np.ones(len(times), dtype=np.bool_)
 
     def _lifted(self, prepared: PreparedLoads, times: Floats) -> Floats:
         """Coordinates (t, l) of the lifting columns at some times."""
         if not len(self.lifting):
             return np.zeros((len(times), 0))
-        nodes = np.flatnonzero(prepared.places.kind == PRESCRIBED)
-        order = np.argsort(prepared.places.prescribed)
+        nodes = np.flatnonzero(prepared.sites.kind == PRESCRIBED)
+        order = np.argsort(prepared.sites.prescribed)
         motion = prepared.schedule(times).motion[:, order].reshape(len(times), -1)
         span = self.lifting[:, nodes].reshape(len(self.lifting), -1)
         coordinates, *_ = np.linalg.lstsq(span.T, motion.T, rcond=None)
@@ -211,7 +211,7 @@ class GalerkinModel(Model):
         work, lost, tools = self._advance(
             a, v, self._lifted(prepared, times), self._holds(prepared, times[1:-1]), step, self.stiffness_damping,
             full.wave_speed / self._sizes[len(self.basis) :], self._table,
-            self.columns, self.test, self.mass, full.body, full.work, prepared.places, prepared.schedule(times[1:-1]),
+            self.columns, self.test, self.mass, full.body, full.work, prepared.sites, prepared.schedule(times[1:-1]),
             self._gravity_test, self._gravity_work, *self._responses(state, step), self.volumes,
             self.material.density, full.half_cell, full.slot, self._force, self._partial,
             self._surface, self._columns, self._result, self._previous, self._rates, self._power,

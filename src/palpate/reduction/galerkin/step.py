@@ -28,9 +28,9 @@ def _project(test, force, result):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def _tractions(places, surface, modes, test, volumes, half_cell, result, power):  # type: ignore[no-untyped-def]
+def _tractions(sites, surface, modes, test, volumes, half_cell, result, power):  # type: ignore[no-untyped-def]
     """Add the tractions to the projected force, and the power of their parts on each coordinate to `power`."""
-    for nodes in (places.dead_node, places.pressure_node):
+    for nodes in (sites.dead_node, sites.pressure_node):
         for k in range(nodes.shape[0]):
             i = nodes[k]
             for c in range(3):
@@ -83,7 +83,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
         mass,
         body,
         work,
-        places,
+        sites,
         schedule,
         gravity_test,
         gravity_work,
@@ -120,9 +120,9 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
                 if s > 0:
                     lost += (columns[m] - a[m]) * (previous[m] - result[m])
                 previous[m] = result[m]
-            surface_force(places, schedule, s, volumes, slot, work.cofactor, surface)
+            surface_force(sites, schedule, s, volumes, slot, work.cofactor, surface)
             power[:] = 0.0
-            _tractions(places, surface, modes, test, volumes, half_cell, result, power)
+            _tractions(sites, surface, modes, test, volumes, half_cell, result, power)
             kick = 0.5 * step if s in (0, steps) else step
             held = holds[min(s + 1, steps)]
             moving = first if held else count  # coordinates that obey the equations of motion

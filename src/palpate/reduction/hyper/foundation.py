@@ -34,24 +34,24 @@ class Springs(NamedTuple):
         return Springs(stiffness, damping, self.square, self.rate)
 
 
-def springs_of(places: LoadSites, columns: Floats, mass: Floats) -> Springs:
+def springs_of(sites: LoadSites, columns: Floats, mass: Floats) -> Springs:
     """Project the foundations of some loads.
 
     Parameters
     ----------
-    places : Places
+    sites : LoadSites
     columns : (c, n, 3) array
         The first m belong to the coordinates.
     mass : (m, m) array
         Of these.
     """
-    nodes = places.foundation_node
+    nodes = sites.foundation_node
     if not len(nodes):
         return Springs(np.zeros((0, 0)), np.zeros((0, 0)), 0.0, 0.0)
     at = columns[:, nodes].reshape(len(columns), -1)
     found = [
         np.ascontiguousarray((at * np.repeat(strength, 3)) @ at[: len(mass)].T)
-        for strength in (places.foundation_spring, places.foundation_dashpot)
+        for strength in (sites.foundation_spring, sites.foundation_dashpot)
     ]
     largest = [max(float(eigvalsh(part[: len(mass)], mass)[-1]), 0.0) for part in found]
     return Springs(found[0], found[1], *largest)

@@ -31,32 +31,32 @@ class GeneralisedForces(NamedTuple):
 
 def generalised_forces(prepared: PreparedLoads, columns: Floats, masses: Floats, mass: Floats) -> GeneralisedForces:
     """Work out what the loads of a drive do on columns (c, n, 3), the first of which have a mass matrix (m, m)."""
-    springs = springs_of(prepared.places, columns, mass)
-    work = load_work(prepared.places, columns, masses)
+    springs = springs_of(prepared.sites, columns, mass)
+    work = load_work(prepared.sites, columns, masses)
     return GeneralisedForces(prepared, work, springs, springs.of(np.arange(len(mass))))
 
 
-def load_work(places: LoadSites, columns: Floats, masses: Floats) -> Floats:
+def load_work(sites: LoadSites, columns: Floats, masses: Floats) -> Floats:
     """Return the work of unit amplitudes of the g dead loads, and of unit gravity, on columns (m, n, 3): (g a + 3, m)."""
     works = []
-    for g in range(len(places.dead_start) - 1):
-        own = slice(places.dead_start[g], places.dead_start[g + 1])
-        works.append(np.einsum("kac,mkc->am", places.dead_pattern[own], columns[:, places.dead_node[own]]))
+    for g in range(len(sites.dead_start) - 1):
+        own = slice(sites.dead_start[g], sites.dead_start[g + 1])
+        works.append(np.einsum("kac,mkc->am", sites.dead_pattern[own], columns[:, sites.dead_node[own]]))
     return np.concatenate([*works, np.einsum("n,mnc->cm", masses, columns)])
 
 
 def load_forces(prepared: PreparedLoads, masses: Floats, columns: Floats, state: State) -> Floats:
     """Forces [N] of tractions, gravity and springs on the nodes in a state of a reduced model, shape (n, 3)."""
-    places, schedule = prepared.places, prepared.schedule(np.array([state.time]))
+    sites, schedule = prepared.sites, prepared.schedule(np.array([state.time]))
     result = np.asarray(masses[:, None] * schedule.gravity[0])
-    for g in range(len(places.dead_start) - 1):
-        own = slice(places.dead_start[g], places.dead_start[g + 1])
-        forces = np.einsum("kac,a->kc", places.dead_pattern[own], schedule.amplitudes[0, g])
-        np.add.at(result, places.dead_node[own], forces)
-    at = columns[: len(state.coordinates), places.foundation_node]
+    for g in range(len(sites.dead_start) - 1):
+        own = slice(sites.dead_start[g], sites.dead_start[g + 1])
+        forces = np.einsum("kac,a->kc", sites.dead_pattern[own], schedule.amplitudes[0, g])
+        np.add.at(result, sites.dead_node[own], forces)
+    at = columns[: len(state.coordinates), sites.foundation_node]
     moved, speed = np.tensordot(state.coordinates, at, 1), np.tensordot(state.velocities, at, 1)
-    drawn = places.foundation_spring[:, None] * moved + places.foundation_dashpot[:, None] * speed
-    np.subtract.at(result, places.foundation_node, drawn)
+    drawn = sites.foundation_spring[:, None] * moved + sites.foundation_dashpot[:, None] * speed
+    np.subtract.at(result, sites.foundation_node, drawn)
     return result
 
 

@@ -41,7 +41,7 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
     ]
     areas = partial(load_areas, data.cloud, about.prestretch) if about.sheet else None
     ready = prepare_loads(data.cloud, data.fixed, loads, areas)
-    if len(ready.places.pressure_node):
+    if len(ready.sites.pressure_node):
         raise InputError("a reduced model knows no follower pressures yet: use palpate.galerkin for them")
     if ready.tools and (data.prescribed or about.sheet):
         raise InputError(
@@ -88,9 +88,9 @@ def lifting_coordinates(data: ReducedData, ready: PreparedLoads, times: Floats) 
     """
     if not data.lifted:
         return np.zeros((len(times), 0))
-    order = np.argsort(ready.places.prescribed)
+    order = np.argsort(ready.sites.prescribed)
     motion = ready.schedule(times).motion[:, order].reshape(len(times), -1)
-    nodes = np.flatnonzero(ready.places.kind == PRESCRIBED)
+    nodes = np.flatnonzero(ready.sites.kind == PRESCRIBED)
     span = data.basis_vectors[data.modes : data.modes + data.lifted, nodes].reshape(data.lifted, -1)
     coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
     missed = np.abs(coordinates @ span - motion).max()

@@ -17,7 +17,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inline, law_digest, law_njit
-from palpate.dynamics.material.fibres import BARE, FibrePoints, fibre_points
+from palpate.dynamics.material.fibres import NO_FIBRES, FibrePoints, fibre_points
 from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
 from palpate.dynamics.material.principal_point import make_principal_point
 from palpate.dynamics.membrane.passes import make_moduli
@@ -76,7 +76,7 @@ class MaterialPoint:
     stress: Any
     density: Any
     measure: Any = None
-    fibres: FibrePoints = BARE
+    fibres: FibrePoints = NO_FIBRES
     varied: int = EVERYWHERE
 
     @property

@@ -21,7 +21,7 @@ from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.material.relaxation import equilibrium_history, restore_history, saved_history
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State, initial_field
-from palpate.dynamics.run.reactions import touching
+from palpate.dynamics.run.reactions import contact_outputs
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.contact.tools import ContactTools, bonded_nodes, tool_displacements
@@ -170,7 +170,7 @@ class ReducedModel(Model):
     @staticmethod
     def _holds(ready: PreparedLoads, times: Floats) -> NDArray[np.bool_]:
         """Whether the tools hold the body at some times, shape (t,)."""
-        return ready.motions[0][0].holds(times) if ready.motions else np.ones(len(times), dtype=np.bool_)
+        return ready.motions[0][0].is_active(times) if ready.motions else np.ones(len(times), dtype=np.bool_)
 
     # stepping
 
@@ -334,7 +334,7 @@ class ReducedModel(Model):
         return pose_map(self.cloud.points[nodes], self.data.basis_vectors[self.data.modes : self.count, nodes])
 
     def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
-        forces, moments, contact_forces, _ = touching(state, prepared)
+        forces, moments, contact_forces, _ = contact_outputs(state, prepared)
         compliance, stored = tool_displacements(
             self.data.compliance, self.cloud.points, self._contact_surface, state.contact_state, prepared
         )

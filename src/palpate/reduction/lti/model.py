@@ -164,7 +164,7 @@ class LinearModel(Model):
                     place += len(load.labels)
                 elif isinstance(load, Gravity):
                     gravity, place = slice(place, place + 3), place + 3
-            inputs = tuple((g, of[_input(load)]) for g, load in enumerate(prepared.dead))
+            inputs = tuple((g, of[_input(load)]) for g, load in enumerate(prepared.dead_loads))
             self._ready = _Inputs(prepared, inputs, gravity)
         return self._ready
 
@@ -178,7 +178,7 @@ class LinearModel(Model):
         """
         if not self.lifted:
             return np.zeros((len(times), 0))
-        prescribed = prepared.places.prescribed
+        prescribed = prepared.sites.prescribed
         motion = prepared.schedule(times).motion.reshape(len(times), -1)
         span = self.system.lifting[:, prescribed].reshape(self.lifted, -1)
         coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
@@ -210,7 +210,7 @@ class LinearModel(Model):
         else:
             begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
             begun -= np.stack([tools, rates]) @ self.system.lifts
-            begun[:, np.repeat(prepared.places.kind != FREE, 3)] = 0.0
+            begun[:, np.repeat(prepared.sites.kind != FREE, 3)] = 0.0
             flat = self.reduced.fields.reshape(self.count, -1)
             weighted = flat * np.repeat(self.full.weights * self.material.density, 3)
             own = np.asarray(np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T, dtype=float)

@@ -141,7 +141,7 @@ def linear_range(model: LinearModel) -> Floats:
     error.
     """
     system, full, found = model.system, model.full, []
-    prescribed = np.repeat(full.prepare(system.loads).places.kind == PRESCRIBED, 3)
+    prescribed = np.repeat(full.prepare(system.loads).sites.kind == PRESCRIBED, 3)
     for field in system.lifting:
         rigid = np.where(prescribed, field.ravel(), 0.0)
         straight = float(rigid @ (system.whole @ field.ravel()))

@@ -201,7 +201,7 @@ def linearise(
         raise InputError(f"state: displacements must be finite, of shape {(len(model.cloud), 3)}, not {at.shape}")
     prepared = model.prepare(loads)
     whole = nodal_stiffness(model, at if at.any() else None)
-    free = np.flatnonzero(np.repeat(prepared.places.kind == FREE, 3))
+    free = np.flatnonzero(np.repeat(prepared.sites.kind == FREE, 3))
     weight = np.repeat(model.weights * model.material.density, 3)
     stiffness = whole[free][:, free].tocsc()
     rigid, tools = _rigid_motions(model, prepared)
@@ -236,7 +236,7 @@ def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, 
     """Unit translations and rotations of the tools' nodes (l, 3 n), and what they are."""
     points, columns, names = model.cloud.points, [], []
     for motion, where in prepared.motions:
-        nodes = prepared.places.prescribed[where]
+        nodes = prepared.sites.prescribed[where]
         arms = np.pad(points[nodes] - points[nodes].mean(axis=0), ((0, 0), (0, 3 - points.shape[1])))
         for kind in ("translation", "rotation"):
             for c in range(3):
@@ -265,16 +265,16 @@ def _continued(whole: Any, free: NDArray[np.int64], stiffness: Any, rigid: Float
 
 def force_inputs(model: NodalModel, prepared: PreparedLoads, weight: Floats) -> tuple[Floats, list[str]]:
     """Return nodal forces (p, 3 n) of unit amplitudes and accelerations, and their names, in the order of the loads."""
-    places, n, columns, names, g = prepared.places, len(model.cloud), [], [], 0
+    sites, n, columns, names, g = prepared.sites, len(model.cloud), [], [], 0
     for load in prepared.loads:
         if isinstance(load, Gravity):
             columns += [weight * np.tile(np.eye(3)[c], n) for c in range(3)]
             names += [f"gravity {AXES[c]}" for c in range(3)]
         elif isinstance(load, DeadLoad):
-            own = slice(places.dead_start[g], places.dead_start[g + 1])
+            own = slice(sites.dead_start[g], sites.dead_start[g + 1])
             for a in range(len(load.labels)):
                 column = np.zeros((n, 3))
-                np.add.at(column, places.dead_node[own], places.dead_pattern[own, a])
+                np.add.at(column, sites.dead_node[own], sites.dead_pattern[own, a])
                 columns.append(column.ravel())
             names += [f"{label} on {load.group}" for label in load.labels]
             g += 1

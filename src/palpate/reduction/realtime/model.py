@@ -154,4 +154,4 @@ def _springs(model: ReducedModel, foundations: Sequence[Foundation]) -> Springs:
             raise InputError(
                 f"foundations: {load!r} is no Foundation: in real time a body knows springs and one tool, no other load"
             )
-    return springs_of(prepare_loads(model.cloud, model.fixed, foundations).places, model.data.basis_vectors, model.mass)
+    return springs_of(prepare_loads(model.cloud, model.fixed, foundations).sites, model.data.basis_vectors, model.mass)

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.tools import surface_nodes
-from palpate.dynamics.run.rollout import CRAWL, MOST_STEPS
+from palpate.dynamics.run.rollout import MAX_STEP_RATIO, MAX_STEPS_PER_FRAME
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
@@ -249,7 +249,7 @@ def _follow_run(model: ReducedModel, run: Any) -> Floats:
         forces = np.einsum("mkc,kc->m", columns[:, contact_forces[:, 1].astype(int)], contact_forces[:, 2:])
         interval = float(run.times[frame] - state.time)
         wished = interval / max(min(model.stable_step(state, prepared), interval / model.min_steps_per_frame), 1e-300)
-        if not 0 < wished <= min(CRAWL * max(interval / calm, model.min_steps_per_frame), MOST_STEPS):
+        if not 0 < wished <= min(MAX_STEP_RATIO * max(interval / calm, model.min_steps_per_frame), MAX_STEPS_PER_FRAME):
             raise InputError(
                 f"the model cannot follow a training run at t = {state.time:.4g} s, which needs {wished:.3g} steps to "
                 "the next snapshot: leave that run out, or make it again"

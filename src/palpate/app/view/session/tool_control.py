@@ -9,7 +9,7 @@ import numpy as np
 
 from palpate.app.view.session.messages import Message
 from palpate.arrays import Floats
-from palpate.dynamics.contact.geometry import gaps
+from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
 from palpate.reduction.realtime.display_surface import Surface
@@ -130,7 +130,7 @@ class ToolWorkspace:
         """Return whether a tool is outside a body whose vertices have displacements (n, 3) [m]."""
         vertices = np.ascontiguousarray(self.surface.rest + displacements, dtype=float)
         distance = np.zeros(len(vertices))
-        gaps(tool.kind, np.array(tool.sizes), pose, vertices, distance)
+        compute_gaps(tool.kind, np.array(tool.sizes), pose, vertices, distance)
         if distance.min() < -self._max_depth:
             return False
         nearest = int(np.argmin(distance))
