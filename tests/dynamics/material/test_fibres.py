@@ -135,7 +135,7 @@ def test_what_cannot_have_fibres_is_refused():
         block(fibres, form="strong")
     with pytest.raises(pt.InputError, match="law of finite strain"):
         block(fibres, pt.materials.LinearElastic(mu=1e3, **REST))
-    with pytest.raises(pt.InputError, match=r"must be palpate\.Fibres"):
+    with pytest.raises(pt.InputError, match=r"must be palpate\.materials\.Fibres"):
         block(X)
     with pytest.raises(pt.InputError, match="must have 100 nodes, as the body, got 7"):
         block(pt.materials.Fibres(**HGO, directions=np.tile(X, (7, 1))))

@@ -17,7 +17,7 @@ PULL = pt.SurfaceForce("x+", force=(1.0, 0.0, 0.0))
         ({"duration": 0.0}, "duration must be .*, got 0.0"),
         ({"duration": np.inf}, "duration must be .*, got inf"),
         ({"every": 0.0}, "every must be .*, got 0.0"),
-        ({"every": 2e-3}, r"every must be .*, got 0.002: allowed is \(0, 0.001\] s"),
+        ({"every": 2e-3}, r"every must be in \(0, 0.001\] s, got 0.002"),
         ({"every": np.nan}, "every must be .*, got nan"),
         ({"step": 0.0}, "step must be .*, got 0.0"),
         ({"step": 1e-3}, "step must be .*, got 0.001"),

@@ -365,7 +365,7 @@ def test_a_signal_between_a_time_and_its_frame_costs_no_other_frame(held, path, 
 
 @pytest.mark.parametrize("name", ["", ".", "a\0b.h5"])
 def test_what_is_no_name_of_a_file_is_refused(run, name):
-    with pytest.raises(OSError, match="no name of a file"):
+    with pytest.raises(OSError, match="not a file name"):
         run.save(name)
 
 

@@ -199,7 +199,7 @@ def test_clouds_far_away_are_refused(factor, small_cloud):
         (lambda cloud: {"spacing": 1e-300}, "spacing must be"),
         (lambda cloud: {"face_areas": cloud.face_areas * np.nan}, "must be finite"),
         (lambda cloud: {"face_areas": cloud.face_areas * 1e300}, "face_areas at most"),
-        (lambda cloud: {"face_nodes": cloud.face_nodes + 64}, "outside 0..63"),
+        (lambda cloud: {"face_nodes": cloud.face_nodes + 64}, r"must hold nodes in \[0, 63\]"),
     ],
 )
 def test_clouds_that_do_not_fit_together_are_refused(given, message, small_cloud, tissue):

@@ -270,7 +270,7 @@ def listed(loads: Any) -> tuple[Load, ...]:
     for load in listed:
         if not isinstance(load, Load):
             raise InputError(
-                f"loads must be Traction, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got {brief(load)}; "
+                f"loads must be of SurfaceForce, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got {brief(load)}; "
                 "replace or remove it"
             )
     return listed
