@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 import palpate as pt
-from palpate.reduction.hyper.cubature import non_negative
+from palpate.reduction.hyper.cubature import sparse_nnls
 from palpate.reduction.training.calibrate_indicator import Frames, indicator_frames
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.motions import random_motion, training_motions
@@ -152,7 +152,7 @@ def _repeated(rom: pt.ReducedModel, loads: Any, full: pt.Trajectory) -> Frames:
 
 def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     """How distance alone, imbalance alone and trust rank errors (Spearman), and how well the table foretells them."""
-    errors = np.concatenate([f.missed for f in some])
+    errors = np.concatenate([f.errors for f in some])
     distances, residual_norms = (
         [f.distances / rom.data.distance_scale for f in some],
         [f.residual_norms / rom.data.residual_scale for f in some],
@@ -166,7 +166,7 @@ def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     for name, own in numbers.items():
         found[f"{name}_now"] = float(spearmanr(np.concatenate(own), errors)[0])
         found[f"{name}_so_far"] = float(spearmanr(np.concatenate([np.maximum.accumulate(n) for n in own]), errors)[0])
-        found[f"{name}_of_runs"] = float(spearmanr([n.max() for n in own], [f.missed.max() for f in some])[0])
+        found[f"{name}_of_runs"] = float(spearmanr([n.max() for n in own], [f.errors.max() for f in some])[0])
     reached = np.concatenate([np.maximum.accumulate(n) for n in numbers["trust"]])
     bounds = np.array([rom.expected_error(number)[1] for number in reached])
     known = np.isfinite(bounds)
@@ -277,7 +277,7 @@ def _plain(project: Floats, nodal: Floats, nodes: int) -> Callable[[Floats], Flo
     parts = np.einsum("mnc,snc->smn", project.reshape(modes, n, 3), nodal)
     sizes = np.linalg.norm(parts.sum(axis=2), axis=1)[:, None, None] + 1e-300
     rows = (parts / sizes).reshape(-1, n)
-    weights, _ = non_negative(rows, rows.sum(axis=1), 0.0, nodes)
+    weights, _ = sparse_nnls(rows, rows.sum(axis=1), 0.0, nodes)
     return lambda force: np.einsum("mnc,nc->m", project.reshape(modes, n, 3), weights[:, None] * force)
 
 

@@ -29,7 +29,7 @@ from scipy.interpolate import LinearNDInterpolator
 import palpate as pt
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.solid.model import ENERGY_DAMPING
-from palpate.meshfree.quadrature import integration_weights
+from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import moving_least_squares
 
 OUTPUT = Path(__file__).parents[1] / "docs" / "validation" / "incompressible.json"

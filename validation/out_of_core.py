@@ -31,7 +31,7 @@ import palpate as pt
 from palpate.dynamics.run.trajectory import FORMAT, VERSION
 from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.snapshots import Snapshots
-from palpate.reduction.basis.strain_pod import SMALLEST, main_modes
+from palpate.reduction.basis.strain_pod import MIN_SIZE, main_modes
 from palpate.sealed import write_sealed
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,8 @@ def write(points: Floats, snapshots: int, folder: Path) -> list[Path]:
             continue
         frames, count = [(share @ fields).T for share in own], np.zeros(len(own))
         header = {"model": "shapes", "label": "", "wall_seconds": 0.0, "stiffness_damping": 0.0, "complete": True}
-        arrays = {"points": points, "times": np.linspace(0, 1, len(own)), "steps": count, "contact_forces": np.zeros((0, 5)),
+        arrays = {"points": points, "times": np.linspace(0, 1, len(own)), "steps": count,
+                  "contact_forces": np.zeros((0, 5)),
                   "bonded": np.zeros(0, dtype=bool)}  # fmt: skip
         write_sealed(paths[-1], FORMAT, VERSION, header, arrays, {"displacements": frames})
     return paths
@@ -121,7 +122,7 @@ def compared(
     rows = (parts @ root).reshape(count, -1)
     if method == "strain":
         sizes = np.linalg.norm(rows, axis=1)
-        scale = np.maximum(sizes, SMALLEST * sizes.max()) ** -0.5
+        scale = np.maximum(sizes, MIN_SIZE * sizes.max()) ** -0.5
         rows, parts = rows * scale[:, None], parts * scale[:, None, None]
     exact, whole = np.linalg.svd(rows, compute_uv=False), float(np.sum(rows**2))
     # orthonormal in the product at hand, then their products with the shapes

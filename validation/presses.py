@@ -78,7 +78,8 @@ def main() -> None:
         trained = [(scene.path(job.seed)[0], path) for job, path in found if job.kind != HELD_OUT]
         model = pt.hyper_reduce(
             scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, repeated=trained[:REPEATED],
-            enrichment=interpolated_modes(coarse, scene.model, shapes) if shapes else None, cubature=args.cubature or 1e-3,
+            enrichment=interpolated_modes(coarse, scene.model, shapes) if shapes else None,
+            cubature=args.cubature or 1e-3,
         )  # fmt: skip
     about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}
     known = ("modes", "nodes", "nodes_full", "training_runs", "compliance_explained")

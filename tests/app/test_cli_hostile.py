@@ -35,7 +35,8 @@ def idle(monkeypatch, tmp_path):
 
     for place in (
         "palpate.scenes.beam.Solid", "palpate.scenes.grasp.Solid", "palpate.scenes.push.Membrane",
-        "palpate.scenes.membrane.Membrane", "palpate.scenes.liver.fill", "palpate.app.models.quick_training.hyper_reduce",
+        "palpate.scenes.membrane.Membrane", "palpate.scenes.liver.fill",
+        "palpate.app.models.quick_training.hyper_reduce",
         "palpate.app.bench.command.large_case", "palpate.app.bench.page.find_chromium", "palpate.app.fit.command.fit",
         "palpate.app.run.liver.load_cached_liver", "palpate.app.train.command.open_campaign",
         "palpate.app.compare.command.BODIES",

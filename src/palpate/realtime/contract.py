@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.faults import InputError
 
 __all__ = ["FORCES", "KINETIC", "STATUS", "STEPS", "STRAIN", "TRUST", "Realtime", "check_contract"]
 
-# indices in the report of `advance`
-STATUS, TRUST, STEPS, KINETIC, STRAIN, FORCES = 0, 1, 2, 3, 4, 8
 POSE_COLUMNS = 12  # of `tool`: displacement (3,) and R - I (9,)
 
 

@@ -33,6 +33,7 @@ from palpate.faults import number_in_range
 from palpate.realtime.contract import FORCES, KINETIC, STATUS, STRAIN
 from palpate.realtime.exchange import Slot, publish, snapshot
 from palpate.realtime.loop import function_key
+from palpate.reduction.contact.surface import PAIRS
 from palpate.reduction.realtime.model import RealtimeModel
 
 __all__ = ["ObservableModel", "Observation", "VirtualCoupling", "make_observable"]
@@ -104,7 +105,8 @@ class Observation(NamedTuple):
     Parameters
     ----------
     coordinates, contact_nodes, contact_forces : arrays
-        Arguments of `palpate.reduction.realtime.display_surface.Surface.displacements`; the forces are those of the model's own moduli.
+        Arguments of `Surface.displacements` (`palpate.reduction.realtime.display_surface`); the forces are those of the
+        model's own moduli.
     tool_position : (3,) array [m]
         Displacement of the tool, which differs from the device's with a virtual coupling.
     device_force : (3,) array [N]
@@ -253,7 +255,7 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         for m in range(q.shape[0]):
             values[COORDINATES + m] = q[m]
         at = COORDINATES + q.shape[0]
-        count = min(contact_state.numbers[0], (values.shape[0] - at) // CONTACT_SIZE)
+        count = min(contact_state.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
         values[CONTACT_COUNT], values[MODULUS_RATIO] = count, ratio
         for e in range(count):
             values[at] = contact_state.node[e]

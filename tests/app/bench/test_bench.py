@@ -46,7 +46,7 @@ def test_nodes_in_several_parts_leave_force_and_energy_as_they_are(sampled, coun
     own = len(sampled.data.cubature.nodes)
     model = _with_samples(sampled, count)
     assert len(model.data.cubature.nodes) == count
-    coordinates = 0.1 * sampled.data.trained[-1]
+    coordinates = 0.1 * sampled.data.training_states[-1]
     if count >= own:
         np.testing.assert_allclose(model.force(coordinates), sampled.force(coordinates), rtol=1e-6)
         assert model.energy(coordinates) == pytest.approx(sampled.energy(coordinates), rel=1e-6)

@@ -115,16 +115,16 @@ def test_many_snapshots_of_many_nodes_stay_in_memory():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({}, "either modes or tolerance"),
-        ({"modes": 3, "tolerance": 0.1}, "either modes or tolerance"),
-        ({"modes": 13}, "modes = 13: the 12 snapshots hold only 12 independent shapes"),
+        ({}, "modes or tolerance must be given"),
+        ({"modes": 3, "tolerance": 0.1}, "modes or tolerance must be given"),
+        ({"modes": 13}, "modes must be at most 12, the independent shapes of 12 snapshots, got 13"),
         ({"modes": 0}, "modes must be .*, got 0"),
         ({"modes": 2.5}, "modes must be .*, got 2.5"),
         ({"tolerance": 0.0}, "tolerance must be .*, got 0.0"),
         ({"tolerance": 1.5}, "tolerance must be .*, got 1.5"),
-        ({"modes": 1, "snapshots": np.zeros((4, 30, 3))}, "all snapshots are zero"),
-        ({"modes": 1, "snapshots": np.full((4, 30, 3), np.nan)}, "snapshots are not finite"),
-        ({"modes": 1, "snapshots": np.ones((4, 29, 3))}, r"shape \(4, 29, 3\); this body needs \(L, 30, 3\)"),
+        ({"modes": 1, "snapshots": np.zeros((4, 30, 3))}, "snapshots must be non-zero"),
+        ({"modes": 1, "snapshots": np.full((4, 30, 3), np.nan)}, "snapshots must be finite"),
+        ({"modes": 1, "snapshots": np.ones((4, 29, 3))}, r"shape \(L, 30, 3\), got \(4, 29, 3\)"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(snapshots, weights, change, message):
@@ -135,5 +135,5 @@ def test_arguments_that_do_not_fit_are_refused(snapshots, weights, change, messa
 def test_copies_of_one_snapshot_hold_one_mode(snapshots, weights):
     copies = np.repeat(snapshots[:1], 5, axis=0)
     assert len(pt.pod(copies, weights, tolerance=1e-6)) == 1
-    with pytest.raises(pt.InputError, match="hold only 1 independent"):
+    with pytest.raises(pt.InputError, match="modes must be at most 1"):
         pt.pod(copies, weights, modes=2)

@@ -9,7 +9,7 @@ import palpate as pt
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.reduction.basis.linear_modes import vibration_modes
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
-from palpate.reduction.contact.interior import _followed, interior
+from palpate.reduction.contact.interior import _linear_fits, interior_flexibility
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 from palpate.reduction.training.fit_compliance import _free_interior, _free_surface
 
@@ -38,7 +38,7 @@ def compliance_from(statics, body, modes):
     count = 3 * len(those)
     return NO_COMPLIANCE._replace(
         nodes=nodes, carriers=places, weights=weights, flexibility=rows[:count].astype(np.float32),
-        interior=interior(statics.cloud, deeper, those, rows[count:], body.cloud, deep),
+        interior=interior_flexibility(statics.cloud, deeper, those, rows[count:], body.cloud, deep),
     )  # fmt: skip
 
 
@@ -109,11 +109,11 @@ def test_linear_fields_are_carried_over():
     random = np.random.default_rng(0)
     known, points = random.random((400, 3)), 0.2 + 0.6 * random.random((50, 3))
     slope = random.standard_normal((3, 3))
-    sources, shares = _followed(points, known, 0.14)
+    sources, shares = _linear_fits(points, known, 0.14)
     np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=0.02)
     np.testing.assert_allclose(np.einsum("iw,iwc->ic", shares, known[sources] @ slope), points @ slope, atol=0.03)
     known[:, 2] = 0.5
-    sources, shares = _followed(points, known, 0.14)
+    sources, shares = _linear_fits(points, known, 0.14)
     assert np.isfinite(shares).all()
     assert np.abs(shares).max() < 2.0
 

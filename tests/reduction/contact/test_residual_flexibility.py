@@ -100,10 +100,10 @@ def test_a_coarser_surface_stands_for_a_finer_one():
 
 def test_what_cannot_be_solved_is_refused(solved):
     body, modes, nodes, _ = solved
-    with pytest.raises(pt.InputError, match="without supports"):
+    with pytest.raises(pt.InputError, match="must have supports"):
         residual_flexibility(block(0.005, fixed=()), nodes, body.cloud.points, modes)
     large = block(0.00125)
-    with pytest.raises(pt.InputError, match="give reduce a coarser model"):
+    with pytest.raises(pt.InputError, match="give hyper_reduce a coarser model"):
         residual_flexibility(large, nodes, large.cloud.points, np.zeros((1, len(large.cloud), 3)))
 
 

@@ -153,7 +153,7 @@ def dense(hand):
     for i, e in enumerate(on):
         for j, f in enumerate(on):
             pair(data.contact_surface.compliance, contact_state.point[e], contact_state.point[f], block)
-            matrix[i, :, j] = contact_state.soft[0] * block
+            matrix[i, :, j] = contact_state.factor[0] * block
     columns = data.contact_surface.columns[contact_state.node[on]].reshape(-1, data.modes).astype(float)
     matrix = (
         matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.constrained_inverse_mass @ columns.T

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from palpate.reduction.hyper.cubature import non_negative, sketch, slopes_fit
+from palpate.reduction.hyper.cubature import fit_moments, sketch, sparse_nnls
 
 
 def test_a_sparse_positive_solution_is_found_exactly():
@@ -12,7 +12,7 @@ def test_a_sparse_positive_solution_is_found_exactly():
     columns = rng.standard_normal((60, 300))
     wanted = np.zeros(300)
     wanted[rng.choice(300, 8, replace=False)] = rng.uniform(0.5, 2.0, 8)
-    x, left = non_negative(columns, columns @ wanted, 1e-10)
+    x, left = sparse_nnls(columns, columns @ wanted, 1e-10)
     assert left < 1e-10
     np.testing.assert_allclose(x, wanted, atol=1e-8)
 
@@ -21,7 +21,7 @@ def test_a_sparse_positive_solution_is_found_exactly():
 def test_the_solution_is_that_of_lawson_and_hanson(seed):
     rng = np.random.default_rng(seed)
     columns, target = rng.standard_normal((40, 25)), rng.standard_normal(40)
-    x, left = non_negative(columns, target, 0.0)
+    x, left = sparse_nnls(columns, target, 0.0)
     expected, norm = nnls(columns, target)
     assert np.all(x >= 0)
     assert left * np.linalg.norm(target) == pytest.approx(norm, rel=1e-6)
@@ -34,7 +34,7 @@ def test_it_stops_as_soon_as_it_is_good_enough():
     target = columns.sum(axis=1)
     counts = []
     for tolerance in (1e-1, 1e-2, 1e-3):
-        x, left = non_negative(columns, target, tolerance)
+        x, left = sparse_nnls(columns, target, tolerance)
         assert left <= tolerance
         assert np.linalg.norm(columns @ x - target) <= 1.001 * tolerance * np.linalg.norm(target)
         counts.append(np.count_nonzero(x))
@@ -44,13 +44,13 @@ def test_it_stops_as_soon_as_it_is_good_enough():
 def test_no_more_columns_are_taken_than_asked():
     rng = np.random.default_rng(2)
     columns = np.abs(rng.standard_normal((80, 400)))
-    x, left = non_negative(columns, columns.sum(axis=1), 0.0, most=17)
+    x, left = sparse_nnls(columns, columns.sum(axis=1), 0.0, max_columns=17)
     assert np.count_nonzero(x) <= 17
     assert left > 0
 
 
 def test_nothing_is_found_where_nothing_helps():
-    x, left = non_negative(-np.eye(3), np.ones(3), 1e-6)
+    x, left = sparse_nnls(-np.eye(3), np.ones(3), 1e-6)
     assert not x.any()
     assert left == 1.0
 
@@ -66,4 +66,4 @@ def test_a_sketch_keeps_norms_on_average():
 def test_moments_that_samples_can_make_are_made():
     rng = np.random.default_rng(4)
     sampled, wanted = rng.standard_normal((30, 400)), rng.standard_normal((5, 30))
-    np.testing.assert_allclose(slopes_fit(sampled, wanted @ sampled), wanted, atol=1e-8)
+    np.testing.assert_allclose(fit_moments(sampled, wanted @ sampled), wanted, atol=1e-8)

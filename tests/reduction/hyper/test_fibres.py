@@ -59,7 +59,7 @@ def test_with_all_nodes_fibres_add_their_work_on_the_columns(body, run):
     model, bare = (pt.ReducedModel(p, single=False) for p in (data, replace(data, fibres=None)))
     columns = data.basis_vectors[: model.count]
     slopes = np.stack([body.stencils.gradient(column) for column in columns])
-    for a in data.trained[4::12]:
+    for a in data.training_states[4::12]:
         F = body.deformation_gradient(np.tensordot(a, columns, 1))
         expected = -np.einsum("n,mnij,nij->m", body.volumes, slopes, body.fibres.stress(F))
         found = model.force(a) - bare.force(a)
@@ -79,12 +79,12 @@ def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
     random = np.random.default_rng(0)
     precise = pt.ReducedModel(model.data, single=False)
     for scale in (1.0, 5.0):
-        a = scale * model.data.trained[20]
+        a = scale * model.data.training_states[20]
         step = 1e-6 * np.abs(a).max() * random.standard_normal(len(a))
         slope = precise.energy(a + step) - precise.energy(a - step)
         assert -2 * precise.force(a) @ step == pytest.approx(slope, rel=1e-5, abs=1e-9 * precise.energy(a))
     # a crushed and turned body has a finite energy and force
-    wild = 1e3 * np.abs(model.data.trained).max() * random.standard_normal(12)
+    wild = 1e3 * np.abs(model.data.training_states).max() * random.standard_normal(12)
     assert np.isfinite(model.energy(wild))
     assert np.isfinite(model.force(wild)).all()
     # the file
@@ -100,7 +100,7 @@ def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
 def test_a_model_without_its_fibres_is_another_one(body, run):
     model = pt.hyper_reduce(body, run[1], modes=12)
     bare = pt.ReducedModel(replace(model.data, fibres=None))
-    a = model.data.trained[20]
+    a = model.data.training_states[20]
     assert np.linalg.norm(bare.force(a) - model.force(a)) > 0.1 * np.linalg.norm(model.force(a))
 
 

@@ -279,7 +279,7 @@ def test_what_cannot_relax_is_refused(relaxing):
     body, run, model = relaxing
     with pytest.raises(pt.InputError, match="stepped explicitly"):
         model.with_step(1e-3)
-    with pytest.raises(pt.InputError, match=r"use palpate\.reduce"):
+    with pytest.raises(pt.InputError, match=r"use palpate\.hyper_reduce"):
         pt.galerkin(body, run, modes=4)
     linear = next(law for law in LAWS if law.kind.variables == "small strain")
     soft = block(linear.kind(**linear.example, **REST))

@@ -294,7 +294,7 @@ def test_tools_are_reduced_too(tool_system):
     own = Reduction(tool_system, condense=30)
     for method in ("modal", "moments", "hankel"):
         model = own.model(method, 6)
-        assert model.lifted == 6
+        assert model.lifting_count == 6
         assert model.stable
         assert len(model.C) == 9
 

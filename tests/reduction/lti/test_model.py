@@ -137,7 +137,7 @@ def test_a_tool_that_turns_far_is_refused(tool_system):
 def test_the_engine_s_period_is_the_run(tool_system):
     model = pt.lti.reduce_linear(tool_system, "modal", 8)
     ready, period = pt.realtime_model(model, period=1e-3), 1e-3
-    q, v, report = ready.rest.copy(), ready.rest.copy(), np.zeros(8 + model.lifted)
+    q, v, report = ready.rest.copy(), ready.rest.copy(), np.zeros(8 + model.lifting_count)
 
     def ramped(points, time):  # evenly within every period
         steps = time / period

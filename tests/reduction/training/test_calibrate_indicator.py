@@ -65,7 +65,7 @@ def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, run
     )
     which = np.r_[:modes, len(columns) - model.data.residual_fields : len(columns)]
     load = np.einsum("nc,mnc->m", model.external_force(model.state(prepared), prepared), columns[which])
-    samples, stiffness = model.sampled(which), np.zeros((len(which), len(which)))
+    samples, stiffness = model.integration_points(which), np.zeros((len(which), len(which)))
     sizes = 1e-8 / np.linalg.norm(columns[which], axis=2).max(axis=1)
     model._tangent(
         np.zeros(len(which)), sizes, samples, scratch(samples), np.zeros((3, len(which))), len(which), stiffness
@@ -97,7 +97,7 @@ def test_witnesses_add_no_nodes_and_change_no_motion(body, rom):
     assert rom.data.residual_fields == 8
     one, two = rollout(rom, loads), rollout(other, loads)
     np.testing.assert_allclose(one.displacements, two.displacements, atol=1e-12)
-    prepared, state = rom.prepare(loads), pt.State(rom.data.trained[30] * 1.1, np.zeros(count), 0.005)
+    prepared, state = rom.prepare(loads), pt.State(rom.data.training_states[30] * 1.1, np.zeros(count), 0.005)
     assert other.residual_norm(state, prepared) == 0.0
     assert other.trust(state, prepared) == rom.distance(state) / rom.data.distance_scale
 
@@ -114,7 +114,8 @@ def test_the_engines_report_tells_the_same_number(body):
     turn = [pt.PrescribedMotion("x+", lambda _, t: 1e-3 * np.sin(200 * t) ** 2 * np.array([1.0, 1.0, 0.0]))]
     rom = pt.hyper_reduce(body, rollout(body, turn), modes=6, prescribed="x+")
     for model in (rom, rom.with_step(2.5e-4)):
-        speed, ready, report = np.array([0.5, 0.2, 0.0]), pt.realtime_model(model), np.zeros(8 + model.data.lifted)
+        speed, ready = np.array([0.5, 0.2, 0.0]), pt.realtime_model(model)
+        report = np.zeros(8 + model.data.lifting_count)
         prepared = model.prepare([pt.PrescribedMotion("x+", lambda _, t: speed * t)])  # noqa: B023
         q, v = np.zeros(model.count), np.zeros(model.count)
         for period in range(1, 6):
@@ -164,7 +165,7 @@ def test_expected_errors_rise_with_trust_and_are_unknown_above_all_that_was_met(
 
 
 def test_no_error_is_expected_without_held_out_runs(body, runs):
-    with pytest.raises(pt.InputError, match="train with reduce"):
+    with pytest.raises(pt.InputError, match="train with hyper_reduce"):
         pt.hyper_reduce(body, runs, modes=4).expected_error(0.5)
 
 
@@ -173,5 +174,5 @@ def test_a_basis_that_holds_all_snapshots_leaves_no_witness(body, runs):
     model = pt.hyper_reduce(body, short, modes=2)
     assert model.data.residual_fields == 0
     prepared = model.prepare(pull(1.0, 0.0, 0.0))
-    state = pt.State(2 * model.data.trained[-1], np.zeros(2), 0.001)
+    state = pt.State(2 * model.data.training_states[-1], np.zeros(2), 0.001)
     assert model.trust(state, prepared) == pytest.approx(model.distance(state) / model.data.distance_scale)

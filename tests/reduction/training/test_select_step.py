@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.training.select_step import STEPS, _chosen
+from palpate.reduction.training.select_step import STEPS, _fastest_step
 
 DURATION, EVERY = 0.04, 0.002
 LOADS = [pt.SurfaceForce("x+", force=lambda t: (4.0 * np.sin(80 * t) ** 2, 0.2 * np.sin(80 * t) ** 2, 0.0))]
@@ -79,7 +79,7 @@ def test_the_model_is_otherwise_the_same_and_the_given_one_is_left_alone(rom, tm
 def test_a_tolerance_that_no_rule_keeps_is_refused_with_what_each_reaches():
     table = [{"step": step, "seconds": 1.0, "velocity": 0.02, "displacement": 0.03} for step in STEPS]
     with pytest.raises(pt.InputError, match=r"tolerance of 1.00% .*\(explicit: 2.00% and 3.00%, 1 ms: 2.00% and"):
-        _chosen(table, 0.01)
+        _fastest_step(table, 0.01)
 
 
 def test_a_rule_that_fails_is_not_taken(rom, monkeypatch):

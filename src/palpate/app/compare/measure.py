@@ -168,7 +168,7 @@ def _run_errors(made: Comparison, model: Model, load: str) -> dict[str, float] |
 def _step_seconds(model: LinearModel) -> float:
     """Time [s] of one compiled step of a millisecond, the median of some rounds."""
     forces = model.system.forces
-    f, kicks = np.zeros((STEPS + 1, forces)), np.zeros((STEPS + 1, model.lifted))
+    f, kicks = np.zeros((STEPS + 1, forces)), np.zeros((STEPS + 1, model.lifting_count))
     x, parts = np.zeros(len(model.A)), model._propagator(PERIOD)
     history, times = np.zeros((STEPS + 1, len(x))), []
     for _ in range(ROUNDS + 1):

@@ -16,7 +16,7 @@ from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import InputError
 from palpate.files import plain
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.training.reduce import HELD_SHARE
+from palpate.reduction.training.reduce import QUANTILE
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["FILES", "report_campaign"]
@@ -139,7 +139,7 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
             found.setdefault(load, []).append(run["reaction"])
     return {
         f"error of reaction on the {len(own)} held-out paths with a {load}, mean; 95 % below": (
-            f"{percent(float(np.mean(own)))}; {percent(float(np.quantile(own, HELD_SHARE)))}"
+            f"{percent(float(np.mean(own)))}; {percent(float(np.quantile(own, QUANTILE)))}"
         )
         for load, own in (found.items() if len(found) > 1 else ())
     }

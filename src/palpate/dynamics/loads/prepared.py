@@ -265,13 +265,15 @@ def listed(loads: Any) -> tuple[Load, ...]:
     if isinstance(loads, Load):
         raise InputError(f"loads must be a list, got one {type(loads).__name__}; put it in brackets, such as [pull]")
     if isinstance(loads, str | bytes | Mapping) or not isinstance(loads, Iterable):
-        raise InputError(f"loads must be a list of loads, got {brief(loads)}; use such as [Traction(...), Gravity()]")
+        raise InputError(
+            f"loads must be a list of loads, got {brief(loads)}; use such as [SurfaceForce(...), Gravity()]"
+        )
     listed = tuple(loads)
     for load in listed:
         if not isinstance(load, Load):
             raise InputError(
-                f"loads must be of SurfaceForce, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got {brief(load)}; "
-                "replace or remove it"
+                "loads must be of SurfaceForce, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got "
+                f"{brief(load)}; replace or remove it"
             )
     return listed
 

@@ -1,19 +1,22 @@
-"""Incremental proper orthogonal decomposition: of more snapshots than fit into memory, a block at a time.
+"""Incremental proper orthogonal decomposition of snapshots that do not fit into memory, block by block.
 
-What was found so far is carried as a few fields, the modes times their singular values. A new block joins them, both
-are decomposed together, and the smallest directions are dropped: hierarchical approximate POD (Himpe, Leibner and Rave,
-SIAM J. Sci. Comput. 40 (2018) A3267) along the tree of its incremental variant.
+The current decomposition is stored as a few fields: the modes times their singular values. A new block
+is appended, both are decomposed together, and the smallest directions are dropped: hierarchical
+approximate POD (Himpe, Leibner and Rave, SIAM J. Sci. Comput. 40 (2018) A3267) along the tree of its
+incremental variant.
 
-What a step drops is orthogonal to all that it keeps. So with S_j the dropped parts the snapshots' covariance is exactly
+The dropped part of a step is orthogonal to the part that it keeps. So with the dropped parts S_j the
+snapshots' covariance is exactly
 
     C = C' + sum_j S_j S_j^T,
 
-C' that of what is left at the end. With d = sum_j |S_j|^2, which is known, Weyl's inequality holds every eigenvalue of
-C' (a squared singular value) within d below that of C, never above it; and what the first M modes of C' miss of the
-snapshots, squared and summed, is at most d plus the sum of the eigenvalues of C' behind them.
+with C' that of the final fields. Let d = sum_j |S_j|^2, which is known. By Weyl's inequality every
+eigenvalue of C' (a squared singular value) is at most that of C, and at least that of C minus d. The
+squared projection error of the snapshots with the first M modes of C' is at most d plus the sum of the
+other eigenvalues of C'.
 
-The decompositions are by products of snapshots, in double precision: singular values are good to some 1e-8 of the
-largest.
+The decompositions use products of snapshots in double precision, so singular values are accurate to
+about 1e-8 of the largest.
 """
 
 from __future__ import annotations
@@ -28,15 +31,15 @@ from palpate.arrays import Floats
 __all__ = ["Decomposition", "allowance", "block_size", "decompose"]
 
 
-DROPPED = 1e-4  # of the snapshots' root mean square, that all steps together may drop
-CARRIED = 256  # directions from one step to the next, at most, unless blocks are larger
-BUDGET = 500e6  # bytes of a block, with its images in the inner product
-MOST, FEWEST = 800, 32  # snapshots in a block
+DROP_TOLERANCE = 1e-4  # of all steps together, relative to the snapshots' root mean square
+MAX_RANK = 256  # between steps, unless blocks are larger
+BLOCK_BYTES = 500e6  # with the images in the inner product
+MIN_BLOCK, MAX_BLOCK = 32, 800  # snapshots in a block
 
 
 @dataclass(frozen=True)
 class Decomposition:
-    """What the last step found.
+    """Result of the last step.
 
     Parameters
     ----------
@@ -45,9 +48,9 @@ class Decomposition:
     values : (k,) array
         Singular values, in descending order.
     fields : (k, n, 3) array
-        What the last step decomposed.
+        Input of the last step.
     dropped : float
-        Sum of the squares of all singular values that were dropped before.
+        Sum of the squares of all dropped singular values.
     """
 
     left: Floats
@@ -61,13 +64,13 @@ class Decomposition:
 
 
 def block_size(nodes: int) -> int:
-    """Return how many snapshots of so many nodes are decomposed at a time."""
-    return int(np.clip(BUDGET // (48 * nodes), FEWEST, MOST))
+    """Return the number of snapshots per block for a number of nodes."""
+    return int(np.clip(BLOCK_BYTES // (48 * nodes), MIN_BLOCK, MAX_BLOCK))
 
 
 def allowance(squares: float, snapshots: int, block: int) -> float:
-    """Return the sum of squares that every step may drop, of snapshots whose squares sum to so much."""
-    return DROPPED**2 * squares / -(-snapshots // block)
+    """Return the sum of squares that every step may drop, for snapshots with a given sum of squares."""
+    return DROP_TOLERANCE**2 * squares / -(-snapshots // block)
 
 
 def decompose(
@@ -80,39 +83,39 @@ def decompose(
     blocks : iterable of (b, n, 3) arrays
         At least one.
     image : function
-        Of fields u (b, n, 3), returns A u of the same shape: the inner product is (u, v) = u . A v.
+        Of fields u (b, n, 3), returns A u of the same shape. The inner product is (u, v) = u . A v.
     allowed : float
-        Sum of squares that each step may drop; it drops more only where more than `CARRIED` directions were left, and
-        more than the first block holds.
+        Sum of squares that each step may drop. It drops more only if the rank exceeds `MAX_RANK` and the
+        size of the first block.
     least : int
-        Directions that are carried in any case.
+        Least rank between steps.
 
     Returns
     -------
     Decomposition
     """
-    dropped, cap = 0.0, max(CARRIED, least)
+    dropped, cap = 0.0, max(MAX_RANK, least)
     left, values, fields = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0, 3))
     for block in blocks:
         cap = max(cap, len(block))
-        tail = np.append(np.cumsum(values[::-1] ** 2)[::-1], 0.0)  # squares that so many directions leave
+        tail = np.append(np.cumsum(values[::-1] ** 2)[::-1], 0.0)  # squared error with each number of directions
         kept = min(max(int(np.sum(tail > allowed)), least), cap, len(values))
         dropped += float(tail[kept])
-        carried = np.tensordot(left[:, :kept].T, fields, 1) if kept else block[:0]
-        del fields  # there need not be room for both
-        values, left = _eigen(values[:kept] ** 2, carried, block, image(block))
-        fields = np.concatenate([carried, block])
-        del carried, block
+        leading = np.tensordot(left[:, :kept].T, fields, 1) if kept else block[:0]
+        del fields  # frees memory
+        values, left = _eigen(values[:kept] ** 2, leading, block, image(block))
+        fields = np.concatenate([leading, block])
+        del leading, block
     return Decomposition(left, values, fields, dropped)
 
 
-def _eigen(squares: Floats, carried: Floats, block: Floats, images: Floats) -> tuple[Floats, Floats]:
-    """Singular values and left singular vectors of carried fields, orthogonal, of given squares, and of a block."""
+def _eigen(squares: Floats, leading: Floats, block: Floats, images: Floats) -> tuple[Floats, Floats]:
+    """Return singular values and left singular vectors of orthogonal fields with given squares and of a block."""
     k = len(squares)
     flat = images.reshape(len(images), -1)
     gram = np.zeros((k + len(block), k + len(block)))
     gram[:k, :k] = np.diag(squares)
-    gram[:k, k:] = carried.reshape(k, flat.shape[1]) @ flat.T
+    gram[:k, k:] = leading.reshape(k, flat.shape[1]) @ flat.T
     gram[k:, :k] = gram[:k, k:].T
     gram[k:, k:] = block.reshape(len(block), -1) @ flat.T
     eigenvalues, vectors = np.linalg.eigh(0.5 * (gram + gram.T))

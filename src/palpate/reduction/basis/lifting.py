@@ -1,4 +1,4 @@
-"""What tools and supports add to a basis: columns that move with them, and what these leave of a snapshot."""
+"""Lifting vectors of tools, test fields of supports, and the removal of tool motions from snapshots."""
 
 from __future__ import annotations
 
@@ -13,49 +13,49 @@ from palpate.dynamics.solid.model import Solid
 from palpate.faults import InputError
 from palpate.reduction.basis.linear_modes import tool_responses
 
-__all__ = ["WithoutTools", "lifting_columns", "support_fields"]
+__all__ = ["RemoveToolMotion", "lifting_vectors", "support_fields"]
 
 
-SOLVED = 6000  # nodes up to which equations of the whole body are solved
-RIGID = 1e-3  # of a tool's motion, that lifting columns may miss of it
+MAX_NODES = 6000  # of a body whose equations are solved
+RIGID_TOLERANCE = 1e-3  # largest error of a tool's motion in the lifting vectors, relative
 
 
-def lifting_columns(body: Solid | Membrane, tools: Sequence[str]) -> Floats:
-    """Columns (l, n, 3) that move and turn each tool's nodes rigidly, the body following as it would at rest.
+def lifting_vectors(body: Solid | Membrane, tools: Sequence[str]) -> Floats:
+    """Return fields (l, n, 3) for rigid motions of each tool's nodes, with the static response of the body.
 
-    In a large body they fade evenly towards supports and other tools instead: the modes learn the rest. A membrane is
-    slack at rest: there they move nothing but the tool's nodes.
+    In a large body they decay evenly towards supports and other tools instead, and the modes represent the
+    rest. A membrane is slack at rest: its lifting vectors move the tool's nodes only.
     """
     if not tools:
         return np.zeros((0, len(body.cloud), 3))
     points = body.cloud.points
-    held = {name: body.cloud.group(name) for name in (*tools, *body.fixed)}
+    groups = {name: body.cloud.group(name) for name in (*tools, *body.fixed)}
     sheet, columns = isinstance(body, Membrane), []
-    shapes = partition(points, held) if not sheet else [np.isin(np.arange(len(points)), held[n]) for n in tools]
+    shapes = partition(points, groups) if not sheet else [np.isin(np.arange(len(points)), groups[n]) for n in tools]
     for g, name in enumerate(tools):
-        nodes, own = held[name], []
+        nodes, own = groups[name], []
         arms = points - points[nodes].mean(axis=0)
         for factor in (np.ones(len(points)), *arms.T):
             field = shapes[g] * factor
             if np.abs(field[nodes]).max() > 1e-9 * body.cloud.spacing:
                 own.append(field / np.abs(field[nodes]).max())
         columns += [field[:, None] * np.eye(3)[c] for field in own for c in range(3)]
-    if isinstance(body, Membrane) or len(points) > SOLVED:
+    if isinstance(body, Membrane) or len(points) > MAX_NODES:
         return np.array(columns)
     return tool_responses(body, np.array(columns), tools)
 
 
 def support_fields(body: Solid | Membrane, tools: Sequence[str]) -> Floats:
-    """Test fields (3 g, n, 3) for the forces of the supports: 1 there in each direction, 0 at others and at tools."""
-    held = {name: body.cloud.group(name) for name in (*body.fixed, *tools)}
+    """Return test fields (3 g, n, 3) for support forces: 1 at one support, 0 at others and at tools."""
+    groups = {name: body.cloud.group(name) for name in (*body.fixed, *tools)}
     if not body.fixed:
         return np.zeros((0, len(body.cloud), 3))
-    shapes = partition(body.cloud.points, held)[: len(body.fixed)]
+    shapes = partition(body.cloud.points, groups)[: len(body.fixed)]
     return np.concatenate([shape[:, None] * np.eye(3)[:, None, :] for shape in shapes])
 
 
-class WithoutTools:
-    """Takes the tools' motion from snapshots: a function of (t, n, 3) returns what the lifting columns leave of them.
+class RemoveToolMotion:
+    """A function that subtracts the lifting vectors' part from snapshots (t, n, 3).
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class WithoutTools:
     """
 
     def __init__(self, body: Solid | Membrane, lifting: Floats, tools: Sequence[str]) -> None:
-        self._lifting, self._least = lifting, RIGID * body.cloud.spacing
+        self._lifting, self._least = lifting, RIGID_TOLERANCE * body.cloud.spacing
         self._nodes = np.unique(np.concatenate([body.cloud.group(name) for name in tools])) if tools else None
-        self._missed = self._largest = 0.0
+        self._error = self._largest = 0.0
 
     def __call__(self, snapshots: Floats) -> Floats:
         if self._nodes is None:
@@ -75,15 +75,16 @@ class WithoutTools:
         span = self._lifting[:, self._nodes].reshape(len(self._lifting), -1)
         motion = snapshots[:, self._nodes].reshape(len(snapshots), -1)
         coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
-        self._missed = max(self._missed, float(np.abs(coordinates @ span - motion).max()))
+        self._error = max(self._error, float(np.abs(coordinates @ span - motion).max()))
         self._largest = max(self._largest, float(np.abs(motion).max()))
         rest = snapshots - np.tensordot(coordinates, self._lifting, 1)
-        rest[:, self._nodes] = 0.0  # rounding
+        rest[:, self._nodes] = 0.0  # remove rounding errors
         return np.asarray(rest)
 
     def check(self) -> None:
-        """Raise `InputError` if a tool of the snapshots seen until now did not move rigidly."""
-        if self._missed > RIGID * max(self._largest, self._least):
+        """Raise `InputError` if a tool did not move rigidly in a snapshot processed so far."""
+        if self._error > RIGID_TOLERANCE * max(self._largest, self._least):
             raise InputError(
-                f"a tool of the training runs does not move rigidly: {self._missed:.3g} m of its motion is missed"
+                f"prescribed must name groups that move rigidly, got an error of {self._error:.3g} m; "
+                "translate and rotate them as a rigid tool in the training runs"
             )

@@ -1,7 +1,8 @@
-"""The body at rest, linearised: its stiffness, vibration modes, responses to tools, and modal derivatives.
+"""Linearisation at rest: stiffness, vibration modes, responses to tools, and modal derivatives.
 
-They are bases that need no training run: vibration modes span small motions; modal derivatives (Idelsohn and Cardona,
-Comput. Methods Appl. Mech. Eng. 49, 1985) how the modes change when the body moves along them.
+These bases need no training run. Vibration modes span small motions. Modal derivatives (Idelsohn and
+Cardona, Comput. Methods Appl. Mech. Eng. 49, 1985) describe the change of the modes when the body moves
+along them.
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ __all__ = [
 ]
 
 
-CARRIED = 40  # coarse nodes that a mode is carried over from
-DERIVATIVES = 0.55  # of all modes, at most
-AMPLITUDE = 0.02  # of the spacing: displacements for second differences
-DENSE = 0.1  # of a stiffness's entries that are not zero, from which on a dense factor is found sooner
+INTERPOLATION_NODES = 40  # coarse nodes in the interpolation of a mode
+DERIVATIVE_SHARE = 0.55  # largest share of modal derivatives in all modes
+DIFFERENCE_STEP = 0.02  # displacements for second differences, in spacings
+DENSE_SHARE = 0.1  # of non-zero entries, above which a dense factorisation is faster
 
 
 def rest_stiffness(body: Solid) -> Any:
-    """Return the stiffness [N/m] at rest of a body in its energy form, sparse, (3 n, 3 n), rows 3 i + c of node i.
+    """Return the sparse stiffness [N/m] at rest of a body in its energy form, (3 n, 3 n), rows 3 i + c of node i.
 
     Raises
     ------
     InputError
-        The model is not of the energy form, whose stiffness is symmetric.
+        The body has the strong form, whose stiffness is not symmetric.
     """
     n = len(body.cloud)
     parts = stiffness_blocks(body)
@@ -52,7 +53,7 @@ def rest_stiffness(body: Solid) -> Any:
 
 
 def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
-    """Return the stiffness [N/m] at rest between components c <= e of all nodes, by (c, e): sparse (n, n) arrays.
+    """Return the stiffness [N/m] at rest between components c <= e of all nodes: sparse (n, n) arrays by (c, e).
 
     Parameters
     ----------
@@ -66,11 +67,13 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
         As `rest_stiffness`.
     """
     if not body.conservative:
-        raise InputError("the strong form has no symmetric stiffness: make the model with form='energy'")
+        raise InputError(
+            "body must have the energy form for a symmetric stiffness, got the strong form; use form='energy'"
+        )
     n = len(body.cloud)
     near, row = body.stencils.neighbours, body.stencils.row
     slopes = [_operator(near, body.stencils.first[row][:, :, d]) for d in range(3)]
-    misses = _operator(near, body.stencils.value[row])
+    hourglass_residual = _operator(near, body.stencils.value[row])
     assert body.smoothing is not None
     smooth = _operator(*body.smoothing) + sparse.identity(n)
     moduli, own = body.moduli("shear_modulus"), body.elastic_volumes
@@ -79,7 +82,7 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
     bulk = sparse.diags(own * body.moduli("lame")).astype(kind)
     thetas = [(smooth @ slope).astype(kind) for slope in slopes]
     common = sum(slope.T @ shear @ slope for slope in slopes)
-    common = common + body.body.hourglass * misses.T @ sparse.diags(body.shear_volumes) @ misses
+    common = common + body.body.hourglass * hourglass_residual.T @ sparse.diags(body.shear_volumes) @ hourglass_residual
     blocks = {}
     for c in range(3):
         for e in range(c, 3):
@@ -93,7 +96,7 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
 
 
 def _operator(near: NDArray[np.int32], weights: Floats) -> Any:
-    """Sparse matrix (n, n) of a sum over neighbours' differences from the node."""
+    """Return the sparse matrix (n, n) of a sum over neighbours' differences from the node."""
     n = len(near)
     node, place = np.nonzero(near != np.arange(n)[:, None])
     matrix = sparse.csr_matrix((weights[node, place], (node, near[node, place])), (n, n))
@@ -101,17 +104,17 @@ def _operator(near: NDArray[np.int32], weights: Floats) -> Any:
 
 
 def _free(body: Solid, groups: Sequence[str]) -> NDArray[np.int64]:
-    """Degrees of freedom that neither supports nor some groups hold."""
+    """Return the degrees of freedom without those of supports and some groups."""
     held = body.fixed_mask.copy()
     for name in groups:
         held[body.cloud.group(name)] = True
     if not held.any():
-        raise InputError("a body without supports has no static response: give it fixed= or a tool")
+        raise InputError("body must have supports for a static response, got none; give it fixed= or a tool")
     return np.flatnonzero(np.repeat(~held, 3))
 
 
 class _Statics(NamedTuple):
-    """The stiffness of a body at rest, that of what is free of it, and the factored one's answers to forces."""
+    """Stiffness of a body at rest, its block of the free nodes, and a solver for that block."""
 
     whole: Any
     free: NDArray[np.int64]
@@ -122,7 +125,7 @@ class _Statics(NamedTuple):
 def _statics(body: Solid, held: Sequence[str]) -> _Statics:
     free, whole = _free(body, held), rest_stiffness(body)
     stiffness = whole[free][:, free].tocsc()
-    if stiffness.nnz < DENSE * len(free) ** 2:
+    if stiffness.nnz < DENSE_SHARE * len(free) ** 2:
         symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
         return _Statics(whole, free, stiffness, splu(stiffness, **symmetric).solve)
     factor = cho_factor(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
@@ -130,7 +133,7 @@ def _statics(body: Solid, held: Sequence[str]) -> _Statics:
 
 
 def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[Floats, Floats]:
-    """Find the slowest vibrations of the body at rest.
+    """Return the slowest vibration modes of the body at rest.
 
     Parameters
     ----------
@@ -138,7 +141,7 @@ def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[
         In its energy form.
     count : int
     held : sequence of str
-        Groups that tools hold, beside the supports.
+        Groups that tools hold, in addition to the supports.
 
     Returns
     -------
@@ -150,7 +153,7 @@ def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[
     Raises
     ------
     InputError
-        A strong form, a body that nothing holds, or a count out of range.
+        The body has the strong form or no supports, or the count is out of range.
     """
     integer_in_range("count", count, 1, len(_free(body, held)) - 2)
     return _vibrations(body, _statics(body, held), count)
@@ -171,18 +174,18 @@ def _vibrations(body: Solid, statics: _Statics, count: int) -> tuple[Floats, Flo
 
 
 def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
-    """Return smooth modes (count, n, 3) of a body, found on a coarser model of it: vibrations, and their derivatives.
+    """Return smooth modes (count, n, 3) of a body from a coarser model: vibration modes and their derivatives.
 
-    About half are derivatives of the slowest vibrations: without them a body is too stiff where it moves far. They are
-    carried over by thin-plate splines over the nearest nodes, and are zero at the body's supports. Their largest
-    displacement is about 1 m. The coarser model may be the body itself.
+    About half are derivatives of the slowest vibrations, without which a body is too stiff in large
+    motions. Thin-plate splines over the nearest nodes interpolate them. They are zero at the body's
+    supports, and their largest displacement is about 1 m. The coarser model may be the body itself.
 
     Raises
     ------
     InputError
         As `vibration_modes`.
     """
-    bent = int((np.sqrt(8 * DERIVATIVES * count + 1) - 1) / 2)
+    bent = int((np.sqrt(8 * DERIVATIVE_SHARE * count + 1) - 1) / 2)
     slowest = count - bent * (bent + 1) // 2
     integer_in_range("count", slowest, 1, len(_free(coarse, ())) - 2)
     statics = _statics(coarse, ())
@@ -192,7 +195,7 @@ def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
     if coarse is body:
         return shapes
     flat = shapes.transpose(1, 0, 2).reshape(len(coarse.cloud), -1)
-    near = min(CARRIED, len(coarse.cloud))
+    near = min(INTERPOLATION_NODES, len(coarse.cloud))
     fields = RBFInterpolator(coarse.cloud.points, flat, neighbors=near)(body.cloud.points)
     fields = fields.reshape(len(body.cloud), count, 3).transpose(1, 0, 2)
     for group in body.fixed:
@@ -201,14 +204,14 @@ def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
 
 
 def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
-    """Return static responses at rest (l, n, 3) to fields that are given at the nodes of some held groups.
+    """Return static responses at rest (l, n, 3) to fields prescribed at the nodes of some groups.
 
     Parameters
     ----------
     body : Solid
         In its energy form.
     fields : (l, n, 3) array
-        Read at the held groups' nodes only.
+        Only the values at the groups' nodes are used.
     held : sequence of str
     """
     whole, free, _, solve = _statics(body, held)
@@ -220,10 +223,10 @@ def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
 
 
 def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> Floats:
-    """Return how the body follows pairs of modes to second order, (k (k + 1) / 2, n, 3), for modes (k, n, 3).
+    """Return second-order responses of the body to pairs of modes, (k (k + 1) / 2, n, 3), for modes (k, n, 3).
 
-    Each is the static response at rest to the second derivative of the internal force along two modes; its largest
-    displacement is 1 m.
+    Each is the static response at rest to the second derivative of the internal force along two modes. Its
+    largest displacement is 1 m.
     """
     return _derivatives(body, _statics(body, held), modes)
 
@@ -231,11 +234,13 @@ def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> F
 def _derivatives(body: Solid, statics: _Statics, modes: Floats) -> Floats:
     pairs = []
     body._restore_history(None)
-    shapes = AMPLITUDE * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
+    shapes = DIFFERENCE_STEP * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
     for i, one in enumerate(shapes):
         for two in shapes[i:]:
-            bend = body.force(one + two) - body.force(one - two) - body.force(two - one) + body.force(-one - two)
+            second_difference = (
+                body.force(one + two) - body.force(one - two) - body.force(two - one) + body.force(-one - two)
+            )
             field = np.zeros(3 * len(body.cloud))
-            field[statics.free] = statics.solve((bend * body.volumes[:, None]).reshape(-1)[statics.free])
+            field[statics.free] = statics.solve((second_difference * body.volumes[:, None]).reshape(-1)[statics.free])
             pairs.append(field.reshape(-1, 3) / np.linalg.norm(field.reshape(-1, 3), axis=1).max())
     return np.array(pairs)

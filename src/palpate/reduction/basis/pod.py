@@ -1,7 +1,7 @@
 """Proper orthogonal decomposition of snapshots (section 4, equations 22 to 28).
 
-The Hilbert space of the paper is the L2 of the body: (u, v) = sum over the nodes of V_I u_I . v_I, with the nodal
-volumes V_I (`Solid.weights`). The inner product decides: without the volumes the reduced model is unstable.
+The Hilbert space of the paper is the L2 of the body: (u, v) = sum over the nodes of V_I u_I . v_I, with
+the nodal volumes V_I (`Solid.weights`). Without the volumes the reduced model is unstable.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from palpate.reduction.basis.snapshots import Run, Snapshots
 __all__ = ["Basis", "pod"]
 
 
-NUMERICAL_RANK = 1e-12  # of the largest singular value; below it directions are rounding noise
+NUMERICAL_RANK = 1e-12  # of the largest singular value, below which directions are rounding noise
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,15 @@ class Basis(Described):
     modes : (M, n, 3) array [m^-3/2]
         The phi_k of (24); their columns form Q of (28).
     singular_values : (r,) array [m^5/2]
-        All of the snapshots, in descending order; squared and divided by their number L they are the eigenvalues
-        lambda_j of (25). Where the snapshots were decomposed block by block, those that were not dropped.
+        Of the snapshots, in descending order. Squared and divided by the number L of snapshots they are
+        the eigenvalues lambda_j of (25). Values dropped in a decomposition block by block are not
+        included.
     snapshots : int
         Number L of snapshots.
     weights : (n,) array [m^3]
         Of the inner product: nodal volumes.
     dropped : float [m^5]
-        Sum of the squares of all other singular values.
+        Sum of the squares of the singular values that are not included.
     """
 
     modes: Floats
@@ -105,7 +106,7 @@ class Basis(Described):
 
     @property
     def lost_energy(self) -> float:
-        """Share of the snapshots' squared norm that the modes do not hold: the sum in (27) over the whole."""
+        """Share of the snapshots' squared norm outside the modes: the sum in (27) over the total."""
         squares = self.singular_values**2
         return float((squares[len(self) :].sum() + self.dropped) / (squares.sum() + self.dropped))
 
@@ -117,70 +118,80 @@ def pod(
     modes: int | None = None,
     tolerance: float | None = None,
 ) -> Basis:
-    """Find the modes that hold most of some displacement snapshots.
+    """Return the modes with the least projection error for displacement snapshots.
 
     Parameters
     ----------
     snapshots : (L, n, 3) array [m], a trajectory or the path of its file, or several
-        More than fit into a block of memory are decomposed block by block (`palpate.reduction.basis.incremental_pod`).
+        If they exceed a block of memory, they are decomposed block by block
+        (`palpate.reduction.basis.incremental_pod`).
     weights : (n,) array [m^3]
         Of the inner product: nodal volumes, or `Solid.weights`.
     modes : int, optional
         Number of modes M.
     tolerance : float, optional
-        Instead: the fewest modes whose root-mean-square projection error is at most this share of the snapshots'.
+        Alternative to `modes`: the least number of modes whose relative root-mean-square projection error
+        is at most this.
 
     Raises
     ------
     InputError
-        More modes than independent snapshots, snapshots that are all zero or not finite, or not one choice of size.
+        More modes than independent snapshots, snapshots that are all zero or not finite, or neither or
+        both of `modes` and `tolerance`.
     """
     if (modes is None) == (tolerance is None):
-        raise InputError("give either modes or tolerance")
+        raise InputError("modes or tolerance must be given, but not both; leave one of them out")
     if isinstance(snapshots, np.ndarray) and (snapshots.ndim != 3 or snapshots.shape[1:] != (len(weights), 3)):
-        raise InputError(f"snapshots have shape {snapshots.shape}; this body needs (L, {len(weights)}, 3)")
+        raise InputError(
+            f"snapshots must have shape (L, {len(weights)}, 3), got {snapshots.shape}; use those of this body"
+        )
     own = Snapshots(snapshots)
     if own.nodes != len(weights):
-        raise InputError(f"snapshots have {own.nodes} nodes; this body needs (L, {len(weights)}, 3)")
+        raise InputError(f"snapshots must have {len(weights)} nodes, got {own.nodes}; use those of this body")
     roots = np.repeat(np.sqrt(weights), 3)
-    shapes, values, dropped = _decomposed(own, roots, modes or 0)
+    shapes, values, dropped = _decompose(own, roots, modes or 0)
     rank = int(np.sum(values > NUMERICAL_RANK * values[0])) if values[0] > 0 else 0
     if rank == 0:
-        raise InputError("all snapshots are zero: there is nothing to find modes in")
+        raise InputError("snapshots must be non-zero, got zeros in all; train on a run with loads")
     if modes is None:
-        squares = np.cumsum(values[::-1] ** 2)[::-1] + dropped  # squares[m] is what m modes leave
+        squares = np.cumsum(values[::-1] ** 2)[::-1] + dropped  # squares[m]: squared error with m modes
         bound = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True) ** 2 * squares[0]
         modes = max(1, int(np.sum(squares > bound)))
     integer_in_range("modes", modes, 1)
     if modes > rank:
-        raise InputError(f"modes = {modes}: the {len(own)} snapshots hold only {rank} independent shapes")
+        raise InputError(
+            f"modes must be at most {rank}, the independent shapes of {len(own)} snapshots, got {modes}; use more runs"
+        )
     rows = shapes(modes) / roots
     return Basis(rows.reshape(modes, -1, 3), values, len(own), np.asarray(weights, dtype=float), dropped)
 
 
-def _decomposed(own: Snapshots, roots: Floats, least: int) -> tuple[Callable[[int], Floats], Floats, float]:
-    """Return a function of how many modes are wanted, times the roots, as rows; singular values; what was dropped."""
+def _decompose(own: Snapshots, roots: Floats, least: int) -> tuple[Callable[[int], Floats], Floats, float]:
+    """Return modes, singular values, and the sum of squares dropped.
+
+    The first is a function of the number of modes; it returns rows times the roots.
+    """
     size = block_size(own.nodes)
     if len(own) <= size:
         left, values = _thin_svd(next(own.blocks(size)).reshape(len(own), -1) * roots)
         return lambda count: left[:count], values, 0.0
     weights = (roots**2).reshape(-1, 3)
     squares = sum(float(np.einsum("bnc,bnc,nc->", block, block, weights)) for block in own.blocks(size))
-    found = decompose(own.blocks(size), lambda u: u * weights, allowance(squares, len(own), size), least)
+    decomposition = decompose(own.blocks(size), lambda u: u * weights, allowance(squares, len(own), size), least)
 
     def shapes(count: int) -> Floats:
-        # the products know small directions less well than their span
-        q, r = np.linalg.qr((found.shapes(count).reshape(count, -1) * roots).T)
+        # orthonormalise: products resolve the span better than small directions
+        q, r = np.linalg.qr((decomposition.shapes(count).reshape(count, -1) * roots).T)
         return np.asarray((q * np.sign(np.diag(r))).T)
 
-    return shapes, found.values, found.dropped
+    return shapes, decomposition.values, decomposition.dropped
 
 
 def _thin_svd(rows: Floats) -> tuple[Floats, Floats]:
-    """Right singular vectors (as rows) and singular values of a wide matrix, which is overwritten.
+    """Return right singular vectors (as rows) and singular values of a wide matrix, which is overwritten.
 
-    By a QR decomposition of the tall transpose and the SVD of its small factor: as accurate as a direct SVD, unlike
-    the eigenvalues of the Gram matrix, and with one copy of the snapshots beside them.
+    A QR decomposition of the transpose precedes the SVD of its small factor. This is as accurate as a
+    direct SVD, unlike the eigenvalues of the Gram matrix, and needs one additional copy of the snapshots.
     """
     if rows.shape[0] > rows.shape[1]:
         _, values, right = np.linalg.svd(rows, full_matrices=False)

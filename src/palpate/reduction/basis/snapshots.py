@@ -1,4 +1,4 @@
-"""Snapshots of several runs, from memory or from files that together need not fit there."""
+"""Snapshots of several runs, from memory or from files that together may exceed the memory."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from palpate.faults import InputError
 
 __all__ = ["Run", "Snapshots"]
 
-Run = Trajectory | str | Path  # a path is that of a trajectory's file
+Run = Trajectory | str | Path  # or the path of a trajectory's file
 
 
 @dataclass(frozen=True)
 class _Frames:
-    """An array of snapshots that belongs to no run."""
+    """An array of snapshots without a run."""
 
     displacements: Floats
     points: None = None
     times: Floats = field(default_factory=lambda: np.zeros(0))
     contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 5)))
-    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
 
 class Snapshots:
-    """The displacements in all frames of some runs, one run after the other; read again whenever they are asked for.
+    """The displacements in all frames of some runs, one run after the other, read at each use.
 
     Parameters
     ----------
     runs : run or several, or (L, n, 3) array [m]
-        Trajectories, or paths of their files, of which never more is read than is asked for.
+        Trajectories, or paths of their files, which are read in parts.
 
     Attributes
     ----------
@@ -43,8 +43,8 @@ class Snapshots:
     lengths : list of int
         Frames of every run.
     runs : list
-        With `times`, `displacements`, `touches` and `held` each.
-    touched : bool
+        With `times`, `displacements`, `contact_forces` and `bonded` each.
+    has_contact : bool
         Whether tools touch the body in any run.
 
     Raises
@@ -52,39 +52,40 @@ class Snapshots:
     InputError
         No runs, an array of another shape, or runs of different bodies.
     FileNotFoundError, FileFormatError
-        A file that is missing, or holds no trajectory.
+        A file is missing, or does not hold a trajectory.
     """
 
     def __init__(self, runs: Run | Sequence[Run] | Floats) -> None:
         if isinstance(runs, np.ndarray):
             if runs.ndim != 3 or runs.shape[2] != 3:
-                raise InputError(f"snapshots have shape {runs.shape}; needed is (L, n, 3)")
+                raise InputError(f"snapshots must have shape (L, n, 3), got {runs.shape}; reshape them")
             self.runs: list[_Frames | Trajectory | StoredTrajectory] = [_Frames(runs)]
         else:
             some = [runs] if isinstance(runs, Run) else list(runs)
             self.runs = [run if isinstance(run, Trajectory) else StoredTrajectory(run) for run in some]
         if not self.runs:
-            raise InputError("there is no trajectory to learn from: give at least one")
+            raise InputError("trajectories must hold at least one, got none; run the full model first")
         self.points = [part.points for part in self.runs if part.points is not None]
         self.lengths = [len(part.displacements) for part in self.runs]
         self.nodes = int(self.runs[0].displacements.shape[1])
         for part in self.runs:
             if part.displacements.shape[1] != self.nodes:
                 raise InputError(
-                    f"snapshots of bodies of {self.nodes} and of {part.displacements.shape[1]} nodes do not go together"
+                    f"trajectories must have the same nodes, got {self.nodes} and "
+                    f"{part.displacements.shape[1]}; use runs of one body"
                 )
-        self.touched = any(len(run.contact_forces) for run in self.runs)
+        self.has_contact = any(len(run.contact_forces) for run in self.runs)
         self._ends = np.cumsum(self.lengths)
 
     def __len__(self) -> int:
         return int(self._ends[-1])
 
-    def spread(self, most: int) -> NDArray[np.int64]:
-        """Return the numbers of at most so many snapshots, evenly spread over all."""
+    def evenly_spaced(self, most: int) -> NDArray[np.int64]:
+        """Return the numbers of at most so many snapshots, evenly spaced over all."""
         return np.linspace(0, len(self) - 1, min(most, len(self))).astype(int)
 
     def blocks(self, most: int) -> Iterator[Floats]:
-        """Yield all snapshots in order, at most so many at a time: (b, n, 3) arrays that may be written to."""
+        """Yield all snapshots in order, at most so many at a time: (b, n, 3) arrays that the caller may change."""
         for first in range(0, len(self), most):
             last = min(first + most, len(self))
             block, begin = np.empty((last - first, self.nodes, 3)), 0
@@ -95,7 +96,7 @@ class Snapshots:
                     block[begin : begin + stop - start] = part.displacements[own]
                     begin += stop - start
             if not np.isfinite(block).all():
-                raise InputError("snapshots are not finite")
+                raise InputError("snapshots must be finite, got inf or nan; leave that run out")
             yield block
 
     def each(self, which: NDArray[np.int64]) -> Iterator[Floats]:

@@ -1,4 +1,4 @@
-"""Bases: the main modes of runs, and fields that join them."""
+"""Bases from the main modes of runs and additional fields."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from palpate.reduction.basis.snapshots import Snapshots
 __all__ = ["join", "main_modes"]
 
 
-SMALLEST = 1e-3  # of the largest snapshot: the size below which one counts less
-NOISE = 1e-10  # of the largest eigenvalue: below it shapes are not told from noise
+MIN_SIZE = 1e-3  # of the largest snapshot, below which one has reduced weight
+RANK_TOLERANCE = 1e-10  # of the largest eigenvalue, below which shapes are rounding noise
 
 
 def main_modes(
@@ -27,17 +27,18 @@ def main_modes(
     spare: int = 0,
     prepared: Callable[[Floats], Floats] | None = None,
 ) -> tuple[Floats, float]:
-    """Return modes (M, n, 3) that hold most of some snapshots (t, n, 3), orthonormal in the volumes, and what was lost.
+    """Return main modes (M, n, 3) of snapshots (t, n, 3), orthonormal in the volumes, and the truncation error.
 
-    Of a solid, the proper orthogonal decomposition of du/dX instead of u: what it leaves out is small in energy, not
-    only in displacement, so that the reduced body is softer and truer. A snapshot counts by the root of its size, so
-    that small motions are not lost beside large ones. Of a membrane, which is slack at first, that of u, and all
-    snapshots count the same: waves begin small. Behind them come up to `spare` further ones, as many as there are.
+    For a solid it is the proper orthogonal decomposition of du/dX instead of u. Its error is small in
+    energy, and not only in displacement, which makes the reduced body more compliant and more accurate.
+    Snapshots have weights of 1 over the root of their size, so that small motions count. A membrane is
+    initially slack: it has the decomposition of u, with equal weights, because waves begin small. Up to
+    `spare` further modes follow the first ones.
 
-    The snapshots are read twice, a block at a time (`palpate.reduction.basis.incremental_pod`), and `prepared`, where it is
-    given, of every block: modes are found in what it returns. What was lost on the way is the root of the sum of
-    squares dropped over that of the snapshots, each as it counts; by so much at most do the modes miss more than the
-    best would.
+    The snapshots are read twice, a block at a time (`palpate.reduction.basis.incremental_pod`). The
+    function `prepared`, if given, maps every block before the decomposition. The truncation error is the
+    root of the sum of squares dropped between blocks over that of the weighted snapshots. The projection
+    error exceeds the optimum by at most this.
 
     Raises
     ------
@@ -50,15 +51,17 @@ def main_modes(
     size = block_size(own.nodes)
     sizes = np.concatenate([_sizes(prepare(block), image) for block in own.blocks(size)])
     if sizes.max() == 0:
-        raise InputError("all snapshots are zero: there is nothing to find modes in")
-    scale = np.maximum(sizes, SMALLEST * sizes.max()) ** (-1.0 if sheet else -0.5)
+        raise InputError("snapshots must be non-zero, got zeros in all; train on a run with loads")
+    scale = np.maximum(sizes, MIN_SIZE * sizes.max()) ** (-1.0 if sheet else -0.5)
     parts = np.split(scale, range(size, len(own), size))
     scaled = (prepare(u) * part[:, None, None] for u, part in zip(own.blocks(size), parts, strict=True))
     squares = float(np.sum((sizes * scale) ** 2))
     found = decompose(scaled, image, allowance(squares, len(own), size), least=modes + spare)
-    rank = int(np.sum(found.values**2 > NOISE * found.values[0] ** 2))
+    rank = int(np.sum(found.values**2 > RANK_TOLERANCE * found.values[0] ** 2))
     if modes > rank:
-        raise InputError(f"modes = {modes}: the {len(own)} snapshots hold only {rank} independent shapes")
+        raise InputError(
+            f"modes must be at most {rank}, the independent shapes of {len(own)} snapshots, got {modes}; use more runs"
+        )
     lost = float(np.sqrt(found.dropped / squares))
     return _orthonormal(body, found.shapes(min(modes + spare, rank))), lost
 
@@ -80,19 +83,19 @@ def _sizes(fields: Floats, image: Callable[[Floats], Floats]) -> Floats:
 
 
 def _orthonormal(body: Solid | Membrane, fields: Floats) -> Floats:
-    """Fields (m, n, 3) with the same span, orthonormal in the volumes."""
+    """Return fields (m, n, 3) with the same span, orthonormal in the volumes."""
     weights = np.repeat(np.sqrt(body.volumes), 3)
     orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
     return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
 
 
 def join(body: Solid | Membrane, modes: Floats | None, enrichment: Floats | None) -> Floats:
-    """Modes and enrichment, orthonormal together."""
+    """Return modes and enrichment, orthonormal together."""
     if enrichment is None:
         return np.zeros((0, len(body.cloud), 3)) if modes is None else modes
     if enrichment.ndim != 3 or enrichment.shape[1:] != (len(body.cloud), 3) or not np.isfinite(enrichment).all():
-        raise InputError(f"enrichment has shape {enrichment.shape}; this body needs (e, {len(body.cloud)}, 3), finite")
+        raise InputError(f"enrichment must have shape (e, {len(body.cloud)}, 3) and be finite, got {enrichment.shape}")
     if np.abs(enrichment[:, body.fixed_mask]).max(initial=0.0) > 0:
-        raise InputError("enrichment moves nodes of the supports")
+        raise InputError("enrichment must vanish at the supports, got non-zero displacements; set them to 0")
     sizes = np.linalg.norm(enrichment, axis=2).max(axis=1)[:, None, None]
     return _orthonormal(body, enrichment / sizes if modes is None else np.concatenate([modes, enrichment / sizes]))

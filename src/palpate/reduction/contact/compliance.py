@@ -1,13 +1,14 @@
-"""The compliance of a surface beside its modes: what it is made of, and its parts between touched nodes, compiled.
+"""Surface compliance in addition to the modes: its data, and its blocks between patches in contact, compiled.
 
-Tools' forces f on surface nodes move node i, beside what the modes do, by
+Forces f of tools on surface nodes move node i, in addition to the modes, by
 
     h(|f|) sum over j of (D_ij + sum over carriers a of i, b of j of w_ia w_jb R_ab) f_j.
 
-R is the residual flexibility of the body's surface at rest, of its own nodes or of a coarser model's
-(`palpate.reduction.contact.residual_flexibility`); D is what a coarser one misses between close nodes (`palpate.reduction.contact.near_field`);
-h = (1 + |f| / F)^-gamma tells how tissue stiffens under a tool's whole force. Pulls do not stiffen it: for nodes that
-forceps hold h is one number. R with D is positive, so that any set of nodes has a positive definite compliance.
+R is the residual flexibility of the body's surface at rest, at its own nodes or at those of a coarser
+model (`palpate.reduction.contact.residual_flexibility`). D is the near-field correction of a coarser
+model (`palpate.reduction.contact.near_field`). The secant factor h = (1 + |f| / F)^-gamma describes how
+tissue stiffens under the total force of a tool. Pulls do not stiffen it: for nodes that forceps hold,
+h is constant. R with D is positive, so any set of nodes has a positive definite compliance.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.reduction.contact.interior import Interior, interior_displacements, spread
+from palpate.reduction.contact.interior import Interior, flexible_displacements, interior_displacements
 
 __all__ = [
     "NO_COMPLIANCE",
@@ -31,44 +32,44 @@ __all__ = [
     "carrier_forces",
     "compliance_table",
     "contact_displacements",
+    "energy_factor",
     "pair",
     "refresh",
     "secant_factor",
     "static_displacements",
 ]
-__all__ += ["energy_factor"]
 
 
-DENSE = 256  # touched nodes up to which what is between them is kept
+MAX_ACTIVE = 256  # patches in contact up to which their mutual compliance is stored
 
 
 class SurfaceCompliance(NamedTuple):
-    """The compliance of a body's surface beside its modes.
+    """The surface compliance of a body in addition to its modes.
 
     Parameters
     ----------
     nodes : (k,) int array
-        Nodes that tools may touch.
+        Nodes of the contact surface.
     carriers : (k, w) int array
-        Rows of the flexibility that stand for each node.
+        Rows of the flexibility that represent each node.
     weights : (k, w) array
-        Their shares.
+        Their weights.
     flexibility : (3 c, 3 c) float32 array [m/N]
-        Of the carriers, rows 3 a + component.
-    close : (k, q) int array
-        Of `nodes`, those close to each; the node itself again where there are fewer.
-    between : (k, q, 3, 3) float32 array [m/N]
-        What a coarser surface misses of the compliance between them; q = 0 where it is no coarser one.
+        Residual flexibility of the c carriers, rows 3 a + component.
+    nearby : (k, q) int array
+        Of `nodes`, those near each; padded with the node itself.
+    near_field : (k, q, 3, 3) float32 array [m/N]
+        Near-field correction of a coarser model between them; q = 0 without one.
     patches : (k, p) int array
-        Of `nodes`, by which the piece of surface about each moves that tools meet (`palpate.meshfree.patches`).
+        Of `nodes`, the patch of surface about each that tools push (`palpate.meshfree.patches`).
     shares : (k, p) array
-        Their weights in it.
-    hardening : (2,) array
-        Exponent gamma, and force F [N], of the stiffening under load.
-    grip : float
+        Their weights in the patch.
+    stiffening : (2,) array
+        Exponent gamma and force F [N] of the secant factor.
+    bonded_scale : float
         h of nodes that forceps hold.
-    inside : Inside, optional
-        How the nodes inside follow.
+    interior : Interior, optional
+        Displacements of the interior nodes.
     """
 
     nodes: Ints
@@ -84,7 +85,7 @@ class SurfaceCompliance(NamedTuple):
     interior: Interior | None = None
 
     def scaled(self, factor: float) -> SurfaceCompliance:
-        """Return this with all compliances of the surface times a factor."""
+        """Return this with all compliances multiplied by a factor."""
         return self._replace(
             flexibility=(factor * self.flexibility).astype(np.float32),
             near_field=(factor * self.near_field).astype(np.float32),
@@ -93,19 +94,26 @@ class SurfaceCompliance(NamedTuple):
 
 
 NO_COMPLIANCE = SurfaceCompliance(
-    np.zeros(0, dtype=np.int64), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0)),
-    np.zeros((0, 0), dtype=np.float32), np.zeros((0, 0), dtype=np.int64), np.zeros((0, 0, 3, 3), dtype=np.float32),
-    np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1)), np.array([0.0, 1.0]), 1.0,
-)  # fmt: skip
+    nodes=np.zeros(0, dtype=np.int64),
+    carriers=np.zeros((0, 0), dtype=np.int64),
+    weights=np.zeros((0, 0)),
+    flexibility=np.zeros((0, 0), dtype=np.float32),
+    nearby=np.zeros((0, 0), dtype=np.int64),
+    near_field=np.zeros((0, 0, 3, 3), dtype=np.float32),
+    patches=np.zeros((0, 1), dtype=np.int64),
+    shares=np.zeros((0, 1)),
+    stiffening=np.array([0.0, 1.0]),
+    bonded_scale=1.0,
+)
 
 
 class ComplianceTable(NamedTuple):
-    """`Dents` for the compiled step: of k patches of surface that tools meet, then of the k nodes that forceps hold."""
+    """`SurfaceCompliance` for the compiled step: rows of k patches for tools, then of k nodes for forceps."""
 
     carriers: Ints  # (2 k, w)
     weights: Floats  # (2 k, w)
     flexibility: NDArray[np.float32]  # (3 c, 3 c) [m/N]
-    members: Ints  # (2 k, p) nodes of each, as `Dents.nodes` has them
+    members: Ints  # (2 k, p) nodes of each row, in the order of `SurfaceCompliance.nodes`
     shares: Floats  # (2 k, p)
     nearby: Ints  # (k, q) of nodes, in that order
     near_field: NDArray[np.float32]  # (k, q, 3, 3) [m/N]
@@ -114,36 +122,41 @@ class ComplianceTable(NamedTuple):
 
 
 class ActiveCompliance(NamedTuple):
-    """The compliance between the nodes that are touched, kept from step to step."""
+    """Compliance between the rows in contact, stored from step to step."""
 
-    matrix: Floats  # (DENSE, DENSE, 3, 3) [m/N], by slots
-    node: Ints  # (DENSE,) in each slot
-    slot: Ints  # (2 k,) of each patch and node; -1 without
-    used: Ints  # (1,) how many slots
+    matrix: Floats  # (MAX_ACTIVE, MAX_ACTIVE, 3, 3) [m/N], by slots
+    node: Ints  # (MAX_ACTIVE,) row in each slot
+    slot: Ints  # (2 k,) slot of each row; -1 without
+    used: Ints  # (1,) number of slots in use
     block: Floats  # (3, 3) scratch
     row: Floats  # (3, 3 c) scratch
-    around: Floats  # (3, 3 k) scratch
+    near_row: Floats  # (3, 3 k) scratch
 
 
 def compliance_table(compliance: SurfaceCompliance, order: Ints) -> ComplianceTable:
-    """Lay a compliance out for the step, its nodes in some order."""
-    carriers, weights = _of_patches(compliance)
-    more = ((0, 0), (0, carriers.shape[1] - compliance.carriers.shape[1]))
-    carriers = np.concatenate([carriers[order], np.pad(compliance.carriers, more)[order]])
-    weights = np.concatenate([weights[order], np.pad(compliance.weights, more)[order]])
-    alone = ((0, 0), (0, compliance.patches.shape[1] - 1))
-    members = np.concatenate([compliance.patches[order], np.pad(order[:, None], alone, mode="edge")])
-    shares = np.concatenate([compliance.shares[order], np.pad(np.ones((len(order), 1)), alone)])
+    """Return the compliance as arrays of the compiled step, its nodes in a given order."""
+    carriers, weights = _patch_carriers(compliance)
+    carrier_padding = ((0, 0), (0, carriers.shape[1] - compliance.carriers.shape[1]))
+    carriers = np.concatenate([carriers[order], np.pad(compliance.carriers, carrier_padding)[order]])
+    weights = np.concatenate([weights[order], np.pad(compliance.weights, carrier_padding)[order]])
+    single_padding = ((0, 0), (0, compliance.patches.shape[1] - 1))
+    members = np.concatenate([compliance.patches[order], np.pad(order[:, None], single_padding, mode="edge")])
+    shares = np.concatenate([compliance.shares[order], np.pad(np.ones((len(order), 1)), single_padding)])
     return ComplianceTable(
-        np.ascontiguousarray(carriers, dtype=np.int64), np.ascontiguousarray(weights),
-        np.ascontiguousarray(compliance.flexibility), np.ascontiguousarray(members, dtype=np.int64),
-        np.ascontiguousarray(shares), np.ascontiguousarray(compliance.nearby, dtype=np.int64),
-        np.ascontiguousarray(compliance.near_field), np.ascontiguousarray(compliance.stiffening, dtype=float), float(compliance.bonded_scale),
-    )  # fmt: skip
+        carriers=np.ascontiguousarray(carriers, dtype=np.int64),
+        weights=np.ascontiguousarray(weights),
+        flexibility=np.ascontiguousarray(compliance.flexibility),
+        members=np.ascontiguousarray(members, dtype=np.int64),
+        shares=np.ascontiguousarray(shares),
+        nearby=np.ascontiguousarray(compliance.nearby, dtype=np.int64),
+        near_field=np.ascontiguousarray(compliance.near_field),
+        stiffening=np.ascontiguousarray(compliance.stiffening, dtype=float),
+        bonded_scale=float(compliance.bonded_scale),
+    )
 
 
-def _of_patches(compliance: SurfaceCompliance) -> tuple[Ints, Floats]:
-    """Return carriers and weights of the patches: those of their nodes, by their shares."""
+def _patch_carriers(compliance: SurfaceCompliance) -> tuple[Ints, Floats]:
+    """Return carriers and weights of the patches, from those of their nodes."""
     count, width = len(compliance.nodes), compliance.shares.shape[1] * compliance.weights.shape[1]
     return (
         compliance.carriers[compliance.patches].reshape(count, width),
@@ -152,19 +165,23 @@ def _of_patches(compliance: SurfaceCompliance) -> tuple[Ints, Floats]:
 
 
 def active_compliance(of: ComplianceTable, tools: int) -> ActiveCompliance:
-    """Allocate for some tools; nothing is touched."""
-    nodes, carried = len(of.members) // 2, len(of.flexibility)
-    most = min(nodes, DENSE) if tools else 0
+    """Return empty storage for the rows in contact with some tools."""
+    nodes = len(of.members) // 2
+    most = min(nodes, MAX_ACTIVE) if tools else 0
     return ActiveCompliance(
-        np.zeros((most, most, 3, 3)), np.zeros(most, np.int64), np.full(2 * nodes, -1),
-        np.zeros(1, dtype=np.int64), np.zeros((3, 3)), np.zeros((3, carried if tools else 0)),
-        np.zeros((3, 3 * nodes if tools and of.nearby.size else 0)),
-    )  # fmt: skip
+        matrix=np.zeros((most, most, 3, 3)),
+        node=np.zeros(most, np.int64),
+        slot=np.full(2 * nodes, -1),
+        used=np.zeros(1, dtype=np.int64),
+        block=np.zeros((3, 3)),
+        row=np.zeros((3, len(of.flexibility) if tools else 0)),
+        near_row=np.zeros((3, 3 * nodes if tools and of.nearby.size else 0)),
+    )
 
 
 @kernel_njit(fastmath={"contract"})
 def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
-    """Write how a force on j moves i (3, 3) [m/N]."""
+    """Write the compliance block (3, 3) [m/N] from a force on row j to row i."""
     block[:] = 0.0
     for a in range(compliance.carriers.shape[1]):
         p = 3 * compliance.carriers[i, a]
@@ -185,18 +202,19 @@ def pair(compliance, i, j, block):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def refresh(compliance, active, points, count):  # type: ignore[no-untyped-def]
-    """Keep what is between the patches or nodes touched now, points[:count]; keep nothing and return False if too many.
+    """Store the compliance between the rows in contact, points[:count]; return False if there are too many.
 
-    Those that have left stay, as they may soon be back, until there is no room for others.
+    Rows that have left contact stay until their slots are needed. If there are too many rows, nothing
+    is stored.
     """
     if count > active.node.shape[0]:
-        _forget(active)
+        _clear(active)
         return False
-    fresh = 0
+    added = 0
     for e in range(count):
-        fresh += active.slot[points[e]] < 0
-    if active.used[0] + fresh > active.node.shape[0]:
-        _forget(active)
+        added += active.slot[points[e]] < 0
+    if active.used[0] + added > active.node.shape[0]:
+        _clear(active)
     for e in range(count):
         i = points[e]
         if active.slot[i] >= 0:
@@ -204,9 +222,9 @@ def refresh(compliance, active, points, count):  # type: ignore[no-untyped-def]
         s = active.used[0]
         active.slot[i], active.node[s] = s, i
         active.used[0] = s + 1
-        _row(compliance, i, active.row, active.around)
+        _row(compliance, i, active.row, active.near_row)
         for t in range(s + 1):
-            _between(compliance, i, active.node[t], active, active.matrix[s, t])
+            _block(compliance, i, active.node[t], active, active.matrix[s, t])
             for c in range(3):
                 for d in range(3):
                     active.matrix[t, s, d, c] = active.matrix[s, t, c, d]
@@ -214,55 +232,55 @@ def refresh(compliance, active, points, count):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def _forget(active):  # type: ignore[no-untyped-def]
+def _clear(active):  # type: ignore[no-untyped-def]
     for s in range(active.used[0]):
         active.slot[active.node[s]] = -1
     active.used[0] = 0
 
 
 @kernel_njit(fastmath={"contract"})
-def _row(compliance, i, row, around):  # type: ignore[no-untyped-def]
-    """Write how forces on all carriers move those of i together (3, 3 c), and on close nodes its own (3, 3 k) [m/N]."""
+def _row(compliance, i, row, near_row):  # type: ignore[no-untyped-def]
+    """Write the compliances (3, 3 c) from all carriers to row i, and its near-field corrections (3, 3 k) [m/N]."""
     row[:] = 0.0
-    around[:] = 0.0
+    near_row[:] = 0.0
     for a in range(compliance.carriers.shape[1]):
         p, w = 3 * compliance.carriers[i, a], compliance.weights[i, a]
         if w != 0.0:
             for c in range(3):
                 for q in range(row.shape[1]):
                     row[c, q] += w * compliance.flexibility[p + c, q]
-    for a in range(compliance.members.shape[1] if around.shape[1] else 0):
+    for a in range(compliance.members.shape[1] if near_row.shape[1] else 0):
         n, w = compliance.members[i, a], compliance.shares[i, a]
         for k in range(compliance.nearby.shape[1] if w != 0.0 else 0):
             q = 3 * compliance.nearby[n, k]
             for c in range(3):
                 for d in range(3):
-                    around[c, q + d] += w * compliance.near_field[n, k, c, d]
+                    near_row[c, q + d] += w * compliance.near_field[n, k, c, d]
 
 
 @kernel_njit(fastmath={"contract"})
-def _between(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
-    """Write how a force on j moves i (3, 3) [m/N], the rows of i known."""
-    row, around = active.row, active.around
+def _block(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
+    """Write the compliance block (3, 3) [m/N] from a force on row j to row i, after `_row` of i."""
+    row, near_row = active.row, active.near_row
     for c in range(3):
         for d in range(3):
             value = 0.0
             for b in range(compliance.carriers.shape[1]):
                 value += compliance.weights[j, b] * row[c, 3 * compliance.carriers[j, b] + d]
-            for b in range(compliance.members.shape[1] if around.shape[1] else 0):
-                value += compliance.shares[j, b] * around[c, 3 * compliance.members[j, b] + d]
+            for b in range(compliance.members.shape[1] if near_row.shape[1] else 0):
+                value += compliance.shares[j, b] * near_row[c, 3 * compliance.members[j, b] + d]
             block[c, d] = value
 
 
 @kernel_njit()
 def secant_factor(stiffening, force):  # type: ignore[no-untyped-def]
-    """Return h under a tool's force [N]."""
+    """Return the secant factor h under a tool's force [N]."""
     return (1.0 + force / stiffening[1]) ** -stiffening[0]
 
 
 @kernel_njit()
 def energy_factor(stiffening, force):  # type: ignore[no-untyped-def]
-    """Return the energy of dents over half the product of their forces and depths: 1 where nothing hardens."""
+    """Return the energy of a stiffening compliance over half the product of its forces and displacements."""
     gamma, s = stiffening[0], 1.0 + force / stiffening[1]
     if gamma == 0.0 or s - 1.0 < 1e-6:
         return 1.0
@@ -271,19 +289,19 @@ def energy_factor(stiffening, force):  # type: ignore[no-untyped-def]
 
 
 def contact_displacements(
-    compliance: SurfaceCompliance, points: Floats, pushes: Floats, constrained_inverse_mass: Sequence[bool]
+    compliance: SurfaceCompliance, points: Floats, pushes: Floats, bonded: Sequence[bool]
 ) -> tuple[Floats, float]:
-    """Return what tools do to a body beside the modes: to its surface, and inside where that is known.
+    """Return the displacements of a body by its surface compliance, at the surface and in the interior.
 
     Parameters
     ----------
-    dents : Dents
+    compliance : SurfaceCompliance
     points : (n, 3) array [m]
-        Reference places of all nodes.
+        Reference positions of all nodes.
     pushes : (tools, k, 3) array [N]
         On the patches of surface, or on its nodes.
-    held : sequence of bool
-        Of every tool: whether it holds nodes.
+    bonded : sequence of bool
+        Whether each tool holds nodes.
 
     Returns
     -------
@@ -291,7 +309,7 @@ def contact_displacements(
     energy : float [J]
     """
     result, energy = np.zeros_like(points), 0.0
-    for push, nodal in zip(pushes, constrained_inverse_mass, strict=True):
+    for push, nodal in zip(pushes, bonded, strict=True):
         forces = push
         if not nodal:
             forces = np.zeros_like(push)
@@ -299,31 +317,31 @@ def contact_displacements(
         on = np.flatnonzero(forces.any(axis=1))
         if not len(on):
             continue
-        moved = static_displacements(compliance, forces[on], on, np.arange(len(forces)))
+        displacement = static_displacements(compliance, forces[on], on, np.arange(len(forces)))
         total = float(np.linalg.norm(forces.sum(axis=0)))
-        moved *= compliance.bonded_scale if nodal else secant_factor(compliance.stiffening, total)
-        result[compliance.nodes] += moved
+        displacement *= compliance.bonded_scale if nodal else secant_factor(compliance.stiffening, total)
+        result[compliance.nodes] += displacement
         if compliance.interior is not None:
             own = carrier_forces(compliance, forces[on], on)
             result[compliance.interior.nodes] += interior_displacements(
-                compliance.interior, own, spread(compliance.flexibility, own)
+                compliance.interior, own, flexible_displacements(compliance.flexibility, own)
             )
         share = 1.0 if nodal else energy_factor(compliance.stiffening, total)
-        energy += 0.5 * share * float(np.sum(forces[on] * moved[on]))
+        energy += 0.5 * share * float(np.sum(forces[on] * displacement[on]))
     return result, energy
 
 
 def static_displacements(compliance: SurfaceCompliance, forces: Floats, on: Ints, there: Ints) -> Floats:
-    """Return the displacements (t, 3) [m] of some nodes by statics, for forces (j, 3) [N] on others."""
+    """Return the static displacements (t, 3) [m] of nodes `there` for forces (j, 3) [N] on nodes `on`."""
     if not compliance.flexibility.size:
         return np.zeros((len(there), 3))
-    spreading = spread(compliance.flexibility, carrier_forces(compliance, forces, on))
-    moved = np.einsum("tw,twc->tc", compliance.weights[there], spreading[compliance.carriers[there]])
-    if compliance.nearby.size:  # as it is symmetric, a node's row also tells how its force moves the others
+    spreading = flexible_displacements(compliance.flexibility, carrier_forces(compliance, forces, on))
+    displacement = np.einsum("tw,twc->tc", compliance.weights[there], spreading[compliance.carriers[there]])
+    if compliance.nearby.size:  # the near-field correction is symmetric, so a row serves as a column
         nearby = np.zeros((len(compliance.nodes), 3))
         np.add.at(nearby, compliance.nearby[on], np.einsum("jqdc,jd->jqc", compliance.near_field[on], forces))
-        moved += nearby[there]
-    return np.asarray(moved)
+        displacement += nearby[there]
+    return np.asarray(displacement)
 
 
 def carrier_forces(compliance: SurfaceCompliance, forces: Floats, on: Ints) -> Floats:

@@ -1,9 +1,10 @@
-"""What dents do inside a body: the residual flexibility of its inner nodes, for displacements of the whole body.
+"""Displacements of the interior nodes by the residual flexibility of a body.
 
-A tool's forces on the surface move a node inside, beside what the modes do, by the statics at rest that modes leave,
-R f, with R as for the surface (`palpate.reduction.contact.residual_flexibility`), its rows those of nodes inside. Little of it is large
-strain: unlike near the tool on the surface, R needs neither a factor nor hardening to be what runs under known forces
-show. A coarser model's displacements are carried to the nodes inside a finer one by linear fits.
+A force of a tool on the surface moves an interior node, in addition to the modes, by R f. The rows of R
+are those of interior nodes in the residual flexibility at rest, as for the surface
+(`palpate.reduction.contact.residual_flexibility`). Strains are small there: unlike near the tool, R
+needs neither a factor nor stiffening to agree with runs under known forces. Linear fits carry the
+displacements of a coarser model over to the interior nodes of a finer one.
 """
 
 from __future__ import annotations
@@ -17,31 +18,31 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.meshfree.cloud import Cloud
 
-__all__ = ["Interior", "interior", "interior_displacements", "spread"]
+__all__ = ["Interior", "flexible_displacements", "interior_displacements", "interior_flexibility"]
 
 
-SOURCES = 12  # nodes of a coarser model that a finer one's follows
-WIDTH = 0.6  # of the coarse spacing: where a source's weight in the fit has fallen to 1/e
-FLAT = 1e-3  # of the weights: keeps a fit from slopes that its sources do not know
-DIGITS = 11  # binary ones that are kept of the flexibility: more would double the model's file
+MAX_SOURCES = 12  # coarse nodes in the fit of a fine node
+KERNEL_WIDTH = 0.6  # distance at which a source's weight falls to 1/e, in coarse spacings
+SLOPE_RIDGE = 1e-3  # regularisation of the slopes of a fit, as a fraction of the weights
+BINARY_DIGITS = 11  # binary digits of the stored flexibility; more would double the size of the model's file
 
 
 class Interior(NamedTuple):
-    """How a body's nodes inside follow forces on its surface, beside its modes.
+    """Linear dependence of the interior nodes on forces on the surface, in addition to the modes.
 
     Parameters
     ----------
     nodes : (i,) int array
-        Free nodes that no tool may touch.
+        Free interior nodes.
     flexibility : (3 c, 3 b) float32 array [m/N]
-        Displacements of some of them, or of a coarser model's, columns 3 b + component, by forces on the carriers of
-        the surface (`Dents.carriers`).
+        Displacements of b of them, or of a coarser model's, columns 3 b + component, by forces on the
+        carriers of the surface (`SurfaceCompliance.carriers`).
     sources : (i, w) int array
-        What each node follows: from 0 those of the flexibility, then from b on the carriers.
+        Sources of each node: first the b columns of the flexibility, then the carriers.
     shares : (i, w) array
-        How much.
+        Weights of the sources.
     factor : float
-        Of the surface's flexibility (`Dents.flexibility`) over R.
+        Ratio of the surface's flexibility (`SurfaceCompliance.flexibility`) to R.
     """
 
     nodes: Ints
@@ -51,61 +52,63 @@ class Interior(NamedTuple):
     factor: float = 1.0
 
 
-def interior(coarse: Cloud, those: Ints, carriers: Ints, rows: Floats, fine: Cloud, nodes: Ints) -> Interior:
-    """Lay out how the nodes inside a body follow.
+def interior_flexibility(
+    coarse: Cloud, coarse_nodes: Ints, carriers: Ints, rows: Floats, fine: Cloud, nodes: Ints
+) -> Interior:
+    """Return the dependence of the interior nodes of a body on forces on its surface.
 
     Parameters
     ----------
     coarse, fine : Cloud
-        Of one body; they may be one.
-    those : (b,) int array
-        Free nodes inside the coarse one.
+        Of one body; they may be the same.
+    coarse_nodes : (b,) int array
+        Free interior nodes of the coarse cloud.
     carriers : (c,) int array
         Its free nodes on the surface.
     rows : (3 b, 3 c) array [m/N]
         Residual flexibility of the former for forces on the latter.
     nodes : (i,) int array
-        Free nodes inside the fine one.
+        Free interior nodes of the fine cloud.
     """
     if coarse is fine:
-        sources, shares = np.searchsorted(those, nodes)[:, None], np.ones((len(nodes), 1))
+        sources, shares = np.searchsorted(coarse_nodes, nodes)[:, None], np.ones((len(nodes), 1))
     else:
-        known = coarse.points[np.concatenate([those, carriers])]
-        sources, shares = _followed(fine.points[nodes], known, coarse.spacing)
+        known = coarse.points[np.concatenate([coarse_nodes, carriers])]
+        sources, shares = _linear_fits(fine.points[nodes], known, coarse.spacing)
     fraction, exponent = np.frexp(rows.T)
-    kept = np.ldexp(np.round(fraction * 2**DIGITS), exponent - DIGITS)
-    return Interior(nodes, np.ascontiguousarray(kept, dtype=np.float32), sources, shares)
+    rounded = np.ldexp(np.round(fraction * 2**BINARY_DIGITS), exponent - BINARY_DIGITS)
+    return Interior(nodes, np.ascontiguousarray(rounded, dtype=np.float32), sources, shares)
 
 
-def _followed(points: Floats, known: Floats, spacing: float) -> tuple[Ints, Floats]:
-    """Return nodes and weights (i, w) of linear fits to what is known at some places."""
-    distances, sources = cKDTree(known).query(points, k=range(1, min(SOURCES, len(known)) + 1))
-    weights = np.exp((distances[:, :1] ** 2 - distances**2) / (WIDTH * spacing) ** 2)
+def _linear_fits(points: Floats, known: Floats, spacing: float) -> tuple[Ints, Floats]:
+    """Return sources and weights (i, w) of linear fits at points to values at known positions."""
+    distances, sources = cKDTree(known).query(points, k=range(1, min(MAX_SOURCES, len(known)) + 1))
+    weights = np.exp((distances[:, :1] ** 2 - distances**2) / (KERNEL_WIDTH * spacing) ** 2)
     away = (known[sources] - points[:, None]) / spacing
     basis = np.concatenate([np.ones((*sources.shape, 1)), away], axis=2)
     moments = np.einsum("iw,iwp,iwq->ipq", weights, basis, basis)
-    moments[:, [1, 2, 3], [1, 2, 3]] += FLAT * weights.sum(axis=1, keepdims=True)
+    moments[:, [1, 2, 3], [1, 2, 3]] += SLOPE_RIDGE * weights.sum(axis=1, keepdims=True)
     level = np.linalg.solve(moments, np.eye(4)[None, :, :1])[:, :, 0]
     return sources, weights * np.einsum("iwp,ip->iw", basis, level)
 
 
 def interior_displacements(of: Interior, forces: Floats, surface: Floats) -> Floats:
-    """Return what a tool does to the nodes inside beside the modes, shape (i, 3) [m].
+    """Return the displacements (i, 3) [m] of the interior nodes by a tool, in addition to the modes.
 
     Parameters
     ----------
-    of : Inside
+    of : Interior
     forces : (c, 3) array [N]
         Of the tool, on the carriers of the surface.
     surface : (c, 3) array [m]
-        What they do to the carriers by `Dents.flexibility`.
+        Displacements of the carriers by `SurfaceCompliance.flexibility`.
     """
-    known = np.concatenate([spread(of.flexibility, forces), surface / of.factor])
+    known = np.concatenate([flexible_displacements(of.flexibility, forces), surface / of.factor])
     return np.asarray(np.einsum("iw,iwc->ic", of.shares, known[of.sources]))
 
 
-def spread(flexibility: NDArray[np.float32], forces: Floats) -> Floats:
-    """Return the displacements (b, 3) [m] by a flexibility (3 c, 3 b) and few forces (c, 3) [N]."""
+def flexible_displacements(flexibility: NDArray[np.float32], forces: Floats) -> Floats:
+    """Return the displacements (b, 3) [m] by a flexibility (3 c, 3 b) and sparse forces (c, 3) [N]."""
     loaded = np.flatnonzero(forces.any(axis=1))
     rows = (3 * loaded[:, None] + np.arange(3)).ravel()
     return np.asarray(forces[loaded].reshape(-1) @ flexibility[rows]).reshape(-1, 3)

@@ -1,9 +1,9 @@
-"""What a coarser model misses of the compliance between surface nodes of a body that are close to each other.
+"""Near-field correction of a coarse residual flexibility between nearby surface nodes.
 
-A coarse surface knows how forces move the surface some way off, not how a fine one gives way around them. The
-difference is local: a fine and a coarse piece of the body about a place, both held where they are cut out, differ as
-the whole bodies do, up to what falls with the third power of the distance. So the compliances of many small pieces give
-it.
+A coarse surface represents the displacements at some distance from the forces, but not the fine
+indentation around them. The difference is local. A fine and a coarse piece of the body about a
+point, both fixed where they are cut out, differ as the whole bodies do, up to terms that fall with the
+third power of the distance. So the correction follows from the compliances of many small pieces.
 """
 
 from __future__ import annotations
@@ -24,73 +24,75 @@ from palpate.reduction.basis.linear_modes import stiffness_blocks
 __all__ = ["add_own_compliance", "near_field_compliance"]
 
 
-PIECE, REACH, MARGIN = 1.0, 2.5, 1.0  # coarse spacings: a piece's heart, how far beyond nodes are close, and the rest
-FALLING = 0.5  # of the reach, from where on the difference is faded out
-TOLERANCE, SPARE = 1e-3, 0.05  # of the lowest compliance
+# radii in coarse spacings: of a piece's core, of the near field beyond it, and of the rest of the piece
+CORE_RADIUS, NEAR_RADIUS, MARGIN = 1.0, 2.5, 1.0
+FADE_START = 0.5  # where the correction starts to fade out, as a fraction of the near radius
+TOLERANCE, SAFETY = 1e-3, 0.05  # of the lowest compliance
 
 
 def near_field_compliance(
-    fine: Solid, nodes: Ints, coarse: Solid, those: Ints, places: Ints, weights: Floats
+    fine: Solid, nodes: Ints, coarse: Solid, coarse_nodes: Ints, places: Ints, weights: Floats
 ) -> tuple[Ints, NDArray[np.float32]]:
-    """Return what a coarser model misses of the compliance between close surface nodes at rest.
+    """Return the near-field correction between nearby surface nodes at rest.
 
     Parameters
     ----------
     fine, coarse : Solid
         Of one body, in the energy form.
-    nodes, those : (k,), (c,) int arrays
-        Surface nodes of either; none of them held.
+    nodes, coarse_nodes : (k,), (c,) int arrays
+        Free surface nodes of either.
     places, weights : (k, w) arrays
-        Which of `those` stand for each of `nodes` (`palpate.reduction.contact.residual_flexibility.carriers`).
+        Carriers of each of `nodes` in `coarse_nodes`
+        (`palpate.reduction.contact.residual_flexibility.carriers`).
 
     Returns
     -------
-    close : (k, q) int array
-        In `nodes`, those close to each; where there are fewer, the node itself again.
-    between : (k, q, 3, 3) float32 array [m/N]
-        How a force on a close node moves the node, more than by its carriers; zero where `close` repeats.
+    nearby : (k, q) int array
+        In `nodes`, those near each; padded with the node itself.
+    near_field : (k, q, 3, 3) float32 array [m/N]
+        Compliance from a nearby node to the node, minus that of their carriers; zero in the padding.
 
     Raises
     ------
     InputError
-        A strong form.
+        A model has the strong form.
     """
     points = fine.cloud.points[nodes]
-    heart, reach, margin = (coarse.cloud.spacing * share for share in (PIECE, REACH, MARGIN))
+    core, near_radius, margin = (coarse.cloud.spacing * share for share in (CORE_RADIUS, NEAR_RADIUS, MARGIN))
     tree, bodies = cKDTree(points), (_Piece(fine), _Piece(coarse))
     carried = sparse.csr_array(
-        (weights.ravel(), (np.repeat(np.arange(len(nodes)), weights.shape[1]), those[places].ravel())),
+        (weights.ravel(), (np.repeat(np.arange(len(nodes)), weights.shape[1]), coarse_nodes[places].ravel())),
         (len(nodes), len(coarse.cloud)),
     )
     rows, columns, blocks = [], [], []
-    for middle, own in _hearts(tree, heart):
-        around = np.array(tree.query_ball_point(points[middle], heart + reach))
-        radius = heart + reach + margin
+    for middle, own in _cores(tree, core):
+        around = np.array(tree.query_ball_point(points[middle], core + near_radius))
+        radius = core + near_radius + margin
         exact = bodies[0].compliance(points[middle], radius, nodes[own], nodes[around])
         used = np.unique(carried[around].indices)
         rough = bodies[1].compliance(points[middle], radius, used, used)
         first, second = carried[own][:, used], carried[around][:, used]
-        known = np.einsum("acbd,jb->acjd", rough, second.toarray(), optimize=True)
-        missed = exact - np.einsum("ia,acjd->icjd", first.toarray(), known, optimize=True)
+        coarse_compliance = np.einsum("acbd,jb->acjd", rough, second.toarray(), optimize=True)
+        correction = exact - np.einsum("ia,acjd->icjd", first.toarray(), coarse_compliance, optimize=True)
         distance = np.linalg.norm(points[own][:, None] - points[around], axis=2)
-        i, j = np.nonzero(distance < reach)
+        i, j = np.nonzero(distance < near_radius)
         rows.append(own[i])
         columns.append(around[j])
-        blocks.append(missed[i, :, j] * _fading(distance[i, j], reach)[:, None, None])
-    return _by_row(np.concatenate(rows), np.concatenate(columns), np.concatenate(blocks), len(nodes))
+        blocks.append(correction[i, :, j] * _fade_factor(distance[i, j], near_radius)[:, None, None])
+    return _table_of_blocks(np.concatenate(rows), np.concatenate(columns), np.concatenate(blocks), len(nodes))
 
 
 class _Piece:
-    """A body of which pieces are cut out."""
+    """A body from which pieces are cut out."""
 
     def __init__(self, body: Solid) -> None:
         self.tree, self.free = cKDTree(body.cloud.points), ~body.fixed_mask
         self.blocks = stiffness_blocks(body, np.float32)
 
     def compliance(self, middle: Floats, radius: float, moved: Ints, pushed: Ints) -> Floats:
-        """Return how forces on some nodes move others (m, 3, p, 3) [m/N], if all beyond a radius are held.
+        """Return the compliance (m, 3, p, 3) [m/N] from forces on some nodes to others, fixed beyond a radius.
 
-        Nodes that are held themselves do not move.
+        Fixed nodes do not move.
         """
         ball = np.array(self.tree.query_ball_point(middle, radius))
         ball = np.sort(ball[self.free[ball]])
@@ -116,8 +118,8 @@ class _Piece:
         return result
 
 
-def _hearts(tree: Any, size: float) -> list[tuple[int, Ints]]:
-    """Part points into sets within a distance of one of theirs; return that one and the set."""
+def _cores(tree: Any, size: float) -> list[tuple[int, Ints]]:
+    """Partition points into sets within a distance of one of theirs; return that point and the set."""
     left, found = np.ones(tree.n, dtype=bool), []
     for middle in range(tree.n):
         if left[middle]:
@@ -128,13 +130,13 @@ def _hearts(tree: Any, size: float) -> list[tuple[int, Ints]]:
     return found
 
 
-def _fading(distance: Floats, reach: float) -> Floats:
-    along = np.clip((distance / reach - FALLING) / (1 - FALLING), 0.0, 1.0)
+def _fade_factor(distance: Floats, near_radius: float) -> Floats:
+    along = np.clip((distance / near_radius - FADE_START) / (1 - FADE_START), 0.0, 1.0)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * along))
 
 
-def _by_row(rows: Ints, columns: Ints, blocks: Floats, count: int) -> tuple[Ints, NDArray[np.float32]]:
-    """Return blocks of pairs, made symmetric, as a table of so many rows."""
+def _table_of_blocks(rows: Ints, columns: Ints, blocks: Floats, count: int) -> tuple[Ints, NDArray[np.float32]]:
+    """Return blocks of node pairs, made symmetric, as a table with one row per node."""
     there = np.lexsort((columns, rows))
     back = np.lexsort((rows, columns))
     mean = 0.5 * (blocks[there] + blocks[back].transpose(0, 2, 1))
@@ -150,9 +152,12 @@ def _by_row(rows: Ints, columns: Ints, blocks: Floats, count: int) -> tuple[Ints
 def add_own_compliance(
     flexibility: Floats, carriers: Ints, weights: Floats, nearby: Ints, near_field: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return `between` with so much more of the nodes' own compliance that no forces pull the surface towards them.
+    """Return `near_field` with additional own compliance of the nodes, so that the sum is positive definite.
 
-    Parameters are those of `palpate.reduction.contact.compliance.Dents`.
+    Parameters
+    ----------
+    flexibility, carriers, weights, nearby, near_field : arrays
+        As of `palpate.reduction.contact.compliance.SurfaceCompliance`.
     """
     count, size = len(nearby), len(flexibility) // 3
     pairs = (weights.ravel(), (np.repeat(np.arange(count), weights.shape[1]), carriers.ravel()))
@@ -170,5 +175,5 @@ def add_own_compliance(
         return near_field
     itself = (nearby == np.arange(count)[:, None]).argmax(axis=1)
     raised = near_field.copy()
-    raised[np.arange(count), itself] -= (1 + SPARE) * lowest * np.eye(3, dtype=np.float32)
+    raised[np.arange(count), itself] -= (1 + SAFETY) * lowest * np.eye(3, dtype=np.float32)
     return raised

@@ -1,4 +1,4 @@
-"""The surface of a reduced body, the tools on it, and what they keep from step to step."""
+"""Contact surface of a reduced body, rigid tools, and the arrays of their contact."""
 
 from __future__ import annotations
 
@@ -19,62 +19,76 @@ from palpate.reduction.contact.compliance import (
     compliance_table,
 )
 
-__all__ = ["ContactScratch", "ContactSurface", "RigidTools", "contact_scratch", "contact_surface", "rigid_tools"]
+__all__ = [
+    "PAIRS",
+    "SWEEPS",
+    "UNCONVERGED",
+    "ContactScratch",
+    "ContactSurface",
+    "RigidTools",
+    "contact_scratch",
+    "contact_surface",
+    "rigid_tools",
+]
 
 
-CLUSTER = 32  # surface nodes in a cluster, about
+CLUSTER_SIZE = 32  # most surface nodes in a cluster
+PAIRS, SWEEPS, UNCONVERGED = range(3)  # entries of `ContactScratch.numbers`: now, in the last step, steps so far
 
 
 class ContactSurface(NamedTuple):
-    """The part of a reduced body that tools touch."""
+    """Surface of a reduced body that tools may touch."""
 
     nodes: Ints  # (k,) surface nodes, by cluster
-    points: Floats  # (k, 3) reference places [m]
-    columns: NDArray[np.float32]  # (k, 3, m) their displacements by unit coordinates
-    start: Ints  # (c + 1,) of the clusters
-    leader: Ints  # (c,) a node in the middle of each
-    extent: Floats  # (c,) how far from it others are at rest [m]
+    points: Floats  # (k, 3) reference positions [m]
+    columns: NDArray[np.float32]  # (k, 3, m) displacements by unit coordinates
+    start: Ints  # (c + 1,) first node of each cluster
+    leader: Ints  # (c,) a node in the middle of each cluster
+    extent: Floats  # (c,) largest distance from it at rest [m]
     compliance: ComplianceTable
 
 
 class RigidTools(NamedTuple):
-    """Rigid tools, and what they do."""
+    """Rigid tools, and their forces and impulses on the body."""
 
     kind: Ints  # (t,) of their shapes
     sizes: Floats  # (t, 3) [m]
     friction: Floats  # (t,)
-    origins: Floats  # (t, 3) the point about which forceps hold the body at rest [m]
-    frames: Floats  # (t, 2, 3, 4) rotations and places [m] before and after a step
+    origins: Floats  # (t, 3) origin of forceps on the body at rest [m]
+    frames: Floats  # (t, 2, 3, 4) rotations and positions [m] before and after a step
     load: Floats  # (m,) forces on the coordinates
-    impulses: Floats  # (t, 6) [N s] and moments about the origins [N m s] on the body, added up
-    given: Floats  # (k, 3) impulses [N s] on the nodes, added up
-    way: Floats  # (2, 3, 4) in real time: a tool's frames before and after a period
+    impulses: Floats  # (t, 6) sums of impulses [N s] and moments about the origins [N m s] on the body
+    nodal_impulses: Floats  # (k, 3) sums of impulses [N s] on the nodes
+    path: Floats  # (2, 3, 4) in real time: frames of a tool before and after a period
 
 
 class ContactScratch(NamedTuple):
-    """What one step hands to the next, and scratch."""
+    """Contact forces and positions of the last step, and work arrays.
+
+    A pair is a node in contact with a tool; e counts pairs.
+    """
 
     force: Floats  # (t, k, 3) [N]
-    place: Floats  # (t, k, 3) [m], of the nodes that are touched
-    busy: NDArray[np.bool_]  # (t, c) clusters that were near the tool in the last step
-    node: Ints  # (e,) touched: place in the skin, of each pair of a node and a tool
-    point: Ints  # (e,) its patch, or the node itself where it is held, in the compliance
+    place: Floats  # (t, k, 3) [m] positions of the nodes in contact
+    busy: NDArray[np.bool_]  # (t, c) clusters near the tool in the last step
+    node: Ints  # (e,) number of the pair's node in `ContactSurface.nodes`
+    point: Ints  # (e,) row of its patch in the compliance, or of the node where it is bonded
     tool: Ints  # (e,)
-    modal: Floats  # (e, 3) [m]
-    now: Floats  # (e, 3) [m]
-    before: Floats  # (e, 3) [m]
+    modal: Floats  # (e, 3) [m] position by the coordinates alone
+    now: Floats  # (e, 3) [m] position with the surface compliance
+    before: Floats  # (e, 3) [m] position before the step
     push: Floats  # (e, 3) [N]
-    wide: Floats  # (3,)
-    soft: Floats  # (t,) what hardening leaves of the compliance
+    displacement: Floats  # (3,) scratch
+    factor: Floats  # (t,) secant factor of the compliance under each tool
     active: ActiveCompliance
-    numbers: Ints  # (3,) pairs now, sweeps of the last step, steps whose sweeps did not end
+    numbers: Ints  # (3,) see PAIRS, SWEEPS and UNCONVERGED
 
 
 def contact_surface(compliance: SurfaceCompliance, points: Floats, columns: Floats) -> ContactSurface:
-    """Lay out the surface of a body with nodes at points (n, 3) and columns (m, n, 3), in clusters."""
-    order, start = _clusters(points[compliance.nodes], CLUSTER)
+    """Return the contact surface, in clusters, of a body with nodes at (n, 3) and basis vectors (m, n, 3)."""
+    order, start = _clusters(points[compliance.nodes], CLUSTER_SIZE)
     nodes = compliance.nodes[order]
-    points, columns, laid = points[nodes], columns[:, nodes], compliance_table(compliance, order)
+    points, columns, table = points[nodes], columns[:, nodes], compliance_table(compliance, order)
     leader, extent = [], []
     for begin, end in pairwise(start):
         own_points = points[begin:end]
@@ -82,13 +96,18 @@ def contact_surface(compliance: SurfaceCompliance, points: Floats, columns: Floa
         leader.append(begin + middle)
         extent.append(np.linalg.norm(own_points - own_points[middle], axis=1).max())
     return ContactSurface(
-        nodes, np.ascontiguousarray(points), np.ascontiguousarray(columns.transpose(1, 2, 0), dtype=np.float32),
-        start, np.array(leader, dtype=np.int64), np.array(extent, dtype=float), laid,
-    )  # fmt: skip
+        nodes=nodes,
+        points=np.ascontiguousarray(points),
+        columns=np.ascontiguousarray(columns.transpose(1, 2, 0), dtype=np.float32),
+        start=start,
+        leader=np.array(leader, dtype=np.int64),
+        extent=np.array(extent, dtype=float),
+        compliance=table,
+    )
 
 
 def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
-    """Halve a set of points across its longest extent until no part has more than `size`."""
+    """Return an order of points, and the starts of clusters of at most `size`, by recursive bisection."""
     parts, done = [np.arange(len(points))] if len(points) else [], [np.zeros(0, dtype=np.int64)]
     while parts:
         part = parts.pop()
@@ -102,25 +121,43 @@ def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
 
 
 def rigid_tools(prepared: PreparedLoads | None, of: ContactSurface) -> RigidTools:
-    """Make the tools of a drive ready; None for no tool."""
+    """Return the tools of prepared loads; none for None."""
     kind, sizes, friction, origins = np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
     if prepared is not None:
         kind, sizes, friction = prepared.contacts.kind, prepared.contacts.sizes, prepared.contacts.friction
         shapes = [load.tool for load in prepared.tools]
         origins = np.array([s.point if isinstance(s, Forceps) else np.zeros(3) for s in shapes]).reshape(-1, 3)
     return RigidTools(
-        kind, sizes, friction, origins, np.zeros((len(kind), 2, 3, 4)), np.zeros(of.columns.shape[2]),
-        np.zeros((len(kind), 6)), np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
-    )  # fmt: skip
+        kind=kind,
+        sizes=sizes,
+        friction=friction,
+        origins=origins,
+        frames=np.zeros((len(kind), 2, 3, 4)),
+        load=np.zeros(of.columns.shape[2]),
+        impulses=np.zeros((len(kind), 6)),
+        nodal_impulses=np.zeros((len(of.nodes), 3)),
+        path=np.zeros((2, 3, 4)),
+    )
 
 
 def contact_scratch(of: ContactSurface, tools: int) -> ContactScratch:
-    """Allocate for a number of tools; none touches."""
-    most, by_tool = tools * len(of.nodes), (tools, len(of.nodes), 3)
-    modal, now, before, push = np.zeros((4, most, 3))
-    kept = active_compliance(of.compliance, tools)
-    node, point, tool = np.zeros((3, most), dtype=np.int64)
+    """Return zeroed work arrays for a number of tools, none of them in contact."""
+    pairs, by_tool = tools * len(of.nodes), (tools, len(of.nodes), 3)
+    modal, now, before, push = np.zeros((4, pairs, 3))
+    node, point, tool = np.zeros((3, pairs), dtype=np.int64)
     return ContactScratch(
-        np.zeros(by_tool), np.zeros(by_tool), np.ones((tools, len(of.leader)), dtype=np.bool_), node, point, tool,
-        modal, now, before, push, np.zeros(3), np.ones(tools), kept, np.zeros(3, dtype=np.int64),
-    )  # fmt: skip
+        force=np.zeros(by_tool),
+        place=np.zeros(by_tool),
+        busy=np.ones((tools, len(of.leader)), dtype=np.bool_),
+        node=node,
+        point=point,
+        tool=tool,
+        modal=modal,
+        now=now,
+        before=before,
+        push=push,
+        displacement=np.zeros(3),
+        factor=np.ones(tools),
+        active=active_compliance(of.compliance, tools),
+        numbers=np.zeros(3, dtype=np.int64),
+    )

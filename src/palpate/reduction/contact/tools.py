@@ -1,4 +1,4 @@
-"""Rigid tools on the surface of a reduced body: their poses, contact states and forces in a run."""
+"""Rigid tools on the contact surface of a reduced body: their poses, contact states and forces in a run."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ __all__ = ["ContactTools", "bonded_nodes", "contact_at_frame", "tool_displacemen
 
 
 class ContactTools:
-    """The tools of a drive on a reduced model's surface.
+    """Tools on the contact surface of a reduced model.
 
     Parameters
     ----------
-    of : Skin
-    drive : Drive
+    of : ContactSurface
+    prepared : PreparedLoads
     """
 
     def __init__(self, of: ContactSurface, prepared: PreparedLoads) -> None:
@@ -32,8 +32,8 @@ class ContactTools:
         self.tools: RigidTools = rigid_tools(prepared, of)
         self.contact_state: ContactScratch = contact_scratch(of, len(prepared.tools))
 
-    def begun(self, displacements: Callable[[], Floats], time: float, spacing: float) -> ContactState | None:
-        """Return what tools do at the start of a run: nothing; refuse those inside the body."""
+    def initial_state(self, displacements: Callable[[], Floats], time: float, spacing: float) -> ContactState | None:
+        """Return the contact state at the start of a run, without forces; refuse tools inside the body."""
         if not self.prepared.tools:
             return None
         schedule = self.prepared.schedule(np.array([time]))
@@ -42,30 +42,27 @@ class ContactTools:
         return initial_contact_state(len(self.prepared.tools), len(moved), time, len(self.contact_surface.nodes))
 
     def poses(self, times: Floats, before: ContactState | None, spacing: float) -> Floats:
-        """Return the tools' poses (s, t, 7) at the times of some steps, ready to go on from what they did before."""
+        """Return the poses (s, t, 7) of the tools at the times of some steps, and load the contact state."""
         if before is None:
             return np.zeros((0, 0, 7))
         schedule = self.prepared.schedule(times)
         check_tool_step(self.prepared, schedule, spacing)
-        self.contact_state.force[:], self.contact_state.place[:], self.contact_state.busy[:] = (
-            before.surface_forces,
-            before.surface_positions,
-            True,
-        )
-        self.tools.impulses[:], self.tools.given[:] = 0.0, 0.0
+        scratch = self.contact_state
+        scratch.force[:], scratch.place[:], scratch.busy[:] = before.surface_forces, before.surface_positions, True
+        self.tools.impulses[:], self.tools.nodal_impulses[:] = 0.0, 0.0
         for t, tool in enumerate(self.prepared.tools):
             if isinstance(tool.tool, Forceps):
                 schedule.poses[times > tool.tool.until * (1 + 1e-9), t] = np.nan
         return schedule.poses
 
-    def after(self, before: ContactState | None) -> ContactState | None:
-        """Return what the tools have done after some steps."""
+    def final_state(self, before: ContactState | None) -> ContactState | None:
+        """Return the contact state after some steps."""
         if before is None:
             return None
         nodes = self.contact_surface.nodes
         forces, nodal_impulses = np.zeros_like(before.forces), before.nodal_impulses.copy()
         forces[nodes] = self.contact_state.force.sum(axis=0)
-        nodal_impulses[nodes] += self.tools.given
+        nodal_impulses[nodes] += self.tools.nodal_impulses
         return ContactState(
             forces, before.impulses + self.tools.impulses, before.start_time, nodal_impulses,
             self.contact_state.place.copy(), self.contact_state.force.copy(), before.constraint_impulses,
@@ -79,7 +76,7 @@ def tool_displacements(
     contact_state: ContactState | None,
     prepared: PreparedLoads,
 ) -> tuple[Floats, float]:
-    """Return displacements (n, 3) [m] and energy [J] that tools add to those of a reduced model's modes."""
+    """Return displacements (n, 3) [m] and energy [J] of the surface compliance under the tools of a state."""
     if contact_state is None or compliance is None:
         return np.zeros((len(points), 3)), 0.0
     pushes = np.zeros((len(contact_state.surface_forces), len(points), 3))
@@ -97,7 +94,7 @@ def bonded_nodes(of: ContactSurface, contact_state: ContactState | None, prepare
 
 
 def contact_at_frame(run: Trajectory, frame: int, nodes: int) -> ContactState | None:
-    """Return the mean forces of tools in a frame of a run since the frame before; None where they do nothing."""
+    """Return the mean contact forces of a run since the previous frame; None without forces."""
     rows = run.contact_forces[run.contact_forces[:, 0] == frame]
     if not len(rows):
         return None

@@ -1,23 +1,61 @@
-"""The compiled step of a reduced model: the full model's passes on derivatives lifted from few coordinates."""
+"""The compiled step of the Galerkin model: passes of the full model on derivatives from few coordinates."""
 
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.nodal.central_difference import surface_force
 
-__all__ = ["reduced_step"]
+__all__ = ["BasisData", "BodyData", "StepScratch", "reduced_step"]
+
+
+class BodyData(NamedTuple):
+    """Constants of the full model, and its work arrays."""
+
+    body: Any
+    work: Any
+    volumes: Floats  # (n,) [m^3]
+    slot: Any  # place of each node in the blocks
+    half_cell: float
+    density: float  # [kg/m^3]
+    stiffness_damping: float  # [s]
+
+
+class BasisData(NamedTuple):
+    """Basis vectors and test functions, with their products."""
+
+    table: Floats  # (b, m, numbers, LANES) derivatives of the basis vectors
+    vectors: Floats  # (m, n, 3)
+    test: Floats  # (m, 3 n)
+    mass: Floats  # (m, m)
+    gravity_test: Floats  # (m, 3)
+    gravity_work: Floats  # (m, 3)
+    wave_speed: Floats  # (l,) largest rates of the lifting coordinates in the damping forces
+
+
+class StepScratch(NamedTuple):
+    """Work arrays of the step."""
+
+    force: Floats  # (n, 3)
+    surface: Floats  # (n, 3)
+    partial: Floats  # (b, m)
+    coordinates: Floats  # (m,)
+    result: Floats  # (m,)
+    previous: Floats  # (m,)
+    rates: Floats  # (m,)
+    power: Floats  # (m,)
 
 
 @kernel_njit(parallel=True, fastmath={"contract", "reassoc"})
 def _project(test, force, result):  # type: ignore[no-untyped-def]
-    """result[m] = sum over the nodes of test[m] . force; every mode by one thread, in one order."""
+    """Write the sum over the nodes of test[m] . force for every m, each by one thread, in one order."""
     flat = force.reshape(-1)
     for m in prange(test.shape[0]):
         total = 0.0
@@ -28,27 +66,33 @@ def _project(test, force, result):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit()
-def _tractions(sites, surface, modes, test, volumes, half_cell, result, power):  # type: ignore[no-untyped-def]
-    """Add the tractions to the projected force, and the power of their parts on each coordinate to `power`."""
+def _add_surface_forces(sites, body, basis, work):  # type: ignore[no-untyped-def]
+    """Add the surface forces to the projected force, and their power on each coordinate to `work.power`."""
+    surface, power, result, vectors, test = work.surface, work.power, work.result, basis.vectors, basis.test
     for nodes in (sites.dead_node, sites.pressure_node):
         for k in range(nodes.shape[0]):
             i = nodes[k]
             for c in range(3):
                 value = surface[i, c]
-                surface[i, c] = 0.0  # a node that two loads share counts once
-                for m in range(modes.shape[0]):
-                    power[m] += volumes[i] * value * modes[m, i, c]
+                surface[i, c] = 0.0  # a node with two loads counts once
+                for m in range(vectors.shape[0]):
+                    power[m] += body.volumes[i] * value * vectors[m, i, c]
                 for m in range(result.shape[0]):
-                    result[m] += half_cell * value * test[m, 3 * i + c]
+                    result[m] += body.half_cell * value * test[m, 3 * i + c]
 
 
 @cache
 def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
-    """Compile the projected force and the steps of a reduced model.
+    """Compile the projected force and the steps of a Galerkin model.
 
     Returns
     -------
     projected_force, advance : functions
+        ``projected_force(coordinates, body, basis, work)`` writes to `work.result`.
+        ``advance(a, velocity, lifting, holds, step, loads, responses, body, basis, work)`` advances
+        coordinates and velocities (m,) in place, and returns the work of the loads, the dissipation, and
+        the work of the tools [J]. `loads` are sites and history, `responses` the inverse mass matrices of
+        the modes and of all coordinates.
     """
     digest, respond, finish = formulation.digest, formulation.respond_to_columns, formulation.finish
     project = formulation.project
@@ -56,86 +100,57 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
     if project is None:
 
         @law_njit(digest)
-        def projected_force(columns, table, test, body, work, volumes, partial, force, result):  # type: ignore[no-untyped-def]
-            respond(columns, table, body, work)
-            finish(body, work, force)
-            _project(test, force, result)
+        def projected_force(coordinates, body, basis, work):  # type: ignore[no-untyped-def]
+            respond(coordinates, basis.table, body.body, body.work)
+            finish(body.body, body.work, work.force)
+            _project(basis.test, work.force, work.result)
 
     else:
 
         @law_njit(digest)
-        def projected_force(columns, table, test, body, work, volumes, partial, force, result):  # type: ignore[no-untyped-def]
-            respond(columns, table, body, work)
-            project(table, body, work, volumes, partial, result)
+        def projected_force(coordinates, body, basis, work):  # type: ignore[no-untyped-def]
+            respond(coordinates, basis.table, body.body, body.work)
+            project(basis.table, body.body, body.work, body.volumes, work.partial, work.result)
 
     @law_njit(digest)
-    def advance(  # type: ignore[no-untyped-def]
-        a,
-        velocity,
-        lifting,
-        holds,
-        step,
-        beta,
-        wave_speed,
-        table,
-        modes,
-        test,
-        mass,
-        body,
-        work,
-        sites,
-        schedule,
-        gravity_test,
-        gravity_work,
-        held_response,
-        free_response,
-        volumes,
-        density,
-        half_cell,
-        slot,
-        force,
-        partial,
-        surface,
-        columns,
-        result,
-        previous,
-        rates,
-        power,
-    ):
-        total, lost, tools, steps = 0.0, 0.0, 0.0, lifting.shape[0] - 3
+    def advance(a, velocity, lifting, holds, step, loads, responses, body, basis, work):  # type: ignore[no-untyped-def]
+        beta, mass, density, result = body.stiffness_damping, basis.mass, body.density, work.result
+        coordinates, previous, rates, power = work.coordinates, work.previous, work.rates, work.power
+        sites, schedule = loads
+        total, lost, tool_work, steps = 0.0, 0.0, 0.0, lifting.shape[0] - 3
         count, first = a.shape[0], a.shape[0] - lifting.shape[1]
         for s in range(steps + 1):
-            # lifting has one time before the first and one after the last
+            # lifting has one time before the first step and one after the last
             if holds[s]:
                 for j in range(first, count):
                     a[j] = lifting[s + 1, j - first]
                     velocity[j] = (lifting[s + 1, j - first] - lifting[s, j - first]) / step
             for m in range(count):
-                columns[m] = a[m] + beta * velocity[m]
+                coordinates[m] = a[m] + beta * velocity[m]
             for j in range(first, count):
-                if holds[s] and abs(velocity[j]) > wave_speed[j - first]:  # a jump, as in the full model
-                    columns[j] = a[j] + beta * np.sign(velocity[j]) * wave_speed[j - first]
-            projected_force(columns, table, test, body, work, volumes, partial, force, result)
+                if holds[s] and abs(velocity[j]) > basis.wave_speed[j - first]:  # a jump, as in the full model
+                    coordinates[j] = a[j] + beta * np.sign(velocity[j]) * basis.wave_speed[j - first]
+            projected_force(coordinates, body, basis, work)
             for m in range(count):
                 if s > 0:
-                    lost += (columns[m] - a[m]) * (previous[m] - result[m])
+                    lost += (coordinates[m] - a[m]) * (previous[m] - result[m])
                 previous[m] = result[m]
-            surface_force(sites, schedule, s, volumes, slot, work.cofactor, surface)
+            surface_force(sites, schedule, s, body.volumes, body.slot, body.work.cofactor, work.surface)
             power[:] = 0.0
-            _tractions(sites, surface, modes, test, volumes, half_cell, result, power)
+            _add_surface_forces(sites, body, basis, work)
             kick = 0.5 * step if s in (0, steps) else step
-            held = holds[min(s + 1, steps)]
-            moving = first if held else count  # coordinates that obey the equations of motion
+            prescribed = holds[min(s + 1, steps)]
+            moving = first if prescribed else count  # coordinates that obey the equations of motion
             for m in range(count):
                 rates[m] = result[m] / density
                 for c in range(3):
-                    rates[m] += gravity_test[m, c] * schedule.gravity[s, c]
-                    power[m] += gravity_work[m, c] * schedule.gravity[s, c]
-                if held:
+                    rates[m] += basis.gravity_test[m, c] * schedule.gravity[s, c]
+                    power[m] += basis.gravity_work[m, c] * schedule.gravity[s, c]
+                if prescribed:
                     for j in range(first, count):
                         bend = lifting[s + 2, j - first] - 2 * lifting[s + 1, j - first] + lifting[s, j - first]
                         rates[m] -= mass[m, j] * bend / step**2
-            response = held_response if held else free_response
+            response = responses[0] if prescribed else responses[1]
             for m in range(moving):
                 rate = 0.0
                 for k in range(moving):
@@ -148,11 +163,11 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
             for j in range(moving, count):
                 speed = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
                 total += kick * power[j] * speed
-                if s < steps:  # the last time is the next call's first
-                    tools -= step * density * rates[j] * speed
+                if s < steps:  # the next call evaluates the last time
+                    tool_work -= step * density * rates[j] * speed
             if s < steps:
                 for m in range(moving):
                     a[m] += step * velocity[m]
-        return total, lost, tools
+        return total, lost, tool_work
 
     return projected_force, advance

@@ -1,11 +1,12 @@
-"""Few nodes that stand for all: positive weights by non-negative least squares, and moments of the dilatation.
+"""Sparse positive quadrature by non-negative least squares, and moments of the dilatation.
 
-The energy of the reduced model is a sum over nodes, and so is its force: sum over I of V_I g_I, g_I = -B_I^T P_I. A few
-nodes with positive multiples of their volumes are chosen such that the sum over them is the whole sum at many states
-(energy-conserving sampling and weighting, Farhat et al., Int. J. Numer. Methods Eng. 98, 2014). Forces are compared
-in the compliance norm, f . K^-1 f, in which an error of force is what it does to the displacement: otherwise the
-stiffest coordinates decide alone. The pressure is left out of it: it is found from few moments of the dilatation, whose
-coefficients at the chosen nodes are fitted to the moments' slopes.
+The energy of the reduced model is a sum over nodes, and so is its force: sum over I of V_I g_I,
+g_I = -B_I^T P_I. A few nodes are chosen, with positive multiples of their volumes, such that the sum
+over them equals the whole sum at many states: energy-conserving sampling and weighting (Farhat et
+al., Int. J. Numer. Methods Eng. 98, 2014). Forces are compared in the compliance norm, f . K^-1 f,
+which weighs an error of force by the displacement that it causes. In the Euclidean norm the stiffest
+coordinates would decide alone. The pressure is left out of this fit: it follows from few moments of
+the dilatation, whose coefficients at the chosen nodes are fitted to the slopes of the moments.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats, Ints
 from palpate.describe import Described
 
-__all__ = ["Cubature", "non_negative", "sketch", "slopes_fit"]
+__all__ = ["Cubature", "fit_moments", "sketch", "sparse_nnls"]
 
 
-BATCH = 0.05  # of the chosen nodes: how many are added at once
+BATCH_FRACTION = 0.05  # of the active columns that are added at once
 
 
 @dataclass(frozen=True)
 class Cubature(Described):
-    """Sampled nodes.
+    """Integration points with weights.
 
     Parameters
     ----------
@@ -35,9 +36,10 @@ class Cubature(Described):
     weights : (s,) array [m^3]
         Positive.
     pressure : (k, s) array
-        Coefficients of the dilatations J - 1 in the moments, with the root of the bulk modulus [sqrt(J)].
+        Coefficients of the dilatations J - 1 in the moments, times the root of the bulk modulus
+        [sqrt(J)].
     residual : float
-        What the sampled forces miss of the whole ones in training, relative, in the compliance norm.
+        Relative error of the sampled forces in training, in the compliance norm.
     """
 
     nodes: Ints
@@ -46,69 +48,71 @@ class Cubature(Described):
     residual: float
 
 
-def non_negative(columns: Floats, target: Floats, tolerance: float, most: int | None = None) -> tuple[Floats, float]:
-    """Solve columns @ x = target for few x >= 0, until what is left is at most `tolerance` of the target.
+def sparse_nnls(
+    matrix: Floats, target: Floats, tolerance: float, max_columns: int | None = None
+) -> tuple[Floats, float]:
+    """Solve matrix @ x = target approximately for a sparse x >= 0.
 
-    The active-set method of Lawson and Hanson, started from nothing and stopped as soon as it is good enough; some
-    columns are added at once where many are needed.
+    The active-set method of Lawson and Hanson starts from x = 0 and stops as soon as the residual is
+    within the tolerance. Several columns are added at once where many are needed.
 
     Parameters
     ----------
-    columns : (r, n) array
+    matrix : (r, n) array
     target : (r,) array
     tolerance : float
-        Share of the target's norm.
-    most : int, optional
-        Number of columns to stop at.
+        Largest residual norm, as a fraction of the norm of `target`.
+    max_columns : int, optional
+        Largest number of non-zero entries of x.
 
     Returns
     -------
     x : (n,) array
     residual : float
-        Share of the target's norm that is left.
+        Norm of the residual, as a fraction of the norm of `target`.
     """
-    n = columns.shape[1]
-    whole = float(np.linalg.norm(target))
-    if len(columns) > 1.5 * n:  # fewer rows of the same normal equations
-        both = np.asarray(np.linalg.qr(np.column_stack([columns, target]), mode="r"))
-        columns, target = both[:, :-1], both[:, -1]
-    size = np.linalg.norm(columns, axis=0)
+    n = matrix.shape[1]
+    target_norm = float(np.linalg.norm(target))
+    if len(matrix) > 1.5 * n:  # fewer rows of the same normal equations
+        both = np.asarray(np.linalg.qr(np.column_stack([matrix, target]), mode="r"))
+        matrix, target = both[:, :-1], both[:, -1]
+    size = np.linalg.norm(matrix, axis=0)
     size = np.where(size > 0, size, 1.0)
-    limit = n if most is None else min(most, n)
+    limit = n if max_columns is None else min(max_columns, n)
     x, active = np.zeros(n), np.zeros(n, dtype=bool)
-    products = _Products(columns, size, target)
-    left, best = target, np.inf
-    while np.linalg.norm(left) > tolerance * whole and active.sum() < limit:
-        gain = (left @ columns) / size
+    gram = _GramMatrix(matrix, size, target)
+    remainder, best = target, np.inf
+    while np.linalg.norm(remainder) > tolerance * target_norm and active.sum() < limit:
+        gain = (remainder @ matrix) / size
         gain[active] = -np.inf
-        wished = min(max(1, int(BATCH * active.sum())), limit - int(active.sum()))
-        new = np.argpartition(gain, -wished)[-wished:]
-        new = new[gain[new] > 1e-14 * whole]
+        batch = min(max(1, int(BATCH_FRACTION * active.sum())), limit - int(active.sum()))
+        new = np.argpartition(gain, -batch)[-batch:]
+        new = new[gain[new] > 1e-14 * target_norm]
         if new.size == 0:
             break
         active[new] = True
-        products.add(new)
-        _feasible(products, x, active)
-        left = target - columns[:, active] @ (x[active] / size[active])
-        now = float(np.linalg.norm(left))
-        if now >= best * (1 - 1e-9):  # rounding: no progress any more
+        gram.add(new)
+        _solve_feasible(gram, x, active)
+        remainder = target - matrix[:, active] @ (x[active] / size[active])
+        now = float(np.linalg.norm(remainder))
+        if now >= best * (1 - 1e-9):  # stagnation by rounding
             break
         best = now
     x[~active] = 0.0
-    return x / size, float(np.linalg.norm(left)) / whole
+    return x / size, float(np.linalg.norm(remainder)) / target_norm
 
 
-class _Products:
-    """Products of the columns that were ever active with each other and with the target, each computed once."""
+class _GramMatrix:
+    """Gram matrix of the columns that were ever active, computed once per pair of columns."""
 
-    def __init__(self, columns: Floats, size: Floats, target: Floats) -> None:
-        self._columns, self._size = columns, size
-        self._place = np.full(columns.shape[1], -1)
-        self._taken = np.zeros((len(columns), 0), order="F")
+    def __init__(self, matrix: Floats, size: Floats, target: Floats) -> None:
+        self._columns, self._size = matrix, size
+        self._place = np.full(matrix.shape[1], -1)
+        self._taken = np.zeros((len(matrix), 0), order="F")
         self._gram, self._target = np.zeros((0, 0)), target
 
     def add(self, new: Ints) -> None:
-        """Take columns in, those that are not yet."""
+        """Add the columns that are not in the Gram matrix yet."""
         new = new[self._place[new] < 0]
         old = self._taken.shape[1]
         self._place[new] = old + np.arange(len(new))
@@ -123,52 +127,55 @@ class _Products:
         gram, part = self._gram[np.ix_(place, place)], self._taken[:, place]
         try:
             factor = scipy.linalg.cho_factor(gram, check_finite=False)
-        except scipy.linalg.LinAlgError:  # columns that depend on each other
+        except scipy.linalg.LinAlgError:  # linearly dependent columns
             return np.asarray(scipy.linalg.lstsq(part, self._target, lapack_driver="gelsy", check_finite=False)[0])
         solution = scipy.linalg.cho_solve(factor, part.T @ self._target, check_finite=False)
-        left = self._target - part @ solution  # once more: the normal equations lose half the digits
-        return np.asarray(solution + scipy.linalg.cho_solve(factor, part.T @ left, check_finite=False))
+        remainder = self._target - part @ solution  # refine: the normal equations lose half the digits
+        return np.asarray(solution + scipy.linalg.cho_solve(factor, part.T @ remainder, check_finite=False))
 
 
-def _feasible(products: _Products, x: Floats, active: NDArray[np.bool_]) -> None:
-    """Move x to the least-squares solution over the active columns, dropping those that would become negative."""
+def _solve_feasible(gram: _GramMatrix, x: Floats, active: NDArray[np.bool_]) -> None:
+    """Set x to the least-squares solution over the active columns; deactivate columns that would turn negative."""
     while True:
         where = np.flatnonzero(active)
-        solution = products.solve(where)
+        solution = gram.solve(where)
         if np.all(solution > 0):
             x[where] = solution
             return
-        falling = solution <= 0
+        non_positive = solution <= 0
         now = x[where]
-        step = np.min(now[falling] / np.maximum(now[falling] - solution[falling], 1e-300))
+        step = np.min(now[non_positive] / np.maximum(now[non_positive] - solution[non_positive], 1e-300))
         now = now + step * (solution - now)
-        gone = falling & (now <= 1e-12 * max(float(np.abs(now).max()), 1e-300))
-        if not gone.any():
-            gone = falling & (now == now[falling].min())
-        x[where] = np.where(gone, 0.0, now)
-        active[where[gone]] = False
+        dropped = non_positive & (now <= 1e-12 * max(float(np.abs(now).max()), 1e-300))
+        if not dropped.any():
+            dropped = non_positive & (now == now[non_positive].min())
+        x[where] = np.where(dropped, 0.0, now)
+        active[where[dropped]] = False
         if not active.any():
             return
 
 
 def sketch(rows: int, entries: int, generator: np.random.Generator) -> Floats:
-    """Return random combinations (rows, entries) that keep norms on average; the identity where they would not save."""
+    """Return a random matrix (rows, entries) that preserves norms in expectation.
+
+    The result is the identity where a sketch would not reduce the number of rows.
+    """
     if rows >= entries:
         return np.eye(entries)
     return generator.standard_normal((rows, entries)) / np.sqrt(rows)
 
 
-def slopes_fit(sampled: Floats, whole: Floats, ridge: float = 1e-6) -> Floats:
+def fit_moments(sampled: Floats, whole: Floats, ridge: float = 1e-6) -> Floats:
     """Return coefficients Z (k, s) with Z @ sampled = whole in the least-squares sense.
 
     Parameters
     ----------
     sampled : (s, r) array
-        Dilatations of the samples, and their slopes along the coordinates, at many states.
+        Dilatations at the integration points, and their slopes along the coordinates, at many states.
     whole : (k, r) array
         The moments and their slopes.
     ridge : float
-        Regularisation, as a share of the largest singular value.
+        Regularisation, as a fraction of the largest singular value.
     """
     u, values, vt = np.linalg.svd(sampled, full_matrices=False)
     damped = values / (values**2 + (ridge * values[0]) ** 2)

@@ -1,4 +1,4 @@
-"""What a reduced model is made of."""
+"""Data of a reduced model."""
 
 from __future__ import annotations
 
@@ -26,55 +26,58 @@ __all__ = ["ReducedData"]
 
 @dataclass(frozen=True)
 class ReducedData(Described):
-    """What a reduced model is made of, and what its file holds.
+    """Data of a reduced model, and the content of its file.
 
     Parameters
     ----------
     cloud : Cloud
     material : Material
     fixed : tuple of str
-    driven : tuple of str
-        Groups that tools hold.
+    prescribed : tuple of str
+        Groups that rigid tools move.
     volumes : (n,) array [m^3]
         Nodal volumes of the mass.
     stiffness : (n,) array
-        Of the nodes beside the law's; the weights of the samples hold it already.
-    viscosity : float [s]
-    fastest : float [m/s]
-        About the speed of the fastest waves: a tool that jumps counts as no faster in the viscous forces.
-    columns : (m + l + 3 g + w, n, 3) array
-        Displacement fields: modes, lifting columns of the tools, and test fields: those of the g supports and of the w
-        witnesses (`palpate.reduction.training.residual_fields`).
+        Factors on the stiffness of the law, by node. The weights of the integration points include them.
+    stiffness_damping : float [s]
+        Rayleigh's beta.
+    wave_speed : float [m/s]
+        Approximate speed of the fastest waves. It limits the velocity of a jumping tool in the damping
+        forces.
+    basis_vectors : (m + l + 3 g + w, n, 3) array
+        Displacement fields: m modes, l lifting vectors of the tools, and test fields. These are 3 for
+        each of g supports, and w residual fields (`palpate.reduction.training.residual_fields`).
     modes : int
-        How many of them are modes.
-    lifted : int
-        How many of them are lifting columns.
+        Number m of modes.
+    lifting_count : int
+        Number l of lifting vectors.
     cubature : Cubature
     gradients : (s, m + l + 3 g + w, 9) array
-        Derivatives of the columns at the sampled nodes, row by row; those of the witnesses each times a factor.
+        Derivatives of the basis vectors at the integration points, row by row. Those of the residual
+        fields are multiplied by fitted factors.
     constant : (m + l + 3 g + w, m + l + 3 g + w) array
-        Constant stiffness of what the stencils miss.
-    trained : (t, m + l) array
+        Constant stiffness of the hourglass residual.
+    training_states : (t, m + l) array
         Coordinates of the training states.
-    reach : float [m]
-        Distance from the training states that counts as 1 in the trust number.
-    witnesses : int
-        How many of the columns are witnesses: the last ones.
-    leeway : float [m]
-        Imbalance at the witnesses that counts as 1 in the trust number.
+    distance_scale : float [m]
+        Distance from the training states at which the trust number is 1.
+    residual_fields : int
+        Number w of residual fields, the last basis vectors.
+    residual_scale : float [m]
+        Residual norm at which the trust number is 1.
     report : mapping
-        What was measured in training.
+        Figures measured in training.
     kinematics : Kinematics
-        Whether the body is a solid or a membrane, and which.
-    slack : float [rad/s]
-        Highest frequency of a membrane in its training states: what is slack now may be as taut in a moment. 0 for
-        solids.
+        Kind of body, solid or membrane.
+    taut_frequency : float [rad/s]
+        Highest frequency of a membrane in its training states, because a slack region may become taut
+        within a few steps. 0 for solids.
     fibres : FibreLaw, optional
         With a direction for every node.
-    dents : Dents, optional
-        Compliance of the surface under tools, learnt from runs in which they touch the body.
+    compliance : SurfaceCompliance, optional
+        Compliance of the contact surface, fitted to runs with contact.
     regions : Regions, optional
-        Materials of the nodes where they are not all `material`.
+        Materials by node, where they are not all `material`.
     """
 
     cloud: Cloud
@@ -87,11 +90,11 @@ class ReducedData(Described):
     wave_speed: float
     basis_vectors: Floats
     modes: int
-    lifted: int
+    lifting_count: int
     cubature: Cubature
     gradients: Floats
     constant: Floats
-    trained: Floats
+    training_states: Floats
     distance_scale: float
     residual_fields: int = 0
     residual_scale: float = 1.0
@@ -104,15 +107,15 @@ class ReducedData(Described):
 
     @property
     def surface(self) -> ContactSurface:
-        """The surface that tools touch; empty for a model without contact."""
+        """Contact surface; empty for a model without contact."""
         return contact_surface(
-            self.compliance or NO_COMPLIANCE, self.cloud.points, self.basis_vectors[: self.modes + self.lifted]
+            self.compliance or NO_COMPLIANCE, self.cloud.points, self.basis_vectors[: self.modes + self.lifting_count]
         )
 
     def integration_points(
         self, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool
     ) -> IntegrationPoints:
-        """Lay the samples of some columns out."""
+        """Return the integration points for a subset of the basis vectors."""
         rule = self.cubature
         law = coefficients if self.regions is None else self.regions.at(rule.nodes)
         return integration_points(

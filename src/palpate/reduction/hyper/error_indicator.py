@@ -1,4 +1,7 @@
-"""The trust number: how far a reduced body is from what it was trained on, and what error that has meant."""
+"""The error indicator: distance of a state from the training states, and the error expected there.
+
+Its value is the trust number of `palpate.hyper_reduce`.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,14 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.faults import InputError, number_in_range
 
-__all__ = ["expected_error", "nearest"]
+__all__ = ["distances_to_nearest", "expected_error"]
 
 
-def nearest(states: Floats, others: Floats, mass: Floats) -> Floats:
-    """Root mean square distance [m] over the body of every state (s, m) from the nearest of some others (t, m).
+def distances_to_nearest(states: Floats, others: Floats, mass: Floats) -> Floats:
+    """Return the distance [m] of each state (s, m) to the nearest of other states (t, m).
 
-    `mass` (m, m) is the mass matrix over the body's mass.
+    The distance is the root mean square displacement over the body; `mass` (m, m) is the mass matrix
+    divided by the mass of the body.
     """
     root = np.linalg.cholesky(mass)
     one, two = states @ root, others @ root
@@ -24,11 +28,13 @@ def nearest(states: Floats, others: Floats, mass: Floats) -> Floats:
 
 
 def expected_error(report: dict[str, Any], trust: float) -> tuple[float, float]:
-    """Look a trust number up in the table of a report; see `ReducedModel.expected_error`."""
+    """Return the errors that a report tabulates for a trust number; see `ReducedModel.expected_error`."""
     number = number_in_range("trust", trust, 0.0)
     table = report.get("held_out", {}).get("trust")
     if not table:
-        raise InputError("what errors to expect was not measured: train with reduce(..., held_out=...)")
+        raise InputError(
+            "held_out must be given in training to expect errors, got none; train with hyper_reduce(..., held_out=...)"
+        )
     for row in table:
         if number <= row["trust"]:
             return row["median"], row["percentile_95"]

@@ -1,28 +1,58 @@
 """The compiled explicit step of a sampled reduced model.
 
-With the coordinates a of modes and lifting columns, the mass matrix m, the sampled force f and the loads g,
+With the coordinates a of modes and lifting vectors, the mass matrix m, the sampled force f and the
+loads g,
 
-    m a'' = f(a + beta a') + g(t),
+    m a'' = f(a + beta a') + g(t).
 
-where the coordinates of lifting columns are known while their tool holds the body. The step is that of
-`palpate.dynamics.nodal.central_difference`; an implicit one is in `palpate.reduction.hyper.implicit`.
+The coordinates of the lifting vectors are prescribed until their tool releases the body. The step is
+that of `palpate.dynamics.nodal.central_difference`. The implicit step is in
+`palpate.reduction.hyper.implicit`.
 """
 
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.dynamics.contact.geometry import rotation
 from palpate.reduction.contact.gauss_seidel import settle
-from palpate.reduction.hyper.foundation import draw_back
+from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
+from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
-from palpate.reduction.hyper.sampled_energy import sampled_energy
+from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
 
-__all__ = ["explicit_step"]
+__all__ = ["ContactData", "ExplicitData", "explicit_step"]
+
+
+TRIAL, FORCE, PREVIOUS, RATE = range(4)  # rows of `ExplicitData.work`
+
+
+class ExplicitData(NamedTuple):
+    """Constants and work arrays of the explicit step."""
+
+    stiffness_damping: float  # [s]
+    wave_speed: Floats  # (l,) largest rates of the lifting coordinates in the damping forces
+    mass: Floats  # (m + l, m + l)
+    constrained_inverse_mass: Floats  # (m, m) inverse of the modes' block
+    inverse_mass: Floats  # (m + l, m + l)
+    integration_points: IntegrationPoints
+    scratch: Scratch
+    springs: Springs  # on the coordinates
+    work: Floats  # (4 or more, m + l)
+
+
+class ContactData(NamedTuple):
+    """Rigid tools in contact during some steps."""
+
+    poses: Floats  # (s, t, 7) at the times of the loads
+    surface: ContactSurface
+    scratch: ContactScratch
+    tools: RigidTools
 
 
 @cache
@@ -33,41 +63,31 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
     ----------
     law, single
         As for `palpate.reduction.hyper.sampled_energy.sampled_energy`.
+
+    Returns
+    -------
+    explicit : function
+        ``explicit(a, v, lifting, holds, step, loads, data, contact)`` advances coordinates and
+        velocities (m + l,) in place. `lifting` (s + 2, l) has one time before and one after those of the
+        loads (s, m + l), and `holds` (s,) is True while tools prescribe the lifting coordinates. `data`
+        is an `ExplicitData`, `contact` a `ContactData`.
     """
     digest = law_digest(__name__, "explicit step", law.digest, single)
     force, _ = sampled_energy(law, single)
 
     @law_njit(digest, fastmath={"contract"})
-    def explicit(  # type: ignore[no-untyped-def]
-        a,
-        v,
-        lifting,
-        holds,
-        step,
-        beta,
-        wave_speed,
-        loads,
-        mass,
-        held_response,
-        free_response,
-        integration_points,
-        scratch,
-        springs,
-        keep,
-        poses,
-        contact_surface,
-        contact_state,
-        tooling,
-    ):
-        """Advance by one step less than there are loads; return the works [J] of loads, viscosity and tools.
+    def explicit(a, v, lifting, holds, step, loads, data, contact):  # type: ignore[no-untyped-def]
+        """Advance by one step less than there are loads; return three energies [J].
 
-        Tools that touch the body (`palpate.reduction.contact.gauss_seidel`) have `poses` (s, t, 7) at the times of the loads; their
-        work is among that of the loads, and what friction takes is among that of viscosity. The forces of springs are
-        added to the loads.
+        They are the work of the loads, the dissipation, and the work of prescribed tools.
+
+        The work of rigid tools in contact is part of that of the loads, and their friction part of
+        the dissipation. The forces of springs are added to the loads.
         """
         count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
-        total, lost, tools = 0.0, 0.0, 0.0
-        at, result, previous, rate = keep.vectors[0], keep.vectors[1], keep.vectors[2], keep.vectors[3]
+        total, lost, tool_work = 0.0, 0.0, 0.0
+        at, result, previous, rate = data.work[TRIAL], data.work[FORCE], data.work[PREVIOUS], data.work[RATE]
+        beta, mass, scratch, tools = data.stiffness_damping, data.mass, data.scratch, contact.tools
         for s in range(steps + 1):
             if holds[s]:
                 for j in range(first, count):
@@ -76,25 +96,25 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
             for m in range(count):
                 at[m] = a[m] + beta * v[m]
             for j in range(first, count):
-                if holds[s] and abs(v[j]) > wave_speed[j - first]:  # a jump, as in the full model
-                    at[j] = a[j] + beta * np.sign(v[j]) * wave_speed[j - first]
+                if holds[s] and abs(v[j]) > data.wave_speed[j - first]:  # a jump, as in the full model
+                    at[j] = a[j] + beta * np.sign(v[j]) * data.wave_speed[j - first]
             scratch.history.interval[0] = step if s > 0 else 0.0
-            force(at, integration_points, scratch, result)
-            draw_back(springs, a, v, loads[s])
+            force(at, data.integration_points, scratch, result)
+            add_spring_forces(data.springs, a, v, loads[s])
             for m in range(count):
                 if s > 0:
                     lost += (at[m] - a[m]) * (previous[m] - result[m])
                 previous[m] = result[m]
             kick = 0.5 * step if s in (0, steps) else step
-            constrained_inverse_mass = holds[min(s + 1, steps)]
-            moving = first if constrained_inverse_mass else count  # coordinates that obey the equations of motion
+            prescribed = holds[min(s + 1, steps)]
+            moving = first if prescribed else count  # coordinates that obey the equations of motion
             for m in range(count):
                 rate[m] = result[m] + loads[s, m]
-                if constrained_inverse_mass:
+                if prescribed:
                     for j in range(first, count):
                         bend = lifting[s + 2, j - first] - 2 * lifting[s + 1, j - first] + lifting[s, j - first]
                         rate[m] -= mass[m, j] * bend / step**2
-            response = held_response if constrained_inverse_mass else free_response
+            response = data.constrained_inverse_mass if prescribed else data.inverse_mass
             for m in range(moving):
                 value = 0.0
                 for k in range(moving):
@@ -104,31 +124,31 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
                 total += kick * loads[s, m] * 0.5 * (before + v[m])
                 for j in range(moving, count):
                     rate[j] -= mass[j, m] * value
-            if s < steps and tooling.kind.shape[0] > 0:
-                for t in range(tooling.kind.shape[0]):
-                    rotation(poses[s, t], tooling.frames[t, 0])
-                    rotation(poses[s + 1, t], tooling.frames[t, 1])
+            if s < steps and tools.kind.shape[0] > 0:
+                for t in range(tools.kind.shape[0]):
+                    rotation(contact.poses[s, t], tools.frames[t, 0])
+                    rotation(contact.poses[s + 1, t], tools.frames[t, 1])
                 for m in range(count):
                     at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
-                works = settle(contact_surface, contact_state, tooling, at, v, step)
+                works = settle(contact.surface, contact.scratch, tools, at, v, step)
                 total, lost = total + works[0], lost + works[1]
                 for m in range(moving):
                     value = 0.0
                     for k in range(moving):
-                        value += step * response[m, k] * tooling.load[k]
+                        value += step * response[m, k] * tools.load[k]
                     v[m] += value
-                    total += 0.5 * kick * loads[s, m] * value  # the loads' work is that at the mean velocity
+                    total += 0.5 * kick * loads[s, m] * value  # loads work at the mean velocity
                 for j in range(moving, count):
-                    rate[j] += tooling.load[j]
+                    rate[j] += tools.load[j]
             for j in range(moving, count):
                 speed = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
                 total += kick * loads[s, j] * speed
-                if s < steps:  # the last time is the next call's first
-                    tools -= step * rate[j] * speed
+                if s < steps:  # the next call evaluates the last time
+                    tool_work -= step * rate[j] * speed
             if s < steps:
                 for m in range(moving):
                     a[m] += step * v[m]
         scratch.history.interval[0] = 0.0
-        return total, lost, tools
+        return total, lost, tool_work
 
     return explicit

@@ -1,4 +1,4 @@
-"""Foundations of a reduced body: springs and dashpots between its surface and the ground, in its coordinates."""
+"""Elastic foundations of a reduced body: springs and dashpots to the ground, in generalised coordinates."""
 
 from __future__ import annotations
 
@@ -12,54 +12,55 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.prepared import LoadSites
 
-__all__ = ["Springs", "draw_back", "springs_of"]
+__all__ = ["Springs", "add_spring_forces", "project_springs"]
 
 
 class Springs(NamedTuple):
-    """What `palpate.Foundation` does: forces -(stiffness a + damping v) on the columns of a reduced model.
+    """Projected springs and dashpots of `palpate.Foundation`.
 
-    The springs are linear, so that their forces are known whatever the body's number of nodes.
+    Their forces on the basis vectors are -(stiffness a + damping v). The springs are linear, so the
+    cost does not depend on the number of nodes.
     """
 
-    stiffness: Floats  # (c, m) [N/m^2 times the units of column and coordinate]; none where nothing is tied
+    stiffness: Floats  # (c, m) [N/m^2 times the units of basis vector and coordinate]; empty without foundations
     damping: Floats  # (c, m)
-    square: float  # [1/s^2] of the highest frequency that the springs alone give the body
-    rate: float  # [1/s] highest rate at which the dashpots alone slow it
+    highest_squared: float  # [1/s^2] square of the highest frequency of the springs alone
+    decay_rate: float  # [1/s] highest decay rate of the dashpots alone
 
     def of(self, which: NDArray[np.int64]) -> Springs:
-        """Return this for some of the columns."""
+        """Return the springs on a subset of the basis vectors."""
         if not self.stiffness.size:
             return self
         stiffness, damping = (np.ascontiguousarray(part[which]) for part in (self.stiffness, self.damping))
-        return Springs(stiffness, damping, self.square, self.rate)
+        return Springs(stiffness, damping, self.highest_squared, self.decay_rate)
 
 
-def springs_of(sites: LoadSites, columns: Floats, mass: Floats) -> Springs:
-    """Project the foundations of some loads.
+def project_springs(sites: LoadSites, basis_vectors: Floats, mass: Floats) -> Springs:
+    """Project the foundations of some loads on basis vectors.
 
     Parameters
     ----------
     sites : LoadSites
-    columns : (c, n, 3) array
+    basis_vectors : (c, n, 3) array
         The first m belong to the coordinates.
     mass : (m, m) array
-        Of these.
+        Mass matrix of the coordinates.
     """
     nodes = sites.foundation_node
     if not len(nodes):
         return Springs(np.zeros((0, 0)), np.zeros((0, 0)), 0.0, 0.0)
-    at = columns[:, nodes].reshape(len(columns), -1)
-    found = [
+    at = basis_vectors[:, nodes].reshape(len(basis_vectors), -1)
+    projected = [
         np.ascontiguousarray((at * np.repeat(strength, 3)) @ at[: len(mass)].T)
         for strength in (sites.foundation_spring, sites.foundation_dashpot)
     ]
-    largest = [max(float(eigvalsh(part[: len(mass)], mass)[-1]), 0.0) for part in found]
-    return Springs(found[0], found[1], *largest)
+    largest = [max(float(eigvalsh(part[: len(mass)], mass)[-1]), 0.0) for part in projected]
+    return Springs(projected[0], projected[1], *largest)
 
 
 @kernel_njit(fastmath={"contract"})
-def draw_back(springs, a, v, forces):  # type: ignore[no-untyped-def]
-    """Add the forces of the springs on the first columns to `forces`, those of coordinates a and velocities v."""
+def add_spring_forces(springs, a, v, forces):  # type: ignore[no-untyped-def]
+    """Add the forces of the springs at coordinates a and velocities v to `forces`."""
     if springs.stiffness.shape[0] == 0:
         return
     for j in range(forces.shape[0]):

@@ -1,4 +1,4 @@
-"""What loads and rigid tools do on the columns of a reduced model."""
+"""Generalised forces: loads and rigid tools projected on the basis vectors of a reduced model."""
 
 from __future__ import annotations
 
@@ -9,62 +9,66 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import LoadSites, PreparedLoads
 from palpate.dynamics.run.model import State
-from palpate.reduction.hyper.foundation import Springs, springs_of
+from palpate.reduction.hyper.foundation import Springs, project_springs
 
 __all__ = ["GeneralisedForces", "generalised_forces", "load_forces", "load_work", "pose_map"]
 
 
 class GeneralisedForces(NamedTuple):
-    """What the loads of a drive do on the columns."""
+    """Projected loads."""
 
     prepared: PreparedLoads
-    work: Floats  # (g a + 3, c), see `load_work`
-    springs: Springs  # on all columns
-    own: Springs  # on the coordinates
+    work: Floats  # (g a + 3, c) work of unit loads, see `load_work`
+    springs: Springs  # on all basis vectors
+    coordinate_springs: Springs  # on the coordinates only
 
     def at(self, times: Floats) -> Floats:
-        """Return the generalised forces (t, c) of tractions and gravity at some times."""
+        """Return the generalised forces (t, c) of surface forces and gravity at some times."""
         schedule, count = self.prepared.schedule(times), len(times)
         values = (schedule.amplitudes.reshape(count, -1), schedule.gravity)
         return np.asarray(np.hstack(values) @ self.work)
 
 
-def generalised_forces(prepared: PreparedLoads, columns: Floats, masses: Floats, mass: Floats) -> GeneralisedForces:
-    """Work out what the loads of a drive do on columns (c, n, 3), the first of which have a mass matrix (m, m)."""
-    springs = springs_of(prepared.sites, columns, mass)
-    work = load_work(prepared.sites, columns, masses)
+def generalised_forces(
+    prepared: PreparedLoads, basis_vectors: Floats, masses: Floats, mass: Floats
+) -> GeneralisedForces:
+    """Project loads on basis vectors (c, n, 3), the first m of which have a mass matrix (m, m)."""
+    springs = project_springs(prepared.sites, basis_vectors, mass)
+    work = load_work(prepared.sites, basis_vectors, masses)
     return GeneralisedForces(prepared, work, springs, springs.of(np.arange(len(mass))))
 
 
-def load_work(sites: LoadSites, columns: Floats, masses: Floats) -> Floats:
-    """Return the work of unit amplitudes of the g dead loads, and of unit gravity, on columns (m, n, 3): (g a + 3, m)."""
+def load_work(sites: LoadSites, basis_vectors: Floats, masses: Floats) -> Floats:
+    """Return the work (g a + 3, m) of unit amplitudes of g dead loads and of unit gravity on (m, n, 3) vectors."""
     works = []
     for g in range(len(sites.dead_start) - 1):
         own = slice(sites.dead_start[g], sites.dead_start[g + 1])
-        works.append(np.einsum("kac,mkc->am", sites.dead_pattern[own], columns[:, sites.dead_node[own]]))
-    return np.concatenate([*works, np.einsum("n,mnc->cm", masses, columns)])
+        works.append(np.einsum("kac,mkc->am", sites.dead_pattern[own], basis_vectors[:, sites.dead_node[own]]))
+    return np.concatenate([*works, np.einsum("n,mnc->cm", masses, basis_vectors)])
 
 
-def load_forces(prepared: PreparedLoads, masses: Floats, columns: Floats, state: State) -> Floats:
-    """Forces [N] of tractions, gravity and springs on the nodes in a state of a reduced model, shape (n, 3)."""
+def load_forces(prepared: PreparedLoads, masses: Floats, basis_vectors: Floats, state: State) -> Floats:
+    """Return the nodal forces (n, 3) [N] of dead loads, gravity and springs in a state of a reduced model."""
     sites, schedule = prepared.sites, prepared.schedule(np.array([state.time]))
     result = np.asarray(masses[:, None] * schedule.gravity[0])
     for g in range(len(sites.dead_start) - 1):
         own = slice(sites.dead_start[g], sites.dead_start[g + 1])
         forces = np.einsum("kac,a->kc", sites.dead_pattern[own], schedule.amplitudes[0, g])
         np.add.at(result, sites.dead_node[own], forces)
-    at = columns[: len(state.coordinates), sites.foundation_node]
-    moved, speed = np.tensordot(state.coordinates, at, 1), np.tensordot(state.velocities, at, 1)
-    drawn = sites.foundation_spring[:, None] * moved + sites.foundation_dashpot[:, None] * speed
-    np.subtract.at(result, sites.foundation_node, drawn)
+    at = basis_vectors[: len(state.coordinates), sites.foundation_node]
+    displacement, speed = np.tensordot(state.coordinates, at, 1), np.tensordot(state.velocities, at, 1)
+    spring_forces = sites.foundation_spring[:, None] * displacement + sites.foundation_dashpot[:, None] * speed
+    np.subtract.at(result, sites.foundation_node, spring_forces)
     return result
 
 
-def pose_map(points: Floats, columns: Floats) -> Floats:
-    """Coordinates of a rigid tool's columns (l, k, 3) at its nodes (k, 3): (l, 12), see `ReducedModel.tool_map`."""
+def pose_map(points: Floats, basis_vectors: Floats) -> Floats:
+    """Return the map (l, 12) from a pose to coordinates of lifting vectors (l, k, 3); see `ReducedModel.tool_map`."""
     arms, fields = points - points.mean(axis=0), np.zeros((12, len(points), 3))
     for c in range(3):
         fields[c, :, c] = 1.0
         for d in range(arms.shape[1]):
             fields[3 + 3 * c + d, :, c] = arms[:, d]
-    return np.asarray(np.linalg.lstsq(columns.reshape(len(columns), -1).T, fields.reshape(12, -1).T, rcond=None)[0])
+    return np.asarray(
+        np.linalg.lstsq(basis_vectors.reshape(len(basis_vectors), -1).T, fields.reshape(12, -1).T, rcond=None)[0]
+    )

@@ -1,15 +1,16 @@
-"""The compiled implicit step of a sampled reduced model, which conserves energy, and the tangent of its forces.
+"""The compiled energy-conserving implicit step of a sampled reduced model, and the tangent of its forces.
 
-With the coordinates a of modes and lifting columns, the mass matrix m, the sampled force f and the loads g, the step
-solves for the mean velocity w,
+With the coordinates a of modes and lifting vectors, the mass matrix m, the sampled force f and the
+loads g, the step solves for the mean velocity w,
 
     m 2 (w - v_n) / dt = mean of f(a_n + s dt w + beta w) + g(t_n + dt / 2),
     a_{n+1} = a_n + dt w,    v_{n+1} = 2 w - v_n,
 
-by Newton's method with a tangent that is kept as long as it converges. The mean is over the step, 0 < s < 1, by Gauss's
-rule with two points: the average vector field method (Quispel and McLaren, J. Phys. A 41, 2008). Its work is the change
-of the energy, so that the energy of a free body stays, however large the step, as far as two points integrate it. (The
-midpoint rule, one point, let the energy of a bent beam stray by half in 20 s with steps of 1 ms.)
+by Newton's method with a tangent that is reused as long as it converges. The mean is over the step,
+0 < s < 1, by Gauss's rule with two points: the average vector field method (Quispel and McLaren,
+J. Phys. A 41, 2008). Its work equals the change of the energy. So the energy of a free body is
+conserved for any step, as far as two points integrate it. (With the midpoint rule, one point, the
+energy of a bent beam drifted by half in 20 s with steps of 1 ms.)
 """
 
 from __future__ import annotations
@@ -22,36 +23,55 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.reduction.hyper.foundation import draw_back
+from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
-from palpate.reduction.hyper.sampled_energy import sampled_energy
+from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
 
-__all__ = ["Newton", "cholesky_factor", "cholesky_solve", "implicit_step", "newton"]
-
-
-POINTS = (0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0)  # of Gauss's rule in a step
-MOST, REFRESH = 30, (4, 10, 18, 24)  # Newton iterations a step, and after how many the tangent is taken anew
+__all__ = ["ImplicitData", "NewtonScratch", "cholesky_factor", "cholesky_solve", "implicit_step", "newton_scratch"]
 
 
-class Newton(NamedTuple):
-    """What the implicit step keeps from step to step, so that it allocates nothing."""
+GAUSS_POINTS = (0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0)  # of Gauss's rule in a step
+MAX_ITERATIONS = 30  # of Newton's method in a step
+REFRESH = (4, 10, 18, 24)  # iterations after which the tangent is updated
+
+# rows of `NewtonScratch.vectors`
+PROBE, AHEAD, BEHIND, MEAN_VELOCITY, TRIAL, FORCE, RATE, UPDATE, ELASTIC, LOAD = range(10)
+FACTOR_STEP, FACTOR_SIZE = range(2)  # entries of `NewtonScratch.factored`
+ITERATIONS, TANGENTS, FAILURES = range(3)  # entries of `NewtonScratch.counts`
+
+
+class NewtonScratch(NamedTuple):
+    """Cholesky factor, counters and work arrays of the implicit step, which a step does not allocate."""
 
     factor: Floats  # (m, m) lower Cholesky factor of the system
-    kept: Floats  # (2,) the step [s] that the factor is for, and the number of coordinates; 0 for none
+    factored: Floats  # (2,) step [s] and number of coordinates of the factor; 0 for none
     counts: NDArray[np.int64]  # (3,) iterations, tangents, steps that did not converge
-    vectors: Floats  # (10, m); the first three are the tangent's
+    vectors: Floats  # (10, m); the first three are those of the tangent
 
 
-def newton(coordinates: int) -> Newton:
-    """Allocate for a number of coordinates."""
-    return Newton(
+class ImplicitData(NamedTuple):
+    """Constants and work arrays of the implicit step."""
+
+    stiffness_damping: float  # [s]
+    mass: Floats  # (m + l, m + l)
+    differences: Floats  # (m + l,) of the coordinates, for tangents
+    tolerance: float  # largest Newton update, in units of `differences`
+    integration_points: IntegrationPoints
+    scratch: Scratch
+    springs: Springs  # on the coordinates
+    newton: NewtonScratch
+
+
+def newton_scratch(coordinates: int) -> NewtonScratch:
+    """Return zeroed work arrays for a number of coordinates."""
+    return NewtonScratch(
         np.zeros((coordinates, coordinates)), np.zeros(2), np.zeros(3, dtype=np.int64), np.zeros((10, coordinates))
     )
 
 
 @kernel_njit(fastmath={"contract"})
 def cholesky_factor(matrix, count):  # type: ignore[no-untyped-def]
-    """Factorise in place the symmetric part of the first rows and columns; return whether it is positive definite."""
+    """Factorise the symmetric part of the leading block in place; return True if it is positive definite."""
     for j in range(count):
         for i in range(j, count):
             matrix[i, j] = 0.5 * (matrix[i, j] + matrix[j, i])
@@ -98,82 +118,88 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     Returns
     -------
     implicit, tangent : functions
+        ``implicit(a, v, lifting, holds, step, loads, data)`` advances coordinates and velocities (m + l,)
+        in place. `lifting` (s + 3, l) has one time before the first step and one after the last, and
+        `holds` (s,) is True while tools prescribe the lifting coordinates. `data` is an `ImplicitData`.
+        ``tangent(a, sizes, integration_points, scratch, vectors, count, matrix)`` writes -df/da.
     """
     digest = law_digest(__name__, "implicit step", law.digest, single)
     force, _ = sampled_energy(law, single)
 
     @law_njit(digest, fastmath={"contract"})
     def tangent(a, sizes, integration_points, scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]
-        """Write -df/da of the first `count` coordinates, by differences of displacements of `sizes` [unit of a]."""
-        moved, ahead, behind = vectors[0], vectors[1], vectors[2]
+        """Write -df/da of the first `count` coordinates, by central differences of `sizes` [unit of a]."""
+        probe, ahead, behind = vectors[PROBE], vectors[AHEAD], vectors[BEHIND]
         for m in range(count):
-            moved[:] = a
-            moved[m] = a[m] + sizes[m]
-            force(moved, integration_points, scratch, ahead)
-            moved[m] = a[m] - sizes[m]
-            force(moved, integration_points, scratch, behind)
+            probe[:] = a
+            probe[m] = a[m] + sizes[m]
+            force(probe, integration_points, scratch, ahead)
+            probe[m] = a[m] - sizes[m]
+            force(probe, integration_points, scratch, behind)
             for k in range(count):
                 matrix[k, m] = (behind[k] - ahead[k]) / (2.0 * sizes[m])
 
     @law_njit(digest, inner=True)
-    def tie(step, springs, matrix, moving):  # type: ignore[no-untyped-def]
-        """Add what springs do to the system that is solved for the mean velocities."""
+    def add_springs(step, springs, matrix, moving):  # type: ignore[no-untyped-def]
+        """Add the springs to the matrix of the system for the mean velocities."""
         if springs.stiffness.shape[0] > 0:
             for i in range(moving):
                 for k in range(moving):
                     matrix[i, k] += 0.5 * step * springs.stiffness[i, k] + springs.damping[i, k]
 
     @law_njit(digest, inner=True)
-    def loaded(a, w, step, given, springs, at, load):  # type: ignore[no-untyped-def]
-        """Write the mean loads of a step with the mean velocities w: those given, and the springs'."""
+    def mean_loads(a, w, step, external, springs, at, load):  # type: ignore[no-untyped-def]
+        """Write the mean external and spring forces of a step with the mean velocities w."""
         for j in range(a.shape[0]):
             at[j] = a[j] + 0.5 * step * w[j]
-            load[j] = given[j]
-        draw_back(springs, at, w, load)
+            load[j] = external[j]
+        add_spring_forces(springs, at, w, load)
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def refactor(a, step, beta, mass, sizes, integration_points, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
-        """Take the tangent anew and factorise 2 m / dt + (dt / 2 + beta) K; where that is indefinite, its mass part.
+    def refactor(a, step, data, moving):  # type: ignore[no-untyped-def]
+        """Update the tangent and factorise 2 m / dt + (dt / 2 + beta) K, or its mass part where that is indefinite.
 
-        Springs add dt / 2 of their stiffness, and their damping, to both.
+        Springs add dt / 2 times their stiffness, and their damping, to both.
         """
-        tangent(a, sizes, integration_points, scratch, keep.vectors, moving, keep.factor)
+        newton, mass, beta = data.newton, data.mass, data.stiffness_damping
+        tangent(a, data.differences, data.integration_points, data.scratch, newton.vectors, moving, newton.factor)
         for i in range(moving):
             for k in range(moving):
-                keep.factor[i, k] = 2.0 * mass[i, k] / step + (0.5 * step + beta) * keep.factor[i, k]
-        tie(step, springs, keep.factor, moving)
-        keep.counts[1] += 1
-        if not cholesky_factor(keep.factor, moving):
+                newton.factor[i, k] = 2.0 * mass[i, k] / step + (0.5 * step + beta) * newton.factor[i, k]
+        add_springs(step, data.springs, newton.factor, moving)
+        newton.counts[TANGENTS] += 1
+        if not cholesky_factor(newton.factor, moving):
             for i in range(moving):
                 for k in range(moving):
-                    keep.factor[i, k] = 2.0 * mass[i, k] / step
-            tie(step, springs, keep.factor, moving)
-            cholesky_factor(keep.factor, moving)
-        keep.kept[0], keep.kept[1] = step, moving
+                    newton.factor[i, k] = 2.0 * mass[i, k] / step
+            add_springs(step, data.springs, newton.factor, moving)
+            cholesky_factor(newton.factor, moving)
+        newton.factored[FACTOR_STEP], newton.factored[FACTOR_SIZE] = step, moving
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def mean_force(a, w, step, beta, at, integration_points, scratch, other, result):  # type: ignore[no-untyped-def]
-        """Write the mean of the force over a step with the mean velocities w."""
+    def mean_force(a, w, step, beta, data, at, other, result):  # type: ignore[no-untyped-def]
+        """Write the mean internal force over a step with the mean velocities w."""
         for j in range(a.shape[0]):
-            at[j] = a[j] + (POINTS[0] * step + beta) * w[j]
-        force(at, integration_points, scratch, other)
+            at[j] = a[j] + (GAUSS_POINTS[0] * step + beta) * w[j]
+        force(at, data.integration_points, data.scratch, other)
         for j in range(a.shape[0]):
-            at[j] = a[j] + (POINTS[1] * step + beta) * w[j]
-        force(at, integration_points, scratch, result)
+            at[j] = a[j] + (GAUSS_POINTS[1] * step + beta) * w[j]
+        force(at, data.integration_points, data.scratch, result)
         for j in range(a.shape[0]):
             result[j] = 0.5 * (result[j] + other[j])
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def solve(a, v, step, beta, given, mass, sizes, tolerance, integration_points, scratch, springs, keep, moving):  # type: ignore[no-untyped-def]
-        """Find the mean velocities w of one implicit step; those from `moving` on are given, and their rates."""
-        w, at, result, rate = keep.vectors[3], keep.vectors[4], keep.vectors[5], keep.vectors[6]
-        change, load = keep.vectors[7], keep.vectors[9]
+    def solve(a, v, step, external, data, moving):  # type: ignore[no-untyped-def]
+        """Solve for the first `moving` mean velocities w of one step; the others and their rates are prescribed."""
+        newton, mass, vectors = data.newton, data.mass, data.newton.vectors
+        w, at, result, rate = vectors[MEAN_VELOCITY], vectors[TRIAL], vectors[FORCE], vectors[RATE]
+        change, load = vectors[UPDATE], vectors[LOAD]
         count = a.shape[0]
-        if keep.kept[0] != step or keep.kept[1] != moving:
-            refactor(a, step, beta, mass, sizes, integration_points, scratch, springs, keep, moving)
-        for iteration in range(MOST):
-            loaded(a, w, step, given, springs, at, load)
-            mean_force(a, w, step, beta, at, integration_points, scratch, change, result)
+        if newton.factored[FACTOR_STEP] != step or newton.factored[FACTOR_SIZE] != moving:
+            refactor(a, step, data, moving)
+        for iteration in range(MAX_ITERATIONS):
+            mean_loads(a, w, step, external, data.springs, at, load)
+            mean_force(a, w, step, data.stiffness_damping, data, at, change, result)
             for m in range(moving):
                 rate[m] = 2.0 * (w[m] - v[m]) / step
             for m in range(moving):
@@ -181,33 +207,32 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 for k in range(count):
                     value -= mass[m, k] * rate[k]
                 change[m] = value
-            cholesky_solve(keep.factor, moving, change)
+            cholesky_solve(newton.factor, moving, change)
             largest = 0.0
             for m in range(moving):
                 w[m] += change[m]
-                largest = max(largest, abs(change[m]) * step / sizes[m])
-            keep.counts[0] += 1
-            if largest < tolerance:
+                largest = max(largest, abs(change[m]) * step / data.differences[m])
+            newton.counts[ITERATIONS] += 1
+            if largest < data.tolerance:
                 return True
             if not largest < 1e12:
                 return False
             for r in range(len(REFRESH)):
                 if iteration == REFRESH[r]:
-                    refactor(at, step, beta, mass, sizes, integration_points, scratch, springs, keep, moving)
+                    refactor(at, step, data, moving)
         return False
 
     @law_njit(digest, fastmath={"contract"})
-    def implicit(  # type: ignore[no-untyped-def]
-        a, v, lifting, holds, step, beta, loads, mass, sizes, tolerance, integration_points, scratch, springs, keep
-    ):
-        """Advance by as many steps as there are loads; return the works [J] of loads, viscosity, tools, and the steps.
+    def implicit(a, v, lifting, holds, step, loads, data):  # type: ignore[no-untyped-def]
+        """Advance by the number of loads; return the work [J] of loads, the dissipation, the work of tools, and steps.
 
-        Fewer steps than loads were taken where one did not converge.
+        The number of steps is less than that of the loads if a step did not converge.
         """
         count, first = a.shape[0], a.shape[0] - lifting.shape[1]
-        total, lost, tools = 0.0, 0.0, 0.0
-        w, at, result, rate = keep.vectors[3], keep.vectors[4], keep.vectors[5], keep.vectors[6]
-        elastic, load = keep.vectors[8], keep.vectors[9]
+        total, lost, tool_work = 0.0, 0.0, 0.0
+        newton, mass, vectors = data.newton, data.mass, data.newton.vectors
+        w, at, result, rate = vectors[MEAN_VELOCITY], vectors[TRIAL], vectors[FORCE], vectors[RATE]
+        elastic, load = vectors[ELASTIC], vectors[LOAD]
         for s in range(loads.shape[0]):
             # lifting has one time before the first and one after the last
             moving = first if holds[s] else count
@@ -217,16 +242,14 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 c = lifting[:, j - first]
                 w[j] = (c[s + 2] - c[s + 1]) / step
                 rate[j] = (c[s + 3] - c[s + 2] - c[s + 1] + c[s]) / (2.0 * step * step)
-            if not solve(
-                a, v, step, beta, loads[s], mass, sizes, tolerance, integration_points, scratch, springs, keep, moving
-            ):
-                keep.counts[2] += 1
-                keep.kept[0] = 0.0
-                return total, lost, tools, s
+            if not solve(a, v, step, loads[s], data, moving):
+                newton.counts[FAILURES] += 1
+                newton.factored[FACTOR_STEP] = 0.0
+                return total, lost, tool_work, s
             for m in range(moving):
                 rate[m] = 2.0 * (w[m] - v[m]) / step
-            loaded(a, w, step, loads[s], springs, at, load)
-            mean_force(a, w, step, 0.0, at, integration_points, scratch, keep.vectors[7], elastic)
+            mean_loads(a, w, step, loads[s], data.springs, at, load)
+            mean_force(a, w, step, 0.0, data, at, vectors[UPDATE], elastic)
             for j in range(count):
                 total += step * load[j] * w[j]
                 lost += step * w[j] * (elastic[j] - result[j])
@@ -234,13 +257,13 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 value = -result[j] - load[j]
                 for k in range(count):
                     value += mass[j, k] * rate[k]
-                tools += step * value * w[j]
+                tool_work += step * value * w[j]
             for j in range(count):
                 a[j] += step * w[j]
                 v[j] = 2.0 * w[j] - v[j]
             for j in range(moving, count):
                 c = lifting[:, j - first]
                 a[j], v[j] = c[s + 2], (c[s + 3] - c[s + 1]) / (2.0 * step)
-        return total, lost, tools, loads.shape[0]
+        return total, lost, tool_work, loads.shape[0]
 
     return implicit, tangent

@@ -1,4 +1,4 @@
-"""The loads of a reduced model: which it takes, and what prescribed motions are to its lifting columns."""
+"""Loads of a reduced model: checks, and coordinates of the lifting vectors under prescribed motions."""
 
 from __future__ import annotations
 
@@ -22,81 +22,87 @@ __all__ = ["lifting_coordinates", "prepare_reduced_loads"]
 
 
 KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Contact, Foundation)  # whose forces the step has
-MISSED = 1e-3  # share of a prescribed motion that the lifting columns may miss
+RIGID_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
 
 
 def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit: bool) -> PreparedLoads:
-    """Make loads ready for a reduced model, stepped explicitly or not.
+    """Check loads and prepare them for a reduced model with explicit or implicit steps.
 
     Raises
     ------
     InputError
-        Loads that it does not know, or was not trained with.
+        A load is not supported, or was not part of the training.
     """
     check_kinds(loads, KINDS, "loads of a sampled reduced model")
-    about = data.kinematics
+    kinematics = data.kinematics
     loads = [
         _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load
         for load in listed(loads)
     ]
-    areas = partial(load_areas, data.cloud, about.prestretch) if about.sheet else None
+    areas = partial(load_areas, data.cloud, kinematics.prestretch) if kinematics.sheet else None
     ready = prepare_loads(data.cloud, data.fixed, loads, areas)
     if len(ready.sites.pressure_node):
-        raise InputError("a reduced model knows no follower pressures yet: use palpate.galerkin for them")
-    if ready.tools and (data.prescribed or about.sheet):
         raise InputError(
-            "tools (Contact, Grasp) do not touch reduced membranes, nor reduced models that tools hold (driven): "
+            "loads must hold no follower pressures for a reduced model, got a pressure; use palpate.galerkin"
+        )
+    if ready.tools and (data.prescribed or kinematics.sheet):
+        raise InputError(
+            "loads must hold no Contact for a reduced membrane or a model with prescribed groups, got one; "
             "run the full model"
         )
     if ready.tools and (data.compliance is None or implicit):
         raise InputError(
-            "tools (Contact, Grasp) touch a reduced model that is stepped explicitly and was trained on runs in which "
-            "they do: train it with a Contact, and leave its step out"
+            "loads must hold no Contact for a model with implicit steps or without contact in its training runs, "
+            "got one; train it with a Contact, and leave step out, so that it is stepped explicitly"
         )
-    constrained_inverse_mass = {motion.group for motion, _ in ready.motions}
-    if constrained_inverse_mass != set(data.prescribed):
-        wanted = ", ".join(map(repr, data.prescribed)) or "no group"
+    moved_groups = {motion.group for motion, _ in ready.motions}
+    if moved_groups != set(data.prescribed):
+        expected, given = (
+            ", ".join(map(repr, names)) or "no group" for names in (data.prescribed, sorted(moved_groups))
+        )
         raise InputError(
-            f"this reduced model was trained with {wanted} driven, not with {sorted(constrained_inverse_mass) or 'none'}: "
-            "give it those motions, or train it with these"
+            f"loads must prescribe the motion of {expected} as in training, got {given}; "
+            "give the model those motions, or train it with these"
         )
     if len({motion.until for motion, _ in ready.motions}) > 1:
-        raise InputError("a reduced model needs all tools to let go at one time; give them the same `until`")
+        raise InputError("until must be the same for all tools, got several times; give all motions one `until`")
     return ready
 
 
 def _forceps(data: ReducedData, grasp: Grasp) -> Contact:
-    """Return a grasp as the tool that it is on the surface of a reduced model."""
+    """Return a grasp as a rigid tool on the contact surface."""
     if grasp.name in data.cloud.groups:
-        raise InputError(f"Grasp {grasp.name!r}: {grasp.name!r} is a group of the body; give the grasp another name")
-    constrained_inverse_mass = np.concatenate(
-        [np.zeros(0, dtype=np.int64), *(data.cloud.group(name) for name in data.fixed)]
-    )
+        raise InputError(
+            f"name of a Grasp must differ from the groups of the body, got {grasp.name!r}; give it another name"
+        )
+    fixed_nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(data.cloud.group(name) for name in data.fixed)])
     nodes = grasp.with_group(data.cloud).group(grasp.name)
-    if np.isin(nodes, constrained_inverse_mass).any():
-        raise InputError(f"Grasp {grasp.name!r}: some nodes within {grasp.radius:g} m of it are fixed; hold others")
+    if np.isin(nodes, fixed_nodes).any():
+        raise InputError(
+            f"Grasp {grasp.name!r} must hold free nodes only, got fixed nodes within {grasp.radius:g} m; move it away"
+        )
     return Contact(Forceps(grasp.radius, grasp.point, grasp.until), grasp.motion, name=grasp.name)
 
 
 def lifting_coordinates(data: ReducedData, ready: PreparedLoads, times: Floats) -> Floats:
-    """Return the coordinates (t, l) of the lifting columns at some times.
+    """Return the coordinates (t, l) of the lifting vectors at some times.
 
     Raises
     ------
     InputError
-        A motion that is not a rigid tool's.
+        A prescribed motion is not rigid.
     """
-    if not data.lifted:
+    if not data.lifting_count:
         return np.zeros((len(times), 0))
     order = np.argsort(ready.sites.prescribed)
     motion = ready.schedule(times).motion[:, order].reshape(len(times), -1)
     nodes = np.flatnonzero(ready.sites.kind == PRESCRIBED)
-    span = data.basis_vectors[data.modes : data.modes + data.lifted, nodes].reshape(data.lifted, -1)
+    span = data.basis_vectors[data.modes : data.modes + data.lifting_count, nodes].reshape(data.lifting_count, -1)
     coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
-    missed = np.abs(coordinates @ span - motion).max()
-    if missed > MISSED * max(float(np.abs(motion).max()), 1e-3 * data.cloud.spacing):
+    error = np.abs(coordinates @ span - motion).max()
+    if error > RIGID_TOLERANCE * max(float(np.abs(motion).max()), 1e-3 * data.cloud.spacing):
         raise InputError(
-            f"the prescribed motion is not one this reduced model knows: {missed:.3g} m of it is missed at "
-            f"t = {times[0]:.4g} s; it can only be moved and turned as a rigid tool"
+            f"displacement of a prescribed group must be rigid, got an error of {error:.3g} m at t = {times[0]:.4g} s; "
+            "translate and rotate the group as a rigid tool"
         )
     return np.asarray(coordinates)

@@ -1,9 +1,10 @@
-"""The energy of one sampled point, compiled: of a solid, and of a membrane.
+"""Compiled stress and energy at one integration point, of a solid or a membrane.
 
-A point answers to the derivatives of the displacement, nine numbers row by row of du/dX, with its stress, cof(F) and
-J - 1, and with its energy density and J - 1. The pressure of nearly incompressible solids is not in it: it comes from
-moments of J - 1, or of another measure g(J) of the volume (`palpate.tissue.volumetric`). A membrane has no such
-pressure (its thickness follows), and only the first two columns of du/dX.
+The functions take the derivatives of the displacement, nine numbers row by row of du/dX. They return
+the stress, cof(F) and J - 1, or the energy density and J - 1. The pressure of nearly incompressible
+solids is not included: it follows from moments of J - 1, or of another measure g(J) of the volume
+(`palpate.tissue.volumetric`). A membrane has no such pressure, because its thickness follows, and
+uses only the first two columns of du/dX.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
 __all__ = ["Kinematics", "MaterialPoint", "material_point", "volume_measure"]
 
-CRUSHED = 0.1  # of a sample's volume
+MIN_VOLUME_RATIO = 0.1  # J below which the energy continues as a parabola
 
 
 @dataclass(frozen=True)
 class Kinematics:
-    """What F is of the displacement's derivatives.
+    """Kinematics of a body: the relation of F to the derivatives of the displacement.
 
     Parameters
     ----------
@@ -53,22 +54,22 @@ class Kinematics:
 
 @dataclass(frozen=True)
 class MaterialPoint:
-    """Compiled functions of a point.
+    """Compiled functions of one integration point.
 
     Parameters
     ----------
     digest : str
-        Of everything they are made from.
+        Of all sources of the functions.
     stress : function
         ``stress(d0, ..., d8, coefficients)`` returns P and cof(F), nine numbers each, and J - 1.
     density : function
         ``density(d0, ..., d8, coefficients)`` returns the energy density [J/m^3] and J - 1.
     measure : function, optional
-        ``measure(x)`` returns g and g' of x = J - 1, which go on as a tangent where the point is crushed; None where g
-        is x itself.
+        ``measure(x)`` returns g and g' of x = J - 1, continued linearly where the point is crushed. None
+        where g(x) = x.
     fibres : FibrePoints
-        What fibres add to them.
-    varied : int
+        Stress and energy of the fibres.
+    parameter_count : int
         Number of the law's parameters if they differ from point to point.
     """
 
@@ -77,79 +78,91 @@ class MaterialPoint:
     density: Any
     measure: Any = None
     fibres: FibrePoints = NO_FIBRES
-    varied: int = EVERYWHERE
+    parameter_count: int = EVERYWHERE
 
     @property
     def at(self) -> Any:
-        """``at(coefficients, b, v)``: the law's parameters at a lane's point."""
-        return parameters_at(self.varied)
+        """Function ``at(coefficients, b, v)`` of a block and a lane that returns the law's parameters."""
+        return parameters_at(self.parameter_count)
 
 
 def material_point(
-    material: Material, kinematics: Kinematics, fibres: FibreLaw | None = None, varied: bool = False
+    material: Material, kinematics: Kinematics, fibres: FibreLaw | None = None, by_point: bool = False
 ) -> tuple[MaterialPoint, tuple[float, ...]]:
-    """Return the compiled law of a body's points, and its coefficients; or of points whose parameters differ."""
-    compiled, coefficients = _bare_law(material, kinematics)
-    if varied:
+    """Return the compiled law of a body's points, and its coefficients.
+
+    With `by_point` the parameters may differ from point to point.
+    """
+    compiled, coefficients = _law_without_fibres(material, kinematics)
+    if by_point:
         count = len(coefficients)
-        compiled = replace(compiled, digest=law_digest(__name__, compiled.digest, "varied", count), varied=count)
+        compiled = replace(
+            compiled, digest=law_digest(__name__, compiled.digest, "varied", count), parameter_count=count
+        )
     if fibres is None:
         return compiled, coefficients
-    added = fibre_points(fibres)
-    return replace(compiled, digest=law_digest(__name__, compiled.digest, added.digest), fibres=added), coefficients
+    fibre_point = fibre_points(fibres)
+    return replace(
+        compiled, digest=law_digest(__name__, compiled.digest, fibre_point.digest), fibres=fibre_point
+    ), coefficients
 
 
-def _bare_law(material: Material, kinematics: Kinematics) -> tuple[MaterialPoint, tuple[float, ...]]:
+def _law_without_fibres(material: Material, kinematics: Kinematics) -> tuple[MaterialPoint, tuple[float, ...]]:
     law = type(material) if kinematics.sheet else material.law
     if kinematics.sheet:
         compiled = _sheet_point(law, kinematics.relaxed)
         return compiled, (kinematics.prestretch, *material.coefficients)
     if law.variables == "small strain":
-        raise InputError(f"{law.__name__} is for small strain: it has no reduced model; take a law of finite strain")
+        raise InputError(
+            f"material must be a law of finite strain for a reduced model, got {law.__name__} for small strain; "
+            "use Mooney-Rivlin's or another law of finite strain"
+        )
     make = _stretched_point if law.variables == "stretches" else _solid_point
-    return _held(make(law.energy, law.first, law.second), material.volumetric), material.coefficients
+    return _with_volume_measure(make(law.energy, law.first, law.second), material.volumetric), material.coefficients
 
 
 def volume_measure(material: Material, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return g and g' of many points' x = J - 1, as `PointLaw.measure` has them."""
+    """Return g and g' of many points' x = J - 1, as `MaterialPoint.measure`."""
     if material.volumetric == QUADRATIC:
         return x, np.ones_like(x)
-    value, slope = volumetric_form(material.volumetric).measure(np.maximum(x, CRUSHED - 1.0))
-    return value + slope * np.minimum(x - (CRUSHED - 1.0), 0.0), slope
+    value, slope = volumetric_form(material.volumetric).measure(np.maximum(x, MIN_VOLUME_RATIO - 1.0))
+    return value + slope * np.minimum(x - (MIN_VOLUME_RATIO - 1.0), 0.0), slope
 
 
 @cache
-def _held(law: MaterialPoint, volumetric: str) -> MaterialPoint:
-    """Give a law the measure of its volume."""
+def _with_volume_measure(law: MaterialPoint, volumetric: str) -> MaterialPoint:
+    """Return a law with the measure of its volumetric form."""
     if volumetric == QUADRATIC:
         return law
     measure_of = volumetric_form(volumetric).measure
     digest = law_digest(__name__, law.digest, measure_of)
-    whole = inline(digest, measure_of)
+    measure_below_limit = inline(digest, measure_of)
 
     @law_njit(digest, cached=False)
     def measure(x):  # type: ignore[no-untyped-def]
-        value, slope = whole(max(x, CRUSHED - 1.0))
-        return value + slope * min(x - (CRUSHED - 1.0), 0.0), slope
+        value, slope = measure_below_limit(max(x, MIN_VOLUME_RATIO - 1.0))
+        return value + slope * min(x - (MIN_VOLUME_RATIO - 1.0), 0.0), slope
 
     return replace(law, digest=digest, measure=measure)
 
 
 @cache
 def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint:
-    """Compile the points of a solid; where one is crushed or inside out, W_s goes on as a parabola in J."""
+    """Compile the points of a solid, with W_s continued as a parabola in J below MIN_VOLUME_RATIO."""
     digest = law_digest(__name__, "solid point", energy_of, first_of, second_of)
-    energy_density, slopes, bends = (inline(digest, f) for f in (energy_of, first_of, second_of))
+    energy_density, first_derivatives, second_derivatives = (
+        inline(digest, f) for f in (energy_of, first_of, second_of)
+    )
 
     @register_jitable
     def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
-        """The law's first derivatives, gone on with below CRUSHED."""
-        W1, W2, WJ = slopes(I1, I2, max(J, CRUSHED), coefficients)
-        if J < CRUSHED:
-            _, _, _, W1J, W2J, _ = bends(I1, I2, CRUSHED, coefficients)
-            _, _, _, _, _, rise = bends(3.0, 3.0, CRUSHED, coefficients)
-            less = J - CRUSHED
-            return W1 + W1J * less, W2 + W2J * less, WJ + rise * less
+        """Return the law's first derivatives, continued below MIN_VOLUME_RATIO."""
+        W1, W2, WJ = first_derivatives(I1, I2, max(J, MIN_VOLUME_RATIO), coefficients)
+        if J < MIN_VOLUME_RATIO:
+            _, _, _, W1J, W2J, _ = second_derivatives(I1, I2, MIN_VOLUME_RATIO, coefficients)
+            _, _, _, _, _, curvature = second_derivatives(3.0, 3.0, MIN_VOLUME_RATIO, coefficients)
+            excess = J - MIN_VOLUME_RATIO
+            return W1 + W1J * excess, W2 + W2J * excess, WJ + curvature * excess
         return W1 + 0.0, W2 + 0.0, WJ + 0.0
 
     @law_njit(digest, cached=False, fastmath={"contract"}, forceinline=True)
@@ -161,11 +174,11 @@ def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint
         C02, C12 = F00 * F02 + F10 * F12 + F20 * F22, F01 * F02 + F11 * F12 + F21 * F22
         I1 = C00 + C11 + C22
         I2 = C00 * C11 + C00 * C22 + C11 * C22 - C01 * C01 - C02 * C02 - C12 * C12
-        W = energy_density(I1, I2, max(J, CRUSHED), coefficients)
-        if J < CRUSHED:
-            _, _, slope = slopes(I1, I2, CRUSHED, coefficients)
-            _, _, _, _, _, rise = bends(3.0, 3.0, CRUSHED, coefficients)
-            W += (slope + 0.5 * rise * (J - CRUSHED)) * (J - CRUSHED)
+        W = energy_density(I1, I2, max(J, MIN_VOLUME_RATIO), coefficients)
+        if J < MIN_VOLUME_RATIO:
+            _, _, slope = first_derivatives(I1, I2, MIN_VOLUME_RATIO, coefficients)
+            _, _, _, _, _, curvature = second_derivatives(3.0, 3.0, MIN_VOLUME_RATIO, coefficients)
+            W += (slope + 0.5 * curvature * (J - MIN_VOLUME_RATIO)) * (J - MIN_VOLUME_RATIO)
         return W, J - 1.0
 
     return MaterialPoint(digest, make_stress(digest, extended), density)
@@ -173,9 +186,9 @@ def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint
 
 @cache
 def _stretched_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint:
-    """Compile the points of a solid whose law is one of the principal stretches."""
+    """Compile the points of a solid whose law depends on the principal stretches."""
     digest = law_digest(__name__, "stretched point", energy_of, first_of, second_of)
-    return MaterialPoint(digest, *make_principal_point(digest, energy_of, first_of, second_of, CRUSHED))
+    return MaterialPoint(digest, *make_principal_point(digest, energy_of, first_of, second_of, MIN_VOLUME_RATIO))
 
 
 @cache

@@ -1,7 +1,8 @@
-"""The reduced model: an energy sampled at few nodes, in the coordinates of modes and tools.
+"""The hyper-reduced model: an energy sampled at few nodes, in the coordinates of modes and tools.
 
-Everything it needs it holds itself: it is made by `palpate.hyper_reduce` from a full model and its runs, and then knows that
-model no more. A step costs what its samples and coordinates cost, whatever the body's number of nodes.
+`palpate.hyper_reduce` makes it from a full model and its runs. The result does not depend on the full
+model any more. The cost of a step depends on the numbers of integration points and coordinates, not
+on the number of nodes.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.reduction.contact.tools import ContactTools, bonded_nodes, tool_displacements
 from palpate.reduction.hyper.data import ReducedData
-from palpate.reduction.hyper.error_indicator import expected_error, nearest
-from palpate.reduction.hyper.explicit import explicit_step
-from palpate.reduction.hyper.foundation import draw_back
+from palpate.reduction.hyper.error_indicator import distances_to_nearest, expected_error
+from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
+from palpate.reduction.hyper.foundation import add_spring_forces
 from palpate.reduction.hyper.generalised_forces import GeneralisedForces, generalised_forces, load_forces, pose_map
-from palpate.reduction.hyper.implicit import implicit_step, newton
+from palpate.reduction.hyper.implicit import FACTOR_STEP, ImplicitData, implicit_step, newton_scratch
 from palpate.reduction.hyper.loads import lifting_coordinates, prepare_reduced_loads
 from palpate.reduction.hyper.material_point import material_point
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, sampled_energy, scratch, shear_weights
@@ -38,71 +39,77 @@ from palpate.reduction.hyper.sampled_energy import IntegrationPoints, sampled_en
 __all__ = ["ReducedData", "ReducedModel"]
 
 
-MOVED = 0.1  # of the largest displacement seen: how far the state goes before the explicit step is found anew
-CONVERGED = 1e-7  # of the spacing: largest displacement that a Newton iteration may still change
-DIFFERENCE = 1e-5  # of the spacing: displacements for tangents by differences
-NEIGHBOURS = {2: 14, 3: 42}  # of the stencils of a sheet and of a solid
+REFRESH_DISPLACEMENT = 0.1  # displacement after which the stable step is updated, as a fraction of the largest so far
+NEWTON_TOLERANCE = 1e-7  # largest displacement of the last Newton update, in spacings
+DIFFERENCE_STEP = 1e-5  # displacements for difference quotients of the tangent, in spacings
+STENCIL_NEIGHBOURS = {2: 14, 3: 42}  # by dimension of the cloud: a sheet, a solid
 
 
 class ReducedModel(Model):
-    """A body in few coordinates whose force comes from few nodes.
+    """A body in few coordinates, with forces from few integration points.
 
     Parameters
     ----------
-    parts : ReducedData
+    data : ReducedData
     step : float, optional [s]
-        Of the energy-conserving implicit rule. By default steps are explicit, as long as the reduced body allows.
+        Of the energy-conserving implicit rule. By default steps are explicit, at the stable step of the
+        reduced body.
     single : bool
-        Whether the derivatives at the samples are kept in single precision.
+        Whether the derivatives at the integration points have single precision.
 
     Attributes
     ----------
     count : int
-        Number of coordinates: modes and lifting columns.
+        Number of coordinates: modes and lifting vectors.
     report : dict
-        What was measured in training.
+        Figures measured in training.
     """
 
     name = "reduced"
     conservative = True
-    tolerance = CONVERGED / DIFFERENCE  # of Newton's iterations
+    tolerance = NEWTON_TOLERANCE / DIFFERENCE_STEP  # of Newton's method
 
     def __init__(self, data: ReducedData, *, step: float | None = None, single: bool = True) -> None:
         if step is not None and data.material.prony is not None:
-            raise InputError("tissue that relaxes (prony) is stepped explicitly: leave the step out")
+            raise InputError(
+                "step must be None for tissue that relaxes (prony), which is stepped explicitly; leave it out"
+            )
         self.data, self.step, self.single = data, step, single
         self.cloud, self.material, self.fixed = data.cloud, data.material, data.fixed
         self.stiffness_damping, self.report = data.stiffness_damping, data.report
         self.min_steps_per_frame = 20 if step is None else 1  # the implicit step is the user's choice
-        self.count = count = data.modes + data.lifted
+        self.count = count = data.modes + data.lifting_count
         several = data.regions is not None
         self._law, self._coefficients = material_point(data.material, data.kinematics, data.fibres, several)
         flat = data.basis_vectors.reshape(len(data.basis_vectors), -1)
         self._all_mass = (flat * np.repeat(self.masses, 3)) @ flat.T
         self.mass = np.ascontiguousarray(self._all_mass[:count, :count])
         self._constrained_inverse_mass = np.asarray(np.linalg.inv(self.mass[: data.modes, : data.modes]), dtype=float)
-        self._free = np.linalg.inv(self.mass)
-        self.sampled = partial(data.integration_points, coefficients=self._coefficients, single=single)
-        self._all, self._integration_points = self.sampled(np.arange(len(flat))), self.sampled(np.arange(count))
-        self._firm = self._integration_points._replace(families=always_taut(self._integration_points.families))
-        self._scratch, self._newton = scratch(self._integration_points), newton(count)
+        self._inverse_mass = np.asarray(np.linalg.inv(self.mass), dtype=float)
+        self.integration_points = partial(data.integration_points, coefficients=self._coefficients, single=single)
+        self._all = self.integration_points(np.arange(len(flat)))
+        self._integration_points = self.integration_points(np.arange(count))
+        self._taut_points = self._integration_points._replace(families=always_taut(self._integration_points.families))
+        self._scratch, self._newton = scratch(self._integration_points), newton_scratch(count)
         self._all_scratch = scratch(self._all, self._scratch.history)
         self._force, self._energy = sampled_energy(self._law, single)
         self._explicit = explicit_step(self._law, single)
         self._implicit, self._tangent = implicit_step(self._law, single)
-        self.sizes = np.linalg.norm(data.basis_vectors[:count], axis=2).max(axis=1)  # displacement of a unit coordinate
-        self._differences = DIFFERENCE * self.cloud.spacing / self.sizes
-        self._loaded: GeneralisedForces | None = None
+        # largest displacement [m] of a unit coordinate
+        self.sizes = np.linalg.norm(data.basis_vectors[:count], axis=2).max(axis=1)
+        self._differences = DIFFERENCE_STEP * self.cloud.spacing / self.sizes
+        self._projected: GeneralisedForces | None = None
         self._contact_surface = data.surface
-        self._handled: ContactTools | None = None
-        self._result, self._everything, self._frequency, self._reach = np.zeros(count), np.zeros(len(flat)), 0.0, 0.0
+        self._tools_cache: ContactTools | None = None
+        self._result, self._all_result = np.zeros(count), np.zeros(len(flat))
+        self._frequency, self._largest_displacement = 0.0, 0.0
         self._frequency_at: Floats | None = None
 
     def _own_facts(self) -> list[Fact]:
         data, found = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
         return [
             ("modes", data.modes, ""),
-            ("lifting columns", data.lifted or None, ""),
+            ("lifting columns", data.lifting_count or None, ""),
             ("sampled nodes", len(data.cubature.nodes), ""),
             (
                 "held-out displacement error",
@@ -125,16 +132,16 @@ class ReducedModel(Model):
         return self._result.copy()
 
     def forces(self, coordinates: Floats) -> Floats:
-        """Return the internal forces on all columns, test fields too, shape (m + l + 3 g + w,)."""
-        moved = np.zeros(len(self.data.basis_vectors))
-        moved[: self.count] = coordinates
-        self._force(moved, self._all, self._all_scratch, self._everything)
-        return self._everything.copy()
+        """Return the internal forces on all basis vectors, test fields included, shape (m + l + 3 g + w,)."""
+        padded = np.zeros(len(self.data.basis_vectors))
+        padded[: self.count] = coordinates
+        self._force(padded, self._all, self._all_scratch, self._all_result)
+        return self._all_result.copy()
 
     def project(self, fields: Floats) -> Floats:
-        """Return the coordinates (t, m + l) that are nearest to displacements or velocities (t, n, 3)."""
+        """Return the coordinates (t, m + l) of the best approximations of fields (t, n, 3), in the mass norm."""
         flat = self.data.basis_vectors[: self.count].reshape(self.count, -1) * np.repeat(self.masses, 3)
-        return np.asarray((fields.reshape(len(fields), -1) @ flat.T) @ self._free)
+        return np.asarray((fields.reshape(len(fields), -1) @ flat.T) @ self._inverse_mass)
 
     def energy(self, coordinates: Floats) -> float:
         """Return the strain energy [J]."""
@@ -157,19 +164,19 @@ class ReducedModel(Model):
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         return prepare_reduced_loads(self.data, loads, implicit=self.step is not None)
 
-    def _loads(self, ready: PreparedLoads) -> GeneralisedForces:
-        if self._loaded is None or self._loaded.prepared is not ready:
-            self._loaded = generalised_forces(ready, self.data.basis_vectors, self.masses, self.mass)
-        return self._loaded
+    def _project_loads(self, ready: PreparedLoads) -> GeneralisedForces:
+        if self._projected is None or self._projected.prepared is not ready:
+            self._projected = generalised_forces(ready, self.data.basis_vectors, self.masses, self.mass)
+        return self._projected
 
-    def _handling(self, ready: PreparedLoads) -> ContactTools:
-        if self._handled is None or self._handled.prepared is not ready:
-            self._handled = ContactTools(self._contact_surface, ready)
-        return self._handled
+    def _contact_tools(self, ready: PreparedLoads) -> ContactTools:
+        if self._tools_cache is None or self._tools_cache.prepared is not ready:
+            self._tools_cache = ContactTools(self._contact_surface, ready)
+        return self._tools_cache
 
     @staticmethod
     def _holds(ready: PreparedLoads, times: Floats) -> NDArray[np.bool_]:
-        """Whether the tools hold the body at some times, shape (t,)."""
+        """Return whether the tools prescribe the motion at some times, shape (t,)."""
         return ready.motions[0][0].is_active(times) if ready.motions else np.ones(len(times), dtype=np.bool_)
 
     # stepping
@@ -181,63 +188,59 @@ class ReducedModel(Model):
         velocity: Floats | None = None,
         time: float = 0.0,
     ) -> State:
-        self._frequency_at, self._reach, self._newton.kept[0] = None, 0.0, 0.0
+        self._frequency_at, self._largest_displacement, self._newton.factored[FACTOR_STEP] = None, 0.0, 0.0
         flat = self.data.basis_vectors[: self.count].reshape(self.count, -1)
-        known = []
+        projected = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
             array = initial_field(name, given, len(self.cloud))
-            known.append(flat @ (array * self.masses[:, None]).reshape(-1))
-        coordinates, velocities = np.array(known)
+            projected.append(flat @ (array * self.masses[:, None]).reshape(-1))
+        coordinates, velocities = np.array(projected)
         modes = slice(self.data.modes)
         if self._holds(prepared, np.array([time]))[0]:
-            constrained_inverse_mass = lifting_coordinates(self.data, prepared, np.array([time]))[0]
+            lifting = lifting_coordinates(self.data, prepared, np.array([time]))[0]
             rates = prepared.rates(lambda times: lifting_coordinates(self.data, prepared, times), time)[0]
-            for moment, own in ((coordinates, constrained_inverse_mass), (velocities, rates)):
-                moment[modes] = self._constrained_inverse_mass @ (
-                    moment[modes] - self.mass[modes, self.data.modes :] @ own
+            for vector, known in ((coordinates, lifting), (velocities, rates)):
+                vector[modes] = self._constrained_inverse_mass @ (
+                    vector[modes] - self.mass[modes, self.data.modes :] @ known
                 )
-                moment[self.data.modes :] = own
+                vector[self.data.modes :] = known
         else:
-            coordinates, velocities = self._free @ coordinates, self._free @ velocities
+            coordinates, velocities = self._inverse_mass @ coordinates, self._inverse_mass @ velocities
         history = equilibrium_history(self._scratch.history, lambda: self.force(coordinates))
         rest = State(coordinates, velocities, time, history=history)
-        begun = self._handling(prepared).begun(lambda: self.displacement(rest, prepared), time, self.cloud.spacing)
-        return replace(rest, contact_state=begun)
+        tools = self._contact_tools(prepared)
+        contact = tools.initial_state(lambda: self.displacement(rest, prepared), time, self.cloud.spacing)
+        return replace(rest, contact_state=contact)
 
     def stable_step(self, state: State, prepared: PreparedLoads) -> float:
         if self.step is not None:
             return self.step
         restore_history(self._scratch.history, state.history)
         moved = state.coordinates * self.sizes
-        self._reach = max(self._reach, float(np.abs(moved).max(initial=0.0)))
-        if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > MOVED * self._reach:
-            constrained_inverse_mass = bool(self._holds(prepared, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
-            self._frequency, self._frequency_at = self._highest(state.coordinates, constrained_inverse_mass), moved
-        springs = self._loads(prepared).own
-        highest = float(np.hypot(max(self._frequency, self.data.taut_frequency), np.sqrt(springs.square)))
-        if not highest:  # nothing holds any motion
+        self._largest_displacement = max(self._largest_displacement, float(np.abs(moved).max(initial=0.0)))
+        farthest = REFRESH_DISPLACEMENT * self._largest_displacement
+        if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > farthest:
+            prescribed = bool(self._holds(prepared, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
+            self._frequency, self._frequency_at = self._highest_frequency(state.coordinates, prescribed), moved
+        springs = self._project_loads(prepared).coordinate_springs
+        highest = float(np.hypot(max(self._frequency, self.data.taut_frequency), np.sqrt(springs.highest_squared)))
+        if not highest:  # no stiffness
             return np.inf
-        return stable_step(highest, self.stiffness_damping + springs.rate / highest / highest)
+        return stable_step(highest, self.stiffness_damping + springs.decay_rate / highest / highest)
 
-    def _highest(self, coordinates: Floats, constrained_inverse_mass: bool = True) -> float:
-        moving = slice(self.data.modes if constrained_inverse_mass else None)
-        tangent = self._stiffness(coordinates, self._firm)[moving, moving]
+    def _highest_frequency(self, coordinates: Floats, prescribed: bool = True) -> float:
+        """Return the highest frequency [rad/s], with the lifting coordinates prescribed or free."""
+        moving = slice(self.data.modes if prescribed else None)
+        tangent = self._stiffness(coordinates, self._taut_points)[moving, moving]
         if not np.isfinite(tangent).all():
             return np.inf
-        return float(
-            np.sqrt(
-                np.abs(
-                    np.linalg.eigvals(
-                        (self._constrained_inverse_mass if constrained_inverse_mass else self._free) @ tangent
-                    )
-                ).max()
-            )
-        )
+        inverse_mass = self._constrained_inverse_mass if prescribed else self._inverse_mass
+        return float(np.sqrt(np.abs(np.linalg.eigvals(inverse_mass @ tangent)).max()))
 
     def frequencies(self, coordinates: Floats | None = None) -> Floats:
-        """Return the circular frequencies [rad/s] of the modes, the tools held, in ascending order; by default at rest.
+        """Return the circular frequencies [rad/s] of the modes with the tools fixed, in ascending order.
 
-        Not a number where the body is unstable.
+        They are those at rest by default, and NaN where the body is unstable.
         """
         modes = slice(self.data.modes)
         tangent = self.stiffness(np.zeros(self.count) if coordinates is None else coordinates)[modes, modes]
@@ -245,105 +248,130 @@ class ReducedModel(Model):
         return np.sqrt(np.where(squares >= 0, squares, np.nan))
 
     def advance(
-        self, state: State, prepared: PreparedLoads, step: float, steps: int, beside: Floats | float = 0.0
+        self, state: State, prepared: PreparedLoads, step: float, steps: int, added_forces: Floats | float = 0.0
     ) -> State:
-        """Advance by some steps; explicit ones take forces (m + l,) on the coordinates beside those of the drive."""
+        """Advance by some steps; explicit steps support additional forces (m + l,) on the coordinates."""
         a, v, count, history = state.coordinates.copy(), state.velocities.copy(), self.count, self._scratch.history
         restore_history(history, state.history)
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
-        handling, of = self._handling(prepared), self._loads(prepared)
+        contact, projected = self._contact_tools(prepared), self._project_loads(prepared)
+        lifting = lifting_coordinates(self.data, prepared, times)
         if self.step is None:
-            loads = np.ascontiguousarray(of.at(times[1:-1])[:, :count] + beside)
-            wave_speed = self.data.wave_speed / self.sizes[self.data.modes :]
-            work, lost, tools = self._explicit(
-                a, v, lifting_coordinates(self.data, prepared, times), self._holds(prepared, times[1:-1]), step, self.stiffness_damping, wave_speed,
-                loads, self.mass, self._constrained_inverse_mass, self._free, self._integration_points, self._scratch, of.own, self._newton,
-                handling.poses(times[1:-1], state.contact_state, self.cloud.spacing), self._contact_surface, handling.contact_state,
-                handling.tools,
-            )  # fmt: skip
+            loads = np.ascontiguousarray(projected.at(times[1:-1])[:, :count] + added_forces)
+            explicit_data = ExplicitData(
+                stiffness_damping=self.stiffness_damping,
+                wave_speed=self.data.wave_speed / self.sizes[self.data.modes :],
+                mass=self.mass,
+                constrained_inverse_mass=self._constrained_inverse_mass,
+                inverse_mass=self._inverse_mass,
+                integration_points=self._integration_points,
+                scratch=self._scratch,
+                springs=projected.coordinate_springs,
+                work=self._newton.vectors,
+            )
+            contact_data = ContactData(
+                poses=contact.poses(times[1:-1], state.contact_state, self.cloud.spacing),
+                surface=self._contact_surface,
+                scratch=contact.contact_state,
+                tools=contact.tools,
+            )
+            holds = self._holds(prepared, times[1:-1])
+            work, lost, tool_work = self._explicit(a, v, lifting, holds, step, loads, explicit_data, contact_data)
         else:
             middles = times[1:-2] + 0.5 * step
-            loads = np.ascontiguousarray(of.at(middles)[:, :count])
-            work, lost, tools, taken = self._implicit(
-                a, v, lifting_coordinates(self.data, prepared, times), self._holds(prepared, times[2:-1]), step, self.stiffness_damping, loads,
-                self.mass, self._differences, self.tolerance, self._integration_points, self._scratch, of.own, self._newton,
-            )  # fmt: skip
+            loads = np.ascontiguousarray(projected.at(middles)[:, :count])
+            implicit_data = ImplicitData(
+                stiffness_damping=self.stiffness_damping,
+                mass=self.mass,
+                differences=self._differences,
+                tolerance=self.tolerance,
+                integration_points=self._integration_points,
+                scratch=self._scratch,
+                springs=projected.coordinate_springs,
+                newton=self._newton,
+            )
+            holds = self._holds(prepared, times[2:-1])
+            work, lost, tool_work, taken = self._implicit(a, v, lifting, holds, step, loads, implicit_data)
             if taken < steps:
                 a[:] = np.nan
         if history.branches.size:
             lost += float(np.sum(shear_weights(self._integration_points) * history.lost) + history.volume_lost.sum())
-        external, dissipated = state.external_work + work + tools, state.dissipated + lost
         return State(
-            a, v, float(times[-2]), external, dissipated, saved_history(history), handling.after(state.contact_state)
+            coordinates=a,
+            velocities=v,
+            time=float(times[-2]),
+            external_work=state.external_work + work + tool_work,
+            dissipated=state.dissipated + lost,
+            history=saved_history(history),
+            contact_state=contact.final_state(state.contact_state),
         )
 
-    # what a state means
+    # results of a state
 
     def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
-        """Return the displacements [m] of some nodes, rebuilt only there."""
-        moved = np.tensordot(state.coordinates, self.data.basis_vectors[: self.count, nodes], 1)
-        return (
-            moved
-            if state.contact_state is None
-            else moved
-            + tool_displacements(
-                self.data.compliance, self.cloud.points, self._contact_surface, state.contact_state, prepared
-            )[0][nodes]
-        )
+        """Return the displacements [m] of some nodes."""
+        modal = np.tensordot(state.coordinates, self.data.basis_vectors[: self.count, nodes], 1)
+        return modal if state.contact_state is None else modal + self._tool_displacements(state, prepared)[0][nodes]
+
+    def _tool_displacements(self, state: State, prepared: PreparedLoads) -> tuple[Floats, float]:
+        """Return displacements (n, 3) [m] and energy [J] of the surface compliance."""
+        surface, points = self._contact_surface, self.cloud.points
+        return tool_displacements(self.data.compliance, points, surface, state.contact_state, prepared)
 
     def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
         return np.tensordot(state.velocities, self.data.basis_vectors[: self.count, nodes], 1)
 
-    def _rates(self, state: State, prepared: PreparedLoads) -> tuple[Floats, Floats]:
-        """Accelerations of the coordinates, and what internal forces and loads do on all columns."""
+    def _accelerations(self, state: State, prepared: PreparedLoads) -> tuple[Floats, Floats]:
+        """Return the accelerations of the coordinates, and internal forces plus loads on all basis vectors."""
         restore_history(self._scratch.history, state.history)
         forces = self.forces(state.coordinates + self.stiffness_damping * state.velocities)
-        forces += self._loads(prepared).at(np.array([state.time]))[0]
-        draw_back(self._loads(prepared).springs, state.coordinates, state.velocities, forces)
+        forces += self._project_loads(prepared).at(np.array([state.time]))[0]
+        add_spring_forces(self._project_loads(prepared).springs, state.coordinates, state.velocities, forces)
         if state.contact_state is not None:
             forces += np.tensordot(self.data.basis_vectors, state.contact_state.forces, 2)
         modes = slice(self.data.modes)
         if self._holds(prepared, np.array([state.time]))[0]:
-            bend = prepared.rates(lambda times: lifting_coordinates(self.data, prepared, times), state.time)[1]
-            own = self._constrained_inverse_mass @ (forces[modes] - self.mass[modes, self.data.modes :] @ bend)
-            return np.concatenate([own, bend]), forces
-        return self._free @ forces[: self.count], forces
+            lifting_rates = prepared.rates(lambda times: lifting_coordinates(self.data, prepared, times), state.time)[1]
+            free = forces[modes] - self.mass[modes, self.data.modes :] @ lifting_rates
+            return np.concatenate([self._constrained_inverse_mass @ free, lifting_rates]), forces
+        return self._inverse_mass @ forces[: self.count], forces
 
-    def needed(self, state: State, prepared: PreparedLoads) -> Floats:
-        """Return what all columns need beyond internal forces and loads to move as they do, shape (all,)."""
-        rates, forces = self._rates(state, prepared)
+    def required_forces(self, state: State, prepared: PreparedLoads) -> Floats:
+        """Return the constraint forces on all basis vectors, shape (m + l + 3 g + w,).
+
+        They are the inertial forces minus internal forces and loads.
+        """
+        rates, forces = self._accelerations(state, prepared)
         return np.asarray(self._all_mass[:, : self.count] @ rates - forces)
 
     def reactions(self, state: State, prepared: PreparedLoads) -> dict[str, Floats]:
-        """Return the force [N] of every support and tool on the body: what its columns need beyond the other forces."""
-        needed, first = self.needed(state, prepared), self.count
-        result = {name: needed[first + 3 * g : first + 3 * g + 3] for g, name in enumerate(self.fixed)}
-        holds, tools = self._holds(prepared, np.array([state.time]))[0], needed[self.data.modes : self.count]
+        """Return the force [N] of every support and tool on the body, from the constraint forces."""
+        required_forces, first = self.required_forces(state, prepared), self.count
+        result = {name: required_forces[first + 3 * g : first + 3 * g + 3] for g, name in enumerate(self.fixed)}
+        holds, tools = self._holds(prepared, np.array([state.time]))[0], required_forces[self.data.modes : self.count]
         for name in self.data.prescribed:
             result[name] = self.tool_map(name)[:, :3].T @ tools if holds else np.zeros(3)
         return result
 
     def tool_map(self, group: str) -> Floats:
-        """Return what a rigid tool's pose does to the lifting columns' coordinates, shape (l, 12).
+        """Return the map (l, 12) from the pose of a rigid tool to the lifting coordinates.
 
-        Coordinates are the map times the translation (3) and the entries of R - I (9, row by row), R the rotation about
-        the mean place of the group's nodes.
+        The coordinates are the map times the translation (3) and the entries of R - I (9, row by row). R is
+        the rotation about the mean position of the group's nodes.
         """
         nodes = self.cloud.group(group)
         return pose_map(self.cloud.points[nodes], self.data.basis_vectors[self.data.modes : self.count, nodes])
 
     def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
         forces, moments, contact_forces, _ = contact_outputs(state, prepared)
-        compliance, stored = tool_displacements(
-            self.data.compliance, self.cloud.points, self._contact_surface, state.contact_state, prepared
-        )
+        residual, energy = self._tool_displacements(state, prepared)
         return Outputs(
-            np.tensordot(state.coordinates, self.data.basis_vectors[: self.count], 1) + compliance,
+            np.tensordot(state.coordinates, self.data.basis_vectors[: self.count], 1) + residual,
             self.velocity(state, prepared),
             self.reactions(state, prepared) | forces,
             float(0.5 * state.velocities @ self.mass @ state.velocities),
-            self.energy(state.coordinates) + stored,
+            self.energy(state.coordinates) + energy,
             state.external_work,
             state.dissipated,
             moments,
@@ -352,12 +380,13 @@ class ReducedModel(Model):
         )
 
     def trust(self, state: State, prepared: PreparedLoads) -> float:
-        """Return how far a state is from what the model was trained on: above 1 it was not trained on such states.
+        """Return the trust number of a state: above 1 the state is outside the training data.
 
-        The larger of two numbers: the distance to the nearest training state, and the imbalance of forces on test
-        fields that the coordinates cannot move (`palpate.reduction.hyper.error_indicator`), both as lengths, over those that make the
-        trust number at most 1 on 95 % of the frames of the held-out runs. Without those they are the distance that 95 %
-        of the training states keep to other training runs, and the imbalance that projecting them makes.
+        It is the larger of two numbers: the distance to the nearest training state, and the residual norm of
+        the forces on test fields (`palpate.reduction.hyper.error_indicator`). Both are lengths, divided by
+        their scales. The scales make the trust number at most 1 on 95 % of the frames of the held-out runs.
+        Without such runs, they are quantiles of the training data: of the distances between runs, and of the
+        residual norms after projection.
         """
         return max(
             self.distance(state) / self.data.distance_scale,
@@ -366,31 +395,35 @@ class ReducedModel(Model):
 
     def distance(self, state: State) -> float:
         """Return the root mean square displacement [m] over the body from a state to the nearest training state."""
-        return float(nearest(state.coordinates[None], self.data.trained, self.mass / self.masses.sum())[0])
+        return float(
+            distances_to_nearest(state.coordinates[None], self.data.training_states, self.mass / self.masses.sum())[0]
+        )
 
     def residual_norm(self, state: State, prepared: PreparedLoads) -> float:
-        """Return the root mean square displacement [m] that forces which the coordinates cannot balance would make.
+        """Return the root mean square displacement [m] that the unbalanced forces would cause at rest.
 
-        The forces are those on the witnesses (`palpate.reduction.training.residual_fields`), the displacement that at
-        rest in their shapes; 0 without witnesses.
+        The unbalanced forces act on the residual fields (`palpate.reduction.training.residual_fields`), and
+        the displacement is in their shapes. The norm is 0 without residual fields.
         """
         return float(
-            np.linalg.norm(self.needed(state, prepared)[len(self.data.basis_vectors) - self.data.residual_fields :])
+            np.linalg.norm(
+                self.required_forces(state, prepared)[len(self.data.basis_vectors) - self.data.residual_fields :]
+            )
         )
 
     def expected_error(self, trust: float) -> tuple[float, float]:
-        """Return what displacement error came with a trust number in the held-out runs: median and 95th percentile.
+        """Return the displacement errors of the held-out runs at a trust number: median and 95th percentile.
 
         Parameters
         ----------
         trust : float
-            The largest trust number of a motion so far: an error once made goes on ringing in the body.
+            The largest trust number of a motion so far, because an error persists as a vibration.
 
         Returns
         -------
         median, percentile : float
-            Root mean square over the body, over the largest such displacement of the run. Infinite for a trust number
-            above all that was met.
+            Root mean square over the body, divided by the largest such displacement of the run. Infinite
+            above all trust numbers of the held-out runs.
 
         Raises
         ------
@@ -400,20 +433,20 @@ class ReducedModel(Model):
         return expected_error(self.report, trust)
 
     def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
-        return np.tensordot(self._rates(state, prepared)[0], self.data.basis_vectors[: self.count], 1)
+        return np.tensordot(self._accelerations(state, prepared)[0], self.data.basis_vectors[: self.count], 1)
 
     def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
         forces = load_forces(prepared, self.masses, self.data.basis_vectors, state)
         return forces if state.contact_state is None else forces + state.contact_state.forces
 
     def nodal_force(self, displacements: Floats) -> Floats:
-        raise InputError("a reduced model has no forces at nodes; ask the full model")
+        raise InputError("model must be a full model to return nodal forces, got a ReducedModel; use Solid or Membrane")
 
     @cached_property
     def stencils(self) -> Any:  # type: ignore[override]
-        """Stencils of the cloud, made when first asked for."""
+        """Stencils of the cloud, computed at the first use."""
         stretch, space = self.data.kinematics.prestretch, self.cloud.points.shape[1]
-        return moving_least_squares(self.cloud.points / stretch, order=2, neighbours=NEIGHBOURS[space])
+        return moving_least_squares(self.cloud.points / stretch, order=2, neighbours=STENCIL_NEIGHBOURS[space])
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
         rest = self.data.kinematics.prestretch * np.eye(3, self.cloud.points.shape[1])
@@ -421,13 +454,15 @@ class ReducedModel(Model):
 
     def stress(self, displacements: Floats) -> Floats:
         if self.data.kinematics.sheet:
-            raise InputError("a reduced membrane does not tell its stress at nodes: ask the full model")
+            raise InputError(
+                "model must be a full model to return the stress at nodes, got a reduced membrane; use Membrane"
+            )
         return self.data.stress(self.deformation_gradient(displacements))
 
     def strain_energy(self, displacements: Floats) -> float:
-        """Return the strain energy [J] of nodal displacements that the columns can make."""
+        """Return the strain energy [J] of nodal displacements, projected on the coordinates."""
         return self.energy(self.project(displacements[None])[0])
 
     def with_step(self, step: float | None) -> ReducedModel:
-        """Return this model stepped by the energy-conserving implicit rule of a step [s], or explicitly (None)."""
+        """Return this model with the energy-conserving implicit rule of a step [s], or explicit steps (None)."""
         return ReducedModel(self.data, step=step, single=self.single)

@@ -1,18 +1,19 @@
 """The compiled force of a reduced model: an energy sampled at few nodes.
 
-With the coordinates a of modes and lifting columns, F_s = I + B_s a at the sampled nodes s,
+With the coordinates a of modes and lifting vectors, F_s = I + B_s a at the sampled nodes s,
 
     E(a) = sum of w_s W_s(F_s) + 1/2 |c|^2 + 1/2 a . H a,      c = Z (J - 1),      force = -dE/da.
 
-Weights w_s are positive; c are few moments of the dilatations at the samples, one for every pressure mode, so that the
-pressure is Z^T c; H is the constant stiffness of what stencils miss. Each term is an energy bounded from below,
-whatever w, Z and B are: this is why the model cannot blow up. Where a sample is crushed to less than a tenth of its
-volume, or inside out, W_s goes on as a parabola in J. A law that holds its volume in another form has its measure g(J)
-in the place of J - 1 (`palpate.tissue.volumetric`). The cost knows the samples and coordinates, not the body.
+The weights w_s are positive. The c are few moments of the dilatations at the integration points, one
+per pressure mode, so the pressure is Z^T c. H is the constant stiffness of the hourglass residual.
+Each term is an energy bounded from below for any w, Z and B, so the model cannot blow up. Below a
+tenth of a point's volume, or where the point is inverted, W_s continues as a parabola in J. A law
+with another volumetric form uses its measure g(J) in place of J - 1 (`palpate.tissue.volumetric`).
+The cost depends on the numbers of integration points and coordinates, not on the size of the body.
 
-The energy is that of `palpate.dynamics.solid.energy_form` with some of its nodes; with all nodes, their volumes, and the
-smoothed dilatations for moments it is the Galerkin model itself. A membrane is sampled at the points of
-`palpate.dynamics.membrane.passes`, six about a node, and has no moments.
+The energy is a subset of the terms of `palpate.dynamics.solid.energy_form`. With all nodes, their
+volumes, and the smoothed dilatations as moments it equals the Galerkin model. A membrane is sampled
+at the points of `palpate.dynamics.membrane.passes`, six per node, and has no moments.
 """
 
 from __future__ import annotations
@@ -36,24 +37,25 @@ from palpate.tissue.regions import Regions
 __all__ = ["IntegrationPoints", "Scratch", "integration_points", "sampled_energy", "scratch", "shear_weights"]
 
 
-EASY = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # tissue that does not relax
+NO_RELAXATION = Relaxation(np.zeros(0), np.zeros(0), np.zeros(0))  # elastic tissue
 
 
 class IntegrationPoints(NamedTuple):
-    """What the force is computed from.
+    """Constants of the sampled energy.
 
     Parameters
     ----------
-    table : (b, m, 9, LANES) float32 or float64 array [1/m times the columns' unit]
-        Derivatives of every column at the samples, row by row of du/dX, in blocks of LANES samples.
+    table : (b, m, 9, LANES) float32 or float64 array [1/m times the unit of the basis vectors]
+        Derivatives of every basis vector at the points, row by row of du/dX, in blocks of LANES points.
     weights : (b, LANES) array [m^3]
         Zero where a block is not filled.
     pressure : (b, k, LANES) array
-        Z, with the root of the bulk modulus in it.
+        Z, which includes the root of the bulk modulus.
     constant : (m, m) array
         H.
     coefficients : tuple, or (b, p + 1, LANES) array
-        Of the law; where they differ, by lane, the last the shear modulus at rest over the body's.
+        Of the law. Where they differ, by lane; the last entry is the ratio of the shear modulus at rest
+        to that of the body.
     relaxation : Relaxation
         Of tissue that relaxes.
     families : Families
@@ -70,7 +72,7 @@ class IntegrationPoints(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Where the passes write, so that a step allocates nothing."""
+    """Work arrays of the passes, so that a step allocates nothing."""
 
     stress: Floats  # (b, 9, LANES)
     cofactor: Floats  # (b, 9, LANES)
@@ -79,7 +81,7 @@ class Scratch(NamedTuple):
     moments: Floats  # (k,)
     partial: Floats  # (m, LANES)
     spare: Floats  # (m,)
-    history: HistoryVariables  # of tissue that relaxes: of the samples, and of the moments
+    history: HistoryVariables  # of the integration points, and of the moments
 
 
 def integration_points(
@@ -89,49 +91,49 @@ def integration_points(
     constant: Floats,
     law: tuple[float, ...] | Regions,
     dtype: Any = np.float32,
-    relaxation: Relaxation = EASY,
+    relaxation: Relaxation = NO_RELAXATION,
     fibres: FibreLaw | None = None,
 ) -> IntegrationPoints:
-    """Lay samples out in blocks.
+    """Return integration points in blocks of LANES.
 
     Parameters
     ----------
     gradients : (s, m, 9) array
-        Derivatives of the columns at the samples.
+        Derivatives of the basis vectors at the points.
     weights : (s,) array [m^3]
     pressure : (k, s) array
     constant : (m, m) array
     law : tuple or Regions
-        Coefficients, or materials at the samples.
+        Coefficients, or materials at the points.
     dtype : type
         Of the table.
     relaxation : Relaxation
     fibres : FibreLaw, optional
-        With directions at the samples.
+        With directions at the points.
     """
     count = len(gradients)
-    padded = -count % LANES
-    blocks = (count + padded) // LANES
+    padding = -count % LANES
+    blocks = (count + padding) // LANES
 
     def lanes(values: Floats) -> Floats:
-        filled = np.concatenate([values, np.zeros((padded, *values.shape[1:]))])
+        filled = np.concatenate([values, np.zeros((padding, *values.shape[1:]))])
         return np.ascontiguousarray(np.moveaxis(filled.reshape(blocks, LANES, *values.shape[1:]), 1, -1))
 
     table = np.ascontiguousarray(lanes(gradients), dtype=dtype)
-    places = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
-    own = spread(law, places) if isinstance(law, Regions) else law
+    point_numbers = np.minimum(np.arange(blocks * LANES), count - 1).reshape(blocks, LANES)
+    coefficients = spread(law, point_numbers) if isinstance(law, Regions) else law
     return IntegrationPoints(
-        table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), own, relaxation,
-        lay_out_fibres(fibres, places),
+        table, lanes(weights), lanes(pressure.T), np.ascontiguousarray(constant), coefficients, relaxation,
+        lay_out_fibres(fibres, point_numbers),
     )  # fmt: skip
 
 
 def scratch(of: IntegrationPoints, saved_history: HistoryVariables | None = None) -> Scratch:
-    """Allocate for some samples, with a memory of their own or another one's."""
+    """Return work arrays for integration points, with their own history variables or given ones."""
     blocks, columns, _, _ = of.table.shape
-    two = np.zeros((2, blocks, 9, LANES))
+    stresses = np.zeros((2, blocks, 9, LANES))
     return Scratch(
-        two[0], two[1], np.zeros((blocks, LANES)), np.ones((blocks, LANES)), np.zeros(of.pressure.shape[1]),
+        stresses[0], stresses[1], np.zeros((blocks, LANES)), np.ones((blocks, LANES)), np.zeros(of.pressure.shape[1]),
         np.zeros((columns, LANES)), np.zeros(columns),
         history(len(of.relaxation.times), blocks, of.pressure.shape[1]) if saved_history is None else saved_history,
     )  # fmt: skip
@@ -148,8 +150,10 @@ def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(fastmath={"contract", "reassoc"})
-def _add_pressure(weights, pressure, moments, stress, cofactor, dilatation, slope, curved):  # type: ignore[no-untyped-def]
+def _add_pressure(integration_points, moments, scratch, curved):  # type: ignore[no-untyped-def]
     """Multiply the stresses by their weights and add the pressure times its volume."""
+    weights, pressure, stress = integration_points.weights, integration_points.pressure, scratch.stress
+    cofactor, dilatation, slope = scratch.cofactor, scratch.dilatation, scratch.slope
     dilatation[:] = 0.0
     for b in range(weights.shape[0]):
         for k in range(pressure.shape[1]):
@@ -175,13 +179,13 @@ def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
 
 
 def shear_weights(of: IntegrationPoints) -> Floats:
-    """Return the weights [m^3] of the samples times their firmness, with which branches of a Prony series count."""
+    """Return the weights [m^3] of the points times their modulus ratios, as the branches of a Prony series use them."""
     return of.weights if isinstance(of.coefficients, tuple) else of.weights * of.coefficients[:, -1]
 
 
 @kernel_njit()
-def _in_branches(weights, history):  # type: ignore[no-untyped-def]
-    """Energy [J] stored in the branches of relaxing tissue, as last evaluated."""
+def _branch_energy(weights, history):  # type: ignore[no-untyped-def]
+    """Return the energy [J] stored in the branches of relaxing tissue at the last evaluation."""
     total = 0.0
     for b in range(weights.shape[0]):
         for lane in range(LANES):
@@ -197,24 +201,29 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
 
     Parameters
     ----------
-    law : PointLaw
+    law : MaterialPoint
     single : bool
-        Whether the table is of single precision; sums are of double precision anyhow.
+        Whether the table has single precision. Sums have double precision in either case.
 
     Returns
     -------
     force, energy : functions
-        ``force(columns, samples, scratch, result)`` writes -dE/da (m,); ``energy(columns, samples, scratch)`` returns
-        E [J].
+        ``force(coordinates, integration_points, scratch, result)`` writes -dE/da (m,);
+        ``energy(coordinates, integration_points, scratch)`` returns E [J].
     """
     digest = law_digest(__name__, "sampled energy", law.digest, single)
     sums, work, stress_of, density_of = column_sums[single], column_work[single], law.stress, law.density
     measure_of, curved = law.measure, law.measure is not None
-    add_stress, add_energy, at, varied = law.fibres.add_stress, law.fibres.add_energy, law.at, law.varied
+    add_stress, add_energy, at, parameter_count = (
+        law.fibres.add_stress,
+        law.fibres.add_energy,
+        law.at,
+        law.parameter_count,
+    )
 
     @law_njit(digest)
     def measure(scratch):  # type: ignore[no-untyped-def]
-        """Turn the samples' J - 1 into g, and write g'."""
+        """Replace J - 1 at the points by g, and write g'."""
         if curved:
             for b in range(scratch.dilatation.shape[0]):
                 for v in range(LANES):
@@ -222,13 +231,13 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
 
     @law_njit(digest)
     def relax(integration_points, scratch):  # type: ignore[no-untyped-def]
-        """Add the overstresses to the stresses, and bring the moments' branches up to date."""
+        """Add the overstresses to the stresses, and update the branches of the moments."""
         overstress_alone(integration_points.relaxation, scratch.history, scratch.cofactor)
         for b in range(scratch.stress.shape[0]):
             for q in range(9):
                 for v in range(LANES):
-                    firm = integration_points.coefficients[b, varied, v] if varied else 1.0
-                    scratch.stress[b, q, v] += firm * scratch.history.stress[b, q, v]
+                    modulus_ratio = integration_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
+                    scratch.stress[b, q, v] += modulus_ratio * scratch.history.stress[b, q, v]
         relax_volume(integration_points.relaxation, scratch.history, scratch.moments)
 
     @law_njit(digest, fastmath={"contract"})
@@ -258,8 +267,7 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         if integration_points.relaxation.times.shape[0] > 0:
             relax(integration_points, scratch)
             effective = scratch.history.effective
-        _add_pressure(integration_points.weights, integration_points.pressure, effective, scratch.stress, scratch.cofactor,
-                      scratch.dilatation, scratch.slope, curved)  # fmt: skip
+        _add_pressure(integration_points, effective, scratch, curved)
         scratch.partial[:] = 0.0
         for b in range(integration_points.table.shape[0]):
             work(integration_points.table[b].ctypes.data, scratch.stress[b].ctypes.data, scratch.partial.ctypes.data,
@@ -288,12 +296,12 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
         if integration_points.relaxation.times.shape[0] > 0:
             force(columns, integration_points, scratch, scratch.spare)
-            if varied:
-                total += _in_branches(
-                    integration_points.weights * integration_points.coefficients[:, varied], scratch.history
+            if parameter_count:
+                total += _branch_energy(
+                    integration_points.weights * integration_points.coefficients[:, parameter_count], scratch.history
                 )
             else:
-                total += _in_branches(integration_points.weights, scratch.history)
+                total += _branch_energy(integration_points.weights, scratch.history)
         for m in range(columns.shape[0]):
             for k in range(columns.shape[0]):
                 total += 0.5 * columns[m] * integration_points.constant[m, k] * columns[k]

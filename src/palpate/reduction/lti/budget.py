@@ -1,4 +1,4 @@
-"""What dense and sparse work costs on this machine, asked before it is done."""
+"""Cost of dense and sparse computations on this machine, estimated beforehand."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STEPS = 100  # shifts of an alternating-direction iteration for a lightly damped
 
 @dataclass(frozen=True)
 class Estimate:
-    """What something will cost: memory [bytes] and time [s]."""
+    """Estimated memory [bytes] and time [s] of a computation."""
 
     memory: float
     seconds: float
@@ -36,7 +36,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Budget:
-    """What a reduction may cost.
+    """Limits on the cost of a reduction.
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ class Budget:
     memory: float | None = None
 
     def check(self, estimate: Estimate, what: str, instead: str) -> None:
-        """Refuse what costs more.
+        """Raise `InputError` if an estimate exceeds the budget.
 
         Raises
         ------
         InputError
-            It does; the message has the estimate, and what to do instead.
+            The message has the estimate, and an alternative.
         """
         memory = self.memory if self.memory is not None else 0.5 * machine_memory()
         if estimate.memory > memory or estimate.seconds > self.seconds:

@@ -1,4 +1,4 @@
-"""A linearised body as files: MATLAB's, and Matrix Market's."""
+"""Files of a linearised body for MATLAB and in the Matrix Market format."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["matrices", "save_matlab", "save_matrix_market"]
 
 
 def matrices(system: LinearSystem) -> dict[str, Any]:
-    """Return what the files hold, by name: M, D, K, B, Cp, Cv, Df, S, Sv sparse or dense, as in `LinearSystem`."""
+    """Return the matrices by name: M, D, K, B, Cp, Cv, Df, S, Sv sparse or dense, as in `LinearSystem`."""
     return {
         "M": system.mass, "D": system.damping, "K": system.stiffness, "B": system.input, "Cp": system.output,
         "Cv": system.rate_output, "Df": system.feedthrough, "S": system.static, "Sv": system.static_rate,

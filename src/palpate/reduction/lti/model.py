@@ -1,7 +1,8 @@
-"""The linear model: a linear reduction of a body, stepped, asked and shown as any other model.
+"""The linear model: a linear reduction of a body with the contract of any other model.
 
-Its step is exact for forces that go evenly within a step: x1 = E x0 + G0 f0 + G1 f1 with E = exp(A dt), whatever the
-step and the fastest pole. A tool's coordinates go evenly, too: its acceleration is an impulse at the steps' times.
+Its step is exact for forces that are linear within a step: x1 = E x0 + G0 f0 + G1 f1 with
+E = exp(A dt), for any step and pole. A tool's coordinates are also linear within a step, so its
+acceleration is an impulse at the times of the steps.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ __all__ = ["LinearModel"]
 
 
 KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads that are inputs
-MISSED = 1e-2  # of a tool's motion, that small translations and rotations may miss of it
-TINY = 1e-4  # of the spacing: displacements by whose stresses the linear ones are found
+RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations and rotations, relative
+DIFFERENCE_STEP = 1e-4  # displacements for difference quotients of the stress, in spacings
 
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What a drive's loads are to the inputs of the system."""
+    """Loads as inputs of the system."""
 
     prepared: PreparedLoads
     forces: tuple[tuple[int, slice], ...]  # force groups of the schedule, and their inputs
     gravity: slice | None
 
     def at(self, times: Floats, count: int) -> Floats:
-        """Return the inputs (t, count) that are no tool's at some times [s]."""
+        """Return the inputs (t, count) of loads other than tools at some times [s]."""
         schedule, values = self.prepared.schedule(times), np.zeros((len(times), count))
         for group, own in self.forces:
             values[:, own] += schedule.amplitudes[:, group, : own.stop - own.start]
@@ -59,10 +60,10 @@ def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
 
 
 class LinearModel(Model):
-    """A linear reduction of a body, of the same contract as the full model and the other reduced ones.
+    """A linear reduction of a body.
 
-    Made by `palpate.lti.reduce_linear`. It takes the loads that its system was made with, by kind and group, with any
-    values in time, and moves as a body at rest does: by small displacements.
+    Made by `palpate.lti.reduce_linear`. It supports the loads of its system, by kind and group, with any values
+    in time, and small displacements from rest.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ class LinearModel(Model):
         Linearised at rest.
     reduced : SecondOrder or FirstOrder
     report : mapping
-        What was measured when it was made.
+        Figures measured in the reduction.
 
     Attributes
     ----------
@@ -92,7 +93,7 @@ class LinearModel(Model):
             full.stiffness_damping,
             full.stencils,
         )
-        self.count, self.lifted = len(reduced.fields), len(system.lifting)
+        self.count, self.lifting_count = len(reduced.fields), len(system.lifting)
         self.columns = np.concatenate([reduced.fields, system.lifting])
         self.A, self.B, self.C, self.D = (np.ascontiguousarray(matrix) for matrix in reduced.state_space())
         flat = self.columns.reshape(len(self.columns), -1)
@@ -127,12 +128,12 @@ class LinearModel(Model):
     # loads
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        """Make loads ready.
+        """Check and prepare loads.
 
         Raises
         ------
         InputError
-            Loads that the system was not made with.
+            The system does not include such a load.
         """
         check_kinds(loads, KINDS, "loads of a linear model")
         ready = self.full.prepare(loads)
@@ -174,16 +175,16 @@ class LinearModel(Model):
         Raises
         ------
         InputError
-            A motion that is not a rigid tool's, or turns too far.
+            The motion is not rigid, or its rotation is too large.
         """
-        if not self.lifted:
+        if not self.lifting_count:
             return np.zeros((len(times), 0))
         prescribed = prepared.sites.prescribed
         motion = prepared.schedule(times).motion.reshape(len(times), -1)
-        span = self.system.lifting[:, prescribed].reshape(self.lifted, -1)
+        span = self.system.lifting[:, prescribed].reshape(self.lifting_count, -1)
         coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
         missed = np.abs(coordinates @ span - motion).max()
-        if missed > MISSED * max(float(np.abs(motion).max()), 1e-3 * self.cloud.spacing):
+        if missed > RIGID_TOLERANCE * max(float(np.abs(motion).max()), 1e-3 * self.cloud.spacing):
             raise InputError(
                 f"the tool's motion is not a small rigid one: {missed:.3g} m of it is missed at t = {times[0]:.4g} s"
             )
@@ -201,7 +202,9 @@ class LinearModel(Model):
         nodal = self.full.state(prepared, displacement, velocity, time)
         now = np.array([time])
         tools = self.tool_coordinates(prepared, now)[0]
-        rates = prepared.rates(lambda times: self.tool_coordinates(prepared, times), time)[0] if self.lifted else tools
+        rates = tools
+        if self.lifting_count:
+            rates = prepared.rates(lambda times: self.tool_coordinates(prepared, times), time)[0]
         own: Floats = np.zeros((2, self.count))
         if isinstance(self.reduced, FirstOrder):
             if any(given is not None and np.any(given) for given in (displacement, velocity)):
@@ -217,11 +220,11 @@ class LinearModel(Model):
         return State(np.concatenate([own[0], tools]), np.concatenate([own[1], rates]), time)
 
     def stable_step(self, state: State, prepared: PreparedLoads) -> float:
-        """Return infinity: the step is exact, however long; a run takes `fewest` steps between two snapshots."""
+        """Return infinity: the step is exact, and a run takes `min_steps_per_frame` steps between snapshots."""
         return np.inf
 
     def _propagator(self, step: float) -> tuple[Floats, ...]:
-        """E, G0 and G1 of a step for the inputs that are no tool's, and what tools' impulses do."""
+        """Return E, G0 and G1 of a step for the inputs other than tools, and the impulse matrix of the tools."""
         if step not in self._steps:
             if len(self._steps) > 16:
                 self._steps.clear()
@@ -231,7 +234,7 @@ class LinearModel(Model):
         return self._steps[step]
 
     def _packed(self, state: State) -> Floats:
-        """The state x of the first-order equations."""
+        """Return the state x of the first-order equations."""
         if isinstance(self.reduced, SecondOrder):
             return np.concatenate([state.coordinates[: self.count], state.velocities[: self.count]])
         return state.coordinates[: self.count].copy()
@@ -255,28 +258,28 @@ class LinearModel(Model):
         return State(all_c[-1].copy(), all_v[-1].copy(), float(times[-2]), external, dissipated)
 
     def _rates(self, history: Floats, f: Floats) -> Floats:
-        """Rates (t, k) of the coordinates for states (t, N) and inputs that are no tool's."""
+        """Return rates (t, k) of the coordinates for states (t, N) and inputs other than tools."""
         if isinstance(self.reduced, SecondOrder):
             return history[:, self.count :]
         return np.asarray(history @ self.A.T + f @ self.B[:, : self.system.forces].T)
 
     def _work(self, c: Floats, f: Floats, history: Floats, tools: tuple[Floats, Floats, Floats]) -> float:
-        """Work [J] of loads and tools over some times, by the trapezium rule."""
+        """Return the work [J] of loads and tools over some times, by the trapezium rule."""
         done = float(np.sum(0.5 * (f[1:] + f[:-1]) * np.diff(c @ self._moved.T, axis=0)))
-        if self.lifted:
+        if self.lifting_count:
             g, speeds, bends = tools
             pulled = self._tool_forces(history, f, g, speeds, bends)
             done += float(np.sum(0.5 * (pulled[1:] + pulled[:-1]) * np.diff(g, axis=0)))
         return done
 
     def _force_columns(self) -> Floats:
-        """Nodal forces (forces, 3 n) of the inputs that are no tool's, on held nodes, too."""
+        """Return the nodal forces (forces, 3 n) of the inputs other than tools, at fixed nodes, too."""
         model = self.full
         return force_inputs(model, model.prepare(self.system.loads), np.repeat(model.masses, 3))[0]
 
     def _tool_forces(self, x: Floats, f: Floats, g: Floats, speeds: Floats, bends: Floats) -> Floats:
-        """Forces (t, l) [N], [N m] of the tools on the body, conjugate to their coordinates."""
-        own, system = slice(len(self.C) - self.lifted, None), self.system
+        """Return forces (t, l) [N], [N m] of the tools on the body, conjugate to their coordinates."""
+        own, system = slice(len(self.C) - self.lifting_count, None), self.system
         inputs = np.hstack([f, bends])
         return np.asarray(
             x @ self.C[own].T + inputs @ self.D[own].T + g @ system.static[own].T + speeds @ system.static_rate[own].T
@@ -291,15 +294,15 @@ class LinearModel(Model):
         return np.asarray(y + self.system.static @ g + self.system.static_rate @ rates)
 
     def _bends(self, state: State, prepared: PreparedLoads) -> Floats:
-        """Accelerations (l,) of the tools."""
-        if not self.lifted:
+        """Return the accelerations (l,) of the tools."""
+        if not self.lifting_count:
             return np.zeros(0)
         return prepared.rates(lambda times: self.tool_coordinates(prepared, times), state.time)[1]
 
-    # what a state means
+    # results of a state
 
     def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
-        """Return the displacements [m] of some nodes, rebuilt only there."""
+        """Return the displacements [m] of some nodes."""
         return np.tensordot(state.coordinates, self.columns[:, nodes], 1)
 
     def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
@@ -333,11 +336,11 @@ class LinearModel(Model):
         return self.full.deformation_gradient(displacements)
 
     def stress(self, displacements: Floats) -> Floats:
-        """Return the stress [Pa] that the full model's is to first order, by central differences."""
+        """Return the linearised stress [Pa] of the full model, by central differences."""
         largest = float(np.abs(displacements).max())
         if largest == 0:
             return self.full.stress(displacements)
-        scale = TINY * self.cloud.spacing / largest
+        scale = DIFFERENCE_STEP * self.cloud.spacing / largest
         return (self.full.stress(scale * displacements) - self.full.stress(-scale * displacements)) / (2 * scale)
 
     def strain_energy(self, displacements: Floats) -> float:

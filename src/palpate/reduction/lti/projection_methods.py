@@ -1,9 +1,9 @@
-"""Linear reductions that project the sparse equations: modal truncation, moment matching, and POD.
+"""Linear reductions by projection of the sparse equations: modal truncation, moment matching, and POD.
 
-Each finds columns V of displacements and test columns W, and reduces to W^T M V, W^T D V, W^T K V. With W = V
-(Galerkin) a symmetric, positive definite body stays so: whatever V, the reduced body is stable. The collocated
-stiffness of the strong form is not symmetric and has no such promise. Its modal truncation takes left eigenvectors as
-test columns, which keeps poles as they are.
+Each computes basis vectors V of displacements and test vectors W, and reduces to W^T M V, W^T D V,
+W^T K V. With W = V (Galerkin) a symmetric, positive definite body remains so for any V, and the reduced
+body is stable. The collocated stiffness of the strong form is not symmetric, and has no such
+guarantee. Its modal truncation uses left eigenvectors as test vectors, which preserves the poles.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ __all__ = ["Columns", "condense", "eigenvectors", "modal", "moments", "project",
 
 Columns = tuple[Floats, Floats]
 
-TWINS, SPARE = 1e-5, 12  # relative distance of squares of frequencies that count as one; modes sought beside
-DEFLATED = 1e-10  # of its size before: what is left of a column that the others span already
+DEGENERACY = 1e-5  # relative distance of squared frequencies that count as equal
+EXTRA_MODES = 12  # in the eigenvalue solver
+DEFLATION = 1e-10  # relative norm of a vector's new part below which it is linearly dependent
 
 
 def project(system: LinearSystem, columns: Floats, test: Floats | None = None) -> SecondOrder:
-    """Project a system on columns V (d, k), with test columns W (d, k), by default the same."""
+    """Return the system projected on basis vectors V (d, k), with test vectors W (d, k), by default the same."""
     w = columns if test is None else test
     return SecondOrder(
         w.T @ (system.mass @ columns), w.T @ (system.damping @ columns), w.T @ (system.stiffness @ columns),
@@ -56,15 +57,15 @@ def factorise(system: LinearSystem, s: complex = 0.0) -> Any:
 
 
 def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex128], Floats, Floats]:
-    """Return squares of frequencies (k,) [1/s^2] of the slowest modes, and real columns (d, k) of these and left ones.
+    """Return squared frequencies (k,) [1/s^2] of the slowest modes, and real right and left vectors (d, k).
 
-    With a complex pair, real and imaginary parts stand for both vectors. Where `count` would part a pair, or the twins
-    of a body of symmetric shape in its strong form, there are more.
+    Real and imaginary parts replace the vectors of a complex pair. If `count` would separate a pair, or
+    degenerate modes of a symmetric body in its strong form, there are more.
     """
     integer_in_range("modes", count, 1, system.order - 2)
     solver, order = factorise(system), system.stiffness.shape
     start = np.random.default_rng(0).standard_normal(system.order)
-    ask = min(count + SPARE, system.order - 2)
+    ask = min(count + EXTRA_MODES, system.order - 2)
     try:
         if system.symmetric:
             inverse = LinearOperator(order, matvec=solver.solve)
@@ -81,7 +82,7 @@ def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex12
         raise InputError(f"the slowest {count} modes were not found: {error}") from error
     (values, right), (others, left) = (_by_size(*pair) for pair in found)
     sizes = np.abs(values)
-    while count < len(sizes) and sizes[count] - sizes[count - 1] < TWINS * sizes[count]:
+    while count < len(sizes) and sizes[count] - sizes[count - 1] < DEGENERACY * sizes[count]:
         count += 1  # complex pairs and twins stay together: of parted ones, left and right modes need not match
     columns, tests = _real(values, right, count), _real(others, left, count)
     if columns.shape != tests.shape:
@@ -95,10 +96,7 @@ def _by_size(values: NDArray[np.complex128], vectors: NDArray[np.complex128]) ->
 
 
 def _real(values: NDArray[np.complex128], vectors: NDArray[np.complex128], count: int) -> Floats:
-    """Real columns (d, count) with the span of the first eigenvectors, which hold all of their conjugates.
-
-    Of every pair, however nearly real, one vector gives both columns: twins' pairs come in any order.
-    """
+    """Return real columns (d, count) with the span of the first eigenvectors and their conjugates."""
     columns = []
     for value, vector in zip(values[:count], vectors[:, :count].T, strict=True):
         if value.imag > 0:
@@ -110,7 +108,7 @@ def _real(values: NDArray[np.complex128], vectors: NDArray[np.complex128], count
 
 
 def modal(system: LinearSystem, modes: int) -> SecondOrder:
-    """Keep the slowest modes: their poles are the body's own, so that the reduced body is stable where it is."""
+    """Return the system of the slowest modes, whose poles are those of the body."""
     _, right, left = eigenvectors(system, modes)
     return _balanced(system, right, left)
 
@@ -121,10 +119,10 @@ def _balanced(system: LinearSystem, right: Floats, left: Floats) -> SecondOrder:
 
 
 def condense(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
-    """Project on many slow modes and the static responses to the inputs that they leave: a smaller system to balance.
+    """Return the system of many slow modes and residual static responses to the inputs, with V and W (d, k).
 
-    The modes keep their poles, and the static responses the transfer function at s = 0. Returns also V and W (d, k).
-    Where a static response would make a strong form's condensed body unstable, it is left out.
+    The modes preserve their poles, and the static responses the transfer function at s = 0. A static
+    response is left out if it would make the condensed body of a strong form unstable.
     """
     _, right, left = eigenvectors(system, modes)
     left = left @ np.linalg.inv((left.T @ (system.mass @ right)).T)
@@ -180,7 +178,7 @@ def _typed(block: Any, s: complex) -> Any:
 
 
 def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
-    """What columns (d, b) add to the span of a basis that is orthonormal in the mass, orthonormal with it."""
+    """Return the part of vectors (d, b) orthogonal to a basis, orthonormal in the mass."""
     masses, kept = system.mass.diagonal(), basis[:, :0]
     for column in block.T:
         own, size = column.copy(), np.sqrt(np.vdot(column, masses * column).real)
@@ -188,12 +186,12 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
             for known in (basis, kept):
                 own = own - known @ (known.conj().T @ (masses * own))
         left = np.sqrt(np.vdot(own, masses * own).real)
-        if left > DEFLATED * size:
+        if left > DEFLATION * size:
             kept = np.hstack([kept, (own / left)[:, None]])
     return kept
 
 
 def proper(system: LinearSystem, snapshots: Floats, modes: int) -> SecondOrder:
-    """Decompose displacements (t, n, 3) [m] of the linearised body (POD), without its tools' fields, and project."""
+    """Return the system projected on POD modes of displacements (t, n, 3) [m] without the tools' fields."""
     basis = pod(snapshots, system.model.weights, modes=modes)
     return project(system, np.ascontiguousarray(basis.modes.reshape(len(basis), -1)[:, system.dofs].T))

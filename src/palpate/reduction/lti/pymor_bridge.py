@@ -1,4 +1,4 @@
-"""pyMOR, an optional package: how it is asked for, and the linearised body as its second-order model."""
+"""Conversion to pyMOR, an optional package: the linearised body as its second-order model."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ __all__ = ["need_pymor", "to_pymor"]
 
 
 def need_pymor(what: str) -> None:
-    """Make sure that pyMOR is there, and keep it quiet.
+    """Import pyMOR and reduce its log level.
 
     Raises
     ------
     InputError
-        It is not; the message says how to install it.
+        pyMOR is missing. The message says how to install it.
     """
     require("pymor", what)
     from pymor.core.logger import set_log_levels

@@ -1,7 +1,7 @@
-"""A linear model as `palpate.Engine` takes it: one period, compiled, exact for a tool that goes evenly.
+"""Real-time linear models for `palpate.Engine`: one compiled period, exact for a tool that moves evenly.
 
-What changes the tool's speed at a period's start is an impulse; forces are means over the period, A^-1 (x1 - x0) / T
-that of the state.
+The change of the tool's speed at the start of a period is an impulse. Forces are means over the period;
+that of the state is A^-1 (x1 - x0) / T.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.prepared import PRESCRIBED
+from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.state_space import SecondOrder, first_order_hold
@@ -20,33 +21,33 @@ from palpate.reduction.lti.state_space import SecondOrder, first_order_hold
 __all__ = ["LinearData", "LinearRealtime", "linear_range", "linear_realtime"]
 
 
-BENT = 0.1  # relative: what the tool's force may differ from the linear one where the trust number is 1
-HALVINGS, LARGEST = 24, 64.0  # of the search for that; in spacings, or in radians
-SMALL, TERMS = 0.5, 14  # of a matrix exponential: norm below which its series is summed, and its terms
+NONLINEARITY = 0.1  # relative difference of the tool's force from the linear one at a trust number of 1
+BISECTIONS, MAX_RANGE = 24, 64.0  # of the search for that; in spacings, or in radians
+SERIES_NORM, SERIES_TERMS = 0.5, 14  # of a matrix exponential: largest norm for its series, and number of terms
 
 
 class LinearData(NamedTuple):
-    """What the compiled period reads and keeps.
+    """Constants and work arrays of the compiled period.
 
     Parameters
     ----------
     modes : int
-        Coordinates that are no tool's.
+        Number of coordinates without those of the tool.
     second : bool
-        Whether the state holds their rates, too.
+        Whether the state includes their rates.
     matrix, sizes : (N, N), (N,) arrays
-        A with states over their sizes, and these.
+        A for scaled states, and the scales.
     step : (N, N) array
-        exp(A T) of the period that was last asked for.
+        exp(A T) of the last period.
     asked : (1,) array [s]
         That period.
     impulse : (N, l) array
     mean_force : (l, N) array
-        Forces by differences of the state over a period, times that.
+        Map from changes of the state over a period to forces times the period.
     static, static_rate, inertia : (l, l) arrays
     mass, elastic : (m, m) arrays
         Mass and stiffness matrix.
-    reach : (l,) array
+    linear_range : (l,) array
         Of the tool's coordinates, [m] and [rad], where the trust number is 1.
     scratch : (4, N, N) array
     vectors : (3, max(N, m)) array
@@ -81,46 +82,58 @@ class LinearRealtime(NamedTuple):
 
 
 def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
-    """Return a linear model as `palpate.Engine` takes it, with the one tool that its system was made with.
+    """Return a linear model for `palpate.Engine`, with the one tool of its system.
 
     Parameters
     ----------
     model : LinearModel
     period : float [s]
-        Of the engine; another one costs a matrix exponential when it is first met.
+        Of the engine. The first step with another period computes a matrix exponential.
 
     Raises
     ------
     InputError
-        The system was not made with exactly one tool, or has other loads.
+        The system does not have exactly one tool, or has other loads.
     """
     number_in_range("period", period, 0.0, open_low=True, unit="s")
-    system, count, lifted = model.system, model.count, model.lifted
+    system, count, lifting_count = model.system, model.count, model.lifting_count
     tools = {name.split(", ")[0] for name in system.inputs[system.forces :]}
     if len(tools) != 1 or system.forces:
         raise InputError(
-            "the engine moves one tool and nothing else: linearise with one PrescribedMotion or Grasp and no other "
-            f"load, not with {', '.join(dict.fromkeys(name.rsplit(' ', 1)[0] for name in system.inputs))}"
+            "system must have one tool and no other load for the engine, got "
+            f"{', '.join(dict.fromkeys(name.rsplit(' ', 1)[0] for name in system.inputs))}; "
+            "linearise with one PrescribedMotion or Grasp only"
         )
     flat, full = model.columns.reshape(len(model.columns), -1), model.full
     weight, states = np.repeat(full.weights * full.material.density, 3), len(model.A)
     sizes = np.ones(states)
     if isinstance(model.reduced, SecondOrder):
         sizes[count:] = np.abs(np.linalg.eigvals(model.A)).max()
-    own = slice(len(model.C) - lifted, None)
+    own = slice(len(model.C) - lifting_count, None)
     mean_force = np.array(np.linalg.solve(model.A.T, model.C[own].T).T, dtype=float, order="C")
     data = LinearData(
-        count, isinstance(model.reduced, SecondOrder), model.A * sizes / sizes[:, None], sizes,
-        np.ascontiguousarray(first_order_hold(model.A, model.B[:, :0], period)[0]), np.array([period]), model.B.copy(),
-        mean_force, system.static[own].copy(), system.static_rate[own].copy(),
-        model.D[own].copy(), (flat * weight) @ flat.T, flat @ (system.whole @ flat.T), linear_range(model),
-        np.zeros((4, states, states)), np.zeros((3, max(states, count + lifted))),
-    )  # fmt: skip
-    return LinearRealtime(advance, stiffness, data, np.zeros(count + lifted), _tool_map(system.inputs))
+        modes=count,
+        second=isinstance(model.reduced, SecondOrder),
+        matrix=model.A * sizes / sizes[:, None],
+        sizes=sizes,
+        step=np.ascontiguousarray(first_order_hold(model.A, model.B[:, :0], period)[0]),
+        asked=np.array([period]),
+        impulse=model.B.copy(),
+        mean_force=mean_force,
+        static=system.static[own].copy(),
+        static_rate=system.static_rate[own].copy(),
+        inertia=model.D[own].copy(),
+        mass=(flat * weight) @ flat.T,
+        elastic=flat @ (system.whole @ flat.T),
+        linear_range=linear_range(model),
+        scratch=np.zeros((4, states, states)),
+        vectors=np.zeros((3, max(states, count + lifting_count))),
+    )
+    return LinearRealtime(advance, stiffness, data, np.zeros(count + lifting_count), _tool_map(system.inputs))
 
 
 def _tool_map(inputs: tuple[str, ...]) -> Floats:
-    """Small translations and rotations (l, 12) of a pose, see `palpate.realtime.contract.Realtime`."""
+    """Return the map (l, 12) from a pose to small translations and rotations, see `palpate.realtime.Realtime`."""
     rows = []
     for name in inputs:
         kind, axis = name.split(", ")[1].split()
@@ -135,10 +148,10 @@ def _tool_map(inputs: tuple[str, ...]) -> Floats:
 
 
 def linear_range(model: LinearModel) -> Floats:
-    """Return how far tool coordinates go before the force on the tool bends by a tenth, (l,), [m] or [rad].
+    """Return the tool coordinates (l,), [m] or [rad], at which the force on the tool is nonlinear by a tenth.
 
-    By the nonlinear forces of the tool's static fields L: a measure of how far the body's answer is linear, not of an
-    error.
+    The nonlinear forces of the tool's static fields L determine it. It measures the range of linearity, and
+    not an error.
     """
     system, full, found = model.system, model.full, []
     prescribed = np.repeat(full.prepare(system.loads).sites.kind == PRESCRIBED, 3)
@@ -151,10 +164,10 @@ def linear_range(model: LinearModel) -> Floats:
             for sign in (-1.0, 1.0):
                 pulled = -float(rigid @ (full.force(sign * size * field) * full.volumes[:, None]).ravel())
                 worst = max(worst, abs(pulled / (sign * size * straight) - 1)) if np.isfinite(pulled) else np.inf
-            return worst > BENT
+            return worst > NONLINEARITY
 
-        low, high = 0.0, LARGEST * full.cloud.spacing / np.abs(field).max()
-        for _ in range(HALVINGS):
+        low, high = 0.0, MAX_RANGE * full.cloud.spacing / np.abs(field).max()
+        for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
             low, high = (low, middle) if bent(middle) else (middle, high)
         found.append(max(low, 1e-300))
@@ -172,7 +185,7 @@ def _exponential(data, period):  # type: ignore[no-untyped-def]
             total += abs(data.matrix[i, j]) * period
         norm = max(norm, total)
     halvings = 0
-    while norm > SMALL:
+    while norm > SERIES_NORM:
         norm, halvings = 0.5 * norm, halvings + 1
     result, term, product = data.scratch[1], data.scratch[2], data.scratch[3]
     for i in range(n):
@@ -180,7 +193,7 @@ def _exponential(data, period):  # type: ignore[no-untyped-def]
             scaled[i, j] = data.matrix[i, j] * period / 2.0**halvings
             result[i, j] = 1.0 if i == j else 0.0
             term[i, j] = result[i, j]
-    for k in range(1, TERMS):
+    for k in range(1, SERIES_TERMS):
         _multiply(term, scaled, product)
         for i in range(n):
             for j in range(n):
@@ -209,7 +222,7 @@ def _multiply(a, b, result):  # type: ignore[no-untyped-def]
 
 @kernel_njit(fastmath={"contract", "reassoc"})
 def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
-    """Advance coordinates and velocities (m,) by a period [s] while the tool goes evenly to `target` (l,)."""
+    """Advance coordinates and velocities (m,) by a period [s] while the tool moves evenly to `target` (l,)."""
     count, m, n = data.modes, q.shape[0], data.matrix.shape[0]
     before, x, new = data.vectors[0], data.vectors[1], data.vectors[2]
     report[:] = 0.0
@@ -234,7 +247,7 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
         new[i] = value
         good = good and np.isfinite(value)
     if not good:
-        report[0] = 1.0
+        report[STATUS] = 1.0
         return
     for r in range(m - count):
         force = 0.0
@@ -244,7 +257,7 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
             way = q[count + j] + 0.5 * period * v[count + j]
             force += data.static[r, j] * way + data.static_rate[r, j] * v[count + j]
             force += data.inertia[r, j] * before[count + j] / period
-        report[8 + r] = force
+        report[FORCES + r] = force
     for i in range(count):
         q[i] = new[i]
         if data.second:
@@ -256,17 +269,17 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
             v[i] = value
     for j in range(m - count):
         q[count + j] = target[j]
-        report[1] = max(report[1], abs(target[j]) / data.linear_range[j])
-    report[2] = 1.0
+        report[TRUST] = max(report[TRUST], abs(target[j]) / data.linear_range[j])
+    report[STEPS] = 1.0
     for i in range(m):
         for j in range(m):
-            report[3] += 0.5 * v[i] * data.mass[i, j] * v[j]
-            report[4] += 0.5 * q[i] * data.elastic[i, j] * q[j]
+            report[KINETIC] += 0.5 * v[i] * data.mass[i, j] * v[j]
+            report[STRAIN] += 0.5 * q[i] * data.elastic[i, j] * q[j]
 
 
 @kernel_njit()
 def stiffness(data, q, out):  # type: ignore[no-untyped-def]
-    """Write how the tool's forces change with its coordinates when the body has come to rest, (l, l)."""
+    """Write the derivatives (l, l) of the tool's static forces by its coordinates."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = data.static[i, j]

@@ -56,27 +56,27 @@ Run = tuple[Sequence[Load], float, float]
 
 
 class Reduction:
-    """Makes linear models of one linearised body.
+    """Linear reductions of one linearised body.
 
     Parameters
     ----------
     system : LinearSystem
         At rest.
     condense : int, optional
-        Balancing and rational Krylov work on a body condensed to this many of its slowest modes and the static
-        responses that they leave (`palpate.reduction.lti.projection_methods.condensed`); by default 240. 0, or as many as there
-        are unknowns, takes the body itself, if the budget allows it.
+        Number of slowest modes of the condensed body for balancing and rational Krylov methods
+        (`palpate.reduction.lti.projection_methods.condense`); by default 240. 0, or the number of
+        unknowns, takes the body itself, if the budget allows it.
     budget : Budget
-        What may be spent; more is refused with an estimate.
+        Limits of time and memory.
     training : (loads, duration, every), optional
-        The run that POD learns from, the linearised body's.
+        A run of the linearised body, for POD.
     emphasis : (p,) array, optional
-        How much every input counts where several are balanced together; by default all alike.
+        Weight of each input in balancing; by default equal.
 
     Raises
     ------
     InputError
-        A system at another state than rest.
+        The system is not linearised at rest.
     """
 
     def __init__(

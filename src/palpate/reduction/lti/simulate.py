@@ -1,4 +1,4 @@
-"""Runs of the unreduced linear system: what POD learns from, and what linear reductions are measured against."""
+"""Runs of the unreduced linear system, for POD and as a reference of linear reductions."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""What the methods of linear reduction make: few equations of second or of first order, and the fields they stand for.
+"""Results of linear reductions: few equations of second or first order, and their displacement fields.
 
-In both the reduced displacements are the coordinates times fields, u = sum_k c_k Phi_k + L g, g the tools' coordinates,
-which are known.
+The reduced displacements are u = sum_k c_k Phi_k + L g, with the known coordinates g of the tools.
 """
 
 from __future__ import annotations
@@ -106,9 +105,9 @@ Reduced = SecondOrder | FirstOrder
 
 
 def first_order_hold(a: Floats, b: Floats, step: float) -> tuple[Floats, Floats, Floats]:
-    """Return E, G0, G1 of the exact step x1 = E x0 + G0 f0 + G1 f1 for inputs that go evenly from f0 to f1.
+    """Return E, G0, G1 of the exact step x1 = E x0 + G0 f0 + G1 f1 for inputs that are linear from f0 to f1.
 
-    From the exponential of one matrix (Van Loan, IEEE Trans. Autom. Control 23, 1978).
+    They follow from the exponential of one matrix (Van Loan, IEEE Trans. Autom. Control 23, 1978).
     """
     n, p = b.shape
     whole = np.zeros((n + 2 * p, n + 2 * p))

@@ -1,7 +1,7 @@
-"""The stiffness of a body at a state, sparse, by differences of its nonlinear force.
+"""Sparse stiffness of a body at a state, by differences of its nonlinear force.
 
-Columns whose rows do not meet are moved together (Curtis, Powell and Reid, J. Inst. Maths Applics 13, 1974), so that a
-large cloud needs as many differences as a stencil reaches nodes, not as many as there are nodes.
+Columns without common rows are displaced together (Curtis, Powell and Reid, J. Inst. Maths Applics 13,
+1974). So the number of differences depends on the size of a stencil, and not on that of the cloud.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ NOISE = 1e-10  # of the largest entry: what differences leave where there is not
 
 
 def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> Any:
-    """Return the stiffness [N/m] of a body, sparse (3 n, 3 n), rows 3 i + c of node i: minus the slope of its forces.
+    """Return the sparse stiffness [N/m] of a body, (3 n, 3 n), rows 3 i + c of node i: minus the slope of its forces.
 
-    Row i is the internal force density at node i times the node's weight in the inner product (`NodalModel.weights`),
-    so that a traction's nodal forces are its shares of the total force. In the energy form it is symmetric; the strong
-    form is collocated, and its stiffness is not.
+    Row i is the internal force density at node i times the node's weight in the inner product
+    (`NodalModel.weights`). So the nodal forces of a surface load are its shares of the total force. The
+    stiffness of the energy form is symmetric; that of the strong form, which is collocated, is not.
 
     Parameters
     ----------
     model : NodalModel
     displacements : (n, 3) array, optional [m]
-        The state; rest by default. There the energy form's is assembled from its stencils, otherwise differences are
-        taken, accurate to about 1e-9 of the largest entry.
+        The state; rest by default. At rest the stiffness of the energy form is assembled from its
+        stencils. Otherwise it is by differences, accurate to about 1e-9 of the largest entry.
     """
     plain = isinstance(model, Solid) and model.conservative and model.fibres is None
     if displacements is None and plain:
         assert isinstance(model, Solid)
         return rest_stiffness(model)
     u = np.zeros((len(model.cloud), 3)) if displacements is None else np.array(displacements, dtype=float)
-    n, linear_range, delta = len(u), coupling(model), STEP * model.cloud.spacing
+    n, pattern, delta = len(u), coupling(model), STEP * model.cloud.spacing
     rows, columns, values = [], [], []
     model._restore_history(None)
-    for group in independent_groups(linear_range):
-        inside = linear_range[:, group].tocoo()
+    for group in independent_groups(pattern):
+        inside = pattern[:, group].tocoo()
         node, moved = inside.row, group[inside.col]
         for c in range(3):
             u[group, c] += delta
@@ -66,7 +66,7 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
 
 
 def coupling(model: NodalModel) -> Any:
-    """Return which nodes' displacements the force at a node knows, sparse (n, n) of ones, force by row."""
+    """Return the dependence of nodal forces (rows) on nodal displacements, sparse (n, n) of ones."""
     body, n = model.body, len(model.cloud)
     names = ["carriers", "transposed", "transposed_smoothing", "smoothing", "lanes"]
     if not model.conservative:  # the smoothed pressure is differentiated at the node itself
@@ -81,7 +81,7 @@ def coupling(model: NodalModel) -> Any:
 
 
 def _neighbours(lanes: Lanes, n: int) -> Any:
-    """Nodes that a family of stencils reads, the node itself too, sparse (n, n)."""
+    """Return the nodes of a family of stencils, the centre included, sparse (n, n)."""
     counts = np.diff(lanes.start)
     nodes = np.repeat(lanes.nodes, counts, axis=0).ravel()
     pattern = sparse.csr_matrix((np.ones(nodes.size, dtype=np.int32), (nodes, lanes.neighbours.ravel())), (n, n))
@@ -89,7 +89,7 @@ def _neighbours(lanes: Lanes, n: int) -> Any:
 
 
 def independent_groups(pattern: Any) -> list[Ints]:
-    """Return groups of columns of a sparse matrix of which no two have an entry in one row; together all columns."""
+    """Return a partition of a sparse matrix's columns into groups without common rows."""
     meets = (pattern.T @ pattern).tocsr()
     colours = np.full(pattern.shape[1], -1, dtype=np.int64)
     for column in range(len(colours)):

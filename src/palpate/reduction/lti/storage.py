@@ -1,4 +1,4 @@
-"""A linear model's reduced equations in a sealed HDF5 file; who reads it makes the body again."""
+"""File of a linear model: its reduced equations in a sealed HDF5 file, without the body."""
 
 from __future__ import annotations
 
@@ -50,22 +50,22 @@ def _header(system: LinearSystem) -> dict[str, Any]:
 
 
 def load_linear(path: str | Path, system: LinearSystem) -> LinearModel:
-    """Read a linear model that `save_linear` wrote.
+    """Read a linear model from a file of `save_linear`.
 
     Parameters
     ----------
     path : path
     system : LinearSystem
-        The linearised body that it was made of, made again.
+        The same linearised body as for the saved model.
 
     Raises
     ------
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     FileFormatError
-        It is no linear model, damaged, or holds what none can hold.
+        The file is not a linear model, damaged, or inconsistent.
     InputError
-        It was made of another body, or with other inputs or outputs.
+        The model belongs to another body, or has other inputs or outputs.
     """
     path = Path(path)
     with loading(path, REMEDY):

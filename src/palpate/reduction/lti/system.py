@@ -1,28 +1,29 @@
-"""A body linearised: M u'' + D u' + K u = B f with chosen inputs and outputs.
+"""Linearisation of a body: M u'' + D u' + K u = B f with chosen inputs and outputs.
 
-The unknowns are the displacements of the nodes that are free, in the model's ordering: component c of node i is
-number 3 i + c of the body, and `LinearSystem.dofs` says which numbers the unknowns have. Rows are multiplied by the
-nodes' weights in the inner product (`NodalModel.weights`), so that M is the lumped mass, a diagonal, and B holds the
-shares of the nodes in the total forces. D = beta K, the stiffness-proportional viscosity of (29).
+The unknowns are the displacements of the free nodes, in the model's ordering: component c of node i is
+number 3 i + c of the body, and `LinearSystem.dofs` are the numbers of the unknowns. Rows are multiplied
+by the nodes' weights in the inner product (`NodalModel.weights`). So M is the lumped mass, a diagonal,
+and B holds the shares of the nodes in the total forces. D = beta K is the stiffness damping of (29).
 
-K of the energy form is symmetric. That of the strong form is collocated: row i is the balance of momentum at node i and
-not the work on a shape function, so that K is not symmetric. Weighted as above it is nearly so; nothing here makes
-it symmetric.
+K of the energy form is symmetric. That of the strong form is collocated: row i is the balance of
+momentum at node i, and not the work on a shape function, so K is not symmetric. With the weights it is
+nearly so; nothing here symmetrises it.
 
-A tool that moves nodes is an input by its acceleration. With N the rigid motions of the tool's nodes and L their static
-continuation, K L = 0 at all free nodes, displacements are u = w + L g, g the tool's coordinates, and
+A tool that moves nodes is an input by its acceleration. With N the rigid motions of the tool's nodes
+and L their static continuation, K L = 0 at all free nodes, displacements are u = w + L g, with the
+tool's coordinates g, and
 
     M w'' + D w' + K w = B f - M L g'',
 
-because D L = beta K L = 0. The outputs y = Cp w + Cv w' + Df [f, g''] + S g + S' g' have a part that follows the tool
-at once.
+because D L = beta K L = 0. The outputs y = Cp w + Cv w' + Df [f, g''] + S g + S' g' have a part that
+follows the tool without delay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -41,14 +42,11 @@ from palpate.dynamics.run.model import State
 from palpate.faults import InputError
 from palpate.reduction.lti.stiffness import nodal_stiffness
 
-if TYPE_CHECKING:
-    pass
-
 __all__ = ["LinearSystem", "force_inputs", "linearise"]
 
 
 AXES = "xyz"
-LIFTED = 1e-9  # of the spacing: rotations that move no node farther are none
+MIN_ROTATION = 1e-9  # largest displacement of a rotation that counts as none, in spacings
 
 
 @dataclass(frozen=True)
@@ -173,9 +171,9 @@ def linearise(
     model : NodalModel
         `Solid` or `Membrane`.
     loads : sequence of loads
-        What the inputs are: a `SurfaceForce` of a force gives three, in the directions of the axes, `Gravity` too, and a
-        tool that moves nodes (`PrescribedMotion`, `Grasp`) six, three translations and three rotations about the mean
-        place of its nodes. When they act and how strongly is not part of the system.
+        The inputs. A `SurfaceForce` with a force has three, along the axes, and so has `Gravity`. A
+        tool that moves nodes (`PrescribedMotion`, `Grasp`) has six: three translations, and three
+        rotations about the mean position of its nodes. Their values in time are not part of the system.
     outputs : sequence of str
         Groups of nodes: the mean displacement of those that are free, or the total force on the body of a support. The
         forces of tools are outputs of themselves, as many as their coordinates, behind these.
@@ -209,7 +207,8 @@ def linearise(
     forces, names = force_inputs(model, prepared, weight)
     pushed = np.concatenate([forces[:, free], -weight[free] * lifting[:, free]]).T
     system = LinearSystem(
-        model, loads, at, free, sparse.diags(weight[free]).tocsc(), (model.stiffness_damping * stiffness).tocsc(), stiffness,
+        model, loads, at, free, sparse.diags(weight[free]).tocsc(),
+        (model.stiffness_damping * stiffness).tocsc(), stiffness,
         sparse.csc_matrix(pushed), *_outputs(model, prepared, outputs, whole, free, (forces, rigid, lifting), weight),
         (*names, *(f"acceleration of {tool}" for tool in tools)), _output_names(model, outputs, tools),
         lifting.reshape(len(lifting), len(model.cloud), 3),
@@ -219,7 +218,7 @@ def linearise(
 
 
 def _check_input(load: Load, model: NodalModel) -> None:
-    """Refuse what is no input of a linear system."""
+    """Refuse loads that are not inputs of a linear system."""
     if isinstance(load, PrescribedMotion | Grasp):
         if not model.conservative:
             raise InputError("a tool that moves nodes of a linearised body needs form='energy': see docs/linear.md")
@@ -243,7 +242,7 @@ def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, 
                 own = (
                     np.broadcast_to(np.eye(3)[c], arms.shape) if kind == "translation" else np.cross(np.eye(3)[c], arms)
                 )
-                if np.abs(own).max() <= LIFTED * model.cloud.spacing:
+                if np.abs(own).max() <= MIN_ROTATION * model.cloud.spacing:
                     continue
                 column = np.zeros((len(points), 3))
                 column[nodes] = own

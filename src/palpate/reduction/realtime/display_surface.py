@@ -1,9 +1,10 @@
-"""The surface of a reduced body, for whoever draws it: where its vertices are, and how strained the tissue is there.
+"""Display surface of a reduced body: positions of its vertices, and scalars of the strained tissue.
 
-Positions are those of the modes and of what tools dent beside them, and, where a tool pushes, those of the patches of
-surface that it meets (`palpate.meshfree.patches`): a node by itself goes deeper than the tool. Stresses are those of
-the modes alone, from the gradients of the modes at the surface nodes: the dent right under a small tool, which is
-beside the modes, adds nothing to them, and tissue that relaxes is taken at its instantaneous stiffness.
+Positions are those of the modes plus the surface compliance. Where a tool pushes, they are those of the
+patches that it meets (`palpate.meshfree.patches`), because a single node moves farther than the tool.
+Stresses are those of the modes alone, from their gradients at the surface nodes. The indentation under
+a small tool, which belongs to the surface compliance, adds nothing to them. Tissue that relaxes has its
+instantaneous stiffness.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ SCALARS = ("displacement", "stress", "pressure")
 
 
 class Surface:
-    """The drawing surface of a reduced model.
+    """The display surface of a reduced model.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ class Surface:
     triangles : (t, 3) uint32 array
         Of vertices, counter-clockwise from outside.
     rest : (n, 3) float32 array [m]
-        Where they are at rest.
+        Positions at rest.
     """
 
     def __init__(self, model: ReducedModel) -> None:
@@ -56,18 +57,20 @@ class Surface:
         contact_surface, compliance = model._contact_surface, data.compliance
         place = np.full(len(cloud), -1)
         place[compliance.nodes] = np.arange(len(compliance.nodes))
-        self._touched = place[contact_surface.nodes]  # of the skin's nodes, in those of the compliance
+        self._compliance_rows = place[
+            contact_surface.nodes
+        ]  # row in the compliance of each node of the contact surface
         place[:] = -1
         place[self.nodes] = np.arange(len(self.nodes))
         self._vertex = place[compliance.nodes]
-        self._drawn = self._vertex >= 0
+        self._visible = self._vertex >= 0
         rows = np.repeat(np.arange(len(compliance.nodes)), compliance.patches.shape[1])
         shares = compliance.shares.ravel().astype(np.float32), (rows, compliance.patches.ravel())
         own = compliance.patches.shape[1] == 1 and np.array_equal(
             compliance.patches[:, 0], np.arange(len(compliance.nodes))
         )
         self._patches = (
-            None if own or not self._drawn.all() else sparse.csr_array(shares, shape=(len(compliance.nodes),) * 2)
+            None if own or not self._visible.all() else sparse.csr_array(shares, shape=(len(compliance.nodes),) * 2)
         )
 
     def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
@@ -77,30 +80,32 @@ class Surface:
         ----------
         coordinates : (m,) array
         nodes : (e,) int array
-            Touched places in the model's skin.
+            Numbers of the nodes in contact, in the model's contact surface.
         forces : (e, 3) array [N]
-            On the patches of surface there, or on the nodes themselves where they are held.
-        held : bool
-            Whether a tool holds nodes; else the displacements are those of `met`.
+            On the patches of surface there, or on the nodes themselves where they are bonded.
+        bonded : bool
+            Whether a tool holds nodes. Otherwise the displacements are those of `patch_displacements`.
         """
-        moved = (self._columns @ coordinates.astype(np.float32)).reshape(-1, 3)
+        displacements = (self._columns @ coordinates.astype(np.float32)).reshape(-1, 3)
         if len(nodes) and self._contact_displacements is not None:
-            moved[self._vertex[self._drawn]] += self._contact_displacement(nodes, forces, bonded)[self._drawn]
-        return moved if bonded else self.met(moved)
+            displacements[self._vertex[self._visible]] += self._contact_displacement(nodes, forces, bonded)[
+                self._visible
+            ]
+        return displacements if bonded else self.patch_displacements(displacements)
 
-    def met(self, moved: Singles) -> Singles:
-        """Return the displacements (n, 3) [m] of the surface that tools meet for those of the vertices."""
+    def patch_displacements(self, displacements: Singles) -> Singles:
+        """Return the displacements (n, 3) [m] of the patches that tools meet, for those of the vertices."""
         if self._contact_displacements is None or self._patches is None:
-            return moved
-        result = moved.copy()
-        result[self._vertex] = self._patches @ moved[self._vertex]
+            return displacements
+        result = displacements.copy()
+        result[self._vertex] = self._patches @ displacements[self._vertex]
         return result
 
     def _contact_displacement(self, nodes: Ints, forces: Floats, bonded: bool) -> Floats:
-        """Return what forces do beside the modes (k, 3) [m], as `palpate.reduction.contact.compliance.dents_of`."""
+        """Return the displacements (k, 3) [m] of the surface compliance under forces."""
         compliance = self._contact_displacements
         assert compliance is not None
-        touched, own = self._touched[nodes], np.zeros((len(compliance.nodes), 3))
+        touched, own = self._compliance_rows[nodes], np.zeros((len(compliance.nodes), 3))
         if bonded:
             np.add.at(own, touched, forces)
         else:
@@ -119,7 +124,7 @@ class Surface:
 
     @property
     def scalars(self) -> tuple[str, ...]:
-        """Names of what can be told of every vertex: of a membrane its displacement alone."""
+        """Names of the scalars; of a membrane only the displacement."""
         return SCALARS[:1] if self.model.data.kinematics.sheet else SCALARS
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
@@ -128,18 +133,20 @@ class Surface:
         Parameters
         ----------
         name : str
-            ``"displacement"``: its length [m]; ``"stress"``: von Mises' of the Cauchy stress [Pa]; ``"pressure"``:
-            minus a third of that stress's trace [Pa].
+            ``"displacement"``: its length [m]; ``"stress"``: von Mises' of the Cauchy stress [Pa];
+            ``"pressure"``: minus a third of that stress's trace [Pa].
         coordinates : (m,) array
         displacements : (n, 3) array [m]
 
         Raises
         ------
         InputError
-            The name is none of `scalars`.
+            The name is not one of `scalars`.
         """
         if name not in self.scalars:
-            raise InputError(f"scalar = {name!r}: allowed are {', '.join(map(repr, self.scalars))}")
+            raise InputError(
+                f"scalar must be one of {', '.join(map(repr, self.scalars))}, got {name!r}; use one of them"
+            )
         if name == "displacement":
             return np.asarray(np.linalg.norm(displacements, axis=1), dtype=np.float32)
         stress = self.cauchy(coordinates)
@@ -152,7 +159,7 @@ class Surface:
     def cauchy(self, coordinates: Floats) -> Floats:
         """Return the Cauchy stress (n, 3, 3) [Pa] at the vertices, of a solid."""
         if self._gradients is None:
-            self._gradients = self._differentiated()
+            self._gradients = self._gradients_at_vertices()
         data = self.model.data
         F = (self._gradients @ coordinates.astype(np.float32)).reshape(-1, 3, 3) + np.eye(3)
         law = data.material if data.regions is None else data.regions.at(self.nodes)
@@ -162,8 +169,8 @@ class Surface:
         stress = data.stiffness[self.nodes, None, None] * stress
         return np.asarray(stress @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None])
 
-    def _differentiated(self) -> Singles:
-        """Return the derivatives of the columns at the vertices (9 n, m) by the model's stencils."""
+    def _gradients_at_vertices(self) -> Singles:
+        """Return the derivatives (9 n, m) of the basis vectors at the vertices, from the model's stencils."""
         result = np.empty((9 * len(self.nodes), self.model.count), dtype=np.float32)
         for m in range(self.model.count):
             result[:, m] = self.model.stencils.gradient(self.model.data.basis_vectors[m])[self.nodes].reshape(-1)

@@ -1,4 +1,4 @@
-"""A reduced model made ready for `palpate.Engine`: held by one tool or touched by one, and tied by springs."""
+"""Real-time models for `palpate.Engine`, with one tool, prescribed or in contact, and springs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
@@ -15,19 +15,19 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
 from palpate.reduction.contact.tools import ContactTools
-from palpate.reduction.hyper.foundation import Springs, springs_of
-from palpate.reduction.hyper.implicit import newton
+from palpate.reduction.hyper.foundation import Springs, project_springs
+from palpate.reduction.hyper.implicit import ImplicitData, newton_scratch
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
-from palpate.reduction.realtime.period import MOST_SUBSTEPS, PeriodData, period_functions
+from palpate.reduction.realtime.period import MAX_SUBSTEPS, POWER_SHAPE, IndicatorData, PeriodData, period_functions
 
 __all__ = ["RealtimeModel", "realtime_model"]
 
 
 class RealtimeModel(NamedTuple):
-    """A model as the engine takes it.
+    """A reduced model for the engine.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class RealtimeModel(NamedTuple):
     rest : (m,) array
         Coordinates at rest.
     tool : (l, 12) array
-        Tool coordinates of a rigid pose, see `ReducedModel.tool_map`.
+        Map from a rigid pose to the tool coordinates, see `ReducedModel.tool_map`.
     """
 
     advance: Any
@@ -69,25 +69,26 @@ def realtime_model(
     foundations: Sequence[Foundation] = (),
     period: float = 1e-3,
 ) -> RealtimeModel | LinearRealtime:
-    """Return a model as `palpate.Engine` takes it, with one tool that holds the driven group, or touches the body.
+    """Return a model for `palpate.Engine`, with one tool that holds the prescribed group or touches the body.
 
     Parameters
     ----------
     model : ReducedModel or LinearModel
     longest : float [s]
-        Longest period that will be asked for.
+        Longest period that the engine may request.
     contact : Contact or Grasp, optional
-        The tool that touches the body, from its place at time 0. Trust then is the distance from training alone.
+        The tool in contact, from its pose at time 0. The trust number is then the distance from the
+        training states only.
     foundations : sequence of Foundation
-        Springs that tie the body. There are no other loads in real time.
+        Springs between the body and the ground. Other loads are not supported in real time.
     period : float [s]
-        Of a linear model: another period costs a matrix exponential when it is first met.
+        Of a linear model. The first step with another period computes a matrix exponential.
 
     Raises
     ------
     InputError
-        The model was not trained with exactly one driven group, or with tools that touch it; another load. A linear
-        system was not made with exactly one tool, or has other loads.
+        The model was not trained with exactly one prescribed group, or with contact; a load is not a
+        `Foundation`. A linear system does not have exactly one tool, or has other loads.
     """
     if isinstance(model, LinearModel):
         if contact is not None or foundations:
@@ -96,62 +97,85 @@ def realtime_model(
                 "linearise the body with one PrescribedMotion or Grasp"
             )
         return linear_realtime(model, period)
-    parts, count = model.data, model.count
+    reduced, count = model.data, model.count
     check_kinds([] if contact is None else [contact], (Contact, Grasp), "contact")
-    handling = None if contact is None else ContactTools(model._contact_surface, model.prepare([contact]))
-    if contact is None and len(parts.prescribed) != 1:
+    if contact is None and len(reduced.prescribed) != 1:
         raise InputError(
-            f"the engine moves one tool, and this model knows {len(parts.prescribed)}: train it with prescribed='GROUP', "
-            "or give it a tool to touch it with"
+            f"model must have one prescribed group for the engine, got {len(reduced.prescribed)}; "
+            "train it with prescribed='GROUP', or give a tool with contact="
         )
-    home, tools, contact_state = (
-        np.zeros(3),
-        rigid_tools(None, model._contact_surface),
-        contact_scratch(model._contact_surface, 0),
-    )
-    if handling is not None:
-        handling.begun(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
-        home, tools, contact_state = (
-            handling.prepared.schedule(np.zeros(1)).poses[0, 0, :3],
-            handling.tools,
-            handling.contact_state,
-        )
-    root = np.linalg.cholesky(model.mass / model.masses.sum()).T
-    which = np.r_[:count, len(parts.basis_vectors) - parts.residual_fields : len(parts.basis_vectors)]
-    watched = model.sampled(which)
-    number_in_range("step", model.step or longest, longest / MOST_SUBSTEPS, unit="s")
-    frequency, steps = model._highest(np.zeros(count)), int(np.ceil(longest / (model.step or longest)))
-    own, vectors = scratch(model._integration_points), np.zeros((8, count))
-    vectors[0, : parts.modes] = np.random.default_rng(0).standard_normal(parts.modes)
+    surface, home = model._contact_surface, np.zeros(3)
+    tools, contact_state = rigid_tools(None, surface), contact_scratch(surface, 0)
+    if contact is not None:
+        contact_tools = ContactTools(surface, model.prepare([contact]))
+        contact_tools.initial_state(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
+        home = contact_tools.prepared.schedule(np.zeros(1)).poses[0, 0, :3]
+        tools, contact_state = contact_tools.tools, contact_tools.contact_state
+    number_in_range("step", model.step or longest, longest / MAX_SUBSTEPS, unit="s")
+    steps = int(np.ceil(longest / (model.step or longest)))
+    which = np.r_[:count, len(reduced.basis_vectors) - reduced.residual_fields : len(reduced.basis_vectors)]
     springs = _springs(model, foundations).of(which)
     tangent = model.stiffness(np.zeros(count))
     if springs.stiffness.size:
         tangent += springs.stiffness[:count]
-    modes = slice(parts.modes)
-    system = contact_system(
-        model._contact_surface.columns[:, :, modes], model.mass[modes, modes], len(contact_state.active.node)
+    modes, frequency, vectors = slice(reduced.modes), model._highest_frequency(np.zeros(count)), np.zeros((8, count))
+    vectors[POWER_SHAPE, : reduced.modes] = np.random.default_rng(0).standard_normal(reduced.modes)
+    body = ImplicitData(
+        stiffness_damping=model.stiffness_damping,
+        mass=model.mass,
+        differences=model._differences,
+        tolerance=model.tolerance,
+        integration_points=model._integration_points,
+        scratch=scratch(model._integration_points),
+        springs=springs,
+        newton=newton_scratch(count),
     )
     data = PeriodData(
-        parts.modes, model.stiffness_damping, model.step or 0.0, model.tolerance, model.mass, model._constrained_inverse_mass,
-        model._differences, model._integration_points, own, newton(count),
-        np.ascontiguousarray(parts.trained @ root.T), root, parts.distance_scale, np.inf if contact else parts.residual_scale,
-        watched, scratch(watched, own.history),
-        model._all_mass[np.ix_(which[count:], which[:count])], np.zeros((2, len(which))), vectors,
-        tangent, np.zeros((count, count)), np.array([frequency, frequency, 0.0, 0.0]),
-        np.zeros((steps + 3, parts.lifted)), np.ones(steps, dtype=np.bool_), np.zeros((steps, count)),
-        model._contact_surface, contact_state, tools, home, system, springs,
-    )  # fmt: skip
+        modes=reduced.modes,
+        step=model.step or 0.0,
+        body=body,
+        constrained_inverse_mass=model._constrained_inverse_mass,
+        indicator=_indicator(model, which, body, contact is not None),
+        vectors=vectors,
+        tangent=tangent,
+        condensed=np.zeros((count, count)),
+        tracking=np.array([frequency, frequency, 0.0]),
+        substep=np.zeros(1),
+        path=np.zeros((steps + 3, reduced.lifting_count)),
+        holds=np.ones(steps, dtype=np.bool_),
+        no_loads=np.zeros((steps, count)),
+        contact_surface=surface,
+        contact_state=contact_state,
+        tools=tools,
+        home=home,
+        system=contact_system(surface.columns[:, :, modes], model.mass[modes, modes], len(contact_state.active.node)),
+    )
     advance, stiffness = period_functions(model._law, model.single)
     if contact is None:
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(parts.prescribed[0]))
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(reduced.prescribed[0]))
     return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12))
 
 
+def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bool) -> IndicatorData:
+    """Return the data of the error indicator; with a tool in contact the residual norm counts for nothing."""
+    count, points = model.count, model.integration_points(which)
+    root = np.linalg.cholesky(model.mass / model.masses.sum()).T
+    return IndicatorData(
+        training_states=np.ascontiguousarray(model.data.training_states @ root.T),
+        mass_root=root,
+        distance_scale=model.data.distance_scale,
+        residual_scale=np.inf if contact else model.data.residual_scale,
+        integration_points=points,
+        scratch=scratch(points, body.scratch.history),
+        mass=model._all_mass[np.ix_(which[count:], which[:count])],
+        vectors=np.zeros((2, len(which))),
+    )
+
+
 def _springs(model: ReducedModel, foundations: Sequence[Foundation]) -> Springs:
-    """Project springs on all columns, and refuse other loads."""
+    """Return the springs on all basis vectors; refuse other loads."""
     for load in foundations:
         if not isinstance(load, Foundation):
-            raise InputError(
-                f"foundations: {load!r} is no Foundation: in real time a body knows springs and one tool, no other load"
-            )
-    return springs_of(prepare_loads(model.cloud, model.fixed, foundations).sites, model.data.basis_vectors, model.mass)
+            raise InputError(f"foundations must be Foundation objects, got {load!r}; leave out all other loads")
+    sites = prepare_loads(model.cloud, model.fixed, foundations).sites
+    return project_springs(sites, model.data.basis_vectors, model.mass)

@@ -1,4 +1,4 @@
-"""The compliance of a surface in a model's file: its datasets, and what is refused in them."""
+"""Surface compliance in a model's file: its datasets and their validation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["COMPLIANCE", "INTERIOR", "read_compliance"]
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 
 COMPLIANCE = ("nodes", "carriers", "weights", "flexibility", "nearby", "near_field", "patches", "shares", "stiffening")
-# where the nodes inside follow dents: type, and shape in sizes that all datasets of the file share
+# of the interior nodes: type, and shape in sizes that all datasets of the file share
 INTERIOR: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "interior/nodes": ("<i8", ("followers",)),
     "interior/flexibility": ("<f4", ("carriers", "moved")),
@@ -27,12 +27,12 @@ INTERIOR: dict[str, tuple[str, tuple[str | int, ...]]] = {
 
 
 def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | None:
-    """Make the compliance of the surface; none where no nodes may be touched.
+    """Return the surface compliance; None for an empty contact surface.
 
     Raises
     ------
     InputError
-        What no compliance has.
+        The arrays do not describe a compliance.
     """
     known: dict[str, Any] = {name: arrays[f"compliance/{name}"] for name in COMPLIANCE}
     compliance = SurfaceCompliance(**known, bonded_scale=bonded_scale)

@@ -1,4 +1,4 @@
-"""A material and its fibres as numbers and words, and back: what the file of a reduced model says of its tissue."""
+"""Conversion of materials and fibres to header attributes of a model's file, and back."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ OWN = "Hyperelastic"
 
 
 def describe_material(material: Material) -> dict[str, str]:
-    """Return the attributes that describe a material: ``material``, ``parameters``, ``expression`` and ``prony``.
+    """Return the attributes of a material: ``material``, ``parameters``, ``expression`` and ``prony``.
 
     Raises
     ------
     InputError
-        A material that is neither one of the library's nor an energy that is written down.
+        The material is neither one of the library's nor a symbolic law.
     """
     name, expression = type(material).__name__, getattr(material, "expression", "")
     known = symbolic_law.law_of(expression) if name == OWN and expression else KINDS.get(name)
     if type(material) is not known:
         raise InputError(f"the law of {material} is not one of palpate's: it cannot be kept in a file")
     parameters = {f.name: getattr(material, f.name) for f in fields(material) if f.name != "prony"}
-    if material.volumetric == QUADRATIC:  # which a file means that says nothing
+    if material.volumetric == QUADRATIC:  # the default of the file
         del parameters["volumetric"]
-    if material.split == COUPLED:  # the same
+    if material.split == COUPLED:  # the default of the file
         del parameters["split"]
-    if material.incompressible:  # no number says how stiff it is against a change of volume
+    if material.incompressible:  # there is no finite bulk modulus
         del parameters["bulk"]
     return {
         "material": name,
@@ -54,12 +54,12 @@ def describe_material(material: Material) -> dict[str, str]:
 
 
 def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Material:
-    """Make a material from what `described` says of it, whatever a file has in its place.
+    """Return the material of attributes from `describe_material`, after full validation.
 
     Raises
     ------
     InputError
-        An unknown law, other parameters than it has, or anything but numbers in range.
+        The law is unknown, its parameters have other names, or a value is not a number in range.
     """
     if not isinstance(name, str) or (name != OWN and name not in KINDS):
         raise InputError(f"unknown material {brief(name)}: the laws are {', '.join(sorted(KINDS))}")
@@ -83,62 +83,64 @@ def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Mate
     return material
 
 
-def _mapping(name: str, said: Any) -> dict[str, Any]:
-    """Return a copy of a mapping of names; refuse anything else."""
-    if not isinstance(said, dict) or not all(isinstance(key, str) for key in said):
-        raise InputError(f"attribute {name} is {brief(said)}, not a mapping of names")
-    return said.copy()
+def _mapping(name: str, value: Any) -> dict[str, Any]:
+    """Return a copy of a mapping with string keys; refuse anything else."""
+    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+        raise InputError(f"attribute {name} is {brief(value)}, not a mapping of names")
+    return value.copy()
 
 
-def _numbers(name: str, said: Any) -> Any:
-    """Return a number, or a tuple of numbers; text and truth values are none in a file."""
-    if isinstance(said, list | tuple):
-        return tuple(_number(f"{name}[{i}]", value) for i, value in enumerate(said))
-    return _number(name, said)
+def _numbers(name: str, value: Any) -> Any:
+    """Return a number, or a tuple of numbers; refuse text and truth values."""
+    if isinstance(value, list | tuple):
+        return tuple(_number(f"{name}[{i}]", entry) for i, entry in enumerate(value))
+    return _number(name, value)
 
 
-def _number(name: str, said: Any) -> float:
-    if isinstance(said, bool) or not isinstance(said, int | float):
-        raise InputError(f"{name} must be a number, got {brief(said)}")
-    return number_in_range(name, said)
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{name} must be a number, got {brief(value)}")
+    return number_in_range(name, value)
 
 
 def describe_regions(regions: Regions | None) -> str:
-    """Return the attribute that describes the materials of a body: the parameters of each; none if there is one."""
+    """Return the attribute of the materials of a body: the parameters of each; an empty list for one material."""
     if regions is None:
         return "[]"
     return json.dumps([json.loads(describe_material(material)["parameters"]) for material in regions.materials])
 
 
-def regions_of(said: Any, which: NDArray[np.int64], material: Material) -> Regions | None:
-    """Make the regions of nodes (n,) from what `described_regions` says of them, and the first of their materials.
+def regions_of(value: Any, which: NDArray[np.int64], material: Material) -> Regions | None:
+    """Return the regions of nodes (n,) from the attribute of `describe_regions` and the first material.
 
     Raises
     ------
     InputError
-        Parameters that the law does not have or that are out of range, or numbers of materials that do not exist.
+        The law does not have these parameters, a value is out of range, or a material does not exist.
     """
-    if not isinstance(said, list) or not all(isinstance(each, dict) for each in said):
+    if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
         raise InputError("attribute regions is not a list of materials")
-    if not said:
+    if not value:
         return None
-    if len(said) > len(which):
-        raise InputError(f"attribute regions has {len(said)} materials for {len(which)} nodes: allowed is one for each")
+    if len(value) > len(which):
+        raise InputError(
+            f"attribute regions has {len(value)} materials for {len(which)} nodes: allowed is one for each"
+        )
     about = describe_material(material)
     prony = json.loads(about["prony"])
-    made = [material_of(about["material"], each, about["expression"], prony) for each in said]
+    made = [material_of(about["material"], each, about["expression"], prony) for each in value]
     if made[0] != material or not np.all((which >= 0) & (which < len(made))):
         raise InputError("dataset regions does not belong to the materials of the attribute regions")
     return Regions(tuple(made), which)
 
 
 def describe_fibres(fibres: FibreLaw | None) -> str:
-    """Return the attribute that describes fibres but for their directions; an empty mapping for none.
+    """Return the attribute of fibres without their directions; an empty mapping for none.
 
     Raises
     ------
     InputError
-        A law that is not one of the library's.
+        The law is not one of the library's.
     """
     if fibres is None:
         return "{}"
@@ -148,15 +150,16 @@ def describe_fibres(fibres: FibreLaw | None) -> str:
     return json.dumps({"law": type(fibres).__name__, **own})
 
 
-def fibres_of(said: Any, directions: NDArray[np.float64]) -> FibreLaw | None:
-    """Make fibres with directions (families, n, 3) from what `described_fibres` says of them.
+def fibres_of(value: Any, directions: NDArray[np.float64]) -> FibreLaw | None:
+    """Return fibres with directions (families, n, 3) from the attribute of `describe_fibres`.
 
     Raises
     ------
     InputError
-        An unknown law, other parameters than it has, numbers out of range, or directions that do not fit.
+        The law is unknown, its parameters have other names, a number is out of range, or the directions
+        have another shape.
     """
-    given = _mapping("fibres", said)
+    given = _mapping("fibres", value)
     if directions.ndim != 3 or directions.dtype.kind not in "iuf":
         raise InputError(f"directions of fibres have shape {directions.shape}: allowed is (families, nodes, 3)")
     if not given:

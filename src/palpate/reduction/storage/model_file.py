@@ -1,8 +1,8 @@
-"""One file for a reduced model: a sealed HDF5 file (`palpate.sealed`) that holds data only.
+"""File of a reduced model: a sealed HDF5 file (`palpate.sealed`) with data only.
 
-Arrays have the names they have in `ReducedData` (``cloud/points``, ``cubature/weights`` ...); what is short is in the
-header. Columns are kept in single precision: they say where the body is and how heavy its motions are, while forces
-come from the gradients, which are kept as they are.
+Arrays have the names of `ReducedData` (``cloud/points``, ``cubature/weights`` ...), and short values are
+in the header. Basis vectors have single precision: they determine displacements and masses. Forces
+depend on the gradients, which have double precision.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ Arrays = dict[str, np.ndarray[Any, Any]]
 
 FORMAT, VERSION = "palpate reduced model", 9
 REMEDY = "copy the file again, or train the model again"
-LONGEST_NAME = 200  # characters of a scene's name
-LARGEST = 1e30  # of all numbers of a file, in SI units
+MAX_NAME_LENGTH = 200  # characters of a scene's name
+MAX_NUMBER = 1e30  # in a file, in SI units
 
-# One line a dataset: its type, and its shape in sizes that all datasets share.
+# One line per dataset: its type, and its shape in sizes that all datasets share.
 LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "cloud/points": ("<f8", ("nodes", "space")),
     "cloud/volumes": ("<f8", ("nodes",)),
@@ -60,7 +60,7 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "cubature/pressure": ("<f8", ("moments", "integration_points")),
     "gradients": ("<f8", ("integration_points", "basis_vectors", 9)),
     "constant": ("<f8", ("basis_vectors", "basis_vectors")),
-    "trained": ("<f8", ("states", "coordinates")),
+    "training_states": ("<f8", ("states", "coordinates")),
     "fibres/directions": ("<f8", ("families", "nodes", 3)),
     "compliance/nodes": ("<i8", ("touched",)),
     "compliance/carriers": ("<i8", ("touched", "carried")),
@@ -72,9 +72,9 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "compliance/shares": ("<f8", ("touched", "patched")),
     "compliance/stiffening": ("<f8", (2,)),
 }
-PLACED: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "regions": ("<i8", ("nodes",))
-}  # where there are several materials
+# with several materials
+REGIONS: dict[str, tuple[str, tuple[str | int, ...]]] = {"regions": ("<i8", ("nodes",))}
+# datasets of node numbers
 NODES = (
     "cloud/face_nodes",
     "cloud/group_nodes",
@@ -82,45 +82,46 @@ NODES = (
     "cubature/nodes",
     "compliance/nodes",
     "interior/nodes",
-)  # hold numbers of nodes
+)
 ATTRIBUTES = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "fixed": list, "prescribed": list,
-    "stiffness_damping": float, "wave_speed": float, "modes": int, "lifted": int, "residual": float, "distance_scale": float, "report": str,
+    "stiffness_damping": float, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
+    "distance_scale": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
     "residual_fields": int, "residual_scale": float, "bonded_scale": float, "step": float, "single": bool,
 }  # fmt: skip
 
 
 def save_hyper_reduced(model: ReducedModel, path: str | Path) -> None:
-    """Write a model to a sealed HDF5 file, whole or not at all.
+    """Write a model to a sealed HDF5 file, completely or not at all.
 
     Parameters
     ----------
     model : ReducedModel
-        Derivatives at its samples are written in double precision.
+        Derivatives at its integration points are written in double precision.
     path : path
 
     Raises
     ------
     InputError
-        The file could not be read again: a material of one's own, or numbers that are not finite.
+        The file could not be read back: a custom material, or numbers that are not finite.
     OSError
-        The place cannot be written or the disk is full; a file that was there is unchanged.
+        The path is not writable or the disk is full. An existing file is unchanged.
     """
     write_sealed(Path(path), FORMAT, VERSION, *contents(model))
 
 
 def load_hyper_reduced(path: str | Path) -> ReducedModel:
-    """Read a reduced model as it was saved: with its step rule, explicit or implicit, and its precision.
+    """Read a reduced model with its step rule and precision.
 
     Raises
     ------
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     FileFormatError
-        The file is truncated, changed, of another kind or version, or holds what no reduced model can hold: the message
-        names the file and what is wrong in it.
+        The file is truncated, changed, of another kind or version, or inconsistent. The message names the
+        file and the fault.
     """
     path = Path(path)
     with loading(path, REMEDY):
@@ -137,13 +138,13 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
     Raises
     ------
     InputError
-        A model that `model_of` would refuse.
+        `model_of` would refuse the model.
     """
     data, rule = model.data, {"step": float(model.step or 0.0), "single": bool(model.single)}
     header, arrays = _header(data) | rule, _arrays(data)
     _check_header(header)
-    _rule(header)
-    if _data(header, _fitting(header, arrays)).material != data.material:
+    _step_rule(header)
+    if _data(header, _check_shapes(header, arrays)).material != data.material:
         raise InputError(f"the file would not give {data.material} back")
     return header, arrays
 
@@ -160,7 +161,7 @@ def _header(data: ReducedData) -> Header:
         "stiffness_damping": float(data.stiffness_damping),
         "wave_speed": float(data.wave_speed),
         "modes": int(data.modes),
-        "lifted": int(data.lifted),
+        "lifting_count": int(data.lifting_count),
         "residual": float(data.cubature.residual),
         "distance_scale": float(data.distance_scale),
         "residual_fields": int(data.residual_fields),
@@ -177,20 +178,20 @@ def _header(data: ReducedData) -> Header:
 def _arrays(data: ReducedData) -> Arrays:
     groups = list(data.cloud.groups.values())
     compliance = data.compliance or NO_COMPLIANCE
-    listed: dict[str, Any] = {
+    values: dict[str, Any] = {
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
         "regions": None if data.regions is None else data.regions.which,
         "fibres/directions": np.zeros((0, len(data.cloud), 3)) if data.fibres is None else data.fibres.directions,
         **{f"compliance/{name}": getattr(compliance, name) for name in COMPLIANCE},
     }
-    layout = LAYOUT if data.regions is None else LAYOUT | PLACED
+    layout = LAYOUT if data.regions is None else LAYOUT | REGIONS
     if compliance.interior is not None:
         layout = layout | INTERIOR
-        listed |= {f"interior/{name}": array for name, array in compliance.interior._asdict().items()}
-        listed["interior/factor"] = [compliance.interior.factor]
+        values |= {f"interior/{name}": array for name, array in compliance.interior._asdict().items()}
+        values["interior/factor"] = [compliance.interior.factor]
     return {
-        name: np.asarray(listed[name] if name in listed else attrgetter(name.replace("/", "."))(data), dtype=dtype)
+        name: np.asarray(values[name] if name in values else attrgetter(name.replace("/", "."))(data), dtype=dtype)
         for name, (dtype, _) in layout.items()
     }
 
@@ -204,7 +205,7 @@ def model_of(header: Header, file: SealedFile, prefix: str = "") -> ReducedModel
     Raises
     ------
     InputError
-        What no reduced model can hold.
+        The content is not that of a reduced model.
     """
     _check_header(header)
     layout = _layout(header, f"{prefix}interior/nodes" in file.arrays)
@@ -213,11 +214,11 @@ def model_of(header: Header, file: SealedFile, prefix: str = "") -> ReducedModel
         odd = sorted(own ^ layout.keys())[0]
         raise InputError(f"array {shortened(odd)} is {'missing' if odd in layout else 'not one of a model'}")
     arrays = {name: file.read(prefix + name) for name in layout}
-    return ReducedModel(_data(header, _fitting(header, arrays)), **_rule(header))
+    return ReducedModel(_data(header, _check_shapes(header, arrays)), **_step_rule(header))
 
 
 def _layout(header: Header, interior: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
-    layout = LAYOUT if header["regions"] == "[]" else LAYOUT | PLACED
+    layout = LAYOUT if header["regions"] == "[]" else LAYOUT | REGIONS
     return layout | INTERIOR if interior else layout
 
 
@@ -233,9 +234,10 @@ def _check_header(header: Header) -> None:
             raise InputError(f"header {name} must be a list of different names, got {given!r:.60}")
 
 
-def _fitting(header: Header, arrays: Arrays) -> Arrays:
+def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
     """Return arrays of the types and shapes of the layout; refuse others."""
-    coordinates = integer_in_range("modes", header["modes"], 1) + integer_in_range("lifted", header["lifted"], 0)
+    modes = integer_in_range("modes", header["modes"], 1)
+    coordinates = modes + integer_in_range("lifting_count", header["lifting_count"], 0)
     sizes: dict[str | int, int] = {
         "space": 2 if header["sheet"] else 3,
         "groups": len(header["groups"]),
@@ -258,7 +260,7 @@ def _fitting(header: Header, arrays: Arrays) -> Arrays:
 
 
 def _data(header: Header, arrays: Arrays) -> ReducedData:
-    """Make the parts of a model, refusing values that no model has."""
+    """Return the data of a model; refuse values out of range."""
     _check_values(arrays)
     own: dict[str, Any] = {n: a.astype(int if a.dtype.kind == "i" else float) for n, a in arrays.items()}
     ends = np.cumsum(own["cloud/group_sizes"])
@@ -290,11 +292,11 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
         basis_vectors=own["basis_vectors"],
         modes=header["modes"],
-        lifted=header["lifted"],
+        lifting_count=header["lifting_count"],
         cubature=Cubature(own["cubature/nodes"], own["cubature/weights"], own["cubature/pressure"], residual),
         gradients=own["gradients"],
         constant=own["constant"],
-        trained=own["trained"],
+        training_states=own["training_states"],
         distance_scale=number_in_range("distance_scale", header["distance_scale"], 0.0, open_low=True, unit="m"),
         residual_fields=header["residual_fields"],
         residual_scale=number_in_range("residual_scale", header["residual_scale"], 0.0, open_low=True, unit="m"),
@@ -309,14 +311,14 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
 
 
 def _report(report: dict[str, Any]) -> dict[str, Any]:
-    """Return a report, whose entries that palpate itself reads must be what `hyper_reduce` and `palpate train` write."""
+    """Return a report; refuse entries that palpate reads and that have other types than it writes."""
     held_out, scene = report.get("held_out", {"mean": {}}), report.get("scene")
     mean = held_out.get("mean") if isinstance(held_out, dict) else None
     if not isinstance(mean, dict) or not all(value is None or type(value) in (int, float) for value in mean.values()):
         raise InputError("header report holds errors under held_out that are not numbers")
     if scene is not None:
         parameters = scene.get("parameters") if isinstance(scene, dict) else None
-        named = isinstance(scene, dict) and isinstance(scene.get("name"), str) and len(scene["name"]) <= LONGEST_NAME
+        named = isinstance(scene, dict) and isinstance(scene.get("name"), str) and len(scene["name"]) <= MAX_NAME_LENGTH
         if not named or not isinstance(parameters, dict):
             raise InputError("header report holds a scene without name and parameters")
         if not all(isinstance(value, str | int | float) for value in parameters.values()):
@@ -324,8 +326,8 @@ def _report(report: dict[str, Any]) -> dict[str, Any]:
     return report
 
 
-def _rule(header: Header) -> Header:
-    """Return how the model is stepped, and whether in single precision."""
+def _step_rule(header: Header) -> Header:
+    """Return the arguments of the step rule, and whether the model has single precision."""
     step = number_in_range("step", header["step"], 0.0, unit="s")
     return {"step": step or None, "single": header["single"]}
 
@@ -335,8 +337,8 @@ def _check_values(arrays: Arrays) -> None:
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise InputError(f"array {name} holds numbers that are not finite")
-        if array.dtype.kind == "f" and array.size and np.abs(array).max() > LARGEST:
-            raise InputError(f"array {name} holds numbers beyond {LARGEST:g}")
+        if array.dtype.kind == "f" and array.size and np.abs(array).max() > MAX_NUMBER:
+            raise InputError(f"array {name} holds numbers beyond {MAX_NUMBER:g}")
         if name in NODES and not np.all((array >= 0) & (array < count)):
             raise InputError(f"array {name} names nodes outside 0..{count - 1}")
     if np.any(arrays["cubature/weights"] < 0):

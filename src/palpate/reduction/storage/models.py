@@ -1,4 +1,4 @@
-"""Files of reduced models of either kind: hyper-reduced and linear."""
+"""Files of reduced models, hyper-reduced and linear."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["load", "save"]
 
 
 def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
-    """Write a reduced model to one checked file, whole or not at all.
+    """Write a reduced model to one checked file, completely or not at all.
 
     Parameters
     ----------
@@ -28,10 +28,10 @@ def save(model: ReducedModel | LinearModel, path: str | Path) -> None:
     Raises
     ------
     InputError
-        The model is of another kind, or its file could not be read again: a material of one's own, or numbers that
-        are not finite.
+        The model is of another kind, or its file could not be read back: a custom material, or numbers
+        that are not finite.
     OSError
-        The place cannot be written or the disk is full; a file that was there is unchanged.
+        The path is not writable or the disk is full. An existing file is unchanged.
     """
     if isinstance(model, ReducedModel):
         save_hyper_reduced(model, path)
@@ -50,21 +50,21 @@ def load(path: str | Path, system: LinearSystem) -> LinearModel: ...
 
 
 def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel | LinearModel:
-    """Read a reduced model that `save` wrote.
+    """Read a reduced model from a file of `save`.
 
     Parameters
     ----------
     path : path
     system : LinearSystem, optional
-        The linearised body, made again: a linear model's file holds its reduced equations alone.
+        The linearised body. The file of a linear model stores its reduced equations only.
 
     Raises
     ------
     FileNotFoundError
         The file does not exist.
     FileFormatError
-        The file is truncated, changed, of another kind or version, or its content does not fit together. A linear
-        model requires its system, and a hyper-reduced one takes none.
+        The file is truncated, changed, of another kind or version, or inconsistent. A linear model
+        requires its system, and a hyper-reduced one takes none.
     InputError
         The linear model was made of another system.
     """

@@ -1,4 +1,4 @@
-"""Forces on tools made those of the full model's runs, by repeating some of them with the reduced one."""
+"""Calibration of the surface compliance to the tool forces of full-model runs."""
 
 from __future__ import annotations
 
@@ -23,22 +23,23 @@ __all__ = ["Trial", "calibrate_contact"]
 
 Trial = tuple[Sequence[Load], Run]
 
-FORCE_PASSES, FORCE_STEP = 2, 1.4  # corrections of the surface's compliance; exponent: part of a depth is the modes'
-LEAST_FORCE = 0.1  # of a run's largest: frames by which it is corrected
-FORCE_SPREAD = 0.02  # of the force: frames that err by more count by their sign rather than their size
+FORCE_PASSES = 2  # corrections of the surface compliance
+FORCE_STEP = 1.4  # exponent of a correction, because part of a displacement is that of the modes
+MIN_FORCE = 0.1  # of frames in the calibration, as a fraction of the run's largest force
+FORCE_SPREAD = 0.02  # relative error of the force above which a frame has reduced weight
 
 
 def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[ReducedModel, dict[str, Any]]:
-    """Scale the compliance of the surface, its hardening and its grip, until tools' forces are those of full runs.
+    """Scale the surface compliance, its stiffening and its bonded scale to the tool forces of full runs.
 
-    It is learnt from displacements under known forces. A step asks the other way round, and forces that it finds lean
-    on nodes that give way too easily: a bias that is alike all over a body. Forceps hold their nodes wherever they
-    lean, and have a factor of their own.
+    The compliance is fitted to displacements under known forces. A step solves the inverse problem, and
+    its forces concentrate on nodes that are too compliant. The resulting bias is the same all over a body.
+    Forceps hold their nodes in any case, and have a factor of their own.
 
     Parameters
     ----------
     model : ReducedModel
-        That knows its surface's compliance.
+        With a surface compliance.
     repeated : sequence of (loads, trajectory or path)
         Runs of the full model, and their loads.
 
@@ -46,13 +47,13 @@ def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[R
     -------
     model : ReducedModel
     report : dict
-        ``"force_factor"`` on the compliance under presses, and ``"force_ratios"``: median ratio of the impulses of a
-        run's tools to those of the full model, before each correction and after the last.
+        ``"force_factor"`` on the compliance under presses, and ``"force_ratios"``: median ratio of the
+        impulses of the tools to those of the full model, before each correction and after the last.
 
     Raises
     ------
     InputError
-        No tool touches the body in one of the runs, or none touches the reduced one.
+        A run has no contact, in the full or in the reduced model.
     """
     compliance, whole, ratios = model.data.compliance, 1.0, []
     assert compliance is not None
@@ -74,15 +75,16 @@ def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[R
 
 
 def _scale(sizes: Sequence[Floats]) -> float:
-    """Return a factor on a compliance by forces (2, t) [N] of it and of runs, some runs of each."""
+    """Return a factor on a compliance from forces (2, t) [N] of reduced and full runs."""
     mine, theirs = np.concatenate(sizes, axis=1)
     return float(np.exp(FORCE_STEP * np.median(np.log(mine / theirs))))
 
 
 def _correction(compliance: SurfaceCompliance, sizes: Floats) -> tuple[float, Floats]:
-    """Return a factor on a compliance, and its hardening (2,), by forces (2, t) [N] of it and of runs.
+    """Return a factor on a compliance, and its stiffening (2,), from forces (2, t) [N] of reduced and full runs.
 
-    By most frames: a run that errs far more than the others, where a tool meets an edge, moves it little.
+    The fit is robust: a run with a much larger error than the others, such as a tool at an edge, has
+    little influence.
     """
     mine, theirs = sizes
     wanted = secant_factor(compliance.stiffening, theirs) * (mine / theirs) ** FORCE_STEP
@@ -90,14 +92,14 @@ def _correction(compliance: SurfaceCompliance, sizes: Floats) -> tuple[float, Fl
 
 
 def _force_sizes(model: ReducedModel, loads: Sequence[Load], kept: Run) -> Floats:
-    """Return the sizes (2, t) [N] of the force on tools, and of that of the full run, where that is not small."""
+    """Return the magnitudes (2, t) [N] of the tool force in the reduced and the full run, where it is not small."""
     run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
     names = [load.name for load in loads if isinstance(load, Contact | Grasp)]
     if not names or not len(run.contact_forces):
-        raise InputError("repeated: no tool touches the body in one of these runs; give others")
+        raise InputError("repeated must be runs with contact, got one without; leave it out")
     every = float(run.times[1] - run.times[0])
     own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
     sizes = np.array([sum(np.linalg.norm(of.reactions[name], axis=1) for name in names) for of in (own, run)])
     if not 0.0 < sizes[0].sum() < np.inf:
-        raise InputError("repeated: a tool that touches the full body does not touch the reduced one; give more modes")
-    return np.asarray(sizes[:, (sizes[1] > LEAST_FORCE * sizes[1].max()) & (sizes[0] > 0)])
+        raise InputError("repeated must be runs with contact on the reduced body, got one without; give more modes")
+    return np.asarray(sizes[:, (sizes[1] > MIN_FORCE * sizes[1].max()) & (sizes[0] > 0)])

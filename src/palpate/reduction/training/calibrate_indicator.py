@@ -1,4 +1,4 @@
-"""Calibration of the error indicator on held-out runs, and the table of errors that it predicts."""
+"""Calibration of the error indicator on held-out runs, and the table of expected errors."""
 
 from __future__ import annotations
 
@@ -20,27 +20,29 @@ from palpate.reduction.hyper.model import ReducedModel
 __all__ = ["Frames", "calibrate_indicator", "error_table", "indicator_frames"]
 
 
-BINS, FEWEST = 12, 20  # rows of the table, at most; frames in a row, at least
+MAX_ROWS = 12  # of the table
+MIN_FRAMES = 20  # in a row
 
 
 class Frames(NamedTuple):
-    """Frames of a held-out run that a reduced model has repeated.
+    """Frames of a held-out run of a reduced model.
 
     Parameters
     ----------
-    distances, imbalances : (f,) arrays [m]
-        Of the reduced run, see `ReducedModel.distance` and `ReducedModel.imbalance`.
-    missed : (f,) array
-        Root mean square error of the displacement over the body, over the largest such displacement of the run.
+    distances, residual_norms : (f,) arrays [m]
+        See `ReducedModel.distance` and `ReducedModel.residual_norm`.
+    errors : (f,) array
+        Root mean square displacement error over the body, divided by the largest such displacement of the
+        run.
     """
 
     distances: Floats
     residual_norms: Floats
-    missed: Floats
+    errors: Floats
 
 
 def indicator_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, full: Trajectory) -> Frames:
-    """Say of every frame of a reduced model's run how far it was from training, and from the full run."""
+    """Return distances from training, residual norms and errors of all frames of a reduced model's run."""
     prepared, mass = model.prepare(loads), model.masses / model.masses.sum()
     contact_forces = [contact_at_frame(own, k, len(model.cloud)) for k in range(len(own.times))]
     compliance = np.array([_contact_displacements(model, own, k) for k in range(len(own.times))])
@@ -65,7 +67,7 @@ def indicator_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory
 
 
 def _contact_displacements(model: ReducedModel, own: Trajectory, frame: int) -> Floats:
-    """Return the displacements (n, 3) [m] by the forces that a reduced run has kept of a frame."""
+    """Return the displacements (n, 3) [m] of the surface compliance by the stored forces of a frame."""
     known, of_frame = model.data.compliance, own.contact_forces[:, 0] == frame
     if known is None or not of_frame.any():
         return np.zeros((len(model.cloud), 3))
@@ -76,48 +78,53 @@ def _contact_displacements(model: ReducedModel, own: Trajectory, frame: int) -> 
 
 
 def calibrate_indicator(runs: Sequence[Frames], share: float) -> tuple[float, float, list[dict[str, float]]]:
-    """Return reach and leeway [m] with which a share of all frames has a trust number of at most 1, and the table."""
+    """Return both scales [m] of the error indicator, and the table of expected errors.
+
+    With these scales the trust number is at most 1 in a given share of all frames.
+    """
     distance_scale, residual_scale = (
         max(float(np.quantile(np.concatenate(values), share)), 1e-300)
         for values in ([run.distances for run in runs], [run.residual_norms for run in runs])
     )
     numbers = [np.maximum(run.distances / distance_scale, run.residual_norms / residual_scale) for run in runs]
     wider = max(float(np.quantile(np.concatenate(numbers), share)), 1.0)
-    table = error_table([own / wider for own in numbers], [run.missed for run in runs])
+    table = error_table([own / wider for own in numbers], [run.errors for run in runs])
     return wider * distance_scale, wider * residual_scale, table
 
 
-def error_table(numbers: Sequence[Floats], missed: Sequence[Floats]) -> list[dict[str, float]]:
-    """Relate trust numbers to errors: what errors were met where the trust number had reached so much and no more.
+def error_table(numbers: Sequence[Floats], errors: Sequence[Floats]) -> list[dict[str, float]]:
+    """Return a table of the errors met at trust numbers.
 
     Parameters
     ----------
-    numbers, missed : sequences of (f,) arrays
-        Of every held-out run, frame by frame: the trust number, and the displacement error.
+    numbers, errors : sequences of (f,) arrays
+        Trust number and displacement error of every held-out run, frame by frame.
 
     Returns
     -------
     list of mappings
-        In ascending order: ``"trust"``, the largest number of a row, ``"median"`` and ``"percentile_95"`` of the errors
-        of its frames, and how many ``"frames"`` it holds. Errors do not fall from row to row: rows where they would are
-        averaged (isotonic regression).
+        Rows in ascending order: ``"trust"``, the largest number so far in the frames of the row;
+        ``"median"`` and ``"percentile_95"`` of their errors; and the number of ``"frames"``. Errors do not
+        decrease from row to row (isotonic regression).
     """
-    reached = np.concatenate([np.maximum.accumulate(own) for own in numbers])
-    errors = np.concatenate(list(missed))[np.argsort(reached, kind="stable")]
-    reached = np.sort(reached)
-    about = np.array_split(np.arange(len(reached)), int(np.clip(len(reached) // FEWEST, 1, BINS)))
-    ends = np.unique([np.searchsorted(reached, reached[part[-1]], side="right") for part in about])  # equals together
-    data = np.split(np.arange(len(reached)), ends[:-1])
-    sizes = np.array([len(part) for part in data], dtype=float)
-    columns = [_rising(np.array([np.quantile(errors[part], q) for part in data]), sizes) for q in (0.5, 0.95)]
+    running_maximum = np.concatenate([np.maximum.accumulate(own) for own in numbers])
+    sorted_errors = np.concatenate(list(errors))[np.argsort(running_maximum, kind="stable")]
+    running_maximum = np.sort(running_maximum)
+    count = int(np.clip(len(running_maximum) // MIN_FRAMES, 1, MAX_ROWS))
+    bins = np.array_split(np.arange(len(running_maximum)), count)
+    lasts = [running_maximum[part[-1]] for part in bins]
+    ends = np.unique(np.searchsorted(running_maximum, lasts, side="right"))  # equal values in one row
+    rows = np.split(np.arange(len(running_maximum)), ends[:-1])
+    sizes = np.array([len(part) for part in rows], dtype=float)
+    columns = [_isotonic(np.array([np.quantile(sorted_errors[part], q) for part in rows]), sizes) for q in (0.5, 0.95)]
     return [
-        {"trust": float(reached[part[-1]]), "median": float(m), "percentile_95": float(p), "frames": len(part)}
-        for part, m, p in zip(data, *columns, strict=True)
+        {"trust": float(running_maximum[part[-1]]), "median": float(m), "percentile_95": float(p), "frames": len(part)}
+        for part, m, p in zip(rows, *columns, strict=True)
     ]
 
 
-def _rising(values: Floats, weights: Floats) -> Floats:
-    """Nearest values that do not fall: neighbours that do are pooled."""
+def _isotonic(values: Floats, weights: Floats) -> Floats:
+    """Return the nearest values that do not decrease."""
     from scipy.optimize import isotonic_regression
 
     return np.asarray(isotonic_regression(values, weights=weights).x)

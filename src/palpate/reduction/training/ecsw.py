@@ -1,6 +1,6 @@
-"""What the samples are chosen from, and how: derivatives at all points, forces at the training states, moments.
+"""Choice of the integration points: derivatives at all points, forces at training states, pressure moments.
 
-The points of a solid are its nodes; those of a membrane six about every node, as its energy form has them.
+The points of a solid are its nodes. Those of a membrane are six about every node, as in its energy form.
 """
 
 from __future__ import annotations
@@ -18,38 +18,39 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.membrane.passes import COSINE, SINE
 from palpate.dynamics.solid.model import Solid
 from palpate.reduction.basis.snapshots import Snapshots
-from palpate.reduction.hyper.cubature import Cubature, non_negative, sketch, slopes_fit
+from palpate.reduction.hyper.cubature import Cubature, fit_moments, sketch, sparse_nnls
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.tissue.materials import Material
 
-__all__ = ["Fields", "choose_samples", "compliance_root", "deformation", "differentiate", "pressure_moments"]
+__all__ = ["Fields", "choose_integration_points", "compliance_root", "deformation", "differentiate", "pressure_moments"]
 
 
-STATES = 240  # training states that pressures are taken from
-BALANCED = 1e-9  # forces that are less of what they are the sum of are none: those of a taut sheet at rest
-FELT = 0.1  # how much of their norm the forces on tools and supports have beside those on all coordinates
-ROWS, ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
-SLOPES = 60  # training states at which the moments' slopes are fitted
-BLOCK = 4096  # nodes at a time
-SMALLEST = 1e-3  # of the largest pressure: the size below which one counts less
-LIGHT = 1e-12  # of the highest squared frequency: what keeps a body without supports regular
+PRESSURE_STATES = 240  # training states for the pressure modes
+BALANCED = 1e-9  # relative size of a sum of forces that counts as zero, as in a taut sheet at rest
+REACTION_WEIGHT = 0.1  # of the forces on tools and supports, relative to those on all coordinates
+MAX_ROWS, MAX_ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
+SLOPE_STATES = 60  # training states for the fit of the moments' slopes
+BLOCK = 4096  # nodes per block
+MIN_SIZE = 1e-3  # of the largest pressure, below which a state has reduced weight
+RIGID_BODY_SHIFT = 1e-12  # least squared frequency, relative to the highest, for bodies without supports
 
 
 @dataclass(frozen=True)
 class Fields:
-    """The columns, and what they do at the points of the energy form.
+    """Basis vectors and their derivatives at the points of the energy form.
 
     Parameters
     ----------
     columns : (m, n, 3) array
+        The basis vectors.
     gradients : (p, m, 9) array
-        Their derivatives, row by row of du/dX; of single precision where there are many.
+        Their derivatives, row by row of du/dX; in single precision where there are many.
     constant : (m, m) array
-        Stiffness of what the stencils miss of them.
+        Stiffness of their hourglass residual.
     nodes : (p,) int array
-        Whose points they are.
+        Node of each point.
     volumes : (p,) array [m^3]
-        Times the nodes' own stiffness.
+        Of the points, times the stiffness factor of the node.
     """
 
     columns: Floats
@@ -59,27 +60,27 @@ class Fields:
     volumes: Floats
 
     def of(self, which: slice | NDArray[np.int64]) -> Fields:
-        """Return the fields of some columns."""
+        """Return the fields of a subset of the basis vectors."""
         constant = self.constant[which][:, which]
         return Fields(self.columns[which], self.gradients[:, which], constant, self.nodes, self.volumes)
 
 
 def differentiate(body: Solid | Membrane, columns: Floats) -> Fields:
-    """Differentiate columns (m, n, 3) at all points."""
+    """Return basis vectors (m, n, 3) with their derivatives at all points."""
     if isinstance(body, Membrane):
-        return _on_sheet(body, columns)
+        return _differentiate_sheet(body, columns)
     n, count = len(body.cloud), len(columns)
     type_ = _precision(n, count)
-    gradients, misses = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
+    gradients, residuals = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
     for m, by_node in enumerate(_by_node(body, columns, 12)):
         gradients[:, m] = by_node[:, :9]
-        misses[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.shear_volumes), 3)
-    constant = np.asarray(misses @ misses.T, dtype=float) * body.body.hourglass
+        residuals[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.shear_volumes), 3)
+    constant = np.asarray(residuals @ residuals.T, dtype=float) * body.body.hourglass
     return Fields(columns, gradients, constant, np.arange(n), body.elastic_volumes)
 
 
-def _on_sheet(body: Membrane, columns: Floats) -> Fields:
-    """Differentiate columns at six points about every node of a membrane; the third of every row is zero."""
+def _differentiate_sheet(body: Membrane, columns: Floats) -> Fields:
+    """Return basis vectors with their derivatives at six points per node; the third entry of every row is 0."""
     n, count = len(body.cloud), len(columns)
     points = len(COSINE)
     gradients = np.zeros((points, n, count, 3, 3), dtype=_precision(points * n, count))
@@ -99,7 +100,7 @@ def _precision(points: int, count: int) -> Any:
 
 
 def _by_node(body: Solid | Membrane, columns: Floats, numbers: int) -> Iterator[Floats]:
-    """Yield what the formulation differentiates of every column, (n, numbers)."""
+    """Yield the nodal derivatives (n, numbers) of every basis vector by the formulation."""
     blocks, lanes = body.body.lanes.nodes.shape
     table = np.zeros((blocks, 1, numbers, lanes))
     for column in columns:
@@ -107,34 +108,34 @@ def _by_node(body: Solid | Membrane, columns: Floats, numbers: int) -> Iterator[
         yield table[:, 0].transpose(0, 2, 1).reshape(-1, numbers)[body.slot]
 
 
-def choose_samples(
+def choose_integration_points(
     body: Solid | Membrane, fields: Fields, modes: int, states: Floats, mass: Floats, share: float, moments: Floats,
     seed: int,
 ) -> tuple[NDArray[np.int64], Cubature]:  # fmt: skip
-    """Choose points, weights, and the coefficients of the moments; return the points' places in the fields, too.
+    """Return places of the chosen points in the fields, and the cubature with their weights and moments.
 
     Parameters
     ----------
     body : Solid or Membrane
     fields : Fields
-        Of modes, lifting columns and the supports' test fields.
+        Of modes, lifting vectors and the supports' test fields.
     modes : int
-        How many of them are modes.
+        Number of modes.
     states : (t, m) array
-        Training states: coordinates of modes and lifting columns.
+        Training states: coordinates of modes and lifting vectors.
     mass : (m, m) array
     share : float
-        Of the forces that the samples may miss; 0 takes every point.
+        Largest relative error of the sampled forces; 0 selects every point.
     moments : (k, n) array
     seed : int
     """
     count = len(mass)
     root = compliance_root(body, fields, count, moments, mass)
     if share == 0.0:
-        whole = moments if len(moments) else np.zeros((0, len(fields.nodes)))  # a membrane has several points a node
+        whole = moments if len(moments) else np.zeros((0, len(fields.nodes)))  # a membrane has several points per node
         return np.arange(len(fields.nodes)), Cubature(fields.nodes, fields.volumes, whole, 0.0)
     rows = _rows(body, fields, modes, states, root, np.random.default_rng(seed))
-    multiples, residual = non_negative(rows, rows.sum(axis=1), share)
+    multiples, residual = sparse_nnls(rows, rows.sum(axis=1), share)
     chosen = np.flatnonzero(multiples > 0)
     own = fields.gradients[:, :count]
     pressure = np.zeros((0, len(chosen)))
@@ -146,37 +147,38 @@ def choose_samples(
 def _rows(
     body: Solid | Membrane, fields: Fields, modes: int, states: Floats, root: Floats, generator: np.random.Generator
 ) -> Floats:
-    """Return what every point adds to the forces at all states, (r, p): in the compliance norm, and as tools feel them.
+    """Return the contributions (r, p) of every point to the forces at all states.
 
-    The compliance norm hardly sees the force on a stiff column; so forces on tools and supports have rows of their own.
+    The rows are forces in the compliance norm, and forces on tools and supports. The latter have rows of
+    their own, because the compliance norm gives little weight to the force on a stiff basis vector.
     """
     count = len(root)
-    most = max(1, min(count, min(ROWS, ENTRIES // len(fields.nodes)) // len(states)))
-    moving: list[Floats] = []
-    felt: list[Floats] = []
+    most = max(1, min(count, min(MAX_ROWS, MAX_ENTRIES // len(fields.nodes)) // len(states)))
+    weighted_forces: list[Floats] = []
+    reactions: list[Floats] = []
     for state in states:
         work = _shear_work(body, fields, state)
         weighted = sketch(most, count, generator) @ root @ work[:count]
-        for rows, into in ((weighted, moving), (work[modes:], felt)):
+        for rows, into in ((weighted, weighted_forces), (work[modes:], reactions)):
             size = float(np.linalg.norm(rows.sum(axis=1)))
             if size > BALANCED * float(np.linalg.norm(rows, axis=0).sum()):
                 into.append(rows / np.sqrt(size))
-    whole = [np.concatenate(rows) for rows in (moving, felt) if rows]
+    whole = [np.concatenate(rows) for rows in (weighted_forces, reactions) if rows]
     sizes = [float(np.linalg.norm(rows.sum(axis=1))) for rows in whole]
     if len(whole) == 2:
-        whole[1] *= FELT * sizes[0] / sizes[1]
+        whole[1] *= REACTION_WEIGHT * sizes[0] / sizes[1]
     return np.concatenate(whole)
 
 
 def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Floats]:
-    """F, cof(F) and J at points with the derivatives (p, m, 9) of the columns."""
+    """Return F, cof(F) and J at points with derivatives (p, m, 9) of the basis vectors."""
     F = np.eye(3) + np.einsum("nmk,m->nk", gradients, state.astype(gradients.dtype)).astype(float).reshape(-1, 3, 3)
     cofactor = np.stack([np.cross(F[:, 1], F[:, 2]), np.cross(F[:, 2], F[:, 0]), np.cross(F[:, 0], F[:, 1])], axis=1)
     return F, cofactor, np.sum(F[:, 0] * cofactor[:, 0], axis=1)
 
 
 def _shear_work(body: Solid | Membrane, fields: Fields, state: Floats) -> Floats:
-    """Work of every point's shear stress, times its volume, on all columns, shape (columns, p)."""
+    """Return the work (m, p) of every point's shear stress, times its volume, on all basis vectors."""
     gradients = fields.gradients
     F, _, _ = deformation(gradients[:, : len(state)], state)
     if isinstance(body, Membrane):
@@ -189,23 +191,29 @@ def _shear_work(body: Solid | Membrane, fields: Fields, state: Floats) -> Floats
 
 
 def pressure_moments(body: Solid | Membrane, snapshots: Snapshots, pressures: int) -> Floats:
-    """Coefficients (k, n) of all nodes' J - 1, or g(J), in the moments: those of the main shapes of the pressures."""
-    if isinstance(body, Membrane):  # its thickness follows: it has no pressure
+    """Return the coefficients (k, n) of the nodes' J - 1, or g(J), in the moments.
+
+    The moments belong to the main modes of the pressures in the snapshots.
+    """
+    if isinstance(body, Membrane):  # it has no pressure, because its thickness follows
         return np.zeros((0, len(body.cloud)))
-    roots, chosen = np.sqrt(body.bulk_volumes), np.arange(0, len(snapshots), max(1, len(snapshots) // STATES))
+    roots, chosen = np.sqrt(body.bulk_volumes), np.arange(0, len(snapshots), max(1, len(snapshots) // PRESSURE_STATES))
     smooth = np.empty((len(chosen), len(roots)))
     for u, row in zip(snapshots.each(chosen), smooth, strict=True):
         body.force(u)
         row[:] = body.work.smooth * roots
     sizes = np.linalg.norm(smooth, axis=1)
-    smooth /= np.sqrt(np.maximum(sizes, SMALLEST * sizes.max()))[:, None]
+    smooth /= np.sqrt(np.maximum(sizes, MIN_SIZE * sizes.max()))[:, None]
     _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
     kept = min(pressures, int(np.sum(values > 1e-10 * values[0])))
     return np.asarray(np.sqrt(body.lame) * body.smooth_transposed(shapes[:kept] * roots))
 
 
 def compliance_root(body: Solid | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
-    """Return R with R^T R the compliance of the body at rest in the coordinates; of a membrane, when it is taut."""
+    """Return R such that R^T R is the compliance of the body at rest in the coordinates.
+
+    For a membrane it is that of the taut state.
+    """
     stiffness, own = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
     shear, second = np.full(len(body.cloud), body.material.shear_modulus), np.zeros(len(body.cloud))
     if isinstance(body, Solid):
@@ -214,7 +222,7 @@ def compliance_root(body: Solid | Membrane, fields: Fields, count: int, moments:
     for start in range(0, len(own), BLOCK):
         block = own[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
         roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK]), fields.nodes[start : start + BLOCK]
-        # tension holds a sheet against every slope, not only against strain
+        # tension resists every slope of a sheet, not only strain
         strain = 2 * block if isinstance(body, Membrane) else block + np.swapaxes(block, 2, 3)
         rows = (strain.reshape(-1, count, 9) * roots[:, None, None]).transpose(0, 2, 1).reshape(-1, count)
         slopes = np.trace(block, axis1=2, axis2=3) * roots[:, None]
@@ -224,7 +232,7 @@ def compliance_root(body: Solid | Membrane, fields: Fields, count: int, moments:
         slopes = moments @ (own[:, :, 0] + own[:, :, 4] + own[:, :, 8])
         stiffness += slopes.T @ slopes
     values, vectors = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), mass)
-    return np.asarray((vectors / np.sqrt(np.maximum(values, LIGHT * np.abs(values).max()))).T)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, RIGID_BODY_SHIFT * np.abs(values).max()))).T)
 
 
 def _pressure(
@@ -232,7 +240,7 @@ def _pressure(
 ) -> Floats:
     """Fit the coefficients (k, s) of the sampled dilatations to the moments and their slopes."""
     sampled, whole, stiff = [], [], np.linalg.inv(root).T
-    for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPES)]):
+    for state in (np.zeros(states.shape[1]), *states[:: max(1, len(states) // SLOPE_STATES)]):
         _, cofactor, J = deformation(gradients, state)
         volume, rise = volume_measure(material, J - 1)
         cofactor *= rise[:, None, None]
@@ -241,4 +249,4 @@ def _pressure(
         both = np.hstack([slope, value if state.any() else 0 * value])
         sampled.append(both[nodes])
         whole.append(moments @ both)
-    return slopes_fit(np.hstack(sampled), np.hstack(whole))
+    return fit_moments(np.hstack(sampled), np.hstack(whole))

@@ -1,4 +1,4 @@
-"""How far a reduced run is from the full one."""
+"""Errors of a reduced run against the full one."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from palpate.faults import InputError
 __all__ = ["ContactErrors", "Errors", "contact_errors", "relative_errors"]
 
 
-PRESSED = 0.1  # of a tool's largest force: frames that count
+MIN_FORCE = 0.1  # of frames in the contact errors, as a fraction of a tool's largest force
 
 
 @dataclass(frozen=True)
 class _Named(Described):
-    """Figures with names."""
+    """A record of figures by name."""
 
     def _facts(self) -> list[Fact]:
         return [(name.replace("_95", " (95th percentile)"), 100 * value, "%") for name, value in self.as_dict().items()]
@@ -53,7 +53,7 @@ class Errors(_Named):
 
 
 def relative_errors(full: Trajectory, other: Trajectory) -> Errors:
-    """Compare a run with a reference at the same times.
+    """Return the errors of a run against a reference at the same times.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def relative_errors(full: Trajectory, other: Trajectory) -> Errors:
         The runs have different times or bodies.
     """
     if full.displacements.shape != other.displacements.shape or not np.allclose(full.times, other.times):
-        raise InputError("the two runs have different times or numbers of nodes: run both with the same `every`")
+        raise InputError("other must match full, got different times or numbers of nodes; use the same `every`")
     energy, reference = (t.kinetic + t.strain for t in (other, full))
     force = 0.0
     for name, expected in full.reactions.items():
@@ -78,15 +78,15 @@ def relative_errors(full: Trajectory, other: Trajectory) -> Errors:
 
 @dataclass(frozen=True)
 class ContactErrors(_Named):
-    """What tools and the surface they touch miss of a reference, in frames with at least a tenth of the largest force.
+    """Errors of tool forces and of the contact surface, in frames with at least a tenth of the largest force.
 
     Parameters
     ----------
     force, force_95 : float
-        Difference of the two forces on a tool over the reference's of the moment: median and 95th percentile.
+        Difference of the forces on a tool over the current reference force: median and 95th percentile.
     surface_95, farthest_95 : float
-        Distance of the two places of a surface node over the largest displacement of the surface: 95th percentile over
-        nodes and frames, and over frames of the farthest node.
+        Distance of the two positions of a surface node over the largest displacement of the surface: 95th
+        percentile over nodes and frames, and over frames for the farthest node.
     """
 
     force: float
@@ -98,7 +98,7 @@ class ContactErrors(_Named):
 def contact_errors(
     full: Trajectory, other: Trajectory, tools: Sequence[str], nodes: NDArray[np.int64]
 ) -> ContactErrors | None:
-    """Compare what tools do in a run with a reference at the same times.
+    """Return the errors of contact in a run against a reference at the same times.
 
     Parameters
     ----------
@@ -106,23 +106,24 @@ def contact_errors(
     tools : sequence of str
         Names of their reactions.
     nodes : (k,) int array
-        Of the surface that tools may touch.
+        Of the contact surface.
 
     Returns
     -------
-    TouchErrors, or None where no tool touches the body in the reference.
+    ContactErrors, or None if no tool touches the body in the reference.
     """
-    missed, pressed = [np.zeros(0)], np.zeros(len(full.times), dtype=np.bool_)
+    differences, pressed = [np.zeros(0)], np.zeros(len(full.times), dtype=np.bool_)
     for name in tools:
         size = np.linalg.norm(full.reactions[name], axis=1)
-        counted = size > PRESSED * size.max()
-        missed.append(np.linalg.norm(other.reactions[name] - full.reactions[name], axis=1)[counted] / size[counted])
+        counted = size > MIN_FORCE * size.max()
+        difference = np.linalg.norm(other.reactions[name] - full.reactions[name], axis=1)
+        differences.append(difference[counted] / size[counted])
         pressed |= counted
     if not pressed.any():
         return None
-    force, surface = np.concatenate(missed), full.displacements[:, nodes]
-    distance_scale = np.linalg.norm(surface, axis=2).max()
-    apart = np.linalg.norm(other.displacements[:, nodes] - surface, axis=2)[pressed] / distance_scale
+    force, surface = np.concatenate(differences), full.displacements[:, nodes]
+    largest = np.linalg.norm(surface, axis=2).max()
+    apart = np.linalg.norm(other.displacements[:, nodes] - surface, axis=2)[pressed] / largest
     return ContactErrors(
         force=float(np.median(force)),
         force_95=float(np.quantile(force, 0.95)),

@@ -1,10 +1,11 @@
-"""The surface's own compliance under tools, made from statics and from runs with tools.
+"""Surface compliance under tools, fitted to statics and to runs with contact.
 
-What modes leave of statics at rest (`palpate.reduction.contact.residual_flexibility`) is the shape of dents. The full model's runs say
-which forces tools had on which nodes (`Trajectory.touches`): the reduced model without compliance is led through them
-by these forces. The work of the forces on what it misses there, frame by frame, tells how the compliance hardens under
-a tool's whole force, and a factor that is near 1; so does one factor for nodes that forceps hold, which pulls do not
-harden.
+The residual flexibility at rest (`palpate.reduction.contact.residual_flexibility`) gives the shape of
+the indentation. The full model's runs store the forces of tools on nodes
+(`Trajectory.contact_forces`). The reduced model without compliance follows each run under these
+forces. The work of the forces on its displacement error, frame by frame, gives a factor near 1, and
+the stiffening of the compliance with a tool's total force. It also gives one factor for nodes that
+forceps hold, because pulls do not stiffen the tissue.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance, secant_factor, static_displacements
-from palpate.reduction.contact.interior import interior
+from palpate.reduction.contact.interior import interior_flexibility
 from palpate.reduction.contact.near_field import add_own_compliance, near_field_compliance
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 from palpate.reduction.hyper.model import ReducedModel
@@ -34,26 +35,26 @@ from palpate.reduction.hyper.model import ReducedModel
 __all__ = ["fit_compliance", "fit_stiffening"]
 
 
-FRAMES = 400  # of the runs, at which the compliance is fitted
-NEAR = 5.0  # spacings from a touched node to which it is fitted
-STEEPEST = 0.8  # exponent of hardening: at 1 a larger force would make no deeper dent
+MAX_FRAMES = 400  # of the runs, in the fit
+FIT_RADIUS = 5.0  # about a node in contact, in spacings
+MAX_EXPONENT = 0.8  # of the stiffening; at 1 a larger force would not increase the displacement
 NO_RESIDUAL = (
-    "what the modes miss under tools is no dent: give reduce smooth modes (enrichment=vibration_modes(...)), which do "
-    "not hold the dents of the training runs"
+    "modes must be smooth and must not represent the indentation of the training runs, got modes without such a "
+    "residual; give hyper_reduce enrichment=vibration_modes(...)"
 )
-LIGHT = 0.05  # of the largest force: frames that say nothing of hardening
-SPREAD = 0.1  # of the ratio of works, from frame to frame
+MIN_FORCE = 0.05  # of frames in the fit of the stiffening, as a fraction of the largest force
+RATIO_SPREAD = 0.1  # of the ratio of works, between frames
 
 
 def fit_compliance(
     model: ReducedModel, body: Solid, snapshots: Snapshots, statics: Solid
 ) -> tuple[SurfaceCompliance, float]:
-    """Fit the compliance of the surface to runs in which tools touch the body.
+    """Fit the surface compliance to runs with contact.
 
     Parameters
     ----------
     model : ReducedModel
-        Its compliance, if it has any, is not used.
+        Its compliance is not used.
     body : Solid
         In its energy form.
     snapshots : Snapshots
@@ -63,44 +64,55 @@ def fit_compliance(
 
     Returns
     -------
-    dents : Dents
+    compliance : SurfaceCompliance
     explained : float
-        Share of the squares of what the modes miss near the tools that it explains.
+        Share of the squared displacement error of the modes near the tools that it explains.
 
     Raises
     ------
     InputError
-        No tool touches the body in any run, or the modes miss nothing that a compliance could give; statics that are
-        too large, of a body that nothing holds, or of another body.
+        No run includes contact, or the modes leave no residual displacement; `statics` is too large, has
+        no supports, or belongs to another body.
     """
     cloud = model.cloud
     ends, wanted = (np.array([c.points.min(axis=0), c.points.max(axis=0)]) for c in (statics.cloud, cloud))
     if np.abs(ends - wanted).max() > statics.cloud.spacing:
-        raise InputError("coarse: its points lie elsewhere than the body's; give a coarser model of the same body")
+        raise InputError(
+            "coarse must have the bounds of the body, got other points; give a coarser model of the same body"
+        )
     nodes = _free_surface(cloud, model.fixed)
     frames = _frames(model, snapshots, nodes)
     if not frames:
-        raise InputError("no tool touches the body in any of the runs: the surface's compliance cannot be learnt")
-    those = _free_surface(statics.cloud, statics.fixed)
-    deep, deeper = _free_interior(cloud, model.fixed), _free_interior(statics.cloud, statics.fixed)
-    known = residual_flexibility(statics, those, cloud.points, model.data.basis_vectors[: model.count], deeper)
-    flexibility, follow = np.split(known, [3 * len(those)])
-    places, weights = carriers(statics.cloud, those, cloud, nodes)
+        raise InputError(
+            "trajectories must include contact to fit the surface compliance, got none; add a run with a Contact"
+        )
+    coarse_nodes = _free_surface(statics.cloud, statics.fixed)
+    interior_nodes, coarse_interior = _free_interior(cloud, model.fixed), _free_interior(statics.cloud, statics.fixed)
+    known = residual_flexibility(
+        statics, coarse_nodes, cloud.points, model.data.basis_vectors[: model.count], coarse_interior
+    )
+    flexibility, interior_rows = np.split(known, [3 * len(coarse_nodes)])
+    places, weights = carriers(statics.cloud, coarse_nodes, cloud, nodes)
     nearby, near_field = np.zeros((len(nodes), 0), dtype=np.int64), np.zeros((len(nodes), 0, 3, 3), dtype=np.float32)
     if statics.cloud is not cloud:
-        nearby, near_field = near_field_compliance(body, nodes, statics, those, places, weights)
+        nearby, near_field = near_field_compliance(body, nodes, statics, coarse_nodes, places, weights)
         near_field = add_own_compliance(flexibility, places, weights, nearby, near_field)
     patches, shares = _patches(body, nodes)
-    blank = NO_COMPLIANCE._replace(
+    interior = None
+    if len(interior_nodes) and len(coarse_interior):
+        interior = interior_flexibility(
+            statics.cloud, coarse_interior, coarse_nodes, interior_rows, cloud, interior_nodes
+        )
+    unscaled = NO_COMPLIANCE._replace(
         nodes=nodes, carriers=places, weights=weights, flexibility=flexibility.astype(np.float32),
         nearby=nearby, near_field=near_field, patches=patches, shares=shares,
-        interior=interior(statics.cloud, deeper, those, follow, cloud, deep) if len(deep) and len(deeper) else None,
+        interior=interior,
     )  # fmt: skip
-    return _fitted(blank, cloud.points, frames)
+    return _fit_factors(unscaled, cloud.points, frames)
 
 
 def _patches(body: Solid, nodes: Ints) -> tuple[Ints, Floats]:
-    """Return the nodes (k, p) of the pieces of surface that tools meet, among some nodes, and their weights."""
+    """Return the nodes (k, p) of the patches of surface about some nodes, among these, and their weights."""
     count = len(nodes)
     table = sparse.csr_array(body.patches[nodes][:, nodes])
     number = np.diff(table.indptr)
@@ -122,11 +134,11 @@ def _free_interior(cloud: Cloud, fixed: Sequence[str]) -> NDArray[np.int64]:
 
 
 class _Frame(NamedTuple):
-    """What the modes miss of the full model's displacements under tools, at one moment."""
+    """Displacement error of the modes under tools in one frame."""
 
-    on: NDArray[np.int64]  # (j,) touched, in the nodes of the surface
+    on: NDArray[np.int64]  # (j,) nodes in contact, of the nodes of the surface
     forces: Floats  # (j, 3) [N]
-    bonded: bool  # by forceps
+    bonded: bool  # to forceps
     near: NDArray[np.int64]  # (k,) nodes around them
     missed: Floats  # (k, 3) [m]
 
@@ -135,28 +147,30 @@ def _frames(model: ReducedModel, snapshots: Snapshots, nodes: NDArray[np.int64])
     cloud, place = model.cloud, np.full(len(model.cloud), -1)
     place[nodes] = np.arange(len(nodes))
     total = sum(len(np.unique(run.contact_forces[:, 0])) for run in snapshots.runs)
-    every, found = max(1, total // FRAMES), []
+    every, found = max(1, total // MAX_FRAMES), []
     for run in snapshots.runs:
         moments = np.unique(run.contact_forces[:, 0].astype(int))[::every]
         moments = moments[moments + 1 < len(run.times)]
         if not len(moments):
             continue
-        led = _follow_run(model, run)
+        coordinates = _follow_run(model, run)
         for frame in moments:
             forces, bonded = _forces_at(run, frame, place, len(nodes))
             on = np.flatnonzero(forces.any(axis=1))
             if not len(on) or bonded[on].any() != bonded[on].all():
                 continue
-            around = cKDTree(cloud.points[nodes[on]]).query(cloud.points[nodes])[0] < NEAR * cloud.spacing
-            missed = run.displacements[frame] - np.tensordot(led[frame], model.data.basis_vectors[: model.count], 1)
+            around = cKDTree(cloud.points[nodes[on]]).query(cloud.points[nodes])[0] < FIT_RADIUS * cloud.spacing
+            missed = run.displacements[frame] - np.tensordot(
+                coordinates[frame], model.data.basis_vectors[: model.count], 1
+            )
             found.append(_Frame(on, forces[on], bool(bonded[on].all()), np.flatnonzero(around), missed[nodes[around]]))
     return found
 
 
 def _forces_at(run: Any, frame: int, place: Ints, count: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the forces (k, 3) [N] on the surface at a frame, half of those since the one before and of those after.
+    """Return the forces (k, 3) [N] on the surface at a frame, and (k,) whether forceps hold each node.
 
-    And (k,) which nodes forceps hold.
+    The forces are means of those in the intervals before and after the frame.
     """
     forces, bonded = np.zeros((count, 3)), np.zeros(count, dtype=np.bool_)
     for interval in (frame, frame + 1):
@@ -167,8 +181,10 @@ def _forces_at(run: Any, frame: int, place: Ints, count: int) -> tuple[Floats, N
     return forces, bonded
 
 
-def _fitted(compliance: SurfaceCompliance, points: Floats, frames: Sequence[_Frame]) -> tuple[SurfaceCompliance, float]:
-    """Fit factor and hardening; return the compliance, and the share of the dents' squares that it explains."""
+def _fit_factors(
+    compliance: SurfaceCompliance, points: Floats, frames: Sequence[_Frame]
+) -> tuple[SurfaceCompliance, float]:
+    """Fit factor and stiffening; return the compliance, and the share of squared displacements that it explains."""
     fields = [static_displacements(compliance, frame.forces, frame.on, frame.near) for frame in frames]
     here = [np.searchsorted(frame.near, frame.on) for frame in frames]
     size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
@@ -181,37 +197,37 @@ def _fitted(compliance: SurfaceCompliance, points: Floats, frames: Sequence[_Fra
     if not bonded_scale > 0:
         raise InputError(NO_RESIDUAL)
     left = whole = 0.0
-    for frame, own, soft in zip(
+    for frame, own, secant in zip(
         frames, fields, np.where(bonded, bonded_scale, factor * secant_factor(stiffening, size)), strict=True
     ):
         at = points[compliance.nodes[frame.near]]
-        missed, left_over = _without_affine(at, np.array([frame.missed, frame.missed - soft * own]))
-        whole, left = whole + float(np.sum(missed**2)), left + float(np.sum(left_over**2))
+        missed, residual = _without_affine(at, np.array([frame.missed, frame.missed - secant * own]))
+        whole, left = whole + float(np.sum(missed**2)), left + float(np.sum(residual**2))
     return compliance._replace(stiffening=stiffening, bonded_scale=bonded_scale / factor).scaled(
         factor
     ), 1.0 - left / whole
 
 
-def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = SPREAD) -> tuple[float, Floats]:
-    """Fit factor (1 + |f| / F)^-gamma to the ratio of works of forces on depths, of runs and of the linear compliance.
+def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = RATIO_SPREAD) -> tuple[float, Floats]:
+    """Fit factor (1 + |f| / F)^-gamma to the ratio of the forces' work in runs to that of the linear compliance.
 
     Parameters
     ----------
     size : (t,) array [N]
-        Whole forces.
+        Total forces.
     depth, linear : (t,) arrays [J]
-        Works.
+        Work in the runs, and with the linear compliance.
     spread : float
-        Ratios that are off by more count by their sign rather than their size.
+        Deviation of the ratio above which a frame has reduced weight.
 
     Returns
     -------
     factor : float
-    hardening : (2,) array
+    stiffening : (2,) array
         gamma, F [N].
     """
     largest = float(size.max())
-    use = (size > LIGHT * largest) & (depth > 0) & (linear > 0)
+    use = (size > MIN_FORCE * largest) & (depth > 0) & (linear > 0)
     if not use.any():
         raise InputError(NO_RESIDUAL)
     wanted, weight = np.log(depth[use] / linear[use]), np.sqrt(size[use] / largest)
@@ -220,41 +236,48 @@ def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = 
         return np.asarray(weight * (at[0] - at[1] * np.log1p(size[use] / (largest * np.exp(at[2]))) - wanted))
 
     start = np.array([float(np.median(wanted)), 0.1, 0.0])
-    bounds = ([-np.inf, 0.0, np.log(0.1)], [np.inf, STEEPEST, np.log(10.0)])
+    bounds = ([-np.inf, 0.0, np.log(0.1)], [np.inf, MAX_EXPONENT, np.log(10.0)])
     at = least_squares(missed, start, bounds=bounds, loss="soft_l1", f_scale=spread).x
     return float(np.exp(at[0])), np.array([at[1], largest * np.exp(at[2])])
 
 
 def _without_affine(points: Floats, fields: Floats) -> Floats:
-    """Return what affine fields leave of fields (f, k, 3) at points (k, 3): the dents, not where the modes are off."""
+    """Return fields (f, k, 3) at points (k, 3) without their affine parts.
+
+    The rest is the indentation, without the error of the modes on a larger scale.
+    """
     around = points - points.mean(axis=0)
     basis = np.linalg.qr(np.column_stack([np.ones(len(points)), around / np.abs(around).max()]))[0]
     return np.asarray(fields - basis @ (basis.T @ fields))
 
 
 def _follow_run(model: ReducedModel, run: Any) -> Floats:
-    """Return the coordinates (f, m) of the model led through a run by the forces on its nodes.
+    """Return the coordinates (f, m) of the model under the contact forces of a run.
 
     Raises
     ------
     InputError
-        The run's times do not increase, or the model would crawl through it as no run does.
+        The times of the run do not increase, or the model would need too many steps.
     """
     prepared, columns = model.prepare(()), model.data.basis_vectors[: model.count]
-    calm = model.stable_step(model.state(prepared), prepared)
+    rest_step = model.stable_step(model.state(prepared), prepared)
     state = model.state(prepared, run.displacements[0], time=float(run.times[0]))
     found, start = [state.coordinates], np.searchsorted(run.contact_forces[:, 0], np.arange(len(run.times) + 1))
     for frame in range(1, len(run.times)):
         contact_forces = run.contact_forces[start[frame] : start[frame + 1]]
         forces = np.einsum("mkc,kc->m", columns[:, contact_forces[:, 1].astype(int)], contact_forces[:, 2:])
         interval = float(run.times[frame] - state.time)
-        wished = interval / max(min(model.stable_step(state, prepared), interval / model.min_steps_per_frame), 1e-300)
-        if not 0 < wished <= min(MAX_STEP_RATIO * max(interval / calm, model.min_steps_per_frame), MAX_STEPS_PER_FRAME):
+        required = interval / max(min(model.stable_step(state, prepared), interval / model.min_steps_per_frame), 1e-300)
+        if (
+            not 0
+            < required
+            <= min(MAX_STEP_RATIO * max(interval / rest_step, model.min_steps_per_frame), MAX_STEPS_PER_FRAME)
+        ):
             raise InputError(
-                f"the model cannot follow a training run at t = {state.time:.4g} s, which needs {wished:.3g} steps to "
-                "the next snapshot: leave that run out, or make it again"
+                f"trajectories must be runs that the model can follow, got one with {required:.3g} steps to the "
+                f"snapshot after t = {state.time:.4g} s; leave that run out, or repeat it"
             )
-        steps = int(np.ceil(wished * (1 - 1e-9)))
+        steps = int(np.ceil(required * (1 - 1e-9)))
         state = model.advance(state, prepared, interval / steps, steps, forces)
         found.append(state.coordinates)
     return np.array(found)

@@ -1,4 +1,4 @@
-"""Training: from runs of a full model to a reduced one, with its errors on motions it has not seen."""
+"""Training of a reduced model from runs of a full one, with its errors on held-out runs."""
 
 from __future__ import annotations
 
@@ -18,27 +18,32 @@ from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
 from palpate.dynamics.solid.model import Solid
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.basis.incremental_pod import block_size
-from palpate.reduction.basis.lifting import WithoutTools, lifting_columns, support_fields
+from palpate.reduction.basis.lifting import RemoveToolMotion, lifting_vectors, support_fields
 from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import join, main_modes
-from palpate.reduction.hyper.error_indicator import nearest
+from palpate.reduction.hyper.error_indicator import distances_to_nearest
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
 from palpate.reduction.training.calibrate_indicator import calibrate_indicator, indicator_frames
-from palpate.reduction.training.ecsw import Fields, choose_samples, differentiate, pressure_moments
+from palpate.reduction.training.ecsw import Fields, choose_integration_points, differentiate, pressure_moments
 from palpate.reduction.training.errors import ContactErrors, Errors, contact_errors, relative_errors
 from palpate.reduction.training.fit_compliance import fit_compliance
-from palpate.reduction.training.residual_fields import RESIDUAL_FIELDS, apart, scale_residual_fields, typical_residual
+from palpate.reduction.training.residual_fields import (
+    RESIDUAL_FIELDS,
+    orthogonal_complement,
+    scale_residual_fields,
+    typical_residual,
+)
 
 __all__ = ["Trial", "hyper_reduce"]
 
 
-SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # tried when a tolerance is given
-STATES = 240  # training states that the cubature is fitted at
-PRESSURES = 4  # modes to one pressure mode: more would stiffen what the modes cannot keep at constant volume
-HELD_SHARE = 0.95
-TAUT = 16  # training states whose highest frequency a membrane is stepped by
+SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
+TRAINING_STATES = 240  # for the fit of the cubature
+MODES_PER_PRESSURE = 4  # more pressure modes would cause volumetric locking
+QUANTILE = 0.95  # of errors, and of frames with a trust number of at most 1
+FREQUENCY_STATES = 16  # training states for the highest frequency of a membrane
 
 
 def hyper_reduce(
@@ -56,41 +61,41 @@ def hyper_reduce(
     repeated: Sequence[Trial] = (),
     seed: int = 0,
 ) -> ReducedModel:
-    """Train a reduced model on runs of a full one: modes, sampled nodes and weights, errors and trust.
+    """Train a reduced model on runs of a full one: modes, integration points, errors and trust number.
 
     Parameters
     ----------
     full : Solid or Membrane
-        In its energy form the reduced model is a part of the same energy. A strong form is reduced by way of the energy
-        form of the same body, and keeps the difference of the two, which shrinks with the spacing.
+        In its energy form, the reduced energy is a subset of its terms. A strong form is replaced by the
+        energy form of the same body. The difference of the two remains, and decreases with the spacing.
     trajectories : Trajectory or path, or several
-        The training runs. Those given by the path of their file are read a block at a time, so that together they may
-        be larger than the memory.
+        The training runs. Files are read a block at a time, so together they may be larger than the
+        memory.
     modes : int, optional
         Number of modes M.
     tolerance : float, optional
-        Instead: the fewest modes (of 8, 12, 16, 24 ... 96) with which the mean errors of velocity, reaction force and
-        displacement over the held-out runs are at most this.
-    driven : str or sequence of str
-        Groups that rigid tools hold and move (`PrescribedMotion`): each gets lifting columns for its translations and
-        rotations, so that its pose may be any, and its force is known.
+        Alternative to `modes`: the least number of modes (of 8, 12, 16, 24 ... 96) with which the mean
+        errors of velocity, reaction force and displacement over the held-out runs are at most this.
+    prescribed : str or sequence of str
+        Groups that rigid tools hold and move (`PrescribedMotion`). Each has lifting vectors for its
+        translations and rotations, so its pose is arbitrary, and its force is an output.
     held_out : sequence of (loads, trajectory or path)
-        Runs that are not trained on: the reduced model repeats them and reports its errors, and what the trust number
-        says of them (`ReducedModel.expected_error`).
+        Runs outside the training data. The reduced model repeats them and reports its errors, and the
+        table of errors by trust number (`ReducedModel.expected_error`).
     enrichment : (e, n, 3) array, optional
-        Displacement fields that join the modes, or with ``modes=0`` stand for them: `palpate.vibration_modes`,
+        Additional displacement fields, or with ``modes=0`` the only ones: `palpate.vibration_modes`,
         `palpate.modal_derivatives`. Fields must vanish at supports and tools.
     cubature : float
-        What the sampled forces may miss of the whole ones in training, relative.
+        Largest relative error of the sampled forces in training.
     pressures : int, optional
-        Number of pressure modes; by default a quarter of the modes, which errs least on motions not trained on. For
-        one trained motion and few modes, as many as modes are better.
+        Number of pressure modes. The default, a quarter of the modes, has the least error on held-out
+        motions. For one training motion and few modes, as many as modes are better.
     coarse : Solid, optional
-        A coarser model of the same body, of at most 5,000 nodes, whose statics tell how its surface gives way under
-        tools that touch it in the runs; by default the body itself, if it has no more nodes than that.
+        A coarser model of the same body, of at most 5,000 nodes. Its statics give the surface compliance
+        under tools in contact. By default the body itself, if it has no more nodes than that.
     repeated : sequence of (loads, trajectory or path)
-        Some of the training runs in which tools touch or hold the body, with their loads: the compliance of its surface
-        is scaled until tools' forces are theirs in the mean.
+        Some of the training runs with contact, and their loads. The surface compliance is scaled to the
+        mean tool forces of these runs.
     seed : int
         Of random combinations where the training data are many.
 
@@ -102,15 +107,17 @@ def hyper_reduce(
     Raises
     ------
     InputError
-        No trajectory, or one of another body; not one choice of size; more modes than the snapshots hold; a tolerance
-        without held-out runs, or one that no size keeps.
+        No trajectory, or one of another body; neither or both of `modes` and `tolerance`; more modes than
+        the snapshots span; a tolerance without held-out runs, or one that no size keeps.
     """
     if (modes is None) == (tolerance is None):
-        raise InputError("give either modes or tolerance")
+        raise InputError("modes or tolerance must be given, but not both; leave one of them out")
     if not isinstance(full, Solid | Membrane):
-        raise InputError(f"reduce needs a Solid or a Membrane, not a {type(full).__name__}")
+        raise InputError(f"full must be a Solid or a Membrane, got {type(full).__name__}; make one of them first")
     if isinstance(full, Membrane) and (full.fibres is not None or full.material.prony is not None):
-        raise InputError("a sampled membrane has no fibres and does not relax: reduce one without fibres= and prony=")
+        raise InputError(
+            "full must have no fibres and no relaxation if it is a membrane, got them; leave out fibres= and prony="
+        )
     snapshots = Snapshots(trajectories)
     _check(full, snapshots.points)
     for _, run in held_out:
@@ -118,16 +125,18 @@ def hyper_reduce(
     share = number_in_range("cubature", cubature, 0.0, 1.0)
     body = full if full.conservative else _energy_form(full)
     tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
-    wish = _Wish(tools, held_out, enrichment, share, pressures, seed, coarse, repeated)
+    options = _Options(tools, held_out, enrichment, share, pressures, seed, coarse, repeated)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
-        return _trained(full, body, snapshots, count, wish)
+        return _train(full, body, snapshots, count, options)
     if not held_out:
-        raise InputError("a tolerance is on the errors of held-out runs: give held_out=, or give modes")
+        raise InputError(
+            "held_out must be given with a tolerance, got none; give held_out=, or modes= instead of tolerance="
+        )
     wanted, reached = number_in_range("tolerance", tolerance or 0.0, 0.0, 1.0, open_low=True), []
     for size in SIZES:
         try:
-            model = _trained(full, body, snapshots, size, wish)
+            model = _train(full, body, snapshots, size, options)
         except InputError as error:  # more modes than the snapshots hold
             reached.append(str(error))
             break
@@ -137,13 +146,14 @@ def hyper_reduce(
         if worst <= wanted:
             return model
     raise InputError(
-        f"no number of modes keeps a tolerance of {wanted:.2%} on the held-out runs ({', '.join(reached)})"
+        f"tolerance must be attainable on the held-out runs, got {wanted:.2%} with errors by modes "
+        f"({', '.join(reached)}); increase it, or train on more runs"
     )
 
 
 @dataclass(frozen=True)
-class _Wish:
-    """What is asked of `hyper_reduce` for any size."""
+class _Options:
+    """Options of `hyper_reduce` for any number of modes."""
 
     tools: tuple[str, ...]
     held_out: Sequence[Trial]
@@ -158,7 +168,9 @@ class _Wish:
 def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
     for own in points:
         if own.shape != full.cloud.points.shape or not np.allclose(own, full.cloud.points):
-            raise InputError("a trajectory belongs to another cloud than the model")
+            raise InputError(
+                "trajectories must belong to the model's cloud, got one of another cloud; run the same model"
+            )
 
 
 def _energy_form(full: Solid | Membrane) -> Solid | Membrane:
@@ -177,17 +189,17 @@ def _energy_form(full: Solid | Membrane) -> Solid | Membrane:
     )
 
 
-def _trained(
-    full: Solid | Membrane, body: Solid | Membrane, snapshots: Snapshots, size: int, wish: _Wish
+def _train(
+    full: Solid | Membrane, body: Solid | Membrane, snapshots: Snapshots, size: int, options: _Options
 ) -> ReducedModel:
-    """Train a model of a given size."""
+    """Train a model with a given number of modes."""
     start = perf_counter()
-    columns = _columns(body, snapshots, size, wish)
-    states, missed = _states(body, columns, snapshots)
-    model = ReducedModel(_data(full, body, snapshots, columns, states, wish))
+    columns = _basis_vectors(body, snapshots, size, options)
+    states, projection_error = _states(body, columns, snapshots)
+    model = ReducedModel(_data(full, body, snapshots, columns, states, options))
     if isinstance(body, Membrane):
-        trained = model.data.trained
-        taut = max(model._highest(state) for state in trained[:: max(1, len(trained) // TAUT)])
+        trained = model.data.training_states
+        taut = max(model._highest_frequency(state) for state in trained[:: max(1, len(trained) // FREQUENCY_STATES)])
         model = ReducedModel(replace(model.data, taut_frequency=taut))
     rule = model.data.cubature
     report: dict[str, Any] = {
@@ -197,90 +209,110 @@ def _trained(
         "nodes": len(rule.nodes),
         "pressure_modes": len(rule.pressure),
         "residual_fields": columns.residual_fields,
-        "cubature": wish.cubature,
+        "cubature": options.cubature,
         "cubature_residual": rule.residual,
-        "projection_error": missed,
+        "projection_error": projection_error,
         "modes_error": columns.lost,
-        "highest_frequency": model._highest(np.zeros(columns.count)),
+        "highest_frequency": model._highest_frequency(np.zeros(columns.count)),
         "training_runs": len(snapshots.lengths),
         "snapshots": len(snapshots),
-        "seed": wish.seed,
+        "seed": options.seed,
         "training_seconds": perf_counter() - start,
     }
-    if snapshots.touched and not wish.tools and isinstance(body, Solid):
-        compliance, report["compliance_explained"] = fit_compliance(model, body, snapshots, wish.coarse or body)
+    if snapshots.has_contact and not options.tools and isinstance(body, Solid):
+        compliance, report["compliance_explained"] = fit_compliance(model, body, snapshots, options.coarse or body)
         model = ReducedModel(replace(model.data, compliance=compliance))
-        if wish.repeated:
-            model, found = calibrate_contact(model, wish.repeated)
+        if options.repeated:
+            model, found = calibrate_contact(model, options.repeated)
             report |= found
     model.data.report.update(report)
-    return _tried(model, wish.held_out) if wish.held_out else model
+    return _test(model, options.held_out) if options.held_out else model
 
 
 @dataclass(frozen=True)
-class _Columns:
-    """The columns: modes, then lifting columns, together the coordinates; then the supports' fields and witnesses."""
+class _BasisVectors:
+    """Basis vectors: modes, lifting vectors, support fields and residual fields.
+
+    Modes and lifting vectors belong to the coordinates.
+    """
 
     fields: Fields
     modes: int
     count: int
     residual_fields: int
     mass: Floats  # of the coordinates
-    lost: float  # when the modes were found
+    lost: float  # relative error of the modes by truncation between blocks
 
 
-def _columns(body: Solid | Membrane, snapshots: Snapshots, size: int, wish: _Wish) -> _Columns:
-    lifting, supports = lifting_columns(body, wish.tools), support_fields(body, wish.tools)
-    rest = WithoutTools(body, lifting, wish.tools)
+def _basis_vectors(body: Solid | Membrane, snapshots: Snapshots, size: int, options: _Options) -> _BasisVectors:
+    lifting, supports = lifting_vectors(body, options.tools), support_fields(body, options.tools)
+    rest = RemoveToolMotion(body, lifting, options.tools)
     found, lost = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else RESIDUAL_FIELDS, rest)
     rest.check()
-    shapes = join(body, found[:size] if size else None, wish.enrichment)
-    watched = apart(body, shapes, found[size:])
-    # as single precision keeps them in the file, so that the model that is loaded is the model that was trained
-    columns = np.concatenate([shapes, lifting, supports, watched]).astype(np.float32).astype(float)
+    shapes = join(body, found[:size] if size else None, options.enrichment)
+    residual_fields = orthogonal_complement(body, shapes, found[size:])
+    # rounded to single precision as in the file, so that a saved and loaded model is identical
+    columns = np.concatenate([shapes, lifting, supports, residual_fields]).astype(np.float32).astype(float)
     count = len(shapes) + len(lifting)
     flat = columns[:count].reshape(count, -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
-    return _Columns(differentiate(body, columns), len(shapes), count, len(watched), mass, lost)
+    return _BasisVectors(differentiate(body, columns), len(shapes), count, len(residual_fields), mass, lost)
 
 
-def _states(body: Solid | Membrane, columns: _Columns, snapshots: Snapshots) -> tuple[Floats, float]:
-    """Coordinates (t, m + l) of all snapshots, and the share of them that the columns miss."""
+def _states(body: Solid | Membrane, columns: _BasisVectors, snapshots: Snapshots) -> tuple[Floats, float]:
+    """Return the coordinates (t, m + l) of all snapshots, and their relative projection error."""
     flat = columns.fields.columns[: columns.count].reshape(columns.count, -1)
-    weighted, states, missed, whole = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
+    weighted, states, projection_error, whole = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
     for block in snapshots.blocks(block_size(snapshots.nodes)):
         rows = block.reshape(len(block), -1)
         own = np.linalg.solve(columns.mass, weighted @ rows.T).T
         states.append(own)
         whole += float(np.linalg.norm(rows)) ** 2
         rows -= own @ flat
-        missed += float(np.linalg.norm(rows)) ** 2
-    return np.concatenate(states), float(np.sqrt(missed / whole))
+        projection_error += float(np.linalg.norm(rows)) ** 2
+    return np.concatenate(states), float(np.sqrt(projection_error / whole))
 
 
 def _data(
-    full: Solid | Membrane, body: Solid | Membrane, snapshots: Snapshots, columns: _Columns, states: Floats,
-    wish: _Wish,
+    full: Solid | Membrane, body: Solid | Membrane, snapshots: Snapshots, columns: _BasisVectors, states: Floats,
+    options: _Options,
 ) -> ReducedData:  # fmt: skip
-    """Choose the samples, and put all together."""
+    """Choose the integration points, and return the data of the reduced model."""
     fields, modes, count, mass = columns.fields, columns.modes, columns.count, columns.mass
-    chosen = states[snapshots.spread(STATES)]
-    moments = pressure_moments(body, snapshots, wish.pressures or max(1, modes // PRESSURES))
-    bare = fields.of(slice(len(fields.columns) - columns.residual_fields))
-    places, rule = choose_samples(body, bare, modes, chosen, mass, wish.cubature, moments, wish.seed)
+    chosen = states[snapshots.evenly_spaced(TRAINING_STATES)]
+    moments = pressure_moments(body, snapshots, options.pressures or max(1, modes // MODES_PER_PRESSURE))
+    without_residual = fields.of(slice(len(fields.columns) - columns.residual_fields))
+    places, rule = choose_integration_points(
+        body, without_residual, modes, chosen, mass, options.cubature, moments, options.seed
+    )
     fields, gradients = scale_residual_fields(
         body, fields, (modes, count, columns.residual_fields), chosen, rule, places, moments
     )
     data = ReducedData(
-        body.cloud, body.material, body.fixed, wish.tools, body.volumes, _stiffness(body), full.stiffness_damping, full.wave_speed,
-        fields.columns, modes, count - modes, rule, gradients, fields.constant, chosen,
-        _distance_scale(chosen, mass / body.masses.sum(), snapshots),
-        columns.residual_fields, kinematics=_kinematics(body), fibres=body.fibres,
+        cloud=body.cloud,
+        material=body.material,
+        fixed=body.fixed,
+        prescribed=options.tools,
+        volumes=body.volumes,
+        stiffness=_stiffness(body),
+        stiffness_damping=full.stiffness_damping,
+        wave_speed=full.wave_speed,
+        basis_vectors=fields.columns,
+        modes=modes,
+        lifting_count=count - modes,
+        cubature=rule,
+        gradients=gradients,
+        constant=fields.constant,
+        training_states=chosen,
+        distance_scale=_distance_scale(chosen, mass / body.masses.sum(), snapshots),
+        residual_fields=columns.residual_fields,
+        kinematics=_kinematics(body),
+        fibres=body.fibres,
         regions=body.regions if isinstance(body, Solid) else None,
-    )  # fmt: skip
+    )
     if not columns.residual_fields:
         return data
-    some = snapshots.each(snapshots.spread(STATES))
+    some = snapshots.each(snapshots.evenly_spaced(TRAINING_STATES))
     return replace(data, residual_scale=typical_residual(ReducedModel(data), body, some))
 
 
@@ -294,8 +326,8 @@ def _kinematics(body: Solid | Membrane) -> Kinematics:
     return Kinematics()
 
 
-def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
-    """Repeat the held-out runs; return the model with their errors in its report, and its trust calibrated."""
+def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
+    """Run the held-out motions; return the model with their errors in its report and calibrated scales."""
     found, frames = [], []
     for loads, kept in held_out:
         run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
@@ -303,7 +335,7 @@ def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         entry: dict[str, Any] = {"failed": False}
         try:
             own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
-            entry |= relative_errors(run, own).as_dict() | _touched(model, loads, run, own)
+            entry |= relative_errors(run, own).as_dict() | _contact_errors(model, loads, run, own)
             frames.append(indicator_frames(model, loads, own, run))
         except DivergenceError as error:
             entry = {"failed": True, "reason": str(error)}
@@ -314,37 +346,37 @@ def _tried(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         model.data.report["held_out"]["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
     if not frames:
         return model
-    distance_scale, residual_scale, table = calibrate_indicator(frames, HELD_SHARE)
+    distance_scale, residual_scale, table = calibrate_indicator(frames, QUANTILE)
     model.data.report["held_out"]["trust"] = table
     return ReducedModel(replace(model.data, distance_scale=distance_scale, residual_scale=residual_scale))
 
 
-def _touched(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:
-    """Return the errors by name of what tools do; none where no tool touches the body."""
+def _contact_errors(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:
+    """Return the errors of contact by name; none without contact."""
     tools = [load.name for load in loads if isinstance(load, Contact | Grasp)]
     found = contact_errors(run, own, tools, model.data.compliance.nodes) if model.data.compliance is not None else None
     return found.as_dict() if found is not None else {}
 
 
 def _over_runs(found: Sequence[dict[str, Any]], names: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Return mean and 95th percentile of the errors of runs; infinite where one of them failed."""
+    """Return mean and 95th percentile of the errors of runs; infinite if one of them failed."""
     failed = any(entry["failed"] for entry in found)
     values = {name: np.inf if failed else np.array([entry[name] for entry in found]) for name in names}
     return {
         "mean": {name: float(np.mean(own)) for name, own in values.items()},
-        "percentile_95": {name: float(np.quantile(own, HELD_SHARE)) for name, own in values.items()},
+        "percentile_95": {name: float(np.quantile(own, QUANTILE)) for name, own in values.items()},
     }
 
 
 def _distance_scale(chosen: Floats, mass: Floats, snapshots: Snapshots) -> float:
-    """Distance that most training states keep to those of other runs; with one run, to their neighbours in time."""
+    """Return the distance that most training states keep to other runs, or to the next frame with one run."""
     runs = len(snapshots.lengths)
-    owner = np.repeat(np.arange(runs), snapshots.lengths)[snapshots.spread(STATES)]
-    apart = []
+    owner = np.repeat(np.arange(runs), snapshots.lengths)[snapshots.evenly_spaced(TRAINING_STATES)]
+    distances = []
     for run in range(runs):
         own = owner == run
         if own.any() and (~own).any():
-            apart.append(nearest(chosen[own], chosen[~own], mass))
-    if not apart:
-        apart = [np.asarray(np.linalg.norm(np.diff(chosen, axis=0) @ np.linalg.cholesky(mass), axis=1))]
-    return max(float(np.quantile(np.concatenate(apart), HELD_SHARE)), 1e-300)
+            distances.append(distances_to_nearest(chosen[own], chosen[~own], mass))
+    if not distances:
+        distances = [np.asarray(np.linalg.norm(np.diff(chosen, axis=0) @ np.linalg.cholesky(mass), axis=1))]
+    return max(float(np.quantile(np.concatenate(distances), QUANTILE)), 1e-300)

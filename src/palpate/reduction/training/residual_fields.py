@@ -1,16 +1,17 @@
-"""Witnesses: test fields that a reduced body cannot move in, at which its equations of motion need not hold.
+"""Residual fields: test fields outside the reduced basis, for the residual of the equations of motion.
 
-The reduced equations balance the forces on the kept coordinates exactly. What is left of
+The reduced equations balance the forces on the coordinates exactly. The residual on other fields w,
 
-    r = m_w a'' - f_w(a + beta a') - g_w(t)
+    r = m_w a'' - f_w(a + beta a') - g_w(t),
 
-on other fields w, the imbalance, is what the kept ones cannot hold: were the body free to move in these shapes too, it
-would go by about (K^-1)_w r, K the stiffness at rest over modes and witnesses together. The witnesses are the next
-modes of strain behind the kept ones, and combined such that |r| is the root mean square of that displacement [m].
+is not balanced. If the body could also move in these fields, it would move by about (K^-1)_w r, with K
+the stiffness at rest over modes and residual fields together. The residual fields are the next strain
+modes after those of the basis, combined such that |r| is the root mean square of that displacement [m].
 
-The force f_w is sampled at the nodes that were chosen for the kept columns. There it is a small difference of large
-terms, and the weights are not good enough for it. But f_w is no part of an energy and may have weights of its own:
-each witness has a factor at every sampled node, fitted to the forces from all nodes at the training states.
+The force f_w is sampled at the integration points of the reduced model. It is a small difference of
+large terms there, for which the weights of the cubature are not accurate enough. But f_w does not
+belong to an energy and may have weights of its own. Each residual field has a factor at every
+integration point, fitted to the forces from all nodes at the training states.
 """
 
 from __future__ import annotations
@@ -29,59 +30,60 @@ from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.ecsw import Fields, compliance_root, deformation
 
-__all__ = ["RESIDUAL_FIELDS", "apart", "scale_residual_fields", "typical_residual"]
+__all__ = ["RESIDUAL_FIELDS", "orthogonal_complement", "scale_residual_fields", "typical_residual"]
 
 
 RESIDUAL_FIELDS = 8
-DEPENDENT = 1e-3  # share of a field that has to be left when the modes are taken from it
+MIN_INDEPENDENT = 1e-3  # least norm of a field without its modal part, relative
 RIDGE = 1e-3  # of the largest singular value, for the factors
-SMALLEST = 1e-3  # of the largest force: the size below which a state counts less
-USUAL = 0.95
+MIN_SIZE = 1e-3  # of the largest force, below which a state has reduced weight
+TYPICAL_SHARE = 0.95  # of the training states
 
 
-def apart(body: Solid | Membrane, shapes: Floats, fields: Floats) -> Floats:
-    """Return what fields (w, n, 3) have beside shapes (m, n, 3), orthonormal in the volumes; at most w fields.
+def orthogonal_complement(body: Solid | Membrane, shapes: Floats, fields: Floats) -> Floats:
+    """Return the parts of fields (w, n, 3) orthogonal to shapes (m, n, 3); at most w orthonormal fields.
 
-    The shapes are orthonormal in the volumes.
+    The shapes are orthonormal. The inner product has the nodal volumes as weights.
     """
     if not len(fields):
         return fields
     weights = np.repeat(np.sqrt(body.volumes), 3)
     kept, rows = shapes.reshape(len(shapes), -1) * weights, fields.reshape(len(fields), -1) * weights
-    for _ in range(2):  # once more, for rounding
+    for _ in range(2):  # twice, because of rounding
         rows = rows - (rows @ kept.T) @ kept
     _, sizes, rows = np.linalg.svd(rows, full_matrices=False)
-    return np.asarray((rows[sizes > DEPENDENT] / weights).reshape(-1, *fields.shape[1:]))
+    return np.asarray((rows[sizes > MIN_INDEPENDENT] / weights).reshape(-1, *fields.shape[1:]))
 
 
 def scale_residual_fields(
     body: Solid | Membrane, fields: Fields, sizes: tuple[int, int, int], states: Floats, rule: Cubature,
     places: NDArray[np.int64], moments: Floats,
 ) -> tuple[Fields, Floats]:  # fmt: skip
-    """Combine the witnesses such that an imbalance is a displacement, and find their derivatives at the samples.
+    """Combine the residual fields such that the residual is a displacement, and return their derivatives.
 
     Parameters
     ----------
     body : Solid or Membrane
-        A membrane has no witnesses.
+        A membrane has no residual fields.
     fields : Fields
-        Of all columns, the witnesses last.
+        All basis vectors, the residual fields last.
     sizes : tuple
-        Numbers of modes, of coordinates, and of witnesses w.
+        Numbers of modes, of coordinates, and of residual fields w.
     states : (t, m + l) array
         Training states.
     rule : Cubature
     places : (s,) int array
-        Of the sampled points in the fields.
+        Of the integration points in the fields.
     moments : (k, n) array
         Of the dilatation, see `palpate.reduction.training.ecsw.pressure_moments`.
 
     Returns
     -------
     fields : Fields
-        The witnesses' columns in m/N.
+        With the residual fields in m/N.
     gradients : (s, m + l + 3 g + w, 9) array
-        Derivatives of all columns at the samples, those of the witnesses times their factors.
+        Derivatives of all basis vectors at the integration points, those of the residual fields multiplied
+        by their factors.
     """
     modes, count, residual_fields = sizes
     gradients = np.asarray(fields.gradients[places], dtype=float)
@@ -98,7 +100,7 @@ def scale_residual_fields(
 
 
 def _scale(body: Solid, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
-    """Return A (w, w) [m/N] with |A r| the displacement [m] that an imbalance r of the witnesses would make."""
+    """Return A (w, w) [m/N] such that |A r| is the displacement [m] caused by a residual r."""
     own = fields.of(np.r_[:modes, len(fields.columns) - residual_fields : len(fields.columns)])
     flat = own.columns.reshape(len(own.columns), -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
@@ -108,8 +110,8 @@ def _scale(body: Solid, fields: Fields, modes: int, residual_fields: int, moment
 
 
 @dataclass(frozen=True)
-class _Rule:
-    """How stresses are weighed: at some nodes, with weights (s,) [m^3] and coefficients (k, s) of the moments."""
+class _Quadrature:
+    """A quadrature of stresses: nodes, weights (s,) [m^3], and coefficients (k, s) of the moments."""
 
     nodes: NDArray[np.int64]
     gradients: Floats
@@ -117,7 +119,7 @@ class _Rule:
     pressure: Floats
 
     def work(self, body: Solid, count: int, residual_fields: int, state: Floats) -> Floats:
-        """Work (s, w) of the nodes' stresses on the witnesses, which are the last columns."""
+        """Return the work (s, w) of the nodes' stresses on the residual fields, the last basis vectors."""
         F, cofactor, J = deformation(self.gradients[:, :count], state)
         stress = body.shear_stress(F, self.nodes)
         measure, slope = volume_measure(body.material, J - 1)
@@ -129,13 +131,15 @@ class _Rule:
 def _factors(
     body: Solid, fields: Fields, count: int, residual_fields: int, states: Floats, rule: Cubature, moments: Floats
 ) -> Floats:
-    """Return factors (s, w) of the witnesses' derivatives at the sampled nodes."""
-    few = _Rule(rule.nodes, np.asarray(fields.gradients[rule.nodes], dtype=float), rule.weights, rule.pressure)
-    every = _Rule(fields.nodes, fields.gradients, body.elastic_volumes, moments)
-    terms = np.array([few.work(body, count, residual_fields, state) for state in states])
-    whole = np.array([every.work(body, count, residual_fields, state).sum(axis=0) for state in states])
+    """Return factors (s, w) on the residual fields' derivatives at the integration points."""
+    sampled = _Quadrature(
+        rule.nodes, np.asarray(fields.gradients[rule.nodes], dtype=float), rule.weights, rule.pressure
+    )
+    full_sum = _Quadrature(fields.nodes, fields.gradients, body.elastic_volumes, moments)
+    terms = np.array([sampled.work(body, count, residual_fields, state) for state in states])
+    whole = np.array([full_sum.work(body, count, residual_fields, state).sum(axis=0) for state in states])
     sizes = np.linalg.norm(whole, axis=1)
-    scale = 1 / np.sqrt(np.maximum(sizes, max(SMALLEST * sizes.max(), 1e-300)))
+    scale = 1 / np.sqrt(np.maximum(sizes, max(MIN_SIZE * sizes.max(), 1e-300)))
     result = np.ones((len(rule.nodes), residual_fields))
     for w in range(residual_fields):
         u, values, vt = np.linalg.svd(terms[:, :, w] * scale[:, None], full_matrices=False)
@@ -145,10 +149,11 @@ def _factors(
 
 
 def typical_residual(model: ReducedModel, body: Solid | Membrane, displacements: Iterable[Floats]) -> float:
-    """Return the imbalance [m] that the model has at most training states, as far as one can tell without the loads.
+    """Return the residual norm [m] that most training states do not exceed, without regard to loads.
 
-    It is what the forces on the witnesses change by when displacements (n, 3) of the full body are projected on the
-    coordinates: the loads are the same, and the difference of the accelerations is left out.
+    It is the change of the forces on the residual fields when displacements (n, 3) of the full body are
+    projected on the coordinates. The loads are the same, and the difference of the accelerations is
+    neglected.
     """
     residual_fields, found = model.data.basis_vectors[len(model.data.basis_vectors) - model.data.residual_fields :], []
     body._restore_history(None)
@@ -158,5 +163,5 @@ def typical_residual(model: ReducedModel, body: Solid | Membrane, displacements:
         found.append(
             np.linalg.norm(whole - model.forces(state)[len(model.data.basis_vectors) - len(residual_fields) :])
         )
-    usual = float(np.quantile(found, USUAL))
-    return usual if usual > 0 else 1.0
+    typical = float(np.quantile(found, TYPICAL_SHARE))
+    return typical if typical > 0 else 1.0

@@ -258,7 +258,9 @@ LIES = {
     "a model of another law": (
         lambda header, arrays: header["model"].update(material="__import__"), "unknown material '__import__'"
     ),
-    "a model with other modes": (lambda header, arrays: header["model"].update(modes=3), "array basis_vectors has shape"),
+    "a model with other modes": (
+        lambda header, arrays: header["model"].update(modes=3), "array basis_vectors has shape"
+    ),
     "a report that is text": (lambda header, arrays: header["model"].update(report="5"), "report is not a mapping"),
 }  # fmt: skip
 

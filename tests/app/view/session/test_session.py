@@ -210,7 +210,7 @@ def test_a_coupling_makes_no_energy(model):
 
 def test_a_model_without_tools_is_refused(model):
     bare = pt.ReducedModel(replace(model.data, compliance=None))
-    with pytest.raises(pt.InputError, match="the engine moves one tool"):
+    with pytest.raises(pt.InputError, match="one prescribed group for the engine"):
         Session(bare, "Bare")
 
 

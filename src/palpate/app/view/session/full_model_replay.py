@@ -170,7 +170,7 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
     at = np.array([int(np.argmin(np.abs(run.times - t))) for t in times])
     displacements = run.displacements[at][:, surface.nodes]
     if isinstance(load, Contact):
-        displacements = np.array([surface.met(each) for each in displacements])
+        displacements = np.array([surface.patch_displacements(each) for each in displacements])
     force = -run.reactions[load.group if isinstance(load, PrescribedMotion) else TOOL_NAME][at]
     return {
         "times": wall, "positions": (surface.rest + displacements).astype(np.float32), "force": force,
