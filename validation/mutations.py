@@ -213,7 +213,7 @@ MUTATIONS = (
         ("tests/reduction/storage/test_model_file.py::test_a_changed_entry_of_any_array_does_not_match_its_checksum",),
     ),
     Mutation(
-        "viscosity not kept", "reduction/storage/model_file.py",
+        "stiffness damping not kept", "reduction/storage/model_file.py",
         '"stiffness_damping": float(data.stiffness_damping)', '"stiffness_damping": 2 * float(data.stiffness_damping)',
         (f"{MODELS}::test_a_saved_model_runs_the_same[hyper-reduced]",),
     ),
@@ -226,9 +226,9 @@ def refreshed(folder: Path) -> None:
         path.relative_to(ROOT)
         for name in COPIED
         for path in ([ROOT / name] if (ROOT / name).is_file() else (ROOT / name).rglob("*"))
-        if path.is_file() and "__pycache__" not in path.data
+        if path.is_file() and "__pycache__" not in path.parts
     }
-    for path in [path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.data]:
+    for path in [path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts]:
         if path.relative_to(folder) not in wanted:
             path.unlink()
     for path in wanted:
@@ -275,7 +275,7 @@ def tested(folder: Path, tests: Sequence[str]) -> tuple[int, str]:
     """Run some tests in the copy; return pytest's status, -1 after too long a time, and its last line."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", *tests]
     environment = {**os.environ, "PYTHONPATH": str(folder / "src"), "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
-    environment.pop("NUMBA_CACHE_DIR", None)  # what is compiled stays beside the copy's sources
+    environment.pop("NUMBA_CACHE_DIR", None)  # what is compiled stays next to the copy's sources
     try:
         done = subprocess.run(
             command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False
