@@ -151,7 +151,7 @@ def _repeated(rom: pt.ReducedModel, loads: Any, full: pt.Trajectory) -> Frames:
 
 
 def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
-    """How distance alone, residual norm alone and trust rank errors (Spearman), and how well the table foretells them."""
+    """How distance, residual norm and trust rank errors (Spearman), and how well the table foretells them."""
     errors = np.concatenate([f.missed for f in some])
     distances, residual_norms = (
         [f.distances / rom.data.distance_scale for f in some],

@@ -237,7 +237,7 @@ def reference(cases: list[str]) -> None:
 def model_of(
     cloud: pt.Cloud, poisson: float, form: str, volumetric: str = "quadratic", neighbours: int = 42
 ) -> pt.Solid:
-    """A model that comes to rest: the energy form has more than its default stiffness damping; static states do not change."""
+    """A model that comes to rest: the energy form has more than its default damping; static states do not change."""
     model = pt.Solid(cloud, tissue(poisson, volumetric), "x-", form=form, neighbours=neighbours)
     if form == "strong":
         return model

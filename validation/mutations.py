@@ -95,7 +95,8 @@ MUTATIONS = (
     # loads
     Mutation(
         "a moment dropped in the full model", "dynamics/nodal/central_difference.py",
-        "force += places.dead_pattern", "force += 0.0 * places.dead_pattern", load("solid, energy", "SurfaceForce, moment"),
+        "force += places.dead_pattern", "force += 0.0 * places.dead_pattern",
+        load("solid, energy", "SurfaceForce, moment"),
     ),
     Mutation(
         "a moment dropped in the sampled model", "reduction/hyper/generalised_forces.py",
@@ -107,7 +108,8 @@ MUTATIONS = (
     ),
     Mutation(
         "a force dropped in the linear model", "reduction/lti/model.py",
-        "values[:, own] += schedule.amplitudes", "values[:, own] += 0.0 * schedule.amplitudes", load("linear", "SurfaceForce, force"),
+        "values[:, own] += schedule.amplitudes", "values[:, own] += 0.0 * schedule.amplitudes",
+        load("linear", "SurfaceForce, force"),
     ),
     Mutation(
         "springs dropped in real time", "reduction/realtime/model.py",

@@ -78,8 +78,8 @@ def write(points: Floats, snapshots: int, folder: Path) -> list[Path]:
             continue
         frames, count = [(share @ fields).T for share in own], np.zeros(len(own))
         header = {"model": "shapes", "label": "", "wall_seconds": 0.0, "stiffness_damping": 0.0, "complete": True}
-        arrays = {"points": points, "times": np.linspace(0, 1, len(own)), "steps": count, "contact_forces": np.zeros((0, 5)),
-                  "bonded": np.zeros(0, dtype=bool)}  # fmt: skip
+        arrays = {"points": points, "times": np.linspace(0, 1, len(own)), "steps": count,
+                  "contact_forces": np.zeros((0, 5)), "bonded": np.zeros(0, dtype=bool)}  # fmt: skip
         write_sealed(paths[-1], FORMAT, VERSION, header, arrays, {"displacements": frames})
     return paths
 

@@ -8,7 +8,7 @@
 
 It adds a row a path, a press or a grasp, to docs/validation/presses.json, and their means. Force: difference of the two
 forces over the full one of the moment, in frames with at least a tenth of its largest, median and 95th percentile.
-Surface: distance of the two places of a node that is not fixed over the largest displacement, 95th percentile over nodes
+Surface: distance of the two places of a free node over the largest displacement, 95th percentile over nodes
 and those frames, and over those frames of the farthest node.
 """
 
@@ -78,7 +78,8 @@ def main() -> None:
         trained = [(scene.path(job.seed)[0], path) for job, path in found if job.kind != HELD_OUT]
         model = pt.hyper_reduce(
             scene.model, [path for _, path in trained], modes=args.modes, coarse=coarse, repeated=trained[:REPEATED],
-            enrichment=interpolated_modes(coarse, scene.model, shapes) if shapes else None, cubature=args.cubature or 1e-3,
+            enrichment=interpolated_modes(coarse, scene.model, shapes) if shapes else None,
+            cubature=args.cubature or 1e-3,
         )  # fmt: skip
     about = {"shapes": args.shapes, "modes": args.modes, "cubature": args.cubature, **manifest["parameters"]}
     known = ("modes", "nodes", "nodes_full", "training_runs", "compliance_explained")

@@ -108,7 +108,8 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> ComparedBod
 
     return ComparedBody(
         f"A liver pulled at its front, {1e3 * spacing:g} mm", model, loads, SMALL_WAY, LARGE_WAY, "m", (),
-        LASTING, 0.01, lambda run, modes: hyper_reduce(model, run, modes=modes, prescribed=TOOL), "POD of that run, sampled",
+        LASTING, 0.01, lambda run, modes: hyper_reduce(model, run, modes=modes, prescribed=TOOL),
+        "POD of that run, sampled",
     )  # fmt: skip
 
 
