@@ -91,7 +91,7 @@ def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeat
     models = {name: model(form, law, nodes, jitter) for name, law in chosen.items()}
     for each in models.values():
         if each.material.prony is not None:
-            each.work.history.interval[0] = 1e-5  # remembers every evaluation, as in a run
+            each.work.history.interval[0] = 1e-5  # stores history at every evaluation, as in a run
     if form == "energy":
         asked = {name: pair for name, pair in regions().items() if not laws or name.split(",")[0] in laws}
         models |= {name: model(form, pair, nodes, jitter) for name, pair in asked.items()}

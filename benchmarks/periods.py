@@ -20,7 +20,7 @@ PERIOD = 1e-3
 
 
 def timed(advance: Any, stiffness: Any) -> Any:
-    """Compile a period that tells how long its parts took [ns]."""
+    """Compile a period that returns how long its parts took [ns]."""
     from palpate.realtime.clock import thread_time
 
     @njit

@@ -1,6 +1,6 @@
 """Circular membranes of incompressible rubber, poked by a disc or inflated: static solutions by differential equations.
 
-A stress-free flat disc of radius R / prestretch and thickness H is stretched evenly to the radius R and its rim held.
+A stress-free flat disc of radius R / prestretch and thickness H is stretched evenly to the radius R and its rim fixed.
 With the meridional stretch l1, the hoop stretch l2 = r / S and the energy w(l1, l2) of plane stress, the shape r(S),
 z(S) makes 2 pi H int w S dS - pressure x volume stationary (Adkins and Rivlin 1952; Green and Adkins 1960, ch. 4):
 

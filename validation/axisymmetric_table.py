@@ -77,7 +77,7 @@ def hencky(poisson, terms=80):
     """Height of the centre over R (pressure R / (E H))^(1/3) at small strain, by Hencky's series (1915).
 
     With x = (r / R)^2, the meridional force is E H (pressure R / (E H))^(2/3) n(x) / 4, where (x n)'' n^2 = -2 and at
-    the held rim 2 n' + (1 - poisson) n = 0. The rim gives the series' first coefficient, the first gives the others.
+    the fixed rim 2 n' + (1 - poisson) n = 0. The rim gives the series' first coefficient, the first gives the others.
     The load is vertical, pressure per mounted area; the follower pressure of `inflate` differs in higher order.
     """
 

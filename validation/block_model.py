@@ -67,7 +67,7 @@ class Block:
         Parameters
         ----------
         on_y, on_z : sequence of int
-            Displacement components held on the planes y = 0 and z = 0.
+            Displacement components fixed on the planes y = 0 and z = 0.
         """
         X = abs(self.mesh.points) < 1e-9
         held = np.repeat(X[:, [0]], 3, axis=1)

@@ -10,7 +10,7 @@ radii obey
     dP_rR/dR = (P_tT - P_rR) / R + psi P_tZ,      dP_rR/dR = 2 (P_tT - P_rR) / R,
 
 P of the printed energy (printed_laws.py), without stress outside: `solve_bvp` finds them for the same compressible law.
-Beside them stand the closed forms of the same law were it incompressible: Rivlin's torsion (Philos. Trans. R. Soc. A
+Next to them are the closed forms of the same law were it incompressible: Rivlin's torsion (Philos. Trans. R. Soc. A
 242, 173, 1949), of which M = pi/2 mu psi a^4 for Mooney and Rivlin's law, and of the sphere (Green, Zerna, Theoretical
 Elasticity, 1954, section 3.10)
 

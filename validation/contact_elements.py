@@ -129,7 +129,7 @@ def punch(height: float, radius: float, rounding: float):
         g[edge] = length - rounding
         normal[edge] = n
         curvature[edge] = (np.eye(2) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
-        g[(a > 0) & (b <= 0)] = 1.0  # beside the cylinder
+        g[(a > 0) & (b <= 0)] = 1.0  # outside of the cylinder
         return g, normal, curvature
 
     return gap

@@ -30,7 +30,7 @@ FREQUENCY_POISSON_RATIOS = (0.3, 0.45, 0.49, 0.499)
 MESHES = (2, 4, 6)  # elements over the half width, from coarse to fine
 FREQUENCY_LENGTHS = (0.1, 0.2)
 SUBSTEPS = 4  # load steps from each force to the next
-# Displacement components held on the planes y = 0 and z = 0 for each kind of vibration.
+# Displacement components fixed on the planes y = 0 and z = 0 for each kind of vibration.
 VIBRATIONS = {
     "bending": ([1], [0, 1]),
     "torsion": ([0, 2], [0, 1]),

@@ -10,8 +10,8 @@ accuracy    errors of displacement, velocity, energy and reaction over the numbe
 trust       what the trust number says of errors, calibrated on half of the runs inside, judged on all others
 stability   2 to 100 modes, whatever the motion: does a run ever blow up?
 stepping    explicit steps against the implicit rule: cost at equal error, and energy of a free body
-sampling    the sampled energy beside plain force sampling and Q-DEIM, on the same data
-enrichment  vibration modes and modal derivatives, alone and beside the trained modes
+sampling    the sampled energy against plain force sampling and Q-DEIM, on the same data
+enrichment  vibration modes and modal derivatives, alone and together with the trained modes
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def _repeated(rom: pt.ReducedModel, loads: Any, full: pt.Trajectory) -> Frames:
 
 
 def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
-    """How distance alone, imbalance alone and trust rank errors (Spearman), and how well the table foretells them."""
+    """How distance, residual norm and trust rank errors (Spearman), and how well the table foretells them."""
     errors = np.concatenate([f.errors for f in some])
     distances, residual_norms = (
         [f.distances / rom.data.distance_scale for f in some],
@@ -159,7 +159,7 @@ def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     )
     numbers = {
         "distance": distances,
-        "imbalance": residual_norms,
+        "residual norm": residual_norms,
         "trust": [np.maximum(*both) for both in zip(distances, residual_norms, strict=True)],
     }
     found: dict[str, float] = {"frames": len(errors)}
@@ -222,7 +222,7 @@ def study_stepping(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> dic
 
 
 def _free_energy(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
-    """Let the bent body go without viscosity for 20 s; say how far its energy strays."""
+    """Let the bent body go without stiffness damping for 20 s; say how far its energy strays."""
     from dataclasses import replace
 
     rom = hyper_reduce(model, runs["train"], modes=16)
@@ -243,7 +243,7 @@ def _free_energy(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[
 
 
 def study_sampling(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[Any]:
-    """The sampled energy beside two samplings of nodal forces, with as many nodes."""
+    """The sampled energy against two samplings of nodal forces, with as many nodes."""
     table = []
     cases = [("train", 0), ("inside", 0)]
     for modes in (8, 24):

@@ -173,7 +173,7 @@ def settled(model: pt.Solid, motion) -> np.ndarray:
 
 
 def settled_panel(model: pt.Solid, seconds: float = 0.6, damping: float = 60.0) -> tuple[np.ndarray, int]:
-    """Displacements of Cook's slab, its faces held in their planes; the number of steps."""
+    """Displacements of Cook's slab, its faces kept in their planes; the number of steps."""
     prepared = model.prepare(
         [pt.SurfaceForce("x+", force=lambda t: (0.0, SHEAR * 0.016 * PANEL[2] * min(t / 0.1, 1.0), 0.0))]
     )
@@ -237,7 +237,7 @@ def reference(cases: list[str]) -> None:
 def model_of(
     cloud: pt.Cloud, poisson: float, form: str, volumetric: str = "quadratic", neighbours: int = 42
 ) -> pt.Solid:
-    """A model that comes to rest: the energy form has more than its default viscosity; static states do not change."""
+    """A model that comes to rest: the energy form has more than its default damping; static states do not change."""
     model = pt.Solid(cloud, tissue(poisson, volumetric), "x-", form=form, neighbours=neighbours)
     if form == "strong":
         return model
@@ -248,7 +248,7 @@ def model_of(
 
 
 def default_step(model: pt.Solid) -> float:
-    """Stable step [s] at rest with the default viscosity."""
+    """Stable step [s] at rest with the default stiffness damping."""
     highest = model.stability.highest_frequency
     return stable_step(highest, ENERGY_DAMPING / highest) if model.conservative else model.stability.step
 

@@ -56,7 +56,7 @@ def print_all() -> None:
     for row in read()["shown"]:
         figures = f"{row['rough']:.0f} | {row['pressure_errors'][0]:.0f} ({row['range']:.0f}) |"
         print(f"| {row['case']} | {row['poisson']} | {'jittered' if row['jitter'] else 'lattice'} | {figures}")
-    print("\nStable step at rest [us], default viscosity\n")
+    print("\nStable step at rest [us], default stiffness damping\n")
     table(lambda r: f"{1e6 * r['step']:.0f}", ("bending", "cook"))
     print("| case | form of U | form of the solid | error |\n|---|---|---|---|")
     for row in read()["volumetric"]:

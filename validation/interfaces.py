@@ -4,7 +4,7 @@
 
 writes docs/validation/interfaces.json and prints the table. Small: one half 4 times softer or 5 times stiffer than the
 other at nu = 0, free sides, the stiffness at rest under a small pull. Large: two Gent materials of other shear moduli,
-limits and Poisson's ratios, their sides held, pulled until the softer is half as long again; the closed form is the
+limits and Poisson's ratios, their sides fixed, pulled until the softer is half as long again; the closed form is the
 stretch of either at which its stress P11 of diag(l, 1, 1) is that of the pull. With an odd number of cells the
 interface lies midway between nodes; with an even one nodes lie on it: they are counted to the first half, and the
 closed form has its interface half a spacing further; or, where a stiffness tells the halves apart, they have the mean
@@ -29,7 +29,7 @@ OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "interfaces.json
 LENGTH, ACROSS = 0.08, 4  # cells across: the lattice is even in all directions
 TISSUE = {"density": 1000.0, "poisson": 0.0}
 SOFT = pt.materials.Gent(mu=8e3, Jm=3.0, density=1000.0, poisson=0.3)
-FIRM = pt.materials.Gent(mu=20e3, Jm=0.5, density=1000.0, poisson=0.4)
+STIFF = pt.materials.Gent(mu=20e3, Jm=0.5, density=1000.0, poisson=0.4)
 STRETCH = 1.5  # of the softer half of a large pull
 
 
@@ -78,12 +78,12 @@ def small(cells: int, ratio: float, kind: str) -> float:
 
 
 def pull(material: pt.materials.Material, stretch: float) -> float:
-    """Stress P11 [Pa] of tissue whose sides are held."""
+    """Stress P11 [Pa] of tissue whose sides are fixed."""
     return float(material.stress(np.diag([stretch, 1.0, 1.0]))[0, 0])
 
 
 def large(cells: int, first: pt.materials.Material, second: pt.materials.Material) -> float:
-    """Error of the stretch of a bar of two materials, its sides held."""
+    """Error of the stretch of a bar of two materials, its sides fixed."""
     cloud, stress = bar(cells), pull(SOFT, STRETCH)
     model = pt.Solid(cloud, {"": first, "far": second}, "x-", form="energy")
     outside = loads(model, stress * area(cells))
@@ -118,8 +118,8 @@ def main() -> None:
             if cells % 2 == 0:
                 found[f"small, {ratio:g} times as stiff, mean compliance"] = small(cells, ratio, "mean compliance")
         found["large, soft"] = large(cells, SOFT, SOFT)
-        found["large, soft then firm"] = large(cells, SOFT, FIRM)
-        found["large, firm then soft"] = large(cells, FIRM, SOFT)
+        found["large, soft then stiff"] = large(cells, SOFT, STIFF)
+        found["large, stiff then soft"] = large(cells, STIFF, SOFT)
         report.append({"cells": cells, "spacing": LENGTH / cells, "error": found})
         print(f"{cells} cells, {1e3 * LENGTH / cells:.2f} mm")
         for name, error in found.items():

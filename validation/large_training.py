@@ -2,7 +2,7 @@
 
     python validation/large_training.py [--side 46] [--modes 100]
 
-A held block of side^3 nodes; 200 smooth random states in place of runs, large enough to be nonlinear. Prints seconds,
+A fixed block of side^3 nodes; 200 smooth random states in place of runs, large enough to be nonlinear. Prints seconds,
 sampled nodes and the peak memory of the process, and appends them to docs/validation/large_training.json.
 """
 
@@ -23,7 +23,7 @@ STATES, SHAPES, LARGEST = 200, 120, 0.15  # the largest displacement is this sha
 
 
 def states(cloud: pt.Cloud, seed: int = 0) -> pt.Trajectory:
-    """Return smooth random states that vanish at the held face, as a run."""
+    """Return smooth random states that vanish at the fixed face, as a run."""
     random = np.random.default_rng(seed)
     side = np.ptp(cloud.points, axis=0)
     place = (cloud.points - cloud.points.min(axis=0)) / side

@@ -4,7 +4,7 @@
 
 Random texts of each kind grow until another operation is refused. Each is differentiated and compiled as a reduced
 model compiles it when it is loaded: the forces and the energy of its samples. Times are less those of a neo-Hookean
-law that is compiled in the same way, which is what does not depend on the text, and beside it.
+law that is compiled in the same way, which is what does not depend on the text, and in addition to it.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ def unchecked(law: Any, split: str) -> Any:
     return material
 
 
-def compiling(parts: Any, text: str, split: str) -> tuple[float, float]:
+def compiling(data: Any, text: str, split: str) -> tuple[float, float]:
     """Return the times [s] of making a law and of compiling a reduced model of it."""
     begun = perf_counter()
     law_of.__globals__["_law"].cache_clear()
     material = unchecked(law_of(text), split)
     made = perf_counter()
-    model = pt.ReducedModel(replace(parts, material=material))
+    model = pt.ReducedModel(replace(data, material=material))
     for compiled in (model.force, model.energy):
         with suppress(ZeroDivisionError):
             compiled(np.zeros(model.count))
@@ -89,16 +89,16 @@ def main() -> None:
     options = parser.parse_args()
     body = pt.Solid(pt.box((0.03, 0.01, 0.01), 0.0025), pt.materials.NeoHookean(C1=5e3, **REST), "x-", form="energy")
     run = pt.rollout(body, [pt.SurfaceForce("x+", force=(0.3, 0.05, -0.02))], duration=0.01, every=1e-3, progress=False)
-    parts = pt.hyper_reduce(body, run, modes=4).parts
+    data = pt.hyper_reduce(body, run, modes=4).data
     with tempfile.TemporaryDirectory() as folder:
         numba.config.CACHE_DIR = folder  # nothing is found that another run has compiled
-        compiling(parts, "C1*(I1 - 3) - 2.5*C1*log(J)", options.split)  # with all that every law needs
-        _, base = compiling(parts, "C1*(I1 - 3) - 2*C1*log(J)", options.split)
+        compiling(data, "C1*(I1 - 3) - 2.5*C1*log(J)", options.split)  # with all that every law needs
+        _, base = compiling(data, "C1*(I1 - 3) - 2*C1*log(J)", options.split)
         print(f"neo-Hookean, {options.split}: {base:.1f} s")
         for kind in options.kinds:
             for seed in range(options.seed, options.seed + options.texts):
                 text = largest(np.random.default_rng(seed), kind)
-                made, compiled = compiling(parts, text, options.split)
+                made, compiled = compiling(data, text, options.split)
                 print(f"{kind} {seed}: {len(text)} characters, law {made:.2f} s, model {compiled - base:.1f} s more")
 
 

@@ -109,7 +109,7 @@ def relaxation_panel(axis: Any) -> None:
     axis.semilogx(times, prony.relaxation(times), color="tab:blue", label="modulus at time t")
     turned = prony.complex_modulus(1 / times)
     axis.semilogx(times, turned.imag, color="tab:orange", label="loss at 1/t")
-    axis.set(ylim=(0, 2.4), xlabel="t [s]", ylabel="over modulus at ease")
+    axis.set(ylim=(0, 2.4), xlabel="t [s]", ylabel="over modulus in equilibrium")
     axis.legend(frameon=False, loc="upper right", handlelength=1.2)
     heading(axis, "Prony", source(RELAXATION.reference))
 

@@ -42,7 +42,7 @@ def both(scene, models):
 
 
 def projection(model, run):
-    """Mean relative error (34) of the best that a reduced model's columns can do for a run."""
+    """Mean relative error (34) of the best that a reduced model's basis vectors can do for a run."""
     tool = model.cloud.group("tool")
     lifted = np.tensordot(run.displacements[:, tool, 2].mean(axis=1), model.lifting[0], 0)
     lifted /= model.lifting[0, tool, 2].mean()

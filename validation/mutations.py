@@ -95,7 +95,7 @@ MUTATIONS = (
     # loads
     Mutation(
         "a moment dropped in the full model", "dynamics/nodal/central_difference.py",
-        "force += places.dead_pattern", "force += 0.0 * places.dead_pattern",
+        "force += sites.dead_pattern", "force += 0.0 * sites.dead_pattern",
         load("solid, energy", "SurfaceForce, moment"),
     ),
     Mutation(
@@ -104,7 +104,7 @@ MUTATIONS = (
     ),
     Mutation(
         "gravity dropped in the projected model", "reduction/galerkin/model.py",
-        "self._gravity_test = self.test", "self._gravity_test = 0.0 * self.test", load("Galerkin", "Gravity, gravity"),
+        "gravity_test=self.test", "gravity_test=0.0 * self.test", load("Galerkin", "Gravity, gravity"),
     ),
     Mutation(
         "a force dropped in the linear model", "reduction/lti/model.py",
@@ -124,7 +124,7 @@ MUTATIONS = (
     # constraints and contact
     Mutation(
         "supports let go", "dynamics/nodal/central_difference.py",
-        "if places.kind[i] == FREE:", "if places.kind[i] <= FIXED:",
+        "if sites.kind[i] == FREE:", "if sites.kind[i] <= FIXED:",
         contract("supports_and_tools_hold_their_nodes", "solid, energy"),
     ),
     Mutation(
@@ -150,20 +150,20 @@ MUTATIONS = (
     # states
     Mutation(
         "history not restored", "dynamics/material/relaxation.py",
-        "own[:] = was", "own[:] = own", contract("equal_states_take_equal_steps", "solid, relaxing"),
+        "array[:] = values", "array[:] = array", contract("equal_states_take_equal_steps", "solid, relaxing"),
     ),
     Mutation(
         "history shared by two states", "dynamics/material/relaxation.py",
-        "tuple(array.copy() for array in _kept(of))", "tuple(array for array in _kept(of))",
+        "tuple(array.copy() for array in _persistent(variables))", "tuple(array for array in _persistent(variables))",
         contract("equal_states_take_equal_steps", "solid, relaxing"),
     ),
     Mutation(
         "loads of one run act in the next", "dynamics/nodal/model.py",
-        "surface[:] = 0.0  # of another", "_ = 0.0  # of another", load("solid, energy", "Foundation, springs"),
+        "_scratch.surface[:] = 0.0", "_scratch.surface[:0] = 0.0", load("solid, energy", "Foundation, springs"),
     ),
     Mutation(
         "loads of one run taken for the next's", "reduction/hyper/model.py",
-        "self._loaded is None or self._loaded.prepared is not ready", "self._loaded is None",
+        "self._projected is None or self._projected.prepared is not ready", "self._projected is None",
         load("hyper-reduced", "SurfaceForce, moment"),
     ),
     # energy and momentum
@@ -182,7 +182,7 @@ MUTATIONS = (
     ),
     Mutation(
         "work of a tool", "dynamics/nodal/central_difference.py",
-        "(inertia - force[i, c]", "(inertia + force[i, c]", contract("energy_is_kept", "solid, tool"),
+        "inertia - scratch.force[i, c]", "inertia + scratch.force[i, c]", contract("energy_is_kept", "solid, tool"),
     ),
     Mutation(
         "loads counted twice in reactions", "dynamics/run/reactions.py",
@@ -215,7 +215,7 @@ MUTATIONS = (
         ("tests/reduction/storage/test_model_file.py::test_a_changed_entry_of_any_array_does_not_match_its_checksum",),
     ),
     Mutation(
-        "viscosity not kept", "reduction/storage/model_file.py",
+        "stiffness damping not kept", "reduction/storage/model_file.py",
         '"stiffness_damping": float(data.stiffness_damping)', '"stiffness_damping": 2 * float(data.stiffness_damping)',
         (f"{MODELS}::test_a_saved_model_runs_the_same[hyper-reduced]",),
     ),
@@ -228,9 +228,9 @@ def refreshed(folder: Path) -> None:
         path.relative_to(ROOT)
         for name in COPIED
         for path in ([ROOT / name] if (ROOT / name).is_file() else (ROOT / name).rglob("*"))
-        if path.is_file() and "__pycache__" not in path.data
+        if path.is_file() and "__pycache__" not in path.parts
     }
-    for path in [path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.data]:
+    for path in [path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts]:
         if path.relative_to(folder) not in wanted:
             path.unlink()
     for path in wanted:
@@ -277,7 +277,7 @@ def tested(folder: Path, tests: Sequence[str]) -> tuple[int, str]:
     """Run some tests in the copy; return pytest's status, -1 after too long a time, and its last line."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", *tests]
     environment = {**os.environ, "PYTHONPATH": str(folder / "src"), "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
-    environment.pop("NUMBA_CACHE_DIR", None)  # what is compiled stays beside the copy's sources
+    environment.pop("NUMBA_CACHE_DIR", None)  # what is compiled stays next to the copy's sources
     try:
         done = subprocess.run(
             command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False

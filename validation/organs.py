@@ -1,8 +1,8 @@
 """Every organ surface at hand, filled coarsely and finely, poked by 20 mm and let go: whether it stays stable untuned.
 
 A round patch in the middle of one side, as wide as a fifth of the cube root of the volume however fine the nodes are,
-moves 20 mm inwards in 0.2 s, stays until 0.4 s and is let go; the opposite side is held. After the release nothing does
-work on the body, so its energy, kinetic and strain, must not grow.
+moves 20 mm inwards in 0.2 s, stays until 0.4 s and is let go; the opposite side is fixed. After the release nothing
+does work on the body, so its energy, kinetic and strain, must not grow.
 
     python validation/organs.py [--nodes 3000 10000] [--poisson 0.45 0.49] [--form energy] [--only NAME] [--table]
 

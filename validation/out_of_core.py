@@ -2,7 +2,7 @@
 
     python validation/out_of_core.py [--side 46] [--snapshots 10000] [--modes 100] [--method strain|displacement]
 
-A held block of side^3 nodes (46: 97,336). The snapshots are smooth random motions, 100 to a file, in single precision
+A fixed block of side^3 nodes (46: 97,336). The snapshots are smooth random motions, 100 to a file, in single precision
 (12 GB for 10,000; --folder says where). They are made of a few hundred known shapes, so that the exact singular values
 follow from small matrices. The modes are found in a process of its own, whose peak memory is measured.
 
@@ -42,13 +42,13 @@ SPARE = 8
 
 
 def body(side: int) -> pt.Solid:
-    """Return the held block."""
+    """Return the fixed block."""
     tissue = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=0.49)
     return pt.Solid(pt.box((0.1, 0.1, 0.1), 0.1 / (side - 1)), tissue, "x-", form="energy", stiffness_damping=1e-6)
 
 
 def shapes(points: Floats) -> Floats:
-    """Smooth random fields (SHAPES, n) that vanish at the held face, small ones where they vary fast."""
+    """Smooth random fields (SHAPES, n) that vanish at the fixed face, small ones where they vary fast."""
     random = np.random.default_rng(0)
     waves, phases = random.uniform(-2.5, 2.5, (SHAPES, 3)), random.uniform(0, 2 * np.pi, SHAPES)
     place = (points - points.min(axis=0)) / np.ptp(points, axis=0)
@@ -79,8 +79,7 @@ def write(points: Floats, snapshots: int, folder: Path) -> list[Path]:
         frames, count = [(share @ fields).T for share in own], np.zeros(len(own))
         header = {"model": "shapes", "label": "", "wall_seconds": 0.0, "stiffness_damping": 0.0, "complete": True}
         arrays = {"points": points, "times": np.linspace(0, 1, len(own)), "steps": count,
-                  "contact_forces": np.zeros((0, 5)),
-                  "bonded": np.zeros(0, dtype=bool)}  # fmt: skip
+                  "contact_forces": np.zeros((0, 5)), "bonded": np.zeros(0, dtype=bool)}  # fmt: skip
         write_sealed(paths[-1], FORMAT, VERSION, header, arrays, {"displacements": frames})
     return paths
 
@@ -113,7 +112,7 @@ def measured(side: int, modes: int, method: str, files: list[Path]) -> dict[str,
 def compared(
     model: pt.Solid, count: int, modes: Floats, values: Floats | None, method: str
 ) -> dict[str, float | list[float]]:
-    """Say what the modes miss of the snapshots beside what the best ones miss, from small matrices alone."""
+    """Say what the modes miss of the snapshots and what the best ones miss, from small matrices alone."""
     fields, parts = shapes(model.cloud.points), shares(count)
     products = model.stencils.products(model.volumes)
     images = (products @ fields.T).T if method == "strain" else fields * model.volumes

@@ -8,7 +8,7 @@
 
 It adds a row a path, a press or a grasp, to docs/validation/presses.json, and their means. Force: difference of the two
 forces over the full one of the moment, in frames with at least a tenth of its largest, median and 95th percentile.
-Surface: distance of the two places of a node that is not held over the largest displacement, 95th percentile over nodes
+Surface: distance of the two places of a free node over the largest displacement, 95th percentile over nodes
 and those frames, and over those frames of the farthest node.
 """
 
@@ -38,15 +38,15 @@ def compared(scene, model: pt.ReducedModel, seed: int, full: pt.Trajectory) -> d
     loads, duration = scene.path(seed)
     own = pt.rollout(model, loads, duration=duration, every=scene.every, progress=False)
     cloud = scene.model.cloud
-    held = np.concatenate([cloud.group(name) for name in scene.model.fixed])
-    free = np.setdiff1d(pt.tools.surface_nodes(cloud), held)
+    fixed = np.concatenate([cloud.group(name) for name in scene.model.fixed])
+    free = np.setdiff1d(pt.tools.surface_nodes(cloud), fixed)
     (tool,) = loads
     mine, theirs = own.reactions[tool.name], full.reactions[tool.name]
     size = np.linalg.norm(theirs, axis=1)
     counted = size > LEAST * size.max()
     force = np.linalg.norm(mine - theirs, axis=1)[counted] / size[counted]
-    reach = np.linalg.norm(full.displacements[:, free], axis=2).max()
-    apart = np.linalg.norm(own.displacements[:, free] - full.displacements[:, free], axis=2)[counted] / reach
+    largest = np.linalg.norm(full.displacements[:, free], axis=2).max()
+    apart = np.linalg.norm(own.displacements[:, free] - full.displacements[:, free], axis=2)[counted] / largest
     return {
         "kind": "grasp" if isinstance(tool, pt.tools.Grasp) else "press", "seed": seed,
         "force": float(np.median(force)), "force_95": float(np.quantile(force, 0.95)),

@@ -99,7 +99,7 @@ def measured(served: Served, seconds: float, kinds: list[str]) -> dict[str, Any]
     """Let clients come for some seconds, and return how the server and its honest clients fared."""
     session, took = served.session, [memory()]
     session.engine.stop()
-    session.engine.start()  # the statistics begin anew
+    session.engine.start()  # this resets the statistics
     with _clients(served, seconds, []) as honest, _clients(served, seconds, kinds) if kinds else nullcontext():
         while honest.poll() is None:
             time.sleep(0.5)

@@ -28,7 +28,7 @@ def body(spacing: float, poisson: float, form: str, pressure: str, half_cell: fl
     law = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120, poisson=poisson)
     if form == "energy":
         return pt.Solid(cloud, law, "x-", form="energy")
-    # more than the default viscosity: it changes no static state
+    # more than the default stiffness damping: it changes no static state
     return pt.Solid(cloud, law, "x-", stiffness_damping=1.8e-2 * spacing, pressure=pressure, half_cell=half_cell)
 
 

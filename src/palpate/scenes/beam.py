@@ -24,7 +24,7 @@ def pull(time: float, load: float = 100.0) -> float:
 
 
 def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> Scene:
-    """Return the paper's beam: 200 mm by 20 mm by 20 mm, one end held, the other pulled along the axis.
+    """Return the paper's beam: 200 mm by 20 mm by 20 mm, one end fixed, the other pulled along the axis.
 
     Mooney-Rivlin with C1 = 60 kPa and C2 = 1.2 kPa, density 1120 kg/m^3. The pull is spread over
     the face ``"x+"``; it rises linearly to `load` at 0.5 s and falls back to zero at 1 s (33). A

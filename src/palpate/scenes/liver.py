@@ -21,7 +21,7 @@ __all__ = ["ToolPaths", "pressed_liver"]
 
 SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007
 DENSITY = 1060.0  # [kg/m^3]
-BED = 0.07  # [m] of the back that is held: the bare area, by which a liver grows to the diaphragm
+BED = 0.07  # [m] of the back that is fixed: the bare area, by which a liver grows to the diaphragm
 MARGIN = 0.02  # [m] that presses keep from it
 COARSE = 0.008  # [m] spacing of the coarse liver whose vibrations and statics are those of finer ones
 CLEARANCE = 0.003  # [m] between ball and body before and after
@@ -41,7 +41,7 @@ def pressed_liver(
 ) -> TrainingScene:
     """Return the generated liver (`palpate.liver_surface`) with random presses of a ball and pulls of forceps.
 
-    Neo-Hookean with the mean shear modulus of healthy livers, 2.2 kPa; the back is held. A press
+    Neo-Hookean with the mean shear modulus of healthy livers, 2.2 kPa; the back is fixed. A press
     comes along the normal of a random place, goes in by 0.3 to 1 times `depth`, slides up to 20 mm
     along the surface, and leaves. Every fourth seed, 3, 7 and so on, is a grasp: forceps hold the
     surface nodes around a random place, pull them by 0.3 to 1 times `depth` at up to 45 degrees to
@@ -96,7 +96,7 @@ class ToolPaths:
     Parameters
     ----------
     cloud : Cloud
-        With a group ``"back"`` that is held.
+        With a group ``"back"`` that is fixed.
     radius, depth : float [m]
         Of the ball; of the deepest press and the longest pull.
     friction : float

@@ -21,7 +21,7 @@ AFTER = ("return", "hold", "release")
 def tool_tip(time: float, after: str = "return") -> float:
     """Return the displacement [m] of the tool tip in equation (35) at a time [s].
 
-    It rises at 0.1 m/s for 0.1 s. At that time it still is 10 mm, and after it back at 0, or held.
+    It rises at 0.1 m/s for 0.1 s. At that time it still is 10 mm, and after it back at 0, or unchanged.
     """
     if time <= PUSH_TIME * (1 + 1e-9):
         return SPEED * max(time, 0.0)
@@ -39,7 +39,7 @@ def membrane(
     relaxed: bool = True,
     form: str = "energy",
 ) -> Scene:
-    """Return the paper's membrane: a disc, 0.2 m across and 0.01 mm thick, its rim held, its centre pushed by a tool.
+    """Return the paper's membrane: a disc, 0.2 m across and 0.01 mm thick, its rim fixed, its centre pushed by a tool.
 
     Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot
     is kept every 2 ms for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or lets

@@ -22,7 +22,7 @@ MAX_SPACING, TOOL_RADIUS, PRESTRETCH = (
     0.01,
     0.02,
     1.05,
-)  # [m], [m] radius of what the hand holds, of the sheet before it is held
+)  # [m], [m] radius of what the hand holds, of the sheet before it is mounted
 MAX_TANGENTIAL, MAX_DEPTH = 0.004, 0.02  # [m] of one swing, in the sheet's plane and across it, at most
 SWINGS = 3  # that a motion is made of
 

@@ -55,12 +55,12 @@ class TrainingScene:
     parameters : mapping of str to number or text
         What the scene was made with, in SI units.
     tools : tuple of str
-        Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `driven` of
+        Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `prescribed` of
         `palpate.hyper_reduce`.
     coarse : function, optional
         Returns a model of the same body of at most 5,000 nodes, in its energy form. Where tools
-        touch a body anywhere, modes of the runs are dents where those runs had them: the vibrations
-        of this model stand for modes, and its statics tell what they leave of dents
+        may touch a body anywhere, modes of the runs would be indentations where those runs had them.
+        So the modes are vibrations of this model, and the surface compliance follows from its statics
         (`palpate.reduction.contact.residual_flexibility`).
     cubature : float
         As of `palpate.hyper_reduce`: what the sampled forces may miss of the whole ones.

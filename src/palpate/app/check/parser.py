@@ -25,7 +25,6 @@ def add_check(commands: Any) -> None:
         description="Read a closed surface (STL, OBJ, PLY, OFF, GLB, VTK), list its faults, and fill it with nodes if "
         "it has none. Leave a report with pictures in a folder. See docs/organs.md.",
     )
-    check.synonyms["mend"] = "--repair"
     add = check.add_argument
     add("file", type=existing_file, metavar="FILE", help="file of the surface")
     text = "distance between nodes [m] (default: one that gives about 4,000 nodes)"

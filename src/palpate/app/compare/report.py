@@ -45,8 +45,8 @@ def build_report(made: Comparison) -> dict[str, Any]:
         "parameters": {
             "nodes": len(body.model.cloud), "unknowns": made.system.order, "spacing": body.model.cloud.spacing,
             "form": body.model.form, "stiffness_damping": body.model.stiffness_damping,
-            "small": body.small, "large": body.large,
-            "unit": body.unit, "duration": body.duration, "condensed_to": len(reduction.source.mass),
+            "small": body.small, "large": body.large, "unit": body.unit, "duration": body.duration,
+            "condensed_to": len(reduction.source.mass),
             "inputs": list(made.system.inputs), "outputs": list(made.system.outputs),
             "emphasis": reduction.emphasis.tolist(),
         },

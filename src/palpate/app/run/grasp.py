@@ -40,7 +40,7 @@ def run_grasp(
     poisson : float
         As for `palpate.scenes.beam.beam`; 0.45 takes larger steps than the paper's 0.49.
     model : path, optional
-        File of a reduced model to take instead, of which one group is driven.
+        File of a reduced model to take instead, of which one group is prescribed.
     options : mapping
         ``seconds``, ``rate``, ``out`` and ``as_json``: see `palpate.app.run.realtime.run_realtime`.
 

@@ -56,7 +56,7 @@ def run_realtime(
     ----------
     make : function
         Called after all checks; returns the model, the poses of the tool, and the tool that touches the body, or None
-        for one that moves the model's driven group.
+        for one that moves the model's prescribed group.
     title : str
     about : mapping
         More of the report's parameters.

@@ -179,7 +179,7 @@ def draw_energies(study: Study, path: Path) -> None:
         upper.plot(full.times, scale * full.external, color="black", lw=2.4, label="work of the load")
         upper.plot(full.times, scale * full.strain, "--", color=ORANGE, lw=1.8, label="strain energy")
         lower.plot(full.times, scale * full.kinetic, color=BLUE, lw=1.6, label="kinetic")
-        lower.plot(full.times, scale * full.dissipated, "--", color=GREEN, lw=1.6, label="lost to viscosity")
+        lower.plot(full.times, scale * full.dissipated, "--", color=GREEN, lw=1.6, label="lost to damping")
         lower.plot(full.times, scale * full.balance, color=RED, lw=1.6, label="missed by the balance of all")
         upper.set(title="Energies of the full model", ylabel=f"energy [{unit}]")
         lower.set(title="The small ones", xlabel="time [s]", ylabel=f"energy [{unit}]")

@@ -102,7 +102,7 @@ def reproduce_beam(
 
 
 def _run_energy_form(study: Study, console: Console) -> None:
-    """Run the energy form of the same body, with its own viscosity, if it can be run."""
+    """Run the energy form of the same body, with its own stiffness damping, if it can be run."""
     scene = study.scene
     try:
         with console.status("making the energy form of the model ready"):

@@ -184,7 +184,7 @@ def draw_energies(study: Study, titles: Sequence[str], path: Path) -> None:
             axes.plot(times, scale * given, color="black", lw=2.2, label="energy at the start + work of the tool")
             axes.plot(times, scale * run.strain, "--", color=ORANGE, lw=1.8, label="strain energy")
             axes.plot(times, scale * run.kinetic, color=BLUE, lw=1.8, label="kinetic energy")
-            axes.plot(times, scale * run.dissipated, "--", color=GREEN, lw=1.6, label="lost to viscosity")
+            axes.plot(times, scale * run.dissipated, "--", color=GREEN, lw=1.6, label="lost to damping")
             axes.plot(times, scale * run.balance, color=RED, lw=1.6, label="missed by the balance of all")
             axes.set(title=title, xlabel="time [ms]", ylabel=f"energy [{unit}]", xlim=times[[0, -1]])
         drawn.legend(*both[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
