@@ -175,7 +175,7 @@ class NodalModel(Model):
             Damping(self.stiffness_damping, self.wave_speed),
             (self.body, self.work),
             (prepared.sites, prepared.contacts, schedule),
-            self.nodal_data(),
+            self._nodal_data(),
             self._scratch,
         )
         if prepared.tools:
@@ -192,7 +192,7 @@ class NodalModel(Model):
             tools = 0.5 * step * steps * (before + tool_power(self, new, prepared))
         return replace(new, external_work=new.external_work + tools)
 
-    def nodal_data(self) -> NodalData:
+    def _nodal_data(self) -> NodalData:
         """Return the constants of the nodes for the compiled step."""
         return NodalData(
             volumes=self.volumes,

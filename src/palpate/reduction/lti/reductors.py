@@ -1,4 +1,4 @@
-"""Linear reductions of one body by all methods, which share what is dear: modes, Gramians, and runs.
+"""Linear reductions of one body by all methods, with shared expensive parts: modes, Gramians and runs.
 
 pyMOR (R. Milk, S. Rave, F. Schindler, SIAM J. Sci. Comput. 38, 2016) balances: its second-order variants, its balanced
 truncation of first order, and its iterative rational Krylov method. It knows no Hankel-norm approximation and no modal

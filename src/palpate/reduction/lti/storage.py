@@ -15,7 +15,7 @@ from palpate.reduction.lti.state_space import FirstOrder, SecondOrder
 from palpate.reduction.lti.system import LinearSystem
 from palpate.sealed import loading, open_sealed, write_sealed
 
-__all__ = ["load_linear", "save_linear"]
+__all__ = ["read_linear", "save_linear"]
 
 FORMAT, VERSION = "palpate linear model", 2
 REMEDY = "make the linear model again"
@@ -49,7 +49,7 @@ def _header(system: LinearSystem) -> dict[str, Any]:
     return {"inputs": list(system.inputs), "outputs": list(system.outputs), "unknowns": int(system.order)}
 
 
-def load_linear(path: str | Path, system: LinearSystem) -> LinearModel:
+def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
     """Read a linear model from a file of `save_linear`.
 
     Parameters

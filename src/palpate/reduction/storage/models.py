@@ -78,4 +78,4 @@ def load(path: str | Path, system: LinearSystem | None = None) -> ReducedModel |
         return load_hyper_reduced(path)
     if kind == model_file.FORMAT:
         raise FileFormatError(f"system must not be given for the reduced model {path}; leave it out")
-    return linear_storage.load_linear(path, system)
+    return linear_storage.read_linear(path, system)
