@@ -138,7 +138,7 @@ def test_supports_and_tools_hold_their_nodes(model, loads, prepared):
     assert np.abs(own.displacements[:, fixed]).max() <= 1e-6 * moved
     assert np.abs(own.velocities[:, fixed]).max() <= 1e-6 * np.abs(own.velocities).max()
     for motion, where in prepared.motions:
-        nodes = prepared.places.prescribed[where]
+        nodes = prepared.sites.prescribed[where]
         wanted = np.array([motion.displacement(model.cloud.points[nodes], t) for t in own.times])
         np.testing.assert_allclose(own.displacements[:, nodes], wanted[:, None] + 0 * nodes[:, None], atol=1e-6 * moved)
 

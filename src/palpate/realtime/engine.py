@@ -90,7 +90,7 @@ class Engine(Described):
     Parameters
     ----------
     model : object
-        Result of ``ReducedModel.realtime()``, or any object with the attributes of `Realtime`.
+        Result of `palpate.realtime_model`, or any object with the attributes of `Realtime`.
     rate : float [Hz]
         Steps per second, from 1e-6 to 20000.
     force_limit : float [N]

@@ -220,7 +220,7 @@ def test_forces_are_made_those_of_runs(pressed):
     np.testing.assert_allclose(
         measured.data.compliance.flexibility, factor * model.data.compliance.flexibility, rtol=1e-5
     )
-    with pytest.raises(pt.InputError, match="must include contact"):
+    with pytest.raises(pt.InputError, match="must be runs with contact"):
         pt.hyper_reduce(body, runs[:1], modes=4, repeated=[([], run_without(runs[0]))])
 
 
@@ -253,7 +253,7 @@ def test_saved_and_loaded_it_runs_the_same(pressed, tmp_path):
 
 def test_what_cannot_be_touched_is_refused(pressed):
     body, runs, model = pressed
-    with pytest.raises(pt.InputError, match="inside the body"):
+    with pytest.raises(pt.InputError, match="must start outside the body"):
         pt.rollout(model, [pt.tools.Contact(pt.tools.Sphere(BALL), (0.03, 0.03, SIZE[2]))], duration=0.01, every=0.01)
     with pytest.raises(pt.InputError, match="stepped explicitly"):
         pt.rollout(model.with_step(1e-3), press(0.03, 0.03), duration=0.01, every=0.01)

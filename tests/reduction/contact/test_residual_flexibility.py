@@ -12,6 +12,7 @@ from palpate.reduction.basis.linear_modes import rest_stiffness, vibration_modes
 from palpate.reduction.contact.compliance import (
     NO_COMPLIANCE,
     active_compliance,
+    compliance_table,
     contact_displacements,
     energy_factor,
     pair,
@@ -119,7 +120,7 @@ def test_what_is_kept_between_touched_nodes_stays_right_as_they_come_and_go(solv
         shares=np.full((len(nodes), 2), 0.5), nearby=nearby, near_field=near_field.astype(np.float32),
     )  # fmt: skip
     order = np.random.default_rng(1).permutation(len(nodes))
-    laid, block_ = compliance(compliance, order), np.zeros((3, 3))
+    laid, block_ = compliance_table(compliance, order), np.zeros((3, 3))
     kept = active_compliance(laid, 1)
     random = np.random.default_rng(2)
     for _ in range(120):  # more than there is room for: some are forgotten

@@ -59,7 +59,7 @@ def test_held_nodes_get_their_forces_themselves(pressed):
     push = state.contact_state.surface_forces[0]
     on = np.flatnonzero(push.any(axis=1))
     nodal = model.displacement(state, prepared, surface.nodes)
-    seen = surface.displacements(state.coordinates, on, push[on], held=True)
+    seen = surface.displacements(state.coordinates, on, push[on], bonded=True)
     np.testing.assert_allclose(seen, nodal, atol=2e-3 * np.abs(nodal).max())
 
 

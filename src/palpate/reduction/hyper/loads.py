@@ -47,12 +47,12 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
         )
     if ready.tools and (data.prescribed or kinematics.sheet):
         raise InputError(
-            "loads must hold no Contact for a reduced membrane or a model with prescribed groups, got one; "
+            "loads must hold no Contact or Grasp for a reduced membrane or a model with prescribed groups, got one; "
             "run the full model"
         )
     if ready.tools and (data.compliance is None or implicit):
         raise InputError(
-            "loads must hold no Contact for a model with implicit steps or without contact in its training runs, "
+            "loads must hold no Contact or Grasp for a model with implicit steps or without contact in training, "
             "got one; train it with a Contact, and leave step out, so that it is stepped explicitly"
         )
     moved_groups = {motion.group for motion, _ in ready.motions}
