@@ -16,6 +16,8 @@ import pytest
 import palpate as pt
 from palpate.extras import EXTRAS, require
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 BLOCKED = sorted({*EXTRAS, "vtk", "vtkmodules", "PIL", "dask"})
 

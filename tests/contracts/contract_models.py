@@ -12,8 +12,7 @@ import numpy as np
 import palpate as pt
 
 SPACING = 0.005
-TISSUE = {"C1": 10e3, "density": 1000.0}
-SOFT = pt.materials.NeoHookean(**TISSUE, poisson=0.4)
+SOFT = pt.materials.MooneyRivlin(C1=20e3, C2=0.0, density=1000.0, poisson=0.4)
 RELAXING = replace(SOFT, prony=pt.materials.Prony(shares=(0.5,), times=(0.01,), bulk_shares=(0.2,)))
 FIBRES = pt.materials.Fibres(k1=20e3, k2=3.0, directions=(1.0, 0.0, 0.0))
 EVERY, FRAMES, MODES = 0.01, 6, 4  # long steps, so that stability limits them
@@ -77,7 +76,7 @@ def solid(form: str, material: pt.materials.Material = SOFT, fibres: Any = None)
 @cache
 def membrane(form: str) -> pt.Membrane:
     """Return a stretched sheet, clamped at its rim."""
-    law = pt.materials.NeoHookean(**TISSUE, poisson=0.5)
+    law = pt.materials.NeoHookean(C1=10e3, density=1000.0, poisson=0.5)
     return pt.Membrane(sheet(), law, 1e-3, "rim", form=form, prestretch=1.1, stiffness_damping=1e-5)
 
 
@@ -181,3 +180,7 @@ KINDS = {
     "linear": Kind(linear, lambda: [pull()], 0.005),
     "linear, tool": Kind(linear_with_tool, lambda: [lift(1e-5)], 0.05),
 }
+QUICK = [  # kinds of the quick set; the others compile kernels of their own
+    "solid, strong", "solid, energy", "solid, touched", "membrane, energy", "Galerkin", "hyper-reduced",
+    "hyper-reduced, touched", "linear",
+]  # fmt: skip

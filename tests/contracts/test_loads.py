@@ -11,6 +11,7 @@ from contract_models import (
     BALL,
     EVERY,
     KINDS,
+    QUICK,
     SPACING,
     hyper_touched,
     hyper_with_tool,
@@ -22,6 +23,8 @@ from contract_models import (
     solid,
     wave,
 )
+
+pytestmark = pytest.mark.quick(kind=QUICK)
 
 import palpate as pt
 from palpate.dynamics.loads.dead_load import DeadLoad
@@ -154,6 +157,7 @@ WAY = np.array([1e-4, -1e-3, -1e-3])
 
 
 @pytest.mark.parametrize("name", WAYS)
+@pytest.mark.quick(make=[hyper_touched])
 @pytest.mark.parametrize("make", [hyper_with_tool, hyper_touched], ids=["held", "touched"])
 def test_in_real_time_a_load_moves_a_sampled_model_or_is_refused_by_name(make, name):
     model, way = make(), name.split(", ")[1]

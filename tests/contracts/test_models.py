@@ -8,7 +8,9 @@ from dataclasses import fields, is_dataclass, replace
 import numba
 import numpy as np
 import pytest
-from contract_models import EVERY, KINDS, run
+from contract_models import EVERY, KINDS, QUICK, run
+
+pytestmark = pytest.mark.quick(kind=QUICK, name=QUICK)
 
 import palpate as pt
 

@@ -10,6 +10,8 @@ from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.scenes.liver import ToolPaths, pressed_liver
 from palpate.scenes.training import training_scene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scene():

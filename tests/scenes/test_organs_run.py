@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 SPECIFICATION = importlib.util.spec_from_file_location("organs", ROOT / "validation" / "organs.py")
 organs = importlib.util.module_from_spec(SPECIFICATION)

@@ -15,6 +15,8 @@ from palpate.app.run import liver
 from palpate.reduction.training.errors import contact_errors
 from palpate.scenes.liver import pressed_liver
 
+pytestmark = pytest.mark.slow
+
 COARSE = {"spacing": 0.012, "radius": 0.03, "depth": 0.012}
 REALTIME = ["run", "liver", "--realtime", "--seconds", "0.5", "--rate", "200"]
 

@@ -15,6 +15,8 @@ from palpate.app.cli import main
 from palpate.app.view.session.recording import load_recording, save_recording
 from palpate.app.view.session.session import Session
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def file(model, tmp_path_factory):

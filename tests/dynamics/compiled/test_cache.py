@@ -18,6 +18,8 @@ import palpate as pt
 from palpate.dynamics.compiled.cache import KeyedFile, kernel_sources, law_digest
 from palpate.dynamics.loads.prepared import FIXED
 
+pytestmark = pytest.mark.slow
+
 SECOND_PROCESS = """
 import sys
 import palpate as pt

@@ -10,6 +10,8 @@ import pytest
 import palpate as pt
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
+pytestmark = pytest.mark.slow
+
 GIVEN = {"density": 1000.0, "poisson": 0.45}
 SOFT, FIRM = pt.materials.Gent(mu=8e3, Jm=3.0, **GIVEN), pt.materials.Gent(mu=20e3, Jm=0.8, **GIVEN | {"poisson": 0.4})
 FIBRES = {"k1": 10e3, "k2": 2.0, "directions": (1.0, 0.0, 0.0)}

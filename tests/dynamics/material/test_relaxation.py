@@ -7,7 +7,7 @@ import pytest
 
 import palpate as pt
 
-pytestmark = pytest.mark.quick(step=[0.05])
+pytestmark = [pytest.mark.quick(step=[0.05]), pytest.mark.slow]
 
 SERIES = pt.materials.Prony(shares=(0.5, 0.3), times=(0.02, 0.3))
 MU = 10e3

@@ -15,7 +15,7 @@ import palpate as pt
 from palpate.dynamics.run.reactions import reactions
 from palpate.meshfree.consistent import consistent_gradient
 
-pytestmark = pytest.mark.quick(law=["NeoHookean"])
+pytestmark = [pytest.mark.quick(law=["NeoHookean"]), pytest.mark.slow]
 
 RADIUS, THICKNESS, C1 = 0.1, 1e-5, 0.17e6
 

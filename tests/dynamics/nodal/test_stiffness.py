@@ -11,6 +11,8 @@ from scipy.sparse.linalg import splu
 import palpate as pt
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
+pytestmark = pytest.mark.slow
+
 TISSUE = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.0)
 LENGTH, WIDE = 0.08, 0.03
 

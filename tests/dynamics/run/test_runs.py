@@ -8,6 +8,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 
 def mean(model, field):
     """Mass average of nodal fields."""

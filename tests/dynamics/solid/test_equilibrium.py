@@ -8,6 +8,8 @@ from scipy.optimize import brentq
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 
 def uniaxial(material, stretch):
     """Lateral stretch and nominal stress of a bar pulled or pushed along x with free sides."""

@@ -13,6 +13,8 @@ from palpate.reduction.basis.incremental_pod import decompose
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.basis.strain_pod import main_modes
 
+pytestmark = pytest.mark.slow
+
 BLOCK = 8
 
 

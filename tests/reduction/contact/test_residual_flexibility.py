@@ -22,6 +22,8 @@ from palpate.reduction.contact.compliance import (
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 from palpate.reduction.training.fit_compliance import fit_stiffening
 
+pytestmark = pytest.mark.slow
+
 TISSUE = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1000, poisson=0.4)
 
 

@@ -7,6 +7,8 @@ import pytest
 
 import palpate as pt
 
+pytestmark = pytest.mark.slow
+
 EVERY, DURATION = 0.0005, 0.02
 TISSUE = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.49)
 SPRINGS = pt.Foundation("z-", 2e7, 1e3)  # halve what the beam bends by

@@ -13,6 +13,8 @@ from palpate.reduction.hyper.material_point import Kinematics, material_point
 from palpate.reduction.storage.material import describe_material, material_of
 from palpate.tissue.catalogue import LAWS
 
+pytestmark = pytest.mark.slow
+
 REST = {"density": 1000.0, "poisson": 0.45}
 SOLID = [law for law in LAWS if law.kind.variables != "small strain"]
 COMPILED = ("NeoHookean", "Yeoh", "Gent", "Ogden", "Logarithmic")  # of each kind one or two: compiling takes long

@@ -10,6 +10,8 @@ import pytest
 import palpate as pt
 from palpate.reduction.galerkin.model import GalerkinModel
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def sheet():

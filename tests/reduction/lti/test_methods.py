@@ -14,6 +14,8 @@ from palpate.reduction.lti.hankel import Realisation, hankel_norm, lyapunov_fact
 from palpate.reduction.lti.projection_methods import condense, eigenvectors
 from palpate.reduction.lti.reductors import METHODS, PYMOR, Reduction
 
+pytestmark = pytest.mark.slow
+
 WHY = "pyMOR is not installed: pip install 'palpate[linear]'"
 CONDENSED = 40
 

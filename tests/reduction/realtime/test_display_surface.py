@@ -8,6 +8,8 @@ import pytest
 import palpate as pt
 from palpate.reduction.realtime.display_surface import Surface
 
+pytestmark = pytest.mark.slow
+
 SIZE, BALL = (0.048, 0.048, 0.024), 0.015
 
 

@@ -11,6 +11,8 @@ import palpate as pt
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.training.calibrate_indicator import error_table
 
+pytestmark = pytest.mark.slow
+
 EVERY, DURATION = 0.0005, 0.02
 
 

@@ -10,6 +10,8 @@ import pytest
 import palpate as pt
 from palpate.reduction.training.select_step import STEPS, _fastest_step
 
+pytestmark = pytest.mark.slow
+
 DURATION, EVERY = 0.04, 0.002
 LOADS = [pt.SurfaceForce("x+", force=lambda t: (4.0 * np.sin(80 * t) ** 2, 0.2 * np.sin(80 * t) ** 2, 0.0))]
 
