@@ -24,11 +24,11 @@ from contract_models import (
     wave,
 )
 
-pytestmark = pytest.mark.quick(kind=QUICK)
-
 import palpate as pt
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load
+
+pytestmark = pytest.mark.quick(kind=QUICK)
 
 TOP = (0.02, 0.0075, 0.015)  # of the free end of the block
 ASIDE = np.array([0.3, 0.0, 1.0])

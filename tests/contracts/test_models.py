@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from contract_models import EVERY, KINDS, QUICK, run
 
-pytestmark = pytest.mark.quick(kind=QUICK, name=QUICK)
-
 import palpate as pt
+
+pytestmark = pytest.mark.quick(kind=QUICK, name=QUICK)
 
 STEPS = 24
 

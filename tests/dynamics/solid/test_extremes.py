@@ -15,7 +15,8 @@ from palpate.dynamics.run import rollout as rollout_module
 from palpate.dynamics.run.model import Outputs
 from palpate.meshfree.stencils import moving_least_squares
 
-pytestmark = [pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")  # which these values cause, pytest.mark.slow]
+# these values cause the warning
+pytestmark = [pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning"), pytest.mark.slow]
 
 SHORT = {"duration": 1e-3, "every": 5e-4, "progress": False}
 
