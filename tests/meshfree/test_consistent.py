@@ -52,6 +52,7 @@ def test_linear_fields_are_still_differentiated_exactly(cloud, made):
     np.testing.assert_allclose(found, np.broadcast_to(slope.T, found.shape), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_large_cloud_takes_no_more_steps_than_a_small_one(monkeypatch):
     """Without the patches 500 to 1,000 are taken."""
     monkeypatch.setattr(consistent, "MAX_ITERATIONS", 80)
@@ -71,6 +72,7 @@ def drop(height, seed):
     return pt.fill((corners * (0.04, *height), ball.faces), 0.0035, seed=seed)
 
 
+@pytest.mark.slow
 def test_stencils_widen_where_a_tip_needs_it():
     tissue, wide = pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1000.0, poisson=0.45), {0: 50, 1: 63}
     for seed, neighbours in wide.items():

@@ -136,6 +136,7 @@ def test_deviations_weigh_points():
     assert found.curves[1].r_squared < 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "truth", "start"), [(pt.materials.MooneyRivlin, rubbery(), {}), (Stiffening, stiff(), {"b": 1.0})]
 )
@@ -153,6 +154,7 @@ def test_standard_errors_hold_the_truth_as_often_as_they_should(law, truth, star
     np.testing.assert_allclose(z.std(axis=0), 1, atol=4 / np.sqrt(2 * seeds))
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_a_bootstrap():
     one = fit(Stiffening, curves(stiff()), starts=1)
     again = []

@@ -46,6 +46,7 @@ def test_it_is_the_built_in_law_of_the_same_energy(name, deformations):
     assert own.bulk == pytest.approx(other.bulk, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), [("mooney", "strong"), ("ogden", "energy")])
 def test_a_body_of_it_has_the_forces_of_the_built_in_law(name, form):
     text, parameters, built_in = TWINS[name]

@@ -115,6 +115,7 @@ def realtime(short, file, tmp_path_factory):
     return out, json.loads((out / "report.json").read_text())
 
 
+@pytest.mark.slow
 def test_every_period_is_counted_and_its_times_are_told_apart(realtime):
     out, report = realtime
     assert {path.name for path in out.iterdir()} == set(FILES)
@@ -132,6 +133,7 @@ def test_every_period_is_counted_and_its_times_are_told_apart(realtime):
         assert percentiles[-1] <= times["maximum"]
 
 
+@pytest.mark.slow
 def test_what_the_tool_felt_is_that_of_all_periods(realtime):
     out, report = realtime
     tool = report["tool"]
@@ -147,6 +149,7 @@ def test_what_the_tool_felt_is_that_of_all_periods(realtime):
     assert 0 < tool["largest_displacement"] < 0.1
 
 
+@pytest.mark.slow
 def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(short, tmp_path, capsys):
     assert main([*REALTIME, "--modes", "5", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr()
@@ -156,6 +159,7 @@ def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(short
     assert json.loads((tmp_path / "report.json").read_text())["model"]["modes"] == 5
 
 
+@pytest.mark.slow
 def test_a_state_that_runs_away_is_told(short, file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("palpate.app.run.realtime.Engine.state", property(lambda engine: "diverged"))
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 1

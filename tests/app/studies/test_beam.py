@@ -179,6 +179,7 @@ def test_a_disk_without_room_is_refused(tmp_path):
         check_space(tmp_path / "results", 10**18)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [

@@ -56,6 +56,7 @@ def test_the_full_model_is_pinched_and_its_work_is_the_forces_work(body, run):
     assert np.abs(balance).max() < 1e-2 * run.external[-1]
 
 
+@pytest.mark.quick(reduce=[pt.galerkin])
 @pytest.mark.parametrize("reduce", [pt.galerkin, pt.hyper_reduce])
 def test_a_reduced_model_follows(body, run, reduce):
     own = pt.rollout(reduce(body, run, modes=4), [Pinch("x+", 0.05)], duration=4e-3, every=4e-4, progress=False)
