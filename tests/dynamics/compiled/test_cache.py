@@ -88,17 +88,60 @@ def test_code_compiled_by_two_processes_is_not_mixed_up_by_a_third(tmp_path):
     assert forces("direct", "split") == direct + split
 
 
-def test_two_processes_that_save_at_once_do_not_exchange_their_code(tmp_path, monkeypatch):
-    """Both read the index before either writes it, as when workers of a campaign compile side by side."""
-    caches = [KeyedFile(str(tmp_path), "kernel", (1.0, 1)) for _ in range(2)]
-    with monkeypatch.context() as patch:
-        patch.setattr(KeyedFile, "_load_index", lambda self: {})
-        caches[0].save(("one signature", "digest"), "code of one")
-        caches[1].save(("another signature", "digest"), "code of another")
-    reader = KeyedFile(str(tmp_path), "kernel", (1.0, 1))
-    found = {key: reader.load((key, "digest")) for key in ("one signature", "another signature")}
-    assert found["one signature"] in (None, "code of one")
-    assert found["another signature"] == "code of another"
+def test_two_processes_that_save_at_once_lose_nothing_and_do_not_exchange_their_code(tmp_path):
+    caches = [KeyedFile(str(tmp_path), "kernel", None) for _ in range(2)]
+    keys = [("one signature", "digest"), ("another signature", "digest")]
+    for cache, key in zip(caches, keys, strict=True):
+        assert cache.load(key) is None
+    for cache, key in zip(caches, keys, strict=True):
+        cache.save(key, f"code of {key}")
+    for cache in (*caches, KeyedFile(str(tmp_path), "kernel", None)):
+        assert [cache.load(key) for key in keys] == [f"code of {key}" for key in keys]
+
+
+def test_code_of_another_key_in_the_same_file_is_not_loaded(tmp_path, monkeypatch):
+    monkeypatch.setattr(KeyedFile, "_name", lambda self, key: "one.nbc")
+    cache = KeyedFile(str(tmp_path), "kernel", None)
+    cache.save(("one signature", "digest"), "code of one")
+    assert cache.load(("another signature", "digest")) is None
+
+
+LOOPS = """
+import numpy as np
+from numba import prange
+from palpate.dynamics.compiled.cache import kernel_njit
+
+@kernel_njit(parallel=True)
+def loop(a):
+    for i in prange(len(a)):
+        a[i] += i
+
+@kernel_njit()
+def caller(a):
+    loop(a)
+
+if __name__ == "__main__":
+    import loops
+    a = np.zeros(5)
+    loops.caller(a)
+    print(a.sum(), *(sum(f.stats.cache_hits.values()) for f in (loops.caller, loops.loop)))
+"""
+
+
+def test_a_parallel_loop_is_called_by_code_that_was_compiled_when_the_loop_came_from_the_cache(tmp_path):
+    """Numba starts its threads for the process that compiles the loop, and not for those that load the caller."""
+    (tmp_path / "loops.py").write_text(LOOPS)
+
+    def run():
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        command = [sys.executable, str(tmp_path / "loops.py")]
+        return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
+
+    assert run() == "10.0 0 0\n"
+    for file in tmp_path.rglob("*caller*.nbc"):
+        file.unlink()
+    assert run() == "10.0 0 1\n"
+    assert run() == "10.0 1 0\n"
 
 
 SOURCES = sorted(Path(palpate.__file__).parent.rglob("*.py"))

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import CellType, FunctionType
 from typing import Any
 
+import numba
 from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.extending import register_jitable
@@ -26,31 +27,46 @@ __all__ = ["inline", "kernel_njit", "kernel_sources", "law_digest", "law_njit", 
 
 
 class KeyedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Compiled code on disk, one file per key.
+    """Compiled code on disk, one file per key, without an index.
 
-    Numba numbers these files. Two processes that save at once can use one number for two signatures,
-    and running the code of another signature crashes.
+    Numba numbers these files and lists them in an index. Two processes that save at once can lose an
+    entry, or use one number for two signatures, and running the code of another signature crashes.
     """
 
     def save(self, key: Any, data: Any) -> None:
         """Save compiled code under a key."""
-        known = self._load_index()
-        base = self._index_name.removesuffix(".nbi")
-        name = f"{base}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
-        if known.get(key) != name:
-            self._save_index(known | {key: name})
-        self._save_data(name, data)
+        self._save_data(self._name(key), (key, data))
+
+    def load(self, key: Any) -> Any:
+        """Return the compiled code of a key; None where there is none."""
+        try:
+            saved, data = self._load_data(self._name(key))
+        except FileNotFoundError:
+            return None
+        return data if saved == key else None
+
+    def _name(self, key: Any) -> str:
+        return f"{self._index_name.removesuffix('.nbi')}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
 
 
 class _DigestCache(FunctionCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], digest: str) -> None:
         super().__init__(function)
         self._digest = digest
-        locator = self._impl.locator
-        self._cache_file = KeyedFile(self._cache_path, self._impl.filename_base, locator.get_source_stamp())
+        self._cache_file = KeyedFile(self._cache_path, self._impl.filename_base, None)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load compiled code, after the start of Numba's threads.
+
+        Numba starts them when it loads a function that was compiled together with a parallel loop. It
+        does not do so for a function compiled when its parallel callees came from the cache, and calling
+        that one crashes.
+        """
+        numba.get_num_threads()
+        return super().load_overload(sig, target_context)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return (sig, codegen.magic_tuple(), self._digest)
+        return (sig, codegen.magic_tuple(), numba.__version__, self._digest)
 
 
 IMPORT = re.compile(r"^from (palpate\.[\w.]+) import (\([^)]*\)|[^\n(]+)", re.MULTILINE)

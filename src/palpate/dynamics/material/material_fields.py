@@ -15,6 +15,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from palpate.dynamics.compiled.cache import law_digest, rename_for
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
@@ -75,17 +76,16 @@ def parameters_at(count: int) -> Any:
     """Return ``at(coefficients, b, v)``, which returns the law's parameters in a lane."""
     if count == EVERYWHERE:
         return _everywhere
+    digest = law_digest(__name__, "parameters at", count)
     if count == 1:
 
-        @register_jitable
         def first(coefficients, b, v):  # type: ignore[no-untyped-def]
             return (coefficients[b, 0, v],)
 
-        return first
+        return register_jitable(rename_for(digest, first))
     fewer, last = parameters_at(count - 1), count - 1
 
-    @register_jitable
     def at(coefficients, b, v):  # type: ignore[no-untyped-def]
         return fewer(coefficients, b, v) + (coefficients[b, last, v],)  # noqa: RUF005 - required by the compiler
 
-    return at
+    return register_jitable(rename_for(digest, at))

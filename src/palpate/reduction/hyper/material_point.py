@@ -14,7 +14,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inline, law_digest, law_njit
@@ -154,7 +153,6 @@ def _solid_point(energy_of: Any, first_of: Any, second_of: Any) -> MaterialPoint
         inline(digest, f) for f in (energy_of, first_of, second_of)
     )
 
-    @register_jitable
     def extended(I1, I2, J, coefficients):  # type: ignore[no-untyped-def]
         """Return the law's first derivatives, continued below MIN_VOLUME_RATIO."""
         W1, W2, WJ = first_derivatives(I1, I2, max(J, MIN_VOLUME_RATIO), coefficients)
