@@ -11,9 +11,17 @@ import palpate as pt
 from palpate.sealed import open_sealed, write_sealed
 
 
+ORDER = ("app", "dynamics", "meshfree", "tissue", "scenes", "realtime", "validation", "reduction", "contracts")
+
+
+def folder_of(nodeid):
+    """Return the folder in ``tests`` of a test, or its file there."""
+    return nodeid.split("::", 1)[0].removeprefix("tests/").split("/", 1)[0]
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark as slow what a ``quick`` mark of a test, a class or a module leaves out."""
+    """Mark as slow what a ``quick`` mark of a test, a class or a module leaves out, and sort the folders."""
     for item in items:
         values = getattr(item, "callspec", None)
         for mark in item.iter_markers("quick"):
@@ -21,6 +29,25 @@ def pytest_collection_modifyitems(items):
                 values.params.get(name, allowed[0]) not in allowed for name, allowed in mark.kwargs.items()
             ):
                 item.add_marker(pytest.mark.slow)
+    items.sort(key=lambda item: ORDER.index(folder_of(item.nodeid)) if folder_of(item.nodeid) in ORDER else len(ORDER))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Return a scheduler that keeps all tests of ``app`` on one worker, and those of any other file together.
+
+    Two workers that begin with the same folder compile the same kernels at the same time. One begins with the
+    programs, the other with the folders of `ORDER`; the last of them use what both have compiled.
+    """
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduler(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return "app" if folder_of(nodeid) == "app" else super()._split_scope(nodeid)
+
+    return Scheduler(config, log)
 
 
 @pytest.fixture(scope="session")
