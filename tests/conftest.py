@@ -10,7 +10,6 @@ import pytest
 import palpate as pt
 from palpate.sealed import open_sealed, write_sealed
 
-
 ORDER = ("app", "dynamics", "meshfree", "tissue", "scenes", "realtime", "validation", "reduction", "contracts")
 
 
@@ -71,7 +70,7 @@ def bar():
 
 @pytest.fixture(scope="session")
 def calm(bar, tissue):
-    """The viscosity that the held bar needs, from its spectrum."""
+    """The stiffness damping that the held bar needs, from its spectrum."""
     return pt.Solid(bar, tissue, fixed="x-").stiffness_damping
 
 

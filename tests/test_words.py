@@ -31,7 +31,10 @@ RETIRED = {  # word: its place is taken by
     r"heeded": "processed",
     r"drive(?=\()": "prepare",
     r"sound(?=\()": "accept_step",
-    r"viscosity(?==)|(?<=\.)viscosity": "stiffness_damping",
+    r"[Vv]iscosity": "stiffness damping",
+    r"such that": "so that, for which",
+    r"beside": "next to, adjacent, additional",
+    r"(?<!here )(?:is|are) no (?!(?:less|more|longer|such)\b)\w+": "is not a",
     r"to_pymor(?=\(\))": "lti.to_pymor(system)",
 }
 ALLOWED = {"docs/glossary.md"}

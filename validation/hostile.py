@@ -168,7 +168,7 @@ async def garbage(at: Address) -> None:
 
 
 async def wrong_frames(at: Address) -> None:
-    """Send frames that are none: unmasked, fragments of nothing, text that is no UTF-8, an unknown kind."""
+    """Send invalid frames: unmasked, fragments of nothing, text that is not UTF-8, an unknown kind."""
     for frame in (
         b"\x81\x02hi", Frame(Opcode.CONT, b"rest").serialize(mask=True), Frame(Opcode.TEXT, b"\xff\xfe").serialize(
             mask=True), b"\x83\x80\x00\x00\x00\x00", Frame(Opcode.BINARY, b"").serialize(mask=True) * 20,

@@ -32,7 +32,7 @@ def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface
     Raises
     ------
     InputError
-        Corners that are no points or in the wrong order, or a box without a node.
+        Corners that are not points or are in the wrong order, or a box without a node.
     """
     corners = [_check_point(cloud, name, value) for name, value in (("low", low), ("high", high))]
     if np.any(corners[0] > corners[1]):

@@ -167,7 +167,7 @@ class Cloud(Described):
         Raises
         ------
         InputError
-            The name is taken, `centre` is no point, `radius` is not positive, or no node is that
+            The name is taken, `centre` is not a point, `radius` is not positive, or no node is that
             near.
         """
         if name in self.groups:
@@ -192,7 +192,7 @@ class Cloud(Described):
         Raises
         ------
         InputError
-            The name is taken, there is no node, or a number or a mask that is none of this cloud.
+            The name is taken, there is no node, or a number or a mask that does not belong to this cloud.
         """
         if name in self.groups:
             raise InputError(f"group must be a new name, got {name!r}, which exists; choose another name")
@@ -225,7 +225,7 @@ class Cloud(Described):
         nodes = self.group(name)
         pairs = np.isin(self.face_nodes, nodes)
         normals = self.face_normals[self.face_nodes == nodes[len(nodes) // 2]]
-        # a flat face has one normal; a curved one may turn, unless that takes in the faces beside it
+        # a flat face has one normal; a curved one may turn, unless that takes in the adjacent faces
         for near, normal in product((1 - 1e-9, 0.5), normals):
             same = pairs & (self.face_normals @ normal > near)
             if np.array_equal(np.unique(self.face_nodes[same]), nodes):

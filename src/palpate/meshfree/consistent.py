@@ -4,7 +4,7 @@ The energy of a uniformly stressed body is summed over nodes; its derivative by 
 node J is P times the sum over I of V_I g_IJ, g_IJ the weight of J in the gradient at I. Integration
 by parts says what that sum must be: nothing inside, and at the boundary the node's share B_J of its
 area vector. Weights of moving least squares miss this on all but regular clouds, so that uniform
-stress would push the nodes about. Here they are changed as little as possible such that they do not
+stress would push the nodes about. Here they are changed as little as possible so that they do not
 miss it and still differentiate linear fields exactly: variationally consistent integration (Chen,
 Hillman and Rueter, Int. J. Numer. Methods Eng. 95, 2013), with one linear system for the cloud.
 """

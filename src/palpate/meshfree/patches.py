@@ -7,7 +7,7 @@ is the piece, so that its displacement is taken from the nodes around,
     u_patch = sum over nodes of w_j u_j,
 
 with the mean under a kernel over the surface nodes that face the same way, changed as little as
-possible (in the kernel's own norm, with the nodes below the surface) such that linear fields are
+possible (in the kernel's own norm, with the nodes below the surface) so that linear fields are
 exact: then patches turn with a body, and forces on them have the same moment as their shares w_j on
 the nodes. On lattices, whose derivatives are not made consistent (`palpate.meshfree.consistent`),
 longer waves are too soft as well, which a wider kernel makes up for.

@@ -131,7 +131,7 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
     Raises
     ------
     InputError
-        An outline that is no simple polygon, or with an edge too short, a corner too sharp, or a
+        An outline that is not a simple polygon, or with an edge too short, a corner too sharp, or a
         passage or gap too narrow for the spacing; a spacing or jitter out of range.
 
     Warns
@@ -312,8 +312,8 @@ def _voronoi_areas(points: Floats, triangles: Ints, inner: int) -> Floats:
     square = np.sum(side**2, axis=2)
     area = np.abs(_cross(side[:, 0], side[:, 1])) / 2
     cotangent = (square.sum(axis=1, keepdims=True) - 2 * square) / (4 * area[:, None])
-    beside = square * cotangent / 8
-    share = beside.sum(axis=1, keepdims=True) - beside
+    half = square * cotangent / 8
+    share = half.sum(axis=1, keepdims=True) - half
     p, q = np.roll(triangles, -1, axis=1) - inner, np.roll(triangles, 1, axis=1) - inner
     on_rim = (np.minimum(p, q) >= 0) & np.isin(np.abs(p - q), [1, len(points) - inner - 1])
     beyond = np.any(on_rim & (cotangent < 0), axis=1)

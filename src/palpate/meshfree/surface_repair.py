@@ -60,7 +60,7 @@ def _smooth_folds(surface: Surface) -> Surface:
             crossing = self_intersections(vertices, surface.triangles)
         except InputError:
             break
-        if not 0 < len(crossing) < MAX_PAIRS:  # as many are no small folds
+        if not 0 < len(crossing) < MAX_PAIRS:  # so many crossings are not small folds
             break
         corners = np.unique(surface.triangles[crossing])
         vertices[corners] = 0.5 * vertices[corners] + 0.5 * (near[corners] @ vertices)

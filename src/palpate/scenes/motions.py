@@ -75,7 +75,7 @@ def random_motion(seed: int, kind: str = "inside") -> tuple[Load, ...]:
     Raises
     ------
     InputError
-        A seed that is no integer of at least 0, or an unknown kind.
+        A seed that is not an integer of at least 0, or an unknown kind.
     """
     if kind not in LIMITS:
         raise InputError(f"kind must be one of {', '.join(map(repr, LIMITS))}, got {brief(kind)}")
@@ -96,7 +96,7 @@ def training_motions(count: int = 8) -> list[tuple[Load, ...]]:
     Raises
     ------
     InputError
-        A count that is no integer of at least 1.
+        A count that is not an integer of at least 1.
     """
     count = integer_in_range("count", count, 1)
     largest = np.array([LIMITS["inside"][part][1] for part in (0, 1, 1, 2)])

@@ -57,7 +57,7 @@ def typed(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     InputError
-        An unknown scene or parameter, or a value that is no such number.
+        An unknown scene or parameter, or a value that is not such a number.
     """
     known = _defaults(name)
     values = dict(known)
@@ -84,7 +84,7 @@ def _defaults(name: str) -> dict[str, Any]:
     try:
         known = {p.name: p.default for p in inspect.signature(_function(name)).parameters.values()}
     except (TypeError, ValueError) as error:
-        raise InputError(f"scene = {name!r} is no function with named parameters ({error})") from error
+        raise InputError(f"scene = {name!r} is not a function with named parameters ({error})") from error
     for key, default in known.items():
         if not isinstance(default, KINDS):
             raise InputError(f"scene = {name!r}: its parameter {key!r} needs a number or a text as default")

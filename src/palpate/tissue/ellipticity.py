@@ -43,7 +43,7 @@ class MaterialStability(Described):
     Attributes
     ----------
     stable : bool
-        Whether there are no findings.
+        True if the list of findings is empty.
     findings : tuple of str
         Reasons against stability.
     stretches, volumes : (float, float)

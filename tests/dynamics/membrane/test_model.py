@@ -325,7 +325,7 @@ def test_a_slack_sheet_keeps_its_energy_whatever_the_tool_does(cloud, after):
     energy, pushed = found.kinetic + found.strain, found.times <= 0.1 + 1e-9
     assert np.abs(found.balance[pushed]).max() < 2e-3 * found.external[pushed].max()
     after_jump = energy[~pushed]
-    assert np.all(np.diff(after_jump) < 2e-3 * after_jump[0])  # no tool does work then; viscosity takes
+    assert np.all(np.diff(after_jump) < 2e-3 * after_jump[0])  # no tool does work then; damping takes
     assert after_jump[-1] > 0.1 * after_jump[0]
 
 

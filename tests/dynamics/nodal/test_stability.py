@@ -1,4 +1,4 @@
-"""Steps and viscosity against the dense spectrum of small bodies."""
+"""Steps and stiffness damping against the dense spectrum of small bodies."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_tracker_follows_the_body_as_it_stretches(model):
     assert found == pytest.approx(np.sqrt(np.abs(spectrum(model, u)).max()), rel=0.1)
 
 
-def test_viscosity_by_stepping_agrees_with_the_spectrum(bar, tissue, eigenvalues):
+def test_damping_by_stepping_agrees_with_the_spectrum(bar, tissue, eigenvalues):
     model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=0.0)
     found, growth = _damping_by_steps(model, model.neighbours, model.stability.highest_frequency)
     needed = needed_stiffness_damping(eigenvalues)
@@ -66,7 +66,7 @@ def test_viscosity_by_stepping_agrees_with_the_spectrum(bar, tissue, eigenvalues
     assert growth < 200
 
 
-def test_the_needed_viscosity_stops_the_fastest_growth():
+def test_the_needed_damping_stops_the_fastest_growth():
     # x'' + w^2 (x + beta x') = 0 with a complex w^2: growth stops where beta = 2 |Im w| / |w|^2
     square = np.array([1e8 * (1 + 0.01j)])
     beta = needed_stiffness_damping(square)
@@ -87,7 +87,7 @@ def test_the_report_says_what_decided(model, eigenvalues):
         assert word in str(report)
 
 
-def test_a_given_viscosity_is_used(bar, tissue):
+def test_a_given_damping_is_used(bar, tissue):
     model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=1.25e-4)
     assert model.stiffness_damping == model.stability.used == 1.25e-4
     assert "not computed" in str(model.stability)
@@ -136,7 +136,7 @@ def test_the_stable_step_shrinks_as_the_body_stretches(model):
 
 
 @pytest.mark.slow
-def test_a_body_that_no_viscosity_can_calm_is_refused_with_the_node():
+def test_a_body_that_no_damping_can_calm_is_refused_with_the_node():
     cloud = pt.box((0.02,) * 3, spacing=0.005, jitter=0.2)
     tissue = pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=0.499)
     with pytest.raises(pt.CloudError, match=r"unstable at rest.*node \d+.*more neighbours \(now 27\)"):

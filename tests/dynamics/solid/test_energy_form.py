@@ -244,7 +244,7 @@ def test_a_pulled_or_pressed_body_is_stable(cloud, poisson, stretch):
     assert eigvalsh((K + K.T) / 2, subset_by_index=(0, 0))[0] > 0.1 * wave
 
 
-def test_the_step_is_the_limit_of_the_highest_frequency_and_no_viscosity_is_needed(bar, tissue):
+def test_the_step_is_the_limit_of_the_highest_frequency_and_no_damping_is_needed(bar, tissue):
     model = energy_form(bar, tissue, "x-")
     K = symmetric_stiffness(model)
     highest = np.sqrt(eigvalsh((K + K.T) / 2)[-1])
@@ -279,7 +279,7 @@ def test_energy_balances_up_to_the_square_of_the_step(tissue, pull, jitter):
     assert missed[1] < missed[0] / 12
 
 
-def test_a_free_vibration_keeps_its_energy_without_viscosity_and_loses_it_with(bar, tissue):
+def test_a_free_vibration_keeps_its_energy_without_damping_and_loses_it_with(bar, tissue):
     u = np.zeros_like(bar.points)
     u[:, 2] = 5 * bar.points[:, 0] ** 2
     for stiffness_damping in (0.0, None):

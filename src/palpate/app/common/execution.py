@@ -43,7 +43,7 @@ def execute(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
     Raises
     ------
     SystemExit
-        The words are no command line of the parser; or a signal ends the program.
+        The words are not a command line of the parser; or a signal ends the program.
     """
     try:
         code = _run(build_parser, words)

@@ -260,7 +260,7 @@ def listed(loads: Any) -> tuple[Load, ...]:
     Raises
     ------
     InputError
-        A load that is not in a list, or an entry that is no load.
+        A load that is not in a list, or an entry that is not a load.
     """
     if isinstance(loads, Load):
         raise InputError(f"loads must be a list, got one {type(loads).__name__}; put it in brackets, such as [pull]")

@@ -77,7 +77,7 @@ def read_vtp(data: bytes) -> Parts:
 
 
 def _parse(data: bytes) -> _VtpFile:
-    """Read the XML without definitions of documents or entities; appended data, which is no XML, is cut out before."""
+    """Read the XML without definitions of documents or entities; appended data, which is not XML, is cut out first."""
     appended, coded = b"", False
     begin = re.search(rb"<AppendedData([^>]*)>\s*_", data)
     if begin:

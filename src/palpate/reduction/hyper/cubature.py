@@ -1,7 +1,7 @@
 """Sparse positive quadrature by non-negative least squares, and moments of the dilatation.
 
 The energy of the reduced model is a sum over nodes, and so is its force: sum over I of V_I g_I,
-g_I = -B_I^T P_I. A few nodes are chosen, with positive multiples of their volumes, such that the sum
+g_I = -B_I^T P_I. A few nodes are chosen, with positive multiples of their volumes, so that the sum
 over them equals the whole sum at many states: energy-conserving sampling and weighting (Farhat et
 al., Int. J. Numer. Methods Eng. 98, 2014). Forces are compared in the compliance norm, f . K^-1 f,
 which weighs an error of force by the displacement that it causes. In the Euclidean norm the stiffest

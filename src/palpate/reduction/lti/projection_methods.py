@@ -114,7 +114,7 @@ def modal(system: LinearSystem, modes: int) -> SecondOrder:
 
 
 def _balanced(system: LinearSystem, right: Floats, left: Floats) -> SecondOrder:
-    """Project with test columns such that the reduced mass is 1."""
+    """Project with test columns for which the reduced mass is 1."""
     return project(system, right, left @ np.linalg.inv((left.T @ (system.mass @ right)).T))
 
 

@@ -108,7 +108,7 @@ class LinearSystem(Described):
             ("at rest", not self.at.any(), ""),
             ("inputs", self.inputs, ""),
             ("outputs", self.outputs, ""),
-            ("viscosity", float(self.model.stiffness_damping), "s"),
+            ("stiffness damping", float(self.model.stiffness_damping), "s"),
         ]
 
     @property
@@ -123,7 +123,7 @@ class LinearSystem(Described):
 
     @property
     def forces(self) -> int:
-        """Number of inputs that are no tool's."""
+        """Number of inputs other than those of tools."""
         return len(self.inputs) - len(self.lifting)
 
     @property
@@ -183,7 +183,7 @@ def linearise(
     Raises
     ------
     InputError
-        A load that is no input of a linear system, a group that is unknown, tools on a body in its strong form, or
+        A load that is not an input of a linear system, an unknown group, tools on a body in its strong form, or
         tissue that relaxes.
     """
     if not isinstance(model, NodalModel):

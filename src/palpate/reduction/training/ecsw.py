@@ -210,7 +210,7 @@ def pressure_moments(body: Solid | Membrane, snapshots: Snapshots, pressures: in
 
 
 def compliance_root(body: Solid | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
-    """Return R such that R^T R is the compliance of the body at rest in the coordinates.
+    """Return R for which R^T R is the compliance of the body at rest in the coordinates.
 
     For a membrane it is that of the taut state.
     """

@@ -6,7 +6,7 @@ The reduced equations balance the forces on the coordinates exactly. The residua
 
 is not balanced. If the body could also move in these fields, it would move by about (K^-1)_w r, with K
 the stiffness at rest over modes and residual fields together. The residual fields are the next strain
-modes after those of the basis, combined such that |r| is the root mean square of that displacement [m].
+modes after those of the basis, combined so that |r| is the root mean square of that displacement [m].
 
 The force f_w is sampled at the integration points of the reduced model. It is a small difference of
 large terms there, for which the weights of the cubature are not accurate enough. But f_w does not
@@ -59,7 +59,7 @@ def scale_residual_fields(
     body: Solid | Membrane, fields: Fields, sizes: tuple[int, int, int], states: Floats, rule: Cubature,
     places: NDArray[np.int64], moments: Floats,
 ) -> tuple[Fields, Floats]:  # fmt: skip
-    """Combine the residual fields such that the residual is a displacement, and return their derivatives.
+    """Combine the residual fields so that the residual is a displacement, and return their derivatives.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def scale_residual_fields(
 
 
 def _scale(body: Solid, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
-    """Return A (w, w) [m/N] such that |A r| is the displacement [m] caused by a residual r."""
+    """Return A (w, w) [m/N] for which |A r| is the displacement [m] caused by a residual r."""
     own = fields.of(np.r_[:modes, len(fields.columns) - residual_fields : len(fields.columns)])
     flat = own.columns.reshape(len(own.columns), -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
