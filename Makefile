@@ -31,7 +31,7 @@ demo: $(VENV)/.installed-demo ## reproduce the paper's beam into out/beam
 	@echo "Next, press and pull that beam on a page in the browser:"
 	@echo "  $(BIN)/palpate view beam"
 
-test: $(VENV)/.installed-test ## run the quick tests, in some eight minutes the first time
+test: $(VENV)/.installed-test ## run the quick tests, within five minutes the first time
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
 
 test-all: $(VENV)/.installed-test ## run all tests

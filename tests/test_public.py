@@ -132,6 +132,16 @@ def example() -> str:
     return found[1]
 
 
+def test_the_example_prints_the_model_that_the_readme_shows(capsys):
+    """The last printed line needs the runs, in a minute; the lines before it need the model alone."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = re.search(r"```text\n(Solid.*?)Errors\(", text, re.DOTALL)
+    assert shown is not None
+    model = example().partition("pull = ")[0]
+    exec(compile(model, "README.md", "exec"), {})
+    assert capsys.readouterr().out == shown[1]
+
+
 def test_a_type_checker_knows_the_types_of_the_example(tmp_path):
     pytest.importorskip("mypy")
     source = example()

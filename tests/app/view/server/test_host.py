@@ -12,8 +12,6 @@ from palpate.app.view.server import host
 from palpate.app.view.server.address import LOOPBACK, open_listener
 from palpate.app.view.server.page import Page
 
-pytestmark = pytest.mark.slow  # its session is trained once more in another worker
-
 
 @pytest.fixture
 def served(session, monkeypatch, capsys):
