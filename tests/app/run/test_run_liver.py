@@ -73,7 +73,7 @@ def test_the_report_says_what_the_ball_and_the_surface_under_it_miss(trained):
     own = pt.rollout(model, loads, duration=duration, every=scene.every)
     expected = contact_errors(full, own, ["tool"], model.data.compliance.nodes).as_dict()
     assert found["runs"][0] == found["runs"][0] | {n: pytest.approx(v, rel=1e-6) for n, v in expected.items()}
-    assert found["touch"]["mean"] == pytest.approx(expected, rel=1e-6)
+    assert found["contact"]["mean"] == pytest.approx(expected, rel=1e-6)
     assert f"{expected['force_95']:.2%}" in (trained / "report.md").read_text()
 
 

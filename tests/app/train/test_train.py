@@ -362,7 +362,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_runs(whole, tmp_path, clus
         killer.join()
     assert lost
     assert_same_runs(folder, whole)
-    both = [pt.load(path / "model.rom").parts.basis_vectors for path in (folder, whole)]
+    both = [pt.load(path / "model.rom").data.basis_vectors for path in (folder, whole)]
     np.testing.assert_array_equal(*both)
 
 

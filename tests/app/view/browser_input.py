@@ -39,7 +39,7 @@ def opening(browser):
 def middle(tab):
     """Where the middle of the body is in the window [px]."""
     place = "(() => { const b = document.getElementById('view').getBoundingClientRect();"
-    return tab.evaluate(f"{place} const [x, y] = palpate.galerkin([0, 0, 0]); return [b.x + x, b.y + y]; }})()")
+    return tab.evaluate(f"{place} const [x, y] = palpate.project([0, 0, 0]); return [b.x + x, b.y + y]; }})()")
 
 
 def picture(tab):
@@ -67,7 +67,7 @@ def hold(tab):
     """Hold on the middle of what is seen of the body."""
     x, y = tab.evaluate(
         "(() => { const b = document.getElementById('view').getBoundingClientRect(), { sphere } = palpate.scene.body;"
-        "const [x, y] = palpate.galerkin(sphere.center.toArray()); return [b.x + x, b.y + y]; })()"
+        "const [x, y] = palpate.project(sphere.center.toArray()); return [b.x + x, b.y + y]; })()"
     )
     tab.mouse("Moved", x, y, "none")
     tab.mouse("Pressed", x, y)

@@ -37,7 +37,7 @@ for f in (model._internal_force, model._advance, rom._projected_force, rom._adva
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["MooneyRivlin(C1=20e3, C2=5e3, ", "Ogden(C=(5e3, 300.0), alpha=(1.3, 5.0), "])
 def test_a_second_process_compiles_nothing(law):
-    made = f"pt.{law}density=1000.0, poisson=0.45)"
+    made = f"pt.materials.{law}density=1000.0, poisson=0.45)"
     for attempt in range(2):  # the first may find nothing yet
         command = [sys.executable, "-c", SECOND_PROCESS, made]
         done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -23,7 +23,7 @@ __all__ = ["FILES", "report_campaign"]
 
 FIGURE = "errors.png"
 FILES = (MODEL, *REPORTS, FIGURE, "campaign.json", "runs")
-TOUCH = {
+CONTACT_ERRORS = {
     "force": "force on tools, median",
     "force_95": "force on tools, 95th percentile",
     "surface_95": "displacement of the surface, 95th percentile",
@@ -126,7 +126,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
             rows[f"error of {name} on held-out paths, mean; 95 % below"] = (
                 "-" if mean is None else f"{percent(mean)}; {percent(worst)}"
             )
-        rows |= _by_load(report) | _touch_rows(model["held_out"])
+        rows |= _by_load(report) | _contact_rows(model["held_out"])
     return rows
 
 
@@ -145,27 +145,29 @@ def _by_load(report: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _touch_rows(found: dict[str, Any]) -> dict[str, str]:
+def _contact_rows(found: dict[str, Any]) -> dict[str, str]:
     """Return errors of tools on the surface of a body; nothing where none touches it."""
     if "contact" not in found:
         return {}
-    errors = {name: (found["contact"]["mean"][name], found["contact"]["percentile_95"][name]) for name in TOUCH}
+    errors = {
+        name: (found["contact"]["mean"][name], found["contact"]["percentile_95"][name]) for name in CONTACT_ERRORS
+    }
     return {
         f"error of {text} while pressed; mean over held-out paths, 95 % below": "-"
         if errors[name][0] is None
         else f"{percent(errors[name][0])}; {percent(errors[name][1])}"
-        for name, text in TOUCH.items()
+        for name, text in CONTACT_ERRORS.items()
     }
 
 
-def _touch_table(found: dict[str, Any], held: Sequence[str]) -> list[Table]:
+def _contact_table(found: dict[str, Any], held: Sequence[str]) -> list[Table]:
     """Return the same for every held-out path whose tools touch the body."""
     if "contact" not in found:
         return []
     touched = [(name, run) for name, run in zip(held, found["runs"], strict=True) if "force" in run]
-    rows = {name: [percent(run[k]) for k in TOUCH] for name, run in touched}
+    rows = {name: [percent(run[k]) for k in CONTACT_ERRORS] for name, run in touched}
     title = "Frames with at least a tenth of a tool's largest force"
-    return [quantities_table(title, list(TOUCH.values()), rows, first="held-out path")]
+    return [quantities_table(title, list(CONTACT_ERRORS.values()), rows, first="held-out path")]
 
 
 def _details(report: dict[str, Any], held: Sequence[str]) -> list[Table | str]:
@@ -179,7 +181,7 @@ def _details(report: dict[str, Any], held: Sequence[str]) -> list[Table | str]:
             failed = [run["reason"], *[""] * (len(KINDS) - 1)] if run["failed"] else None
             rows[name] = [loads[name], *(failed or [percent(run[k]) for k in KINDS])]
         blocks.append(quantities_table("Errors on held-out paths", ["loads", *KINDS], rows, first="held-out path"))
-        blocks += _touch_table(report["model"]["held_out"], held)
+        blocks += _contact_table(report["model"]["held_out"], held)
     failures = [run for run in report["runs"] if run["failed"]]
     return blocks + [f"{run['name']} failed after {run['simulated']:.4g} s: {run['reason']}" for run in failures]
 
