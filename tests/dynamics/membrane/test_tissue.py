@@ -186,5 +186,5 @@ def test_a_volume_that_relaxes_is_refused():
 def test_sampled_membranes_refuse_them():
     model = made(True)
     run = pt.rollout(model, [], duration=1e-4, every=1e-4, progress=False)
-    with pytest.raises(pt.InputError, match="without fibres= and prony="):
+    with pytest.raises(pt.InputError, match="leave out fibres= and prony="):
         pt.hyper_reduce(model, run, modes=1)
