@@ -46,10 +46,10 @@ body = pt.Solid(cloud, tissue, fixed="x-", form="energy")
 pull = pt.PrescribedMotion("x+", lambda points, time: np.full_like(points, 1e-3 * np.sin(100 * time)))
 full = pt.rollout(body, [pull], duration=0.02, every=0.002, file="full.h5")
 rom = pt.hyper_reduce(body, full, modes=2, prescribed="x+")
-rom.save("body.rom")
+pt.save(rom, "body.rom")
 rom = pt.load("body.rom")
 print(pt.relative_errors(full, pt.rollout(rom, [pull], duration=0.02, every=0.002)))
-with pt.Engine(rom.realtime()) as engine:
+with pt.Engine(pt.realtime_model(rom)) as engine:
     while engine.statistics().count < 5:
         pass
 """
