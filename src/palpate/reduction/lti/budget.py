@@ -1,4 +1,4 @@
-"""Cost of dense and sparse computations on this machine, estimated beforehand."""
+"""Estimated cost of dense and sparse computations on this machine."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from palpate.reduction.lti.system import LinearSystem
 __all__ = ["Budget", "Estimate", "dense_lyapunov", "sparse_lyapunov"]
 
 TRIAL = 240  # order of the dense equation that is timed
-ARRAYS = 8  # square arrays of the order that solving a dense equation holds at a time: the Schur form, vectors and work
-STEPS = 100  # shifts of an alternating-direction iteration for a lightly damped body, at least
+ARRAYS = 8  # square arrays that a dense solver stores at a time: the Schur form, vectors and work
+STEPS = 100  # smallest number of shifts of an alternating-direction iteration for a lightly damped body
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Budget:
     ----------
     seconds : float [s]
     memory : float, optional [bytes]
-        By default half of the machine's.
+        By default half of the machine's memory.
     """
 
     seconds: float = 600.0
@@ -54,12 +54,12 @@ class Budget:
         Raises
         ------
         InputError
-            The message has the estimate, and an alternative.
+            The message contains the estimate and an alternative.
         """
         memory = self.memory if self.memory is not None else 0.5 * machine_memory()
         if estimate.memory > memory or estimate.seconds > self.seconds:
             raise InputError(
-                f"{what} would take {estimate}; allowed are {memory / 1e9:.1f} GB and {self.seconds:g} s. {instead}"
+                f"budget must cover {estimate} for {what}, got {memory / 1e9:.1f} GB and {self.seconds:g} s; {instead}"
             )
 
 
@@ -70,7 +70,7 @@ def dense_lyapunov(order: int) -> Estimate:
 
 @cache
 def _dense_seconds() -> float:
-    """Time [s] of one dense equation of order `TRIAL`, the shorter of two."""
+    """Return the time [s] of one dense equation of order `TRIAL`, the shorter of two."""
     a = np.random.default_rng(0).standard_normal((TRIAL, TRIAL)) - 40 * np.eye(TRIAL)
     times = []
     for _ in range(2):
@@ -81,7 +81,7 @@ def _dense_seconds() -> float:
 
 
 def sparse_lyapunov(system: LinearSystem) -> Estimate:
-    """Estimate two low-rank alternating-direction iterations, from one sparse factorisation that is made and timed."""
+    """Estimate two low-rank alternating-direction iterations, from the measured time of one sparse factorisation."""
     start = perf_counter()
     factors = factorise(system, 1j * float(np.sqrt(_middle(system))))
     seconds = perf_counter() - start
@@ -91,5 +91,5 @@ def sparse_lyapunov(system: LinearSystem) -> Estimate:
 
 
 def _middle(system: LinearSystem) -> float:
-    """Some eigenvalue [1/s^2] between the slowest and the fastest."""
+    """Return a squared frequency [1/s^2] between the lowest and the highest."""
     return float(np.median(system.stiffness.diagonal() / system.mass.diagonal()))

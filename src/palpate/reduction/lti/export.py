@@ -25,8 +25,8 @@ def matrices(system: LinearSystem) -> dict[str, Any]:
 def save_matlab(system: LinearSystem, path: str | Path) -> None:
     """Write a MATLAB file (version 5), whole or not at all.
 
-    Beside the matrices it holds ``node`` and ``component`` of the unknowns, counted from 1 as MATLAB does, ``points``
-    (n, 3) [m], and ``inputs`` and ``outputs``, their names as cells.
+    It contains the matrices, and ``node`` and ``component`` of the unknowns, counted from 1 as in
+    MATLAB. ``points`` (n, 3) [m], and the names ``inputs`` and ``outputs`` as cells, follow.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def save_matlab(system: LinearSystem, path: str | Path) -> None:
 def save_matrix_market(system: LinearSystem, folder: str | Path) -> None:
     """Write ``M.mtx``, ``D.mtx``, ... and ``unknowns.txt`` (node and component, counted from 0), each whole or not.
 
-    Inputs and outputs stand in the comments of ``B.mtx`` and ``Cp.mtx``.
+    The comments of ``B.mtx`` and ``Cp.mtx`` name the inputs and outputs.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""Lyapunov equations of pyMOR's models: densely whatever pyMOR's own threshold is, or of large bodies in low rank.
+"""Lyapunov equations of pyMOR's models, solved by a dense method or, for large bodies, in low rank.
 
-pyMOR turns to its alternating-direction iteration from 1,000 equations on. For lightly damped bodies that converges
-slowly, for every resonance wants a shift of its own; so its result is held against the equation before it is used.
+From 1,000 equations on, pyMOR uses its alternating-direction iteration by default. It converges
+slowly for lightly damped bodies, because every resonance requires a shift of its own. So the
+residual of its result is checked.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ __all__ = ["balance_in_low_rank", "dense_solver", "residual"]
 
 
 STEPS, TOLERANCE = 400, 1e-8  # of the iteration
-MISSED = 2e-2  # of the right-hand side: what a solution may miss of its equation
+MISSED = 2e-2  # largest residual of a solution, relative to the right-hand side
 PROBES = 4
-INSTEAD = "Balance the body condensed to its slowest modes instead: method 'balanced'"
+INSTEAD = "balance the body condensed to its slowest modes instead: method 'balanced'"
 
 
 def dense_solver() -> Any:
-    """Return a `LyapunovSolverLR` that solves densely: order and cost have been checked before."""
+    """Return a dense `LyapunovSolverLR`; callers check order and cost before."""
     from pymor.bindings.scipy import ScipyLyapunovSolverLR
 
     return ScipyLyapunovSolverLR()
@@ -52,12 +53,12 @@ def balance_in_low_rank(
         Factors of outputs and inputs.
     budget : Budget
     timed : function
-        Takes a name and a function, and returns what that does.
+        Calls a named function, and returns its result.
 
     Raises
     ------
     InputError
-        It would cost more than the budget, or the iteration did not come near a solution.
+        The cost exceeds the budget, or the iteration did not converge.
     """
     from pymor.models.iosys import SecondOrderModel
     from pymor.reductors.bt import BTReductor
@@ -79,11 +80,11 @@ def balance_in_low_rank(
     missed = max(residual(a, e, b0, factors[0]), residual(a.T, e.T, c0.T, factors[1]))
     if not missed < MISSED:
         raise InputError(
-            f"the low-rank Lyapunov solver missed its equations by {missed:.2g} of their right-hand sides after "
-            f"{STEPS} steps: the body is too lightly damped for it. {INSTEAD}"
+            f"residual of the low-rank Lyapunov solver must be below {MISSED:g}, got {missed:.2g} after {STEPS} steps: "
+            f"the body is too lightly damped for it; {INSTEAD}"
         )
     if 2 * modes > min(factor.shape[1] for factor in factors):
-        raise InputError(f"modes = {modes}: the Gramians have fewer columns than twice that")
+        raise InputError(f"modes must be at most half the number of columns of the Gramians, got {modes}")
     reductor = BTReductor(lti)
     a, b, c, _, e = reductor.reduce(2 * modes).to_matrices()
     if e is not None:
@@ -106,7 +107,7 @@ def _stacked(vectors: Any) -> Floats:
 
 
 def residual(a: Any, e: Any, b: Floats, factor: Floats) -> float:
-    """Return what A Z Z^T E^T + E Z Z^T A^T + B B^T is of B B^T, by products with a few random vectors."""
+    """Return the norm of A Z Z^T E^T + E Z Z^T A^T + B B^T relative to B B^T, estimated with random vectors."""
     probes = np.random.default_rng(0).standard_normal((len(b), PROBES))
     source = b @ (b.T @ probes)
     left = a @ (factor @ (factor.T @ (e.T @ probes))) + e @ (factor @ (factor.T @ (a.T @ probes))) + source

@@ -1,9 +1,10 @@
 """Balanced realisations and Hankel-norm approximations of small dense systems.
 
-K. Glover, All optimal Hankel-norm approximations of linear multivariable systems and their L-infinity error bounds,
-Int. J. Control 39, 1984, theorem 6.3: of all stable systems of order k the one made here is nearest in the Hankel norm,
-at the distance of the first discarded Hankel singular value, and its transfer function errs by at most twice the sum of
-the discarded ones.
+The method is theorem 6.3 of K. Glover, All optimal Hankel-norm approximations of linear
+multivariable systems and their L-infinity error bounds, Int. J. Control 39, 1984. Of all stable
+systems of order k, its result is nearest in the Hankel norm, at the distance of the first discarded
+Hankel singular value. The error of the transfer function is at most twice the sum of the discarded
+values.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from palpate.faults import InputError, integer_in_range
 __all__ = ["Realisation", "balance", "hankel_norm", "lyapunov_factor", "nearest_fields"]
 
 
-MINIMAL = 1e-10  # of the largest Hankel singular value: below it states are rounding noise
-EQUAL = 1e-6  # relative: Hankel singular values that count as one
+MINIMAL = 1e-10  # relative to the largest Hankel singular value: states below it are rounding errors
+EQUAL = 1e-6  # relative difference of Hankel singular values that count as equal
 
 
 class Realisation(NamedTuple):
-    """x' = A x + B f, y = C x + D f."""
+    """State-space realisation x' = A x + B f, y = C x + D f."""
 
     A: Floats
     B: Floats
@@ -33,7 +34,7 @@ class Realisation(NamedTuple):
 
 
 def lyapunov_factor(a: Floats, b: Floats) -> Floats:
-    """Return Z (n, r) with A Z Z^T + Z Z^T A^T + B B^T = 0, densely.
+    """Return Z (n, r) with A Z Z^T + Z Z^T A^T + B B^T = 0, by a dense solver.
 
     Raises
     ------
@@ -41,7 +42,7 @@ def lyapunov_factor(a: Floats, b: Floats) -> Floats:
         A is not stable.
     """
     if np.linalg.eigvals(a).real.max() >= 0:
-        raise InputError("the system is not stable: it has no Gramians, and nothing can be balanced")
+        raise InputError("system must be stable for balancing, got a pole with a real part of at least 0")
     gramian = scipy.linalg.solve_continuous_lyapunov(a, -b @ b.T)
     values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
     kept = values > 1e-16 * values[-1]
@@ -49,7 +50,7 @@ def lyapunov_factor(a: Floats, b: Floats) -> Floats:
 
 
 def balance(system: Realisation) -> tuple[Realisation, Floats, Floats]:
-    """Return a balanced realisation, as large as rounding allows, its Hankel singular values, and T: x = T z."""
+    """Return a balanced realisation of the largest order above rounding, its Hankel singular values, and T: x = T z."""
     controlled, observed = lyapunov_factor(system.A, system.B), lyapunov_factor(system.A.T, system.C.T)
     left, values, right = np.linalg.svd(observed.T @ controlled)
     kept = values > MINIMAL * values[0]
@@ -70,14 +71,17 @@ def hankel_norm(own: Realisation, values: Floats, order: int) -> Realisation:
     values : (n,) array
         Its Hankel singular values, descending.
     order : int
-        At most; where it would part equal singular values, as those of a symmetric body's twin modes, fewer.
+        Largest order. It is reduced if it would separate equal singular values, such as those of
+        degenerate modes of a symmetric body.
     """
     integer_in_range("order", order, 1, len(values) - 1)
     sigma = values[order]
     same = np.abs(values - sigma) <= EQUAL * sigma
     count = int(np.sum(values > sigma * (1 + EQUAL)))
     if count == 0:
-        raise InputError(f"order = {order}: the largest {int(same.sum())} Hankel singular values are equal; take more")
+        raise InputError(
+            f"order must be at least {int(same.sum())}, got {order}: so many Hankel singular values are equal"
+        )
     one = ~same
     (outs, ins), size = own.D.shape, max(own.D.shape)
     b, c = np.pad(own.B, ((0, 0), (0, size - ins))), np.pad(own.C, ((0, size - outs), (0, 0)))
@@ -96,12 +100,12 @@ def hankel_norm(own: Realisation, values: Floats, order: int) -> Realisation:
 
 
 def _stable_part(system: Realisation, count: int) -> Realisation:
-    """The part of a system that decays, without the one that grows, of which the theorem says how large they are."""
+    """Return the stable part of a system, which has `count` states by the theorem."""
     schur, vectors, stable = scipy.linalg.schur(system.A, sort="lhp")
     if stable != count:
         raise InputError(
-            f"the Hankel-norm approximation has {stable} stable poles where {count} should be: its Hankel singular "
-            "values are too small to be told from rounding; take a lower order"
+            f"Hankel-norm approximation must have {count} stable poles, got {stable}: its Hankel singular values "
+            "are within rounding errors; take a lower order"
         )
     one, two = slice(count), slice(count, None)
     between = scipy.linalg.solve_sylvester(schur[one, one], -schur[two, two], -schur[one, two])
@@ -110,9 +114,10 @@ def _stable_part(system: Realisation, count: int) -> Realisation:
 
 
 def nearest_fields(full: Realisation, fields: Floats, reduced: Realisation) -> Floats:
-    """Return fields (k, ...) of reduced states, nearest to those (n, ...) of full states when both are driven alike.
+    """Return fields (k, ...) of reduced states, nearest to those (n, ...) of full states for equal inputs.
 
-    In the mean square over white inputs: Phi X P^-1, X the states' joint Gramian and P that of the reduced ones.
+    They are Phi X P^-1, nearest in the mean square over white inputs. X is the joint Gramian of the
+    states, and P that of the reduced states.
     """
     joint = scipy.linalg.solve_sylvester(full.A, reduced.A.T, -full.B @ reduced.B.T)
     own = scipy.linalg.solve_continuous_lyapunov(reduced.A, -reduced.B @ reduced.B.T)

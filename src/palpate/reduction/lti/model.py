@@ -1,4 +1,4 @@
-"""The linear model: a linear reduction of a body with the contract of any other model.
+"""Linear model: a linear reduction of a body with the contract of any other model.
 
 Its step is exact for forces that are linear within a step: x1 = E x0 + G0 f0 + G1 f1 with
 E = exp(A dt), for any step and pole. A tool's coordinates are also linear within a step, so its
@@ -55,15 +55,15 @@ class _Inputs:
 
 
 def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
-    """Return kind, group and amplitudes of a load, by which it is an input of a linear system."""
+    """Return kind, group and amplitudes of a load, which identify it as an input."""
     return type(load).__name__, load.group, load.labels
 
 
 class LinearModel(Model):
     """A linear reduction of a body.
 
-    Made by `palpate.lti.reduce_linear`. It supports the loads of its system, by kind and group, with any values
-    in time, and small displacements from rest.
+    Made by `palpate.lti.reduce_linear`. It supports the loads of its system, by kind and group,
+    with any values in time, and small displacements from rest.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class LinearModel(Model):
         Linearised at rest.
     reduced : SecondOrder or FirstOrder
     report : mapping
-        Figures measured in the reduction.
+        Measurements of the reduction.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class LinearModel(Model):
 
     def __init__(self, system: LinearSystem, reduced: Reduced, report: Mapping[str, Any] | None = None) -> None:
         if system.at.any():
-            raise InputError("a linear model needs a system linearised at rest: loads hold a body elsewhere")
+            raise InputError("system must be linearised at rest, got another state; linearise without state")
         self.system, self.reduced, self.report = system, reduced, dict(report or {})
         full = system.model
         self.full, self.cloud, self.material, self.fixed = full, full.cloud, full.material, full.fixed
@@ -98,7 +98,7 @@ class LinearModel(Model):
         self.A, self.B, self.C, self.D = (np.ascontiguousarray(matrix) for matrix in reduced.state_space())
         flat = self.columns.reshape(len(self.columns), -1)
         self._lost = full.stiffness_damping * (flat @ (system.whole @ flat.T))
-        self._moved = self._force_columns() @ flat.T  # what coordinates move along the forces
+        self._moved = self._force_columns() @ flat.T  # displacements along the forces for unit coordinates
         self._steps: dict[float, tuple[Floats, ...]] = {}
         self._ready: _Inputs | None = None
 
@@ -113,7 +113,7 @@ class LinearModel(Model):
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """Poles [1/s]; all have negative real parts where the model is stable."""
+        """Poles [1/s]; all have negative real parts if the model is stable."""
         return self.reduced.poles()
 
     @property
@@ -133,7 +133,7 @@ class LinearModel(Model):
         Raises
         ------
         InputError
-            The system does not include such a load.
+            The system does not include one of the loads, or its tools differ.
         """
         check_kinds(loads, KINDS, "loads of a linear model")
         ready = self.full.prepare(loads)
@@ -144,15 +144,15 @@ class LinearModel(Model):
                 listed = ", ".join(f"{name} on {group!r}" for name, group, _ in sorted(known)) or "no dead load"
                 raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
             if isinstance(load, Gravity) and not weight:
-                raise InputError("this linear model was made without Gravity: linearise with it")
+                raise InputError("loads must not include Gravity for a system without it; linearise with Gravity")
         names = {name: nodes for name, nodes in ready.supports.items() if name not in self.fixed}
         own = self.full.prepare(self.system.loads)
         wanted = {name: nodes for name, nodes in own.supports.items() if name not in self.fixed}
         same = names.keys() == wanted.keys() and all(np.array_equal(names[name], wanted[name]) for name in wanted)
         if not same or any(motion.until < np.inf for motion, _ in ready.motions):
             raise InputError(
-                f"this linear model was made with {sorted(wanted) or 'no group'} held by tools, which never let go, "
-                f"not with {sorted(names) or 'none'}"
+                f"loads must prescribe {sorted(wanted) or 'no group'} without release, as in the linear system, "
+                f"got {sorted(names) or 'none'}"
             )
         return ready
 
@@ -186,7 +186,7 @@ class LinearModel(Model):
         missed = np.abs(coordinates @ span - motion).max()
         if missed > RIGID_TOLERANCE * max(float(np.abs(motion).max()), 1e-3 * self.cloud.spacing):
             raise InputError(
-                f"the tool's motion is not a small rigid one: {missed:.3g} m of it is missed at t = {times[0]:.4g} s"
+                f"motion of the tool must be small and rigid, got an error of {missed:.3g} m at t = {times[0]:.4g} s"
             )
         return np.asarray(coordinates)
 
@@ -208,7 +208,9 @@ class LinearModel(Model):
         own: Floats = np.zeros((2, self.count))
         if isinstance(self.reduced, FirstOrder):
             if any(given is not None and np.any(given) for given in (displacement, velocity)):
-                raise InputError("a first-order linear model starts at rest: its states are not displacements")
+                raise InputError(
+                    "displacement and velocity must be zero for a first-order linear model, which starts at rest"
+                )
             own[1] = self.B[:, : self.system.forces] @ self._inputs(prepared).at(now, self.system.forces)[0]
         else:
             begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
@@ -273,7 +275,7 @@ class LinearModel(Model):
         return done
 
     def _force_columns(self) -> Floats:
-        """Return the nodal forces (forces, 3 n) of the inputs other than tools, at fixed nodes, too."""
+        """Return the nodal forces (forces, 3 n) of the inputs other than tools, including those at fixed nodes."""
         model = self.full
         return force_inputs(model, model.prepare(self.system.loads), np.repeat(model.masses, 3))[0]
 
@@ -354,7 +356,7 @@ class LinearModel(Model):
 
 @kernel_njit(fastmath={"contract", "reassoc"})
 def propagate(x, E, G0, G1, impulse, f, kicks, history):  # type: ignore[no-untyped-def]
-    """Advance x (N,) in place by one step less than there are inputs f (t, p); write the states (t, N).
+    """Advance x (N,) in place by t - 1 steps with inputs f (t, p), and write the states (t, N).
 
     Impulses `kicks` (t, l) act half before and half after the states that are written.
     """

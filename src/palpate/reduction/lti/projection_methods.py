@@ -1,9 +1,10 @@
 """Linear reductions by projection of the sparse equations: modal truncation, moment matching, and POD.
 
 Each computes basis vectors V of displacements and test vectors W, and reduces to W^T M V, W^T D V,
-W^T K V. With W = V (Galerkin) a symmetric, positive definite body remains so for any V, and the reduced
-body is stable. The collocated stiffness of the strong form is not symmetric, and has no such
-guarantee. Its modal truncation uses left eigenvectors as test vectors, which preserves the poles.
+W^T K V. With W = V (Galerkin) a symmetric, positive definite body remains so for any V, and the
+reduced body is stable. The collocated stiffness of the strong form is not symmetric, and has no
+such guarantee. Its modal truncation uses left eigenvectors as test vectors, which preserves the
+poles.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ __all__ = ["Columns", "condense", "eigenvectors", "modal", "moments", "project",
 Columns = tuple[Floats, Floats]
 
 DEGENERACY = 1e-5  # relative distance of squared frequencies that count as equal
-EXTRA_MODES = 12  # in the eigenvalue solver
+EXTRA_MODES = 12  # additional modes in the eigenvalue solver
 DEFLATION = 1e-10  # relative norm of a vector's new part below which it is linearly dependent
 
 
@@ -41,26 +42,26 @@ def project(system: LinearSystem, columns: Floats, test: Floats | None = None) -
 
 
 def factorise(system: LinearSystem, s: complex = 0.0) -> Any:
-    """Return the sparse factors of s^2 M + s D + K, in real numbers where s is.
+    """Return the sparse factors of s^2 M + s D + K, which are real for real s.
 
     Raises
     ------
     InputError
-        It is singular: nothing holds the body, or the sheet is slack.
+        The matrix is singular: the body is not fixed, or the sheet is slack.
     """
     try:
         return splu(system.stiffness if s == 0 else system.pencil(s.real if s.imag == 0 else s))
     except RuntimeError as error:
         raise InputError(
-            "the body at rest has no stiffness against some motion: fix a group, or give a sheet a prestretch"
+            "stiffness of the body at rest must be non-singular; fix a group, or give a sheet a prestretch"
         ) from error
 
 
 def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex128], Floats, Floats]:
     """Return squared frequencies (k,) [1/s^2] of the slowest modes, and real right and left vectors (d, k).
 
-    Real and imaginary parts replace the vectors of a complex pair. If `count` would separate a pair, or
-    degenerate modes of a symmetric body in its strong form, there are more.
+    Real and imaginary parts replace the vectors of a complex pair. The number of modes increases if
+    `count` would separate a pair, or degenerate modes of a symmetric body in its strong form.
     """
     integer_in_range("modes", count, 1, system.order - 2)
     solver, order = factorise(system), system.stiffness.shape
@@ -79,14 +80,14 @@ def eigenvectors(system: LinearSystem, count: int) -> tuple[NDArray[np.complex12
             matrix = system.stiffness if trans == "N" else system.stiffness.T.tocsc()
             found.append(eigs(matrix, k=ask, M=system.mass, sigma=0.0, OPinv=inverse, v0=start))
     except ArpackNoConvergence as error:
-        raise InputError(f"the slowest {count} modes were not found: {error}") from error
+        raise InputError(f"eigenvalue solver did not converge for the slowest {count} modes: {error}") from error
     (values, right), (others, left) = (_by_size(*pair) for pair in found)
     sizes = np.abs(values)
     while count < len(sizes) and sizes[count] - sizes[count - 1] < DEGENERACY * sizes[count]:
-        count += 1  # complex pairs and twins stay together: of parted ones, left and right modes need not match
+        count += 1  # left and right modes of a separated pair, complex or degenerate, need not match
     columns, tests = _real(values, right, count), _real(others, left, count)
     if columns.shape != tests.shape:
-        raise InputError(f"modes = {count}: left and right modes do not match there; ask for a few more or fewer")
+        raise InputError(f"modes must give matching left and right modes, got {count}; use a few more or fewer")
     return values[:count], columns, tests
 
 
@@ -108,7 +109,7 @@ def _real(values: NDArray[np.complex128], vectors: NDArray[np.complex128], count
 
 
 def modal(system: LinearSystem, modes: int) -> SecondOrder:
-    """Return the system of the slowest modes, whose poles are those of the body."""
+    """Return the system projected on the slowest modes, which preserve their poles."""
     _, right, left = eigenvectors(system, modes)
     return _balanced(system, right, left)
 
@@ -119,10 +120,10 @@ def _balanced(system: LinearSystem, right: Floats, left: Floats) -> SecondOrder:
 
 
 def condense(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
-    """Return the system of many slow modes and residual static responses to the inputs, with V and W (d, k).
+    """Return the system projected on slow modes and residual static responses to the inputs, with V and W (d, k).
 
-    The modes preserve their poles, and the static responses the transfer function at s = 0. A static
-    response is left out if it would make the condensed body of a strong form unstable.
+    The modes preserve their poles, and the static responses the transfer function at s = 0. The
+    static responses are left out if they make the condensed body of a strong form unstable.
     """
     _, right, left = eigenvectors(system, modes)
     left = left @ np.linalg.inv((left.T @ (system.mass @ right)).T)
@@ -141,21 +142,22 @@ def condense(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
 def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)) -> SecondOrder:
     """Match moments of the transfer function at some points s [1/s], by Krylov spaces.
 
-    Where D = beta K, s^2 M + s D + K is a multiple of Q + d M, Q what it is at a point, so that all moments there lie
-    in the Krylov space of Q^-1 M and Q^-1 B (Beattie and Gugercin, 44th IEEE Conf. Decision and Control, 2005): half as
-    many columns as a second-order Arnoldi takes. The points take turns, a block of as many columns as inputs each,
-    until there are `modes` columns; of complex ones real and imaginary parts are taken. One-sided (W = V): a symmetric
-    body stays stable.
+    With D = beta K, s^2 M + s D + K is a multiple of Q + d M, where Q is its value at a point. So
+    all moments at the point lie in the Krylov space of Q^-1 M and Q^-1 B (Beattie and Gugercin,
+    44th IEEE Conf. Decision and Control, 2005). This requires half as many columns as a
+    second-order Arnoldi method. The points take turns, with a block of one column per input, until
+    there are `modes` columns. Complex columns are replaced by their real and imaginary parts. The
+    projection is one-sided (W = V): a symmetric body stays stable.
 
     Raises
     ------
     InputError
-        No point, one with a negative real part, or more modes than inputs and points give independent columns.
+        No points, a point with a negative real part, or more modes than independent columns.
     """
     integer_in_range("modes", modes, 1, system.order)
     points = [complex(s) for s in points]
     if not points or any(s.real < 0 for s in points):
-        raise InputError(f"points = {points}: needed are points s with real parts of at least 0")
+        raise InputError(f"points must be one or more numbers with real parts of at least 0, got {points}")
     solvers = [factorise(system, s) for s in points]
     basis, nothing = np.zeros((system.order, 0)), np.zeros((system.order, 0))
     known = [nothing.astype(complex if s.imag != 0 else float) for s in points]
@@ -169,7 +171,9 @@ def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)
             parts = np.hstack([own.real, own.imag]) if s.imag != 0 else own
             basis = np.hstack([basis, _orthonormal(system, parts, basis)])
         if basis.shape[1] == before:
-            raise InputError(f"modes = {modes}: these inputs and points give only {before} independent columns")
+            raise InputError(
+                f"modes must be at most {before}, the number of independent columns of inputs and points, got {modes}"
+            )
     return project(system, np.ascontiguousarray(basis[:, :modes]))
 
 
@@ -178,11 +182,11 @@ def _typed(block: Any, s: complex) -> Any:
 
 
 def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
-    """Return the part of vectors (d, b) orthogonal to a basis, orthonormal in the mass."""
+    """Return the part of vectors (d, b) orthogonal to a basis, orthonormal with respect to the mass."""
     masses, kept = system.mass.diagonal(), basis[:, :0]
     for column in block.T:
         own, size = column.copy(), np.sqrt(np.vdot(column, masses * column).real)
-        for _ in range(2):  # once more, for rounding
+        for _ in range(2):  # twice, against rounding errors
             for known in (basis, kept):
                 own = own - known @ (known.conj().T @ (masses * own))
         left = np.sqrt(np.vdot(own, masses * own).real)

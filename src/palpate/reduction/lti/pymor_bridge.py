@@ -16,7 +16,7 @@ def need_pymor(what: str) -> None:
     Raises
     ------
     InputError
-        pyMOR is missing. The message says how to install it.
+        pyMOR is missing; the message contains the command that installs it.
     """
     require("pymor", what)
     from pymor.core.logger import set_log_levels
@@ -35,7 +35,7 @@ def to_pymor(system: LinearSystem, solver: Any = None) -> Any:
     solver : object, optional
         A `pymor.solvers.matrix_equations.interface.LyapunovSolverLR` for its Gramians.
     """
-    need_pymor("handing a linear system over")
+    need_pymor("conversion of a linear system")
     from pymor.models.iosys import SecondOrderModel
     from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
 

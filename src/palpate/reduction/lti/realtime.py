@@ -1,7 +1,7 @@
-"""Real-time linear models for `palpate.Engine`: one compiled period, exact for a tool that moves evenly.
+"""Real-time linear models for `palpate.Engine`: one compiled period, exact for a tool of constant velocity.
 
-The change of the tool's speed at the start of a period is an impulse. Forces are means over the period;
-that of the state is A^-1 (x1 - x0) / T.
+The change of the tool's speed at the start of a period is an impulse. Forces are means over the
+period, from the mean state A^-1 (x1 - x0) / T.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ __all__ = ["LinearData", "LinearRealtime", "linear_range", "linear_realtime"]
 
 
 NONLINEARITY = 0.1  # relative difference of the tool's force from the linear one at a trust number of 1
-BISECTIONS, MAX_RANGE = 24, 64.0  # of the search for that; in spacings, or in radians
-SERIES_NORM, SERIES_TERMS = 0.5, 14  # of a matrix exponential: largest norm for its series, and number of terms
+BISECTIONS, MAX_RANGE = 24, 64.0  # of the search for that range; its upper end, in spacings or radians
+SERIES_NORM, SERIES_TERMS = 0.5, 14  # largest norm for the series of a matrix exponential, and number of terms
 
 
 class LinearData(NamedTuple):
@@ -34,13 +34,13 @@ class LinearData(NamedTuple):
     modes : int
         Number of coordinates without those of the tool.
     second : bool
-        Whether the state includes their rates.
+        True if the state includes their rates.
     matrix, sizes : (N, N), (N,) arrays
         A for scaled states, and the scales.
     step : (N, N) array
         exp(A T) of the last period.
     asked : (1,) array [s]
-        That period.
+        The period of `step`.
     impulse : (N, l) array
     mean_force : (l, N) array
         Map from changes of the state over a period to forces times the period.
@@ -72,7 +72,7 @@ class LinearData(NamedTuple):
 
 
 class LinearRealtime(NamedTuple):
-    """The contract of `palpate.realtime.contract`."""
+    """Linear model with the contract of `palpate.realtime.contract`."""
 
     advance: Any
     stiffness: Any
@@ -88,7 +88,7 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
     ----------
     model : LinearModel
     period : float [s]
-        Of the engine. The first step with another period computes a matrix exponential.
+        Period of the engine. The first step with another period computes a matrix exponential.
 
     Raises
     ------
@@ -148,10 +148,10 @@ def _tool_map(inputs: tuple[str, ...]) -> Floats:
 
 
 def linear_range(model: LinearModel) -> Floats:
-    """Return the tool coordinates (l,), [m] or [rad], at which the force on the tool is nonlinear by a tenth.
+    """Return the tool coordinates (l,), [m] or [rad], at which the tool's force is nonlinear by a tenth.
 
-    The nonlinear forces of the tool's static fields L determine it. It measures the range of linearity, and
-    not an error.
+    They follow from the nonlinear forces of the tool's static fields L. They measure the range of
+    linearity, and not an error.
     """
     system, full, found = model.system, model.full, []
     prescribed = np.repeat(full.prepare(system.loads).sites.kind == PRESCRIBED, 3)
@@ -176,7 +176,7 @@ def linear_range(model: LinearModel) -> Floats:
 
 @kernel_njit()
 def _exponential(data, period):  # type: ignore[no-untyped-def]
-    """Write exp(A T) by scaling and squaring of its series."""
+    """Compute exp(A T) in place by scaling and squaring of its series."""
     n, scaled = data.matrix.shape[0], data.scratch[0]
     norm = 0.0
     for i in range(n):
@@ -222,7 +222,7 @@ def _multiply(a, b, result):  # type: ignore[no-untyped-def]
 
 @kernel_njit(fastmath={"contract", "reassoc"})
 def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
-    """Advance coordinates and velocities (m,) by a period [s] while the tool moves evenly to `target` (l,)."""
+    """Advance coordinates and velocities (m,) by a period [s], with constant velocity of the tool to `target` (l,)."""
     count, m, n = data.modes, q.shape[0], data.matrix.shape[0]
     before, x, new = data.vectors[0], data.vectors[1], data.vectors[2]
     report[:] = 0.0
@@ -279,7 +279,7 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
 
 @kernel_njit()
 def stiffness(data, q, out):  # type: ignore[no-untyped-def]
-    """Write the derivatives (l, l) of the tool's static forces by its coordinates."""
+    """Write the derivatives (l, l) of the tool's static forces with respect to its coordinates."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = data.static[i, j]

@@ -1,8 +1,8 @@
 """Linear reductions of one body by all methods, with shared expensive parts: modes, Gramians and runs.
 
-pyMOR (R. Milk, S. Rave, F. Schindler, SIAM J. Sci. Comput. 38, 2016) balances: its second-order variants, its balanced
-truncation of first order, and its iterative rational Krylov method. It knows no Hankel-norm approximation and no modal
-truncation of second order; these are here.
+Balanced truncation of first and second order and the iterative rational Krylov method are those of
+pyMOR (R. Milk, S. Rave, F. Schindler, SIAM J. Sci. Comput. 38, 2016). pyMOR does not provide
+Hankel-norm approximation and modal truncation of second order; these are implemented here.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ METHODS = {
     "sobt-fv": "the same, free velocity",
 }
 PYMOR = {"irka", "balanced", "balanced-low-rank", *SECOND_ORDER_BALANCING}
-CONDENSED = 240  # modes of the condensed body that large ones are balanced by
+CONDENSED = 240  # modes of the condensed body that replaces a large one in balancing
 IRKA: dict[str, Any] = {"tol": 1e-3, "maxit": 20, "irka_options": {"tol": 1e-3, "maxit": 20}}
 Run = tuple[Sequence[Load], float, float]
 
@@ -61,11 +61,11 @@ class Reduction:
     Parameters
     ----------
     system : LinearSystem
-        At rest.
+        Linearised at rest.
     condense : int, optional
         Number of slowest modes of the condensed body for balancing and rational Krylov methods
         (`palpate.reduction.lti.projection_methods.condense`); by default 240. 0, or the number of
-        unknowns, takes the body itself, if the budget allows it.
+        unknowns, uses the body itself, if the budget allows it.
     budget : Budget
         Limits of time and memory.
     training : (loads, duration, every), optional
@@ -89,13 +89,13 @@ class Reduction:
         emphasis: Sequence[float] | Floats | None = None,
     ) -> None:
         if system.at.any():
-            raise InputError("linear reductions are of a body at rest")
+            raise InputError("system must be linearised at rest, got another state; linearise without state")
         self.system, self.budget, self.training = system, budget or Budget(), training
         self.condense = min(CONDENSED, system.order) if condense is None else integer_in_range("condense", condense, 0)
         count = len(system.inputs)
         self.emphasis = np.ones(count) if emphasis is None else np.array(emphasis, dtype=float)
         if self.emphasis.shape != (count,) or not np.all(np.isfinite(self.emphasis) & (self.emphasis > 0)):
-            raise InputError(f"emphasis must be {count} positive numbers, one an input, not {emphasis!r}")
+            raise InputError(f"emphasis must be {count} positive numbers, one per input, got {emphasis!r}")
         self.seconds: dict[str, float] = {}
 
     def model(self, method: str, modes: int, **options: Any) -> LinearModel:
@@ -113,19 +113,18 @@ class Reduction:
         Raises
         ------
         InputError
-            An unknown method, too many modes, a cost beyond the budget, or pyMOR missing; the message says how to
-            install it.
+            An unknown method, too many modes, a cost beyond the budget, or a missing pyMOR.
         """
         if method not in METHODS:
-            raise InputError(f"method = {method!r}: allowed are {', '.join(map(repr, METHODS))}")
+            raise InputError(f"method must be one of {', '.join(map(repr, METHODS))}, got {method!r}")
         if options and method != "moments":
-            raise InputError(f"method {method!r} has no {', '.join(options)}")
+            raise InputError(f"options must be empty for method {method!r}, got {', '.join(options)}")
         integer_in_range("modes", modes, 1, self.system.order - 1)
         if method in PYMOR:
             need_pymor(f"method {method!r}")
         before, start = sum(self.seconds.values()), perf_counter()
         reduced = self._reduced(method, modes, options)
-        shared = sum(self.seconds.values()) - before  # what other methods profit from, too
+        shared = sum(self.seconds.values()) - before  # time of parts that other methods use, too
         report = {
             "method": method, "modes": len(reduced.fields), "states": reduced.states,
             "seconds": perf_counter() - start - shared, "shared_seconds": self._shared(method),
@@ -150,7 +149,7 @@ class Reduction:
         return self._second_order(method, modes)
 
     def _shared(self, method: str) -> float:
-        """Time [s] of what a method needs and shares with others."""
+        """Return the time [s] of the parts that a method shares with others."""
         parts = {
             "modal": (),
             "moments": (),
@@ -166,36 +165,36 @@ class Reduction:
         self.seconds[part] = perf_counter() - start
         return made
 
-    # what is shared
+    # shared parts
 
     @cached_property
     def snapshots(self) -> Floats:
-        """Displacements (t, n, 3) [m] of the training run, without what follows the tools at once."""
+        """Displacements (t, n, 3) [m] of the training run, without the static fields of the tools."""
         if self.training is None:
-            raise InputError("POD learns from a run of the linearised body: give training=(loads, duration, every)")
+            raise InputError("training must be a run for POD, got None; give training=(loads, duration, every)")
         loads, duration, every = self.training
         return np.asarray(self._timed("run", lambda: linear_run(self.system, loads, duration=duration, every=every)[1]))
 
     @cached_property
     def source(self) -> SecondOrder:
-        """The dense body that is balanced: condensed, or the whole one."""
+        """Dense system for balancing: the condensed body, or the whole one."""
         system = self.system
         if self.condense and self.condense < system.order - 2:
             return self._timed("condensed", lambda: condense(system, self.condense)[0])
         estimate = dense_lyapunov(2 * system.order)
         self.budget.check(
             estimate, f"dense Lyapunov equations of order {2 * system.order}",
-            f"Give condense={CONDENSED} to balance that many of the slowest modes instead, or a coarser cloud",
+            f"give condense={CONDENSED} to balance that many of the slowest modes instead, or a coarser cloud",
         )  # fmt: skip
         roots = 1.0 / np.sqrt(system.mass.diagonal())
         return self._timed("condensed", lambda: project(system, np.diag(roots)))
 
     @cached_property
     def scales(self) -> tuple[Floats, Floats]:
-        """Factors (q,) of the outputs and (p,) of the inputs by which different units count alike in balancing.
+        """Factors (q,) of the outputs and (p,) of the inputs that make different units comparable in balancing.
 
-        Displacements and forces each over their largest static response to the inputs as they count, and a tool's
-        rotations over its radius.
+        Displacements and forces are each divided by their largest static response to the weighted
+        inputs, and a tool's rotations by its radius.
         """
         static = np.abs(self.system.transfer(0.0)[0].real) * self.emphasis
         kinds = np.array([name.split()[0] for name in self.system.outputs])
@@ -209,7 +208,7 @@ class Reduction:
 
     @cached_property
     def scaled(self) -> SecondOrder:
-        """The body that is balanced, its inputs and outputs scaled."""
+        """System `source` with scaled inputs and outputs."""
         own, (outputs, inputs) = self.source, self.scales
         return SecondOrder(
             own.mass, own.damping, own.stiffness, own.input * inputs, outputs[:, None] * own.output,
@@ -218,7 +217,7 @@ class Reduction:
 
     @cached_property
     def pymor(self) -> Any:
-        """The scaled body as pyMOR's second-order model; its Gramians are kept."""
+        """The scaled system as pyMOR's second-order model, which stores its Gramians."""
         need_pymor("balancing")
         from pymor.models.iosys import SecondOrderModel
         from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
@@ -230,7 +229,7 @@ class Reduction:
         )  # fmt: skip
 
     def _gramians(self) -> None:
-        """Let pyMOR find the Gramians, once."""
+        """Compute the Gramians by pyMOR, once."""
         if "gramians" not in self.seconds:
             self._timed("gramians", lambda: [self.pymor.gramian(kind) for kind in ("pc_lr", "po_lr")])
 
@@ -245,13 +244,13 @@ class Reduction:
         return self.realisation[1]
 
     def bound(self, states: int) -> float:
-        """Return the bound of the scaled transfer function's error: twice the sum of the discarded values."""
+        """Return the error bound of the scaled transfer function: twice the sum of the discarded values."""
         return float(2 * self.hankel_singular_values[states:].sum())
 
     def scaled_error(self, reduced: Reduced, frequencies: Any, *, whole: bool = False) -> Floats:
         """Return the largest singular value of the scaled transfer function's error, (t,), at frequencies [rad/s].
 
-        Against the body that was balanced, or the whole one.
+        The reference is the system `source`, or with `whole` the whole body.
         """
         s = 1j * np.atleast_1d(np.asarray(frequencies, dtype=float))
         outputs, inputs = self.scales
@@ -262,14 +261,14 @@ class Reduction:
 
     def _second_order(self, method: str, modes: int) -> SecondOrder:
         if modes >= len(self.source.mass):
-            raise InputError(f"modes = {modes}: the body to balance has only {len(self.source.mass)}; condense less")
+            raise InputError(f"modes must be below {len(self.source.mass)}, got {modes}; increase condense")
         fom, own = self.pymor, self.scaled
         if method == "irka":
             from pymor.reductors.bt import BTReductor
             from pymor.reductors.sor_irka import SORIRKAReductor
 
             self._gramians()
-            start = BTReductor(fom.to_lti()).reduce(modes)  # as many poles as there are points to begin with
+            start = BTReductor(fom.to_lti()).reduce(modes)  # one pole for each initial interpolation point
             reductor = SORIRKAReductor(fom)
             rom = reductor.reduce(start, **IRKA)
             fields = _columns(reductor.V)
@@ -296,7 +295,7 @@ class Reduction:
         from pymor.reductors.bt import BTReductor
 
         if 2 * modes >= self.source.states:
-            raise InputError(f"modes = {modes}: the body to balance has only {len(self.source.mass)}; condense less")
+            raise InputError(f"modes must be below {len(self.source.mass)}, got {modes}; increase condense")
         self._gramians()
         reductor = BTReductor(self.pymor.to_lti())
         a, b, c, _, e = reductor.reduce(2 * modes).to_matrices()
@@ -311,7 +310,7 @@ class Reduction:
         own, values, into = self.realisation
         if 2 * modes >= len(values):
             raise InputError(
-                f"modes = {modes}: the body has {len(values)} Hankel singular values that can be told from noise"
+                f"modes must be below half of the {len(values)} Hankel singular values above rounding, got {modes}"
             )
         reduced = hankel_norm(own, values, 2 * modes)
         fields = np.tensordot(into[: len(self.scaled.fields)].T, self.scaled.fields, 1)
@@ -325,20 +324,20 @@ class Reduction:
 
 
 def _columns(vectors: Any) -> Floats:
-    """Columns (d, k) of a pyMOR array of vectors."""
+    """Return the columns (d, k) of a pyMOR array of vectors."""
     return np.asarray(vectors.to_numpy())
 
 
 def reduce_linear(system: LinearSystem, method: str, modes: int, **options: Any) -> LinearModel:
-    """Reduce a linearised body by one method; `Reduction` makes several and shares what they have in common.
+    """Reduce a linearised body by one method; `Reduction` shares computations between several methods.
 
     Parameters
     ----------
     system : LinearSystem
     method : str
-        ``"modal"``, ``"moments"``, ``"pod"``, ``"hankel"``, and by pyMOR ``"irka"``, ``"balanced"``,
-        ``"balanced-low-rank"``, ``"sobt"``, ``"sobt-p"``, ``"sobt-v"``, ``"sobt-pv"``, ``"sobt-vp"``,
-        ``"sobt-fv"``: see docs/linear.md.
+        ``"modal"``, ``"moments"``, ``"pod"``, ``"hankel"``, and by pyMOR ``"irka"``,
+        ``"balanced"``, ``"balanced-low-rank"``, ``"sobt"``, ``"sobt-p"``, ``"sobt-v"``,
+        ``"sobt-pv"``, ``"sobt-vp"``, ``"sobt-fv"``: see docs/linear.md.
     modes : int
         Number of displacement coordinates; methods of first order have twice as many states.
     options

@@ -18,7 +18,7 @@ __all__ = ["input_sizes", "linear_run"]
 
 
 def input_sizes(system: LinearSystem, loads: Sequence[Load], duration: float, samples: int = 2000) -> Floats:
-    """Return the largest size (p,) of every input in a run: forces [N], gravity, and accelerations of tools."""
+    """Return the largest absolute value (p,) of each input in a run: forces [N], gravity, accelerations of tools."""
     guide = LinearModel(system, project(system, np.ones((system.order, 1))))
     prepared, step = guide.prepare(loads), duration / samples
     times: Floats = step * np.arange(-1.0, samples + 2)
@@ -37,7 +37,7 @@ def linear_run(
     system : LinearSystem
         Linearised at rest.
     loads : sequence of loads
-        As it was made with, with their values in time.
+        Those of the system, with their values in time.
     duration, every : float [s]
         Length, and time between snapshots.
     steps : int
@@ -47,7 +47,7 @@ def linear_run(
     -------
     times : (t,) array [s]
     free, whole : (t, n, 3) arrays [m]
-        Displacements without what follows the tools at once (`LinearSystem.lifting`), and all of them.
+        Displacements without the static fields of the tools (`LinearSystem.lifting`), and in total.
 
     Raises
     ------
@@ -57,8 +57,8 @@ def linear_run(
     number_in_range("duration", duration, 0.0, open_low=True, unit="s")
     number_in_range("every", every, 0.0, duration * (1 + 1e-9), open_low=True, unit="s")
     if not loads:
-        raise InputError("a linear run from rest needs a load, or nothing moves")
-    # any reduced model knows what loads are to the inputs; one of a single column is the cheapest
+        raise InputError("loads must not be empty for a linear run from rest; give a load")
+    # any reduced model maps loads to inputs; one of a single column is the cheapest
     guide = LinearModel(system, project(system, np.ones((system.order, 1))))
     prepared = guide.prepare(loads)
     frames, step = round(duration / every), every / steps

@@ -1,4 +1,4 @@
-"""Results of linear reductions: few equations of second or first order, and their displacement fields.
+"""Reduced linear systems of second or first order, and their displacement fields.
 
 The reduced displacements are u = sum_k c_k Phi_k + L g, with the known coordinates g of the tools.
 """
@@ -19,7 +19,7 @@ __all__ = ["FirstOrder", "Reduced", "SecondOrder"]
 
 @dataclass(frozen=True)
 class SecondOrder(Described):
-    """M c'' + D c' + K c = B f, y = Cp c + Cv c' + Df f.
+    """Second-order system M c'' + D c' + K c = B f, y = Cp c + Cv c' + Df f.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class SecondOrder(Described):
 
 @dataclass(frozen=True)
 class FirstOrder(Described):
-    """c' = A c + B f, y = C c + D f.
+    """First-order system c' = A c + B f, y = C c + D f.
 
     Parameters
     ----------

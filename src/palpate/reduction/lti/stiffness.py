@@ -1,7 +1,8 @@
 """Sparse stiffness of a body at a state, by differences of its nonlinear force.
 
-Columns without common rows are displaced together (Curtis, Powell and Reid, J. Inst. Maths Applics 13,
-1974). So the number of differences depends on the size of a stencil, and not on that of the cloud.
+Columns without common rows are displaced together (Curtis, Powell and Reid, J. Inst. Maths Applics
+13, 1974). So the number of differences depends on the size of a stencil, and not on that of the
+cloud.
 """
 
 from __future__ import annotations
@@ -21,22 +22,24 @@ __all__ = ["coupling", "independent_groups", "nodal_stiffness"]
 
 
 STEP = 1e-5  # of the spacing: displacements for central differences, as in `palpate.dynamics.nodal.stability.stiffness`
-NOISE = 1e-10  # of the largest entry: what differences leave where there is nothing
+NOISE = 1e-10  # of the largest entry: rounding error of differences for entries that are zero
 
 
 def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> Any:
-    """Return the sparse stiffness [N/m] of a body, (3 n, 3 n), rows 3 i + c of node i: minus the slope of its forces.
+    """Return the sparse stiffness [N/m] of a body, (3 n, 3 n), rows 3 i + c of node i: minus the force derivatives.
 
     Row i is the internal force density at node i times the node's weight in the inner product
-    (`NodalModel.weights`). So the nodal forces of a surface load are its shares of the total force. The
-    stiffness of the energy form is symmetric; that of the strong form, which is collocated, is not.
+    (`NodalModel.weights`). So the nodal forces of a surface load are its shares of the total force.
+    The stiffness of the energy form is symmetric; that of the strong form, which is collocated, is
+    not.
 
     Parameters
     ----------
     model : NodalModel
     displacements : (n, 3) array, optional [m]
         The state; rest by default. At rest the stiffness of the energy form is assembled from its
-        stencils. Otherwise it is by differences, accurate to about 1e-9 of the largest entry.
+        stencils. Otherwise it is computed by differences, with errors of about 1e-9 of the largest
+        entry.
     """
     plain = isinstance(model, Solid) and model.conservative and model.fibres is None
     if displacements is None and plain:
@@ -66,7 +69,7 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
 
 
 def coupling(model: NodalModel) -> Any:
-    """Return the dependence of nodal forces (rows) on nodal displacements, sparse (n, n) of ones."""
+    """Return the sparsity pattern of nodal forces (rows) by nodal displacements, sparse (n, n) of ones."""
     body, n = model.body, len(model.cloud)
     names = ["carriers", "transposed", "transposed_smoothing", "smoothing", "lanes"]
     if not model.conservative:  # the smoothed pressure is differentiated at the node itself

@@ -92,12 +92,12 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
         with np.errstate(all="ignore"):
             model = LinearModel(system, form(**arrays), header["report"])
         if not all(np.isfinite(matrix).all() for matrix in (model.A, model.B, model.C, model.D)):
-            raise InputError("its matrices make equations that are not finite")
+            raise InputError("its state-space matrices are not finite")
         return model
 
 
 def _check_shapes(arrays: dict[str, Any], sizes: dict[str | int, int]) -> None:
-    """Refuse arrays whose shapes are not those of `SHAPES`, with one k for all."""
+    """Check that arrays have the shapes of `SHAPES`, with one k for all."""
     sizes = sizes | {"k": len(arrays["fields"]) if arrays["fields"].ndim else 0}
     for name, array in arrays.items():
         wanted = tuple(sizes.get(size, size) for size in SHAPES[name])

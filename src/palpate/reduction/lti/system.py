@@ -1,22 +1,23 @@
 """Linearisation of a body: M u'' + D u' + K u = B f with chosen inputs and outputs.
 
-The unknowns are the displacements of the free nodes, in the model's ordering: component c of node i is
-number 3 i + c of the body, and `LinearSystem.dofs` are the numbers of the unknowns. Rows are multiplied
-by the nodes' weights in the inner product (`NodalModel.weights`). So M is the lumped mass, a diagonal,
-and B holds the shares of the nodes in the total forces. D = beta K is the stiffness damping of (29).
+The unknowns are the displacements of the free nodes, in the model's ordering: component c of node i
+is number 3 i + c of the body, and `LinearSystem.dofs` are the numbers of the unknowns. Rows are
+multiplied by the nodes' weights in the inner product (`NodalModel.weights`). So M is the lumped
+mass, a diagonal, and B holds the shares of the nodes in the total forces. D = beta K is the
+stiffness damping of (29).
 
 K of the energy form is symmetric. That of the strong form is collocated: row i is the balance of
-momentum at node i, and not the work on a shape function, so K is not symmetric. With the weights it is
-nearly so; nothing here symmetrises it.
+momentum at node i, and not the work on a shape function, so K is not symmetric. With the weights it
+is nearly symmetric; it is not symmetrised.
 
-A tool that moves nodes is an input by its acceleration. With N the rigid motions of the tool's nodes
-and L their static continuation, K L = 0 at all free nodes, displacements are u = w + L g, with the
+The input of a tool that moves nodes is its acceleration. L is the static continuation of the rigid
+motions of the tool's nodes: K L = 0 at all free nodes. Displacements are u = w + L g, with the
 tool's coordinates g, and
 
     M w'' + D w' + K w = B f - M L g'',
 
-because D L = beta K L = 0. The outputs y = Cp w + Cv w' + Df [f, g''] + S g + S' g' have a part that
-follows the tool without delay.
+because D L = beta K L = 0. The outputs y = Cp w + Cv w' + Df [f, g''] + S g + S' g' have a part
+that follows the tool without delay.
 """
 
 from __future__ import annotations
@@ -46,18 +47,18 @@ __all__ = ["LinearSystem", "force_inputs", "linearise"]
 
 
 AXES = "xyz"
-MIN_ROTATION = 1e-9  # largest displacement of a rotation that counts as none, in spacings
+MIN_ROTATION = 1e-9  # displacement, in spacings, below which a rotation is left out
 
 
 @dataclass(frozen=True)
 class LinearSystem(Described):
-    """A body linearised at a state, its nodes that are free as unknowns.
+    """Linear system of a body at a state, with the displacements of its free nodes as unknowns.
 
     Parameters
     ----------
     model : NodalModel
     loads : tuple of loads
-        Those that the inputs were made of; their values in time do not matter.
+        Loads of the inputs; their values in time are not used.
     at : (n, 3) array [m]
         Displacements of the state.
     dofs : (d,) int array
@@ -65,21 +66,21 @@ class LinearSystem(Described):
     mass, damping, stiffness : sparse (d, d) arrays [kg], [N s/m], [N/m]
         The mass is diagonal.
     input : sparse (d, p) array
-        Nodal forces of a unit of every input: a total force of 1 N, a gravity of 1 m/s^2, then a tool's acceleration
-        of 1 m/s^2 or 1 rad/s^2.
+        Nodal forces of a unit of every input: a total force of 1 N, a gravity of 1 m/s^2, then a
+        tool's acceleration of 1 m/s^2 or 1 rad/s^2.
     output, rate_output : sparse (q, d) arrays
         Cp and Cv.
     feedthrough : (q, p) array
         Df.
     inputs, outputs : tuples of str
-        What they are, such as ``"force x on x+"`` and ``"displacement z of x+"``.
+        Their names, such as ``"force x on x+"`` and ``"displacement z of x+"``.
     lifting : (l, n, 3) array
-        Static fields L of the tools' coordinates: translations [m/m], then rotations [m/rad]; the last l inputs are
-        their accelerations.
+        Static fields L of the tools' coordinates: translations [m/m], then rotations [m/rad]; the
+        last l inputs are their accelerations.
     static, static_rate : (q, l) arrays
         S and S'.
     whole : sparse (3 n, 3 n) array [N/m]
-        The stiffness with held nodes, too.
+        Stiffness of all nodes, including those that are not free.
     """
 
     model: NodalModel
@@ -132,7 +133,7 @@ class LinearSystem(Described):
         return self.lifting.reshape(len(self.lifting), 3 * len(self.model.cloud))
 
     def fields(self, columns: Any) -> Floats:
-        """Return nodal fields (k, n, 3) of unknowns (d, k), zero at held nodes."""
+        """Return nodal fields (k, n, 3) of unknowns (d, k), zero at nodes that are not free."""
         columns = np.asarray(columns)
         result = np.zeros((columns.shape[1], 3 * len(self.model.cloud)))
         result[:, self.dofs] = columns.T
@@ -145,7 +146,7 @@ class LinearSystem(Described):
     def transfer(self, points: Any) -> Complex:
         """Return the transfer function from inputs to outputs at complex frequencies s (k,) [1/s], shape (k, q, p).
 
-        Of tools it is that from their accelerations, without what follows their coordinates at once (`static`).
+        For tools it is that from their accelerations, without the static part S g + S' g'.
         """
         result = []
         for s in np.atleast_1d(np.asarray(points, dtype=complex)):
@@ -173,30 +174,31 @@ def linearise(
     loads : sequence of loads
         The inputs. A `SurfaceForce` with a force has three, along the axes, and so has `Gravity`. A
         tool that moves nodes (`PrescribedMotion`, `Grasp`) has six: three translations, and three
-        rotations about the mean position of its nodes. Their values in time are not part of the system.
+        rotations about the mean position of its nodes. Their values in time are not part of the
+        system.
     outputs : sequence of str
-        Groups of nodes: the mean displacement of those that are free, or the total force on the body of a support. The
-        forces of tools are outputs of themselves, as many as their coordinates, behind these.
+        Groups of nodes: the mean displacement of a free group, or the total force of a support on
+        the body. The forces of tools, one per coordinate, are always the last outputs.
     state : State or (n, 3) array, optional [m]
-        Where; rest by default.
+        State of linearisation; rest by default.
 
     Raises
     ------
     InputError
-        A load that is not an input of a linear system, an unknown group, tools on a body in its strong form, or
-        tissue that relaxes.
+        A load that is not an input of a linear system, an unknown group, tools on a body in its
+        strong form, or a viscoelastic material.
     """
     if not isinstance(model, NodalModel):
-        raise InputError(f"linearise needs a Solid or a Membrane, not a {type(model).__name__}")
+        raise InputError(f"model must be a Solid or a Membrane, got a {type(model).__name__}")
     if model.material.prony is not None:
-        raise InputError("tissue that relaxes (prony=) remembers: M, D and K alone do not describe it")
+        raise InputError("material must be without prony, which M, D and K do not describe; leave prony out")
     loads = listed(loads)
     for load in loads:
         _check_input(load, model)
     displaced = state.coordinates if isinstance(state, State) else state
     at = np.zeros((len(model.cloud), 3)) if displaced is None else np.array(displaced, dtype=float)
     if at.shape != (len(model.cloud), 3) or not np.isfinite(at).all():
-        raise InputError(f"state: displacements must be finite, of shape {(len(model.cloud), 3)}, not {at.shape}")
+        raise InputError(f"state must be finite displacements of shape {(len(model.cloud), 3)}, got shape {at.shape}")
     prepared = model.prepare(loads)
     whole = nodal_stiffness(model, at if at.any() else None)
     free = np.flatnonzero(np.repeat(prepared.sites.kind == FREE, 3))
@@ -221,7 +223,10 @@ def _check_input(load: Load, model: NodalModel) -> None:
     """Refuse loads that are not inputs of a linear system."""
     if isinstance(load, PrescribedMotion | Grasp):
         if not model.conservative:
-            raise InputError("a tool that moves nodes of a linearised body needs form='energy': see docs/linear.md")
+            raise InputError(
+                "loads must not move nodes of a linearised body in its strong form, "
+                f"got a {type(load).__name__}; give the body form='energy' (docs/linear.md)"
+            )
         return
     if is_pressure(load) or not isinstance(load, DeadLoad | Gravity):
         name = "pressure" if is_pressure(load) else type(load).__name__
@@ -232,7 +237,7 @@ def _check_input(load: Load, model: NodalModel) -> None:
 
 
 def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, list[str]]:
-    """Unit translations and rotations of the tools' nodes (l, 3 n), and what they are."""
+    """Return unit translations and rotations of the tools' nodes (l, 3 n), and their names."""
     points, columns, names = model.cloud.points, [], []
     for motion, where in prepared.motions:
         nodes = prepared.sites.prescribed[where]
@@ -252,13 +257,13 @@ def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, 
 
 
 def _continued(whole: Any, free: NDArray[np.int64], stiffness: Any, rigid: Floats) -> Floats:
-    """Static continuation (l, 3 n) of the tools' motions: no force at any free node."""
+    """Return the static continuation (l, 3 n) of the tools' motions, without forces at free nodes."""
     fields = rigid.copy()
     if len(rigid):
         try:
             fields[:, free] = -splu(stiffness).solve(whole[free] @ rigid.T).T
         except RuntimeError as error:
-            raise InputError("the body at this state has no stiffness against some motion: nothing holds it") from error
+            raise InputError("stiffness of the body at this state must be non-singular; fix a group") from error
     return fields
 
 
@@ -289,7 +294,7 @@ def _output_names(model: NodalModel, outputs: Sequence[str], tools: Sequence[str
 
 
 def _rows(model: NodalModel, prepared: PreparedLoads, group: str) -> Any:
-    """Mean of the displacements of a group, (3, 3 n)."""
+    """Return the map (3, 3 n) from displacements to their mean over a group."""
     nodes = prepared.supports[group] if group in prepared.supports else model.cloud.group(group)
     n = len(model.cloud)
     places = np.repeat(np.arange(3), len(nodes)), np.concatenate([3 * nodes + c for c in range(3)])
@@ -318,10 +323,10 @@ def _outputs(
         own = sparse.csr_matrix(rigid) @ whole[:, free]
         positions.append(own)
         rates.append(beta * own)
-        # a tool bears what loads there are on its nodes, and accelerates their mass
+        # a tool carries the loads on its nodes, and accelerates their mass
         through.append(np.hstack([-rigid @ forces.T, (rigid * weight) @ rigid.T]))
     if not positions:
-        raise InputError("a linear system needs an output: name a group in outputs, or give a tool")
+        raise InputError("outputs must name a group for a system without a tool, got none; name a group")
     return (
         sparse.vstack(positions).tocsr(),
         sparse.vstack(rates).tocsr(),
@@ -332,7 +337,7 @@ def _outputs(
 def _support_force(
     model: NodalModel, group: str, whole: Any, free: NDArray[np.int64], forces: Floats, tools: bool
 ) -> tuple[Any, Floats]:
-    """Total force of a support on the body by displacements (3, d), and by the inputs at once (3, forces)."""
+    """Return the maps from displacements (3, d) and inputs (3, forces) to the total force of a support on the body."""
     n = len(model.cloud)
     total = sparse.csr_matrix(np.tile(np.eye(3), n))
     if model.conservative:
@@ -341,9 +346,10 @@ def _support_force(
         return own[:, free], -(total[:, nodes] @ forces.T[nodes])
     if len(model.fixed) > 1 or tools:
         raise InputError(
-            f"the force of {group!r} is an output of a strong form's linear system only where it alone holds the body"
+            f"support {group!r} must be the only one, without tools, for its force to be an output of the strong form; "
+            "use form='energy'"
         )
-    # the balance of momentum of the whole body: the collocated rows by their volumes, not by their weights
+    # balance of momentum of the whole body: the collocated rows weighted by volumes, not by `weights`
     share = np.repeat(model.volumes / model.weights, 3)[free]
     rows = total[:, free] @ sparse.diags(share)
     return -(rows @ whole[free][:, free]), np.asarray(rows @ forces.T[free] - total @ forces.T)
@@ -352,7 +358,7 @@ def _support_force(
 def _statics(
     model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], whole: Any, tools: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
-    """Return S and S' (q, l): what outputs follow the tools' coordinates and their rates at once."""
+    """Return S and S' (q, l), the static parts of the outputs in the tools' coordinates and their rates."""
     rigid, lifting = tools
     statics, rates = [], []
     for group in outputs:
