@@ -169,7 +169,7 @@ def test_duplicate_and_nearly_duplicate_nodes_are_refused_by_number(jittered_poi
 def test_nodes_with_too_few_neighbours_are_refused_by_number(jittered_points):
     points = np.concatenate([jittered_points, [[3.0, 0, 0], [3.1, 0, 0]]])
     n = len(jittered_points)
-    with pytest.raises(pt.CloudError, match=rf"{n}, {n + 1}\b.*needs at least"):
+    with pytest.raises(pt.CloudError, match=rf"{n}, {n + 1}\b.*must have at least"):
         pt.moving_least_squares(points, radius=0.31)
 
 

@@ -1,6 +1,7 @@
 """Selection of nodes by position, for `Cloud.with_group`.
 
-All on the body's surface, unless `surface` is False; `Cloud.within` finds what is near a point.
+The nodes lie on the body's surface, unless `surface` is False. `Cloud.within` selects nodes near a
+point.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def in_box(cloud: Cloud, low: Sequence[float], high: Sequence[float], *, surface
     low, high : (d,) sequences [m]
         Opposite corners.
     surface : bool
-        Whether only nodes of the surface count.
+        Whether to select surface nodes only.
 
     Raises
     ------
@@ -51,18 +52,18 @@ def near_plane(
     ----------
     cloud : Cloud
     point : (d,) sequence [m]
-        Of the plane.
+        A point of the plane.
     normal : (d,) sequence
-        Points to its front; of any length.
+        Normal towards the front, of any length.
     distance : float [m]
-        How far before the plane nodes still count.
+        Largest distance of a node in front of the plane.
     surface : bool
-        Whether only nodes of the surface count.
+        Whether to select surface nodes only.
 
     Raises
     ------
     InputError
-        A point or normal that is none, or no node behind the plane.
+        An invalid point or normal, or no node behind the plane.
     """
     place, direction = _check_point(cloud, "point", point), _check_point(cloud, "normal", normal)
     length = np.linalg.norm(direction)
@@ -90,20 +91,20 @@ def painted(
     ----------
     cloud : Cloud
     points : (k, d) array [m]
-        Where somebody has painted, such as a mesh's vertices: see `palpate.io.read_painted`.
+        Painted points, such as a mesh's vertices: see `palpate.io.read_painted`.
     values : (k,) array
-        What was painted: labels or weights.
+        Painted values: labels or weights.
     least : float
-        From which value on a point counts as painted.
+        Smallest value of a point that counts as painted.
     farthest : float, optional [m]
-        How far the nearest painted point may be; by default two spacings.
+        Largest distance of the nearest painted point; by default two spacings.
     surface : bool
-        Whether only nodes of the surface count.
+        Whether to select surface nodes only.
 
     Raises
     ------
     InputError
-        Arrays that do not fit or are not finite, or no node that is painted.
+        Arrays of inconsistent shapes or that are not finite, or no painted node.
     """
     places, paint = np.asarray(points, dtype=float), np.asarray(values, dtype=float)
     if places.ndim != 2 or places.shape[1] != cloud.points.shape[1] or paint.shape != (len(places),) or not len(paint):

@@ -1,7 +1,7 @@
 """Clouds of points: discretised bodies without a material.
 
-A `Cloud` is arrays and nothing else: where the points are, how much of the body each one stands
-for, which faces of the body it lies on, and named groups of points that loads refer to.
+A `Cloud` consists of arrays: positions, volumes and boundary faces of the points, and named groups
+of points for loads.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["Cloud", "box", "warn_of_size"]
 
 MAX_NODES = 5e7  # of a box
 MAX_COORDINATE = 1e9  # [m] of a coordinate
-MIN_SPACING = 1e-9  # [m] spacing: beyond both, volumes and stiffnesses leave double precision
+MIN_SPACING = 1e-9  # [m]; beyond these limits volumes and stiffnesses exceed the range of double precision
 MIN_VOLUME_RATIO = 1e-12  # of the smallest cell: volume of a node
 EXPECTED_SIZES = 1e-4, 10.0  # [m] of a body; other sizes are probably not in metres
 
@@ -56,7 +56,7 @@ class Cloud(Described):
     Raises
     ------
     CloudError
-        Arrays that do not fit together, or values that are not finite.
+        Arrays of inconsistent shapes, or values that are not finite.
     """
 
     points: Floats
@@ -122,7 +122,7 @@ class Cloud(Described):
         return body_svg(*self._surface())
 
     def _surface(self) -> tuple[Floats, Ints]:
-        """Return the points that surface triangles use, and the triangles of these; all points where there are none."""
+        """Return the points of surface triangles, and the triangles; all points if there are no triangles."""
         if not len(self.triangles):
             return self.points, np.zeros((0, 3), dtype=np.int64)
         used, corners = np.unique(self.triangles, return_inverse=True)
@@ -167,8 +167,8 @@ class Cloud(Described):
         Raises
         ------
         InputError
-            The name is taken, `centre` is not a point, `radius` is not positive, or no node is that
-            near.
+            The name exists, `centre` is not a point, `radius` is not positive, or no node is within
+            it.
         """
         if name in self.groups:
             raise InputError(f"group must be a new name, got {name!r}, which exists; choose another name")
@@ -187,12 +187,12 @@ class Cloud(Described):
     def with_group(self, name: str, nodes: Sequence[int] | Ints | NDArray[np.bool_]) -> Cloud:
         """Return a copy with an additional group of nodes, given by indices or a mask (n,).
 
-        `palpate.in_box`, `palpate.near_plane` and `palpate.painted` find such nodes.
+        `palpate.in_box`, `palpate.near_plane` and `palpate.painted` return such nodes.
 
         Raises
         ------
         InputError
-            The name is taken, there is no node, or a number or a mask that does not belong to this cloud.
+            The name exists, the group is empty, or indices or a mask do not match this cloud.
         """
         if name in self.groups:
             raise InputError(f"group must be a new name, got {name!r}, which exists; choose another name")
@@ -207,8 +207,8 @@ class Cloud(Described):
     def boundary_vectors(self) -> Floats:
         """Return sum over a node's faces of (area / volume) times normal, shape (n, d) [1/m].
 
-        It is the c/h N of the half-cell balance: c = 2 on a flat face of a lattice; zero inside the
-        body.
+        It is c/h N in the half-cell balance: c = 2 on a flat face of a lattice. It is zero inside
+        the body.
         """
         vectors = np.zeros_like(self.points)
         np.add.at(vectors, self.face_nodes, self.face_areas[:, None] * self.face_normals)
@@ -225,7 +225,7 @@ class Cloud(Described):
         nodes = self.group(name)
         pairs = np.isin(self.face_nodes, nodes)
         normals = self.face_normals[self.face_nodes == nodes[len(nodes) // 2]]
-        # a flat face has one normal; a curved one may turn, unless that takes in the adjacent faces
+        # a flat face has one normal; that of a curved face may vary, unless this includes adjacent faces
         for near, normal in product((1 - 1e-9, 0.5), normals):
             same = pairs & (self.face_normals @ normal > near)
             if np.array_equal(np.unique(self.face_nodes[same]), nodes):
@@ -250,12 +250,12 @@ def box(size: Sequence[float], spacing: float, jitter: float = 0.0, seed: int = 
     size : (d,) sequence [m]
         Edge lengths; the box reaches from the origin to `size`.
     spacing : float [m]
-        Wished distance between nodes; each edge gets the nearest whole number of cells, at least 3.
+        Target distance between nodes; each edge gets the nearest whole number of cells, at least 3.
     jitter : float
-        Random displacement of every node as a share of the spacing, in [0, 0.3]. Nodes of a face
-        stay in it, nodes of an edge on it, corners where they are.
+        Random displacement of every node as a share of the spacing, in [0, 0.3]. Nodes stay on
+        their faces and edges; corners do not move.
     seed : int
-        Of the random displacements.
+        Seed of the random displacements.
 
     Returns
     -------

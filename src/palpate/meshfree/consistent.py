@@ -1,12 +1,13 @@
 """Derivatives that make a nodally summed energy exact for uniform stress.
 
-The energy of a uniformly stressed body is summed over nodes; its derivative by the displacement of
-node J is P times the sum over I of V_I g_IJ, g_IJ the weight of J in the gradient at I. Integration
-by parts says what that sum must be: nothing inside, and at the boundary the node's share B_J of its
-area vector. Weights of moving least squares miss this on all but regular clouds, so that uniform
-stress would push the nodes about. Here they are changed as little as possible so that they do not
-miss it and still differentiate linear fields exactly: variationally consistent integration (Chen,
-Hillman and Rueter, Int. J. Numer. Methods Eng. 95, 2013), with one linear system for the cloud.
+The energy of a uniformly stressed body is summed over nodes. Its derivative with respect to the
+displacement of node J is P times the sum over I of V_I g_IJ, with the weight g_IJ of J in the
+gradient at I. By integration by parts, that sum must be zero inside, and at the boundary the node's
+share B_J of the area vector. Weights of moving least squares satisfy this on regular clouds only;
+elsewhere uniform stress would displace the nodes. Here the weights are changed as little as
+possible to satisfy the condition and still differentiate linear fields exactly. This is
+variationally consistent integration (Chen, Hillman and Rueter, Int. J. Numer. Methods Eng. 95,
+2013), with one linear system for the cloud.
 """
 
 from __future__ import annotations
@@ -29,44 +30,41 @@ from palpate.meshfree.stencils import Stencils, moving_least_squares
 
 __all__ = ["consistent_gradient", "consistent_stencils"]
 
-RESIDUAL_TOLERANCE = 1e-11  # of what may be left of the condition, relative to V / h
+RESIDUAL_TOLERANCE = 1e-11  # largest residual of the condition, relative to V / h
 MAX_ITERATIONS = 1000  # of conjugate gradients
-MIN_PATCH_WIDTH, MAX_PATCHES = 4.0, 800  # width in spacings, at least; how many there are, about, at most
-DIAGONAL_SHIFT = 1e-6  # of the patches' mean diagonal, which it is added to, as linear fields cost nothing
+MIN_PATCH_WIDTH, MAX_PATCHES = 4.0, 800  # smallest width in spacings; approximate largest number of patches
+DIAGONAL_SHIFT = 1e-6  # shift of the patches' singular system, relative to its mean diagonal
 LATTICE_SHARE = 0.5  # share of the nodes with stencils of their own above which a cloud counts as irregular
-MAX_WEIGHT_CHANGE = 0.8  # of 1 / h in one weight: beyond it the cloud is not fit for the energy form (0.77 ran stably)
+MAX_WEIGHT_CHANGE = 0.8  # of one weight, over 1 / h: the energy form does not support more (0.77 ran stably)
 
-_VOLUME_ERROR = (
-    "the cloud's volumes do not fit its points: nodal volumes must be about those of the cells between the points"
-)
+_VOLUME_ERROR = "volumes of the cloud must be about those of the cells between its points"
 
 
 def consistent_stencils(cloud: Cloud, choices: Sequence[int]) -> tuple[int, Stencils, Floats, bool]:
-    """Return stencils with consistent derivatives, as narrow as the cloud lets them be.
+    """Return stencils with consistent derivatives, for the first suitable number of neighbours.
 
     Parameters
     ----------
     cloud : Cloud
         In space.
     choices : sequence of int
-        Numbers of neighbours to try, in this order.
+        Numbers of neighbours, in the order of the attempts.
 
     Returns
     -------
     neighbours : int
-        The number taken.
+        The number used.
     stencils : Stencils
-        Of first derivatives; `value` holds what an even quadratic fit misses
-        (`quadratic_residuals`).
+        Stencils of first derivatives; `value` holds the weights of `quadratic_residuals`.
     volumes : (n,) array [m^3]
         Weights that integrate quadratic fields.
     lattice : bool
-        Whether many nodes share one arrangement of neighbours: their fit is consistent as it is.
+        True if many nodes share one arrangement of neighbours, whose fit is consistent already.
 
     Raises
     ------
     CloudError
-        No choice will do; says what the first one lacks.
+        No choice is suitable; the message is that of the first one.
     """
     fault = None
     for neighbours in choices:
@@ -96,18 +94,18 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     Parameters
     ----------
     stencils : Stencils
-        Of an interpolating fit; a node's own weight is minus the sum of the others.
+        Stencils of an interpolating fit; a node's own weight is minus the sum of the others.
     points : (n, d) array [m]
     volumes : (n,) array
         Nodal volumes (areas, for d = 2).
     boundary : (n, d) array
-        Nodal area vectors (normals times lengths, for d = 2), zero inside; changed as little as
-        possible so that they meet the divergence theorem for linear fields exactly.
+        Nodal area vectors (normals times lengths, for d = 2), zero inside. They are changed as
+        little as possible to satisfy the divergence theorem for linear fields exactly.
 
     Raises
     ------
     CloudError
-        The condition cannot be met, or only with weights that are far from those of the fit.
+        The condition cannot be satisfied, or only with weights far from those of the fit.
     """
     n, d = points.shape
     near = stencils.neighbours
@@ -154,12 +152,12 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
 
 
 def _solve(system: Any, sides: Floats, points: Floats, spacing: float) -> Floats:
-    """Solve for all right-hand sides (n, d) at once: reading the matrix is what takes the time."""
+    """Solve for all right-hand sides (n, d) at once, because most of the time is for reading the matrix."""
     shape = sides.shape
     diagonal, (patches, coarse) = system.diagonal()[:, None], _patches(system, points, spacing)
     linear = np.linalg.qr(np.column_stack([np.ones(len(points)), points - points.mean(axis=0)]))[0]
 
-    def remove_linear(field: Floats) -> Floats:  # without its linear part, which nothing resists
+    def remove_linear(field: Floats) -> Floats:  # linear fields are in the null space
         return field - linear @ (linear.T @ field)
 
     def precondition(residual: Floats) -> Floats:
@@ -176,12 +174,12 @@ def _solve(system: Any, sides: Floats, points: Floats, spacing: float) -> Floats
 
 
 def _patches(system: Any, points: Floats, spacing: float) -> tuple[Any, Any]:
-    """Return smooth fields (n, c) over patches some spacings wide, and the factor of the system for them alone.
+    """Return smooth fields (n, c) over patches some spacings wide, and the factor of the system projected on them.
 
-    The system is that of a thin plate: linear fields cost nothing and long waves next to nothing,
-    so that conjugate gradients alone need as many steps as the square of the nodes across. The
-    fields are linear ones that fade out over their neighbours (a partition of unity), which hold
-    all long waves.
+    The system is that of a thin plate, with no energy in linear fields and little in long waves.
+    Conjugate gradients alone would require as many steps as the square of the number of nodes
+    across. The fields are products of linear fields and a partition of unity, which represent all
+    long waves.
     """
     n, d = points.shape
     width = spacing * max(MIN_PATCH_WIDTH, (n / MAX_PATCHES) ** (1 / d))
@@ -211,14 +209,12 @@ def _patches(system: Any, points: Floats, spacing: float) -> tuple[Any, Any]:
 
 
 def _balance_boundary(boundary: Floats, points: Floats, volumes: Floats) -> Floats:
-    """Boundary vectors with sum of B = 0 and sum of B_a X_b = V delta_ab, by the least change at the boundary nodes."""
+    """Return boundary vectors with sum of B = 0 and sum of B_a X_b = V delta_ab, by the least change."""
     on = np.any(boundary != 0, axis=1)
     d = points.shape[1]
     linear = np.column_stack([np.ones(on.sum()), points[on] - points.mean(axis=0)])
     if np.linalg.matrix_rank(linear) < d + 1:
-        raise CloudError(
-            "the cloud has no closed boundary: its face_nodes, face_normals and face_areas must describe one"
-        )
+        raise CloudError("face_nodes, face_normals and face_areas of the cloud must describe a closed boundary")
     length = np.linalg.norm(boundary[on], axis=1)[:, None]
     target = np.vstack([np.zeros(d), volumes.sum() * np.eye(d)])
     missing = target - linear.T @ boundary[on]

@@ -12,7 +12,7 @@ __all__ = ["column_crossings"]
 
 @njit(cache=True)
 def _crossings(corners, low, step, nx, ny, start, height, write):  # type: ignore[no-untyped-def]
-    """Count (or write) the heights at which vertical lines meet triangles with corners (t, 3, 3)."""
+    """Count (or write) the heights at which vertical lines intersect triangles with corners (t, 3, 3)."""
     for t in range(corners.shape[0]):
         x0, y0, z0 = corners[t, 0]
         x1, y1, z1 = corners[t, 1]
@@ -46,19 +46,19 @@ def column_crossings(
     Parameters
     ----------
     vertices, triangles : (v, 3), (t, 3) arrays
-        Closed.
+        A closed surface.
     low : (2,) array [m]
-        First line. Lines should not run through vertices: shift them by an irrational part of the
+        First line. Lines should not pass through vertices: shift them by an irrational part of the
         step.
     step : float [m]
-        Between lines.
+        Distance between lines.
     shape : (nx, ny)
 
     Returns
     -------
     start, height : (nx ny + 1,), (c,) arrays
-        Line i ny + j crosses at ``height[start[k]:start[k + 1]]``, ascending; an odd number of
-        crossings, of a line that grazes the surface, is left out.
+        Line k = i ny + j crosses at ``height[start[k]:start[k + 1]]``, ascending. The crossings of
+        a line with an odd number of them, which grazes the surface, are left out.
     """
     corners = vertices[triangles]
     nx, ny = shape

@@ -57,8 +57,8 @@ def fill(
 
     Nodes on the surface lie 0.8 spacings apart, with the surface's normals, and are joined by
     triangles. Nodes inside start from a lattice at least 0.65 spacings below the surface and are
-    relaxed until evenly spaced. Nodal volumes are what is nearest to each node, and sum to the
-    volume of the body.
+    relaxed until evenly spaced. Nodal volumes are those of Voronoi cells, and sum to the volume of
+    the body.
 
     Parameters
     ----------
@@ -66,31 +66,31 @@ def fill(
         A file (`palpate.io.read_surface`), or arrays (v, 3) [m] and (t, 3), triangles
         counter-clockwise from outside.
     spacing : float [m]
-        Wished distance between nodes.
+        Target distance between nodes.
     part, units
-        Of a file: as for `palpate.io.read_surface`.
+        For a file, as for `palpate.io.read_surface`.
     repair : bool
-        Whether to close small holes and turn triangles: see
+        Whether to close small holes and orient triangles: see
         `palpate.meshfree.surface_repair.repair_surface`.
     lattice : str
         ``"bcc"`` (body-centred cubic), ``"cubic"`` or ``"scattered"`` (Poisson discs).
     refine : sequence of (centre, radius, spacing)
-        Finer spacings around points [m]; the spacing grows from there by a third of the distance,
-        up to `spacing`. The nodes inside are scattered then.
+        Finer spacings around points [m]; the spacing increases from there by a third of the
+        distance, up to `spacing`. The lattice is then ``"scattered"``.
     seed : int
         Equal seeds give equal clouds.
 
     Returns
     -------
     Cloud
-        Group ``"surface"`` are the nodes on it; its `triangles` join them. Every such node has one
-        entry in the faces: its area vector. Area vectors sum to zero; their lengths to the area of
-        the surface less what bends within a node's part of it.
+        Group ``"surface"`` contains the surface nodes, which `triangles` join. Every such node has
+        one entry in the faces, its area vector. Area vectors sum to zero. The sum of their lengths
+        is the area of the surface, reduced by the curvature within each node's part.
 
     Raises
     ------
     InputError
-        A surface that is open, hollow, inside out, of several parts or passes through itself; a
+        A surface that is open, hollow, inside out, of several parts or self-intersecting; a
         parameter out of range; or a spacing that is too coarse for the body.
     CloudError
         The cloud does not support moving least squares, because parts of the body are much thinner
@@ -99,7 +99,7 @@ def fill(
     Warns
     -----
     UserWarning
-        An assumption was made, such as the units of a file; or a body of more than 10 m or less than 0.1 mm.
+        The units of a file are assumed, or a body is larger than 10 m or smaller than 0.1 mm.
     """
     spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
     seed = integer_in_range("seed", seed, 0)
@@ -129,7 +129,7 @@ class Sizing:
     Parameters
     ----------
     spacing : float [m]
-        Far from all regions.
+        Spacing far from all regions.
     regions : tuple of (centre, radius, spacing)
     """
 
@@ -224,8 +224,8 @@ def _repair_cloud(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner:
         inner = np.delete(inner, spoilt, axis=0)
         inner = relax(inner, nodes.points, sizing(inner), sizing(nodes.points), inside)
     raise CloudError(
-        f"{body.name} at spacing = {sizing.spacing:g} m: {why} at nodes {first_few(bad)}, the first at "
-        f"{cloud.points[bad[0]]} m. The body is thin there: use a finer spacing, or refine near it"
+        f"spacing must be finer for {body.name}, got {sizing.spacing:g} m: {why} at nodes {first_few(bad)}, the first "
+        f"at {cloud.points[bad[0]]} m, where the body is thin; use a finer spacing, or refine near it"
     )
 
 
@@ -233,7 +233,7 @@ def _cloud(body: Surface, inside: DepthQuery, nodes: SurfaceNodes, inner: Floats
     points = np.concatenate([nodes.points, inner])
     s = len(nodes.points)
     volumes = voronoi_volumes(points, inside, sizing.min_spacing)
-    # a node on a sharp edge may be nearest to no sample
+    # a node on a sharp edge may not be the nearest one of any sample
     volumes = np.maximum(volumes, 0.02 * sizing(points) ** 3)
     sizes = np.linalg.norm(nodes.vectors, axis=1)
     return Cloud(

@@ -25,7 +25,7 @@ def faulty_nodes(cloud: Cloud, neighbours: int = 42) -> tuple[Ints, str]:
     ----------
     cloud : Cloud
     neighbours : int
-        As for `palpate.Solid`.
+        Number of neighbours, as for `palpate.Solid`.
     """
     try:
         moving_least_squares(cloud.points, order=2, neighbours=neighbours)

@@ -22,9 +22,9 @@ def self_intersections(vertices: Floats, triangles: Ints) -> Ints:
     """Return pairs of triangles with a common point that is not a common vertex or edge.
 
     Two triangles are disjoint if an axis separates them (Gottschalk, Lin and Manocha, 1996). Gaps
-    below the rounding error do not separate, so that edges that meet edges or vertices exactly are
-    found. Candidates come from a tree of boxes; memory is proportional to the number of triangles.
-    A triangle without area, which only joins a vertex to an edge of its neighbour, is left out, and
+    below the rounding error do not count, so that exact contacts of edges and vertices are found.
+    Candidates come from a tree of boxes; memory is proportional to the number of triangles. A
+    triangle without area, which only joins a vertex to an edge of its neighbour, is left out, and
     the neighbour is split there.
 
     Parameters
@@ -186,7 +186,7 @@ def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-de
             if not _overlap(box[own], box[node]):
                 continue
             if node < leaves - 1:
-                # of nodes whose last leaf comes before this one, nothing is left to be found
+                # the pairs of nodes whose last leaf comes before this one are complete
                 level = 0
                 while (2 << level) - 1 <= node:
                     level += 1
@@ -243,7 +243,7 @@ def _meet(p, q, i, j):  # type: ignore[no-untyped-def]
                 sum_j += b
     if shared == 0:
         return not _are_separated(p, q, (0, 3, 0, 3))
-    if shared == 1:  # what they have in common reaches an edge opposite to the vertex
+    if shared == 1:  # an intersection reaches an edge opposite to the vertex
         edge_p, edge_q = (sum_i + 1, 2, 0, 3), (0, 3, sum_j + 1, 2)
         near = GAP_TOLERANCE * _extent(p, q)
         if _separates(_normal(q), p, q, edge_p, near) or _separates(_normal(p), p, q, edge_q, near):

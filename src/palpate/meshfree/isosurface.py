@@ -1,9 +1,10 @@
 """Isosurfaces of fields on a grid, by marching cubes.
 
-Every edge of the grid whose ends lie on different sides of the surface carries one vertex, at the zero of the linear
-interpolation. The signs at the eight corners of a cell select its triangles from a table (W. E. Lorensen and
-H. E. Cline, Marching cubes, SIGGRAPH 1987). Vertices, triangles and rounding are those of VTK's flying edges
-(W. Schroeder, R. Maynard and B. Geveci, LDAV 2015), so that a surface is the same to the bit with either.
+Every edge of the grid whose ends lie on different sides of the surface has one vertex, at the zero
+of the linear interpolation. The signs at the eight corners of a cell select its triangles from a
+table (W. E. Lorensen and H. E. Cline, Marching cubes, SIGGRAPH 1987). Vertices, triangles and
+rounding are those of VTK's flying edges (W. Schroeder, R. Maynard and B. Geveci, LDAV 2015), so
+that both give bitwise equal surfaces.
 """
 
 from __future__ import annotations
@@ -67,16 +68,17 @@ def zero_surface(field: Floats, origin: Sequence[float] | Floats, step: float) -
     Parameters
     ----------
     field : (nx, ny, nz) array
-        At the grid's points; not negative on one side of the surface, negative on the other.
+        Values at the grid's points; negative on one side of the surface only.
     origin : (3,) array [m]
-        Place of the first point.
+        Position of the first point.
     step : float [m]
         Distance between neighbouring points.
 
     Returns
     -------
     vertices, triangles : (v, 3) array [m], (t, 3) array of int
-        Closed, where the surface does not reach the rim of the grid; normals point to the negative side.
+        The surface is closed if it does not reach the boundary of the grid; normals point to the
+        negative side.
     """
     above = field >= 0
     crossed = _crossed(above)

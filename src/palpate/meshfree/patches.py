@@ -1,16 +1,17 @@
 """Surface patches: weights of the nodes in the motion of the surface area of a surface node.
 
-A node that is loaded alone sinks deeper than the piece of surface it stands for: in the energy form
-its own compliance is more than four times that of an even pressure on this piece. What a tool meets
-is the piece, so that its displacement is taken from the nodes around,
+The compliance of a single loaded node is too large: in the energy form it is more than four times
+that of a uniform pressure on the node's surface area. A tool acts on this area, the patch. So the
+displacement of a patch is computed from the nodes around,
 
-    u_patch = sum over nodes of w_j u_j,
+    u_patch = sum over nodes of w_j u_j.
 
-with the mean under a kernel over the surface nodes that face the same way, changed as little as
-possible (in the kernel's own norm, with the nodes below the surface) so that linear fields are
-exact: then patches turn with a body, and forces on them have the same moment as their shares w_j on
-the nodes. On lattices, whose derivatives are not made consistent (`palpate.meshfree.consistent`),
-longer waves are too soft as well, which a wider kernel makes up for.
+The weights are a kernel mean over the surface nodes that face the same way. They are changed as
+little as possible (in the kernel's own norm, with the nodes below the surface) so that linear
+fields are exact. Then patches rotate with a body, and forces on them have the same moment as their
+shares w_j on the nodes. On lattices, whose derivatives are not made consistent
+(`palpate.meshfree.consistent`), longer waves are too soft as well; a wider kernel compensates for
+this.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
     cloud : Cloud
         In space.
     lattice : bool
-        Whether it is one.
+        Whether the cloud is a lattice.
 
     Returns
     -------
     csr_array
-        Rows sum to one, and keep linear fields.
+        Rows sum to one, and reproduce linear fields.
     """
     count, points = len(cloud), cloud.points
     area = np.zeros((count, 3))
@@ -63,7 +64,7 @@ def surface_patches(cloud: Cloud, *, lattice: bool) -> sparse.csr_array:
     linear = np.concatenate([np.ones((*near.shape, 1)), (points[near] - points[surface, None]) / farthest], axis=2)
     missing = np.eye(4)[0] - np.einsum("sk,ski->si", weights, linear)
     moments = np.einsum("sk,ski,skj->sij", below, linear, linear)
-    # nodes that lie in one plane miss nothing across it
+    # for nodes in one plane, linear fields across it are zero: use the pseudoinverse
     change = np.einsum("sij,sj->si", np.linalg.pinv(moments, rcond=1e-9, hermitian=True), missing)
     weights += below * np.einsum("ski,si->sk", linear, change)
     rest = np.setdiff1d(np.arange(count), surface)

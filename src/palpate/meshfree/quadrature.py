@@ -1,16 +1,16 @@
 """Nodal weights that integrate quadratic fields over a body.
 
 A sum over nodal volumes is the trapezoidal rule: with five nodes across it makes a beam 12 % too
-stiff in bending. Here a field is integrated over each node's cell as its fit there says,
+stiff in bending. Here the fit of a field is integrated over each node's cell,
 
     integral of f  =  sum over I of V_I (f_I + m_I . grad f_I + 1/2 M_I : grad grad f_I),
 
-m_I and M_I the first and second moments of the cell about its node, and the derivatives' weights
-are collected. On a lattice the weights of the inner nodes stay as they are, and those near a face
-become end corrections of Gregory's kind.
+with the first and second moments m_I and M_I of the cell about its node. The sums of the
+derivatives' weights give nodal weights. On a lattice the weights of the inner nodes do not change,
+and those near a face become end corrections of Gregory's kind.
 
-A field that is smoothed at the nodes should keep its integral: `conservative_smoothing` sees to it.
-And derivatives at the nodes do not see all of a field: `quadratic_residuals` are a measure of the
+`conservative_smoothing` preserves the integral of a field that is smoothed at the nodes.
+Derivatives at the nodes do not depend on all of a field: `quadratic_residuals` are a measure of the
 rest.
 """
 
@@ -27,8 +27,8 @@ from palpate.meshfree.stencils import Stencils
 
 __all__ = ["conservative_smoothing", "integration_weights", "quadratic_residuals"]
 
-MIN_WEIGHT_RATIO = 0.3  # of a node's volume: corrections of edges and corners multiply, and a weight must stay positive
-INTEGRAL_TOLERANCE = 1e-9  # of what a smoothing may add to an integral, relative to a node's volume
+MIN_WEIGHT_RATIO = 0.3  # smallest weight over a node's volume: corrections of edges and corners multiply
+INTEGRAL_TOLERANCE = 1e-9  # largest error of the integral of a smoothed field, relative to a node's volume
 DERIVATIVE_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the order of `Stencils.second`
 
 
@@ -43,7 +43,7 @@ def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
         An interpolating fit of order 2 at its points.
     """
     volumes = cloud.volumes
-    centre = np.zeros_like(cloud.points)  # of the cell, seen from the node: half its thickness under each face
+    centre = np.zeros_like(cloud.points)  # of the cell relative to the node: half its thickness under each face
     thickness = volumes[cloud.face_nodes] / cloud.face_areas
     np.add.at(centre, cloud.face_nodes, -0.5 * thickness[:, None] * cloud.face_normals)
     second = np.stack([centre[:, a] * centre[:, b] for a, b in DERIVATIVE_PAIRS], axis=1)
@@ -58,21 +58,21 @@ def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
 
 
 def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats, Floats]:
-    """Return the weights of a fit, changed as little as possible so that it keeps integrals.
+    """Return the weights of a fit, changed as little as possible so that it preserves integrals.
 
-    With S f the fitted values of a nodal field and V the nodal weights, V . S f = V . f for every
-    field f, and constants are fitted exactly. The transposed fit S^T V p / V of a uniform p is p
-    then. Without the change it is 0.4 p to 6 p near faces, edges and corners: a uniform pressure
-    moves the nodes, and a body stretched three times over is unstable.
+    With the fitted values S f of a nodal field and the nodal weights V, V . S f = V . f for every
+    field f, and constants are fitted exactly. Then the transposed fit S^T V p / V of a uniform p is
+    p. Without the change it is 0.4 p to 6 p near faces, edges and corners: a uniform pressure moves
+    the nodes, and a body stretched three times over is unstable.
 
-    Far from the faces of a lattice nothing changes, and linear fields stay exact. Near a face they
-    do not: a fit that keeps x^2's integral and is exact for x everywhere would smooth nothing
-    inside.
+    Far from the faces of a lattice nothing changes, and linear fields remain exact. Near a face
+    they do not: a fit that preserves the integral of x^2 and is exact for x everywhere would not
+    smooth inside.
 
     Parameters
     ----------
     stencils : Stencils
-        A fit that need not interpolate.
+        Stencils of a fit, interpolating or not.
     volumes : (n,) array [m^3]
 
     Returns
@@ -83,13 +83,13 @@ def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats,
     Raises
     ------
     CloudError
-        No such weights were found.
+        The solver did not find such weights.
     """
     n = len(volumes)
     node, place = np.nonzero(stencils.neighbours != np.arange(n)[:, None])
     other, pair = stencils.neighbours[node, place], np.arange(len(node))
     value, size = stencils.value[stencils.row], volumes / np.median(volumes)
-    # a weight on another node adds to that node's share of the integral, and takes from its own node's
+    # a weight on another node adds to that node's share of the integral, and subtracts from its own node's
     entries = np.concatenate([size[node], -size[node]])
     gain = sparse.csr_matrix((entries, (np.concatenate([other, node]), np.tile(pair, 2))), (n, len(pair)))
     missing = -(gain @ value[node, place])
@@ -98,35 +98,35 @@ def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats,
     if not left.max() < INTEGRAL_TOLERANCE:
         raise CloudError(
             f"no smoothing of the pressure keeps its integral near node {np.argmax(left)} ({left.max():.1g} of a nodal "
-            f"volume is left): spread the points there"
+            f"volume is left); spread the points there"
         )
     value[node, place] += change
     return value, 1.0 - value.sum(axis=1)
 
 
 def quadratic_residuals(stencils: Stencils, points: Floats) -> Floats:
-    """Return weights of what a quadratic fit misses of a field at its own node, zero in every quadratic field.
+    """Return the weights of the residual of a quadratic fit at its own node, which is zero for quadratic fields.
 
-    The fit weighs all neighbours alike. One that weighs the farthest of them little, as moving
-    least squares do, has three planes of a lattice to fit a wave of two spacings with, and misses
-    nothing of it.
+    The fit has equal weights for all neighbours. With small weights for far neighbours, as in
+    moving least squares, a fit to three planes of a lattice represents a wave of two spacings
+    exactly, without a residual.
 
     Parameters
     ----------
     stencils : Stencils
-        Whose neighbours to use, at least 33 on a lattice: two spacings to each side.
+        Stencils with the neighbours, at least 33 on a lattice: two spacings to each side.
     points : (n, 3) array [m]
 
     Returns
     -------
     (s, k) array
-        By the rows of the stencils; the node's own weight is minus their sum.
+        One row for each row of the stencils; the node's own weight is minus their sum.
     """
     rows = len(stencils.first)
     node = np.empty(rows, dtype=int)
     node[stencils.row] = np.arange(len(points))  # one of every row
     result = np.empty((rows, stencils.neighbours.shape[1]))
-    for part in np.array_split(np.arange(rows), rows // 4096 + 1):  # to hold few monomials at a time
+    for part in np.array_split(np.arange(rows), rows // 4096 + 1):  # limits the memory for monomials
         near = stencils.neighbours[node[part]]
         present = near != node[part, None]
         offset = points[near] - points[node[part], None]

@@ -27,7 +27,7 @@ def refine_surface(vertices: Floats, triangles: Ints, max_edge: Callable[[Floats
         a, b = vertices[ends[..., 0]], vertices[ends[..., 1]]
         split = np.linalg.norm(a - b, axis=2) > max_edge((0.5 * (a + b)).reshape(-1, 3)).reshape(-1, 3)
         whole = ~split.any(axis=1)
-        # an edge is as long in both its triangles: what needs no splitting now never will
+        # both triangles of an edge have the same criterion: an edge below the limit is never split
         finished.append(triangles[whole])
         if whole.all():
             break
@@ -46,12 +46,12 @@ def refine_surface(vertices: Floats, triangles: Ints, max_edge: Callable[[Floats
 
 
 def _split(triangles: Ints, new: Ints, vertices: Floats) -> Ints:
-    """Return triangles split at new vertices (t, 3), -1 for none, on their edges 01, 12, 20."""
+    """Return triangles split at new vertices (t, 3) on their edges 01, 12, 20; -1 stands for none."""
     count = (new >= 0).sum(axis=1)
     parts = [triangles[count == 0]]
     for wanted in (1, 2):
         own, at = triangles[count == wanted], new[count == wanted]
-        # turn them until the edge 01 (of one split edge), or the edge 20 (of two, the unsplit one), stands there
+        # permute the corners: a single split edge becomes 01; the unsplit edge next to two split ones becomes 20
         place = np.argmax(at >= 0, axis=1) if wanted == 1 else (np.argmin(at, axis=1) + 1) % 3
         turn = (np.arange(3) + place[:, None]) % 3
         (a, b, c), (ab, bc, _) = np.take_along_axis(own, turn, 1).T, np.take_along_axis(at, turn, 1).T
@@ -77,9 +77,9 @@ def poisson_discs(vertices: Floats, radius: Floats, order: Ints) -> Ints:
     ----------
     vertices : (v, 3) array [m]
     radius : (v,) array [m]
-        Of each; of two, the smaller counts.
+        Radius of each point; for a pair, the smaller radius counts.
     order : (v,) int array
-        In which they are tried.
+        Order in which the points are processed.
     """
     cell = float(radius.max())
     low = vertices.min(axis=0)

@@ -20,7 +20,7 @@ from palpate.meshfree.refining import poisson_discs
 __all__ = ["DepthQuery", "lattice_inside", "relax", "scattered_inside", "voronoi_volumes"]
 
 MIN_DEPTH = 0.65  # of interior nodes, in spacings
-MAX_SWEEPS, SWEEPS_PER_LIST = 60, 6  # of repulsion; sweeps between new lists of neighbours
+MAX_SWEEPS, SWEEPS_PER_LIST = 60, 6  # number of repulsion sweeps; sweeps between new lists of neighbours
 REPULSION_RADIUS, MAX_MOVE = 1.15, 0.25  # radius and largest move per neighbour and sweep, in spacings
 LIST_NEIGHBOURS = 20  # in the list of a node
 SAMPLE_DISTANCE = 0.16  # of the volume samples, in spacings
@@ -168,8 +168,8 @@ def _repel(points, spacing, near, depth, away, sweeps):  # type: ignore[no-untyp
 def voronoi_volumes(points: Floats, inside: DepthQuery, spacing: float) -> Floats:
     """Return the Voronoi volume [m^3] of each point in the body, by samples along vertical lines.
 
-    Each line's part inside the body is cut into equal pieces, so that the samples' volumes add up
-    to the body's but for what the lines' own distance misses of it.
+    Each line's part inside the body is cut into equal pieces. So the samples' volumes sum to the
+    body's, except for the error by the distance of the lines.
     """
     step = SAMPLE_DISTANCE * spacing
     places, start, height = _columns(inside, step, LINE_SHIFT)
@@ -202,7 +202,7 @@ def _sample_volumes(points, order, first, span, low, cell, places, start, height
 
 @njit(cache=True)
 def _nearest_point(points, first, span, low, cell, x, y, z):  # type: ignore[no-untyped-def]
-    """Return the point nearest to (x, y, z) by rings of cells."""
+    """Return the index of the point nearest to (x, y, z), by a search over rings of cells."""
     i, j, k = int(np.floor((x - low[0]) / cell)), int(np.floor((y - low[1]) / cell)), int(np.floor((z - low[2]) / cell))
     best, min_spacing = -1, np.inf
     ring = 1

@@ -48,7 +48,7 @@ class SurfaceNodes:
 
 
 def vertex_vectors(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
-    """Return a third of the area vectors, and of the areas, of the triangles at each vertex: (v, 3), (v,) [m^2]."""
+    """Return a third of the area vectors and of the areas of the triangles at each vertex, (v, 3) and (v,) [m^2]."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     vectors: Floats = np.cross(b - a, c - a) / 6
     sizes, n = np.linalg.norm(vectors, axis=1), len(vertices)
@@ -75,7 +75,7 @@ def remesh(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> Sur
         spacing.
     """
     vectors, areas = vertex_vectors(vertices, triangles)
-    weights = areas / spacing**4  # a centroidal diagram has sizes as the weight's density to the power -1/4
+    weights = areas / spacing**4  # cell sizes of a centroidal diagram scale as density to the power -1/4
     start, near = _neighbours(triangles, len(vertices))
     order = np.random.default_rng(seed).permutation(len(vertices))
     chosen = poisson_discs(vertices, 0.78 * spacing, order)
@@ -86,7 +86,7 @@ def remesh(vertices: Floats, triangles: Ints, spacing: Floats, seed: int) -> Sur
     edges = edges[edges[:, 0] < edges[:, 1]]
     count = int(label.max()) + 1
     for k in range(MAX_REPAIRS):
-        # another minimisation may enclose a cluster in a spike: the last rounds merge faults only
+        # another minimisation may enclose a cluster in a spike: the last rounds only merge faulty clusters
         label = _minimise_energy(vertices, weights, edges, label, count, MAX_SWEEPS if k < MAX_REPAIRS // 4 else 0)
         label = _join_clusters(vertices, label, count, edges, start, near)
         label, count = _renumber(triangles, label)
@@ -124,7 +124,7 @@ def _neighbours(triangles: Ints, n: int) -> tuple[Ints, Ints]:
 
 @njit(cache=True)
 def _grow_clusters(vertices, label, start, near):  # type: ignore[no-untyped-def]
-    """Label every vertex like its nearest labelled vertex along edges."""
+    """Return for every vertex the label of its nearest labelled vertex along edges."""
     n = len(label)
     label = label.copy()
     distance = np.full(n, np.inf)
@@ -137,7 +137,7 @@ def _grow_clusters(vertices, label, start, near):  # type: ignore[no-untyped-def
             queue[size] = v
             waiting[v] = True
             size += 1
-    while size > 0:  # Bellman and Ford's, with a queue around which vertices go until nothing gets shorter
+    while size > 0:  # Bellman-Ford algorithm, with a queue of the vertices whose distance has decreased
         v = queue[head]
         head = (head + 1) % n
         size -= 1
@@ -160,7 +160,7 @@ def _grow_clusters(vertices, label, start, near):  # type: ignore[no-untyped-def
 
 @njit(cache=True)
 def _minimise_energy(vertices, weights, edges, label, count, sweeps):  # type: ignore[no-untyped-def]
-    """Move vertices between adjacent clusters while the sum of squared distances to centroids decreases."""
+    """Return labels after moves between adjacent clusters that reduce the sum of squared distances to centroids."""
     label = label.copy()
     mass, moment, members = np.zeros(count), np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
     for v in range(len(label)):
@@ -253,7 +253,7 @@ def _is_closed_manifold(coarse: Ints, count: int) -> bool:
 def _remove_faults(
     coarse: Ints, label: Ints, count: int, vertices: Floats, start: Ints, near: Ints
 ) -> tuple[Ints, int]:
-    """Dissolve the smallest cluster at every fault into its neighbours."""
+    """Return labels without the smallest cluster at every fault, which joins its neighbours, and their number."""
     faulty = _faulty_nodes(coarse, count)
     sizes = np.bincount(label, minlength=count)
     dropped = np.zeros(count, dtype=bool)

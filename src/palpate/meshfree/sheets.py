@@ -1,8 +1,8 @@
 """Plane clouds for membranes: discs, and sheets of any polygonal outline.
 
-Inside, nodes sit on rings or on a triangular lattice, where they share stencils; the rim has evenly
-spaced nodes of its own. The lattice would leave gaps and near-duplicates there: its outer nodes
-repel each other until they are even.
+Inside, nodes lie on rings or on a triangular lattice, where they share stencils. The rim has evenly
+spaced nodes of its own. The lattice would leave gaps and near-duplicates there, so its outer nodes
+are relaxed by repulsion.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ __all__ = ["disc", "sheet"]
 ROW_DISTANCE = np.sqrt(0.75)  # distance between rows of the lattice, in spacings
 MIN_RINGS = 2  # a disc of 19 nodes
 # In spacings:
-MIN_RIM_DISTANCE = 0.5  # half a row: the strip of area that the rim itself stands for
+MIN_RIM_DISTANCE = 0.5  # half a row: the strip of area of the rim nodes
 MIN_RIM_SPACING = 0.4  # two nodes, across a sharp corner
-MIN_PASSAGE_WIDTH = 1.3  # three rows of nodes fit
+MIN_PASSAGE_WIDTH = 1.3  # for three rows of nodes
 MIN_GAP_WIDTH = 2.0  # about the reach of a stencil
 MAX_SEGMENT = 1.25  # from rim node to rim node
 RELAXED_DEPTH = 3.5  # depth of the relaxed layer
-REPULSION_RADIUS = 1.5  # of the repulsion: the first shell of the lattice and no other, so that a lattice stays one
+REPULSION_RADIUS = 1.5  # includes the first shell of the lattice only, so that a lattice is in equilibrium
 MAX_SWEEPS = 40
 
 
@@ -39,19 +39,18 @@ def disc(radius: float, spacing: float, layout: str = "rings", jitter: float = 0
     Parameters
     ----------
     radius : float [m]
-        Of the rim.
+        Radius of the rim.
     spacing : float [m]
-        Wished distance between nodes, at most half the radius; rings take the nearest one that
+        Target distance between nodes, at most half the radius; rings use the nearest one that
         divides the radius.
     layout : str
         ``"rings"``: 6 k nodes on ring k, with six-fold symmetry. ``"hexagonal"``: a triangular
         lattice, relaxed towards a rim of evenly spaced nodes. Both have a node at the centre.
     jitter : float
-        Random displacement of every inner node but the centre, as a share of the distance to its
-        nearest neighbour (on a lattice, of the spacing), in [0, 0.3]. Nodes of the rim stay where
-        they are.
+        Random displacement of every inner node except the centre, as a share of the distance to its
+        nearest neighbour (on a lattice, of the spacing), in [0, 0.3]. Nodes of the rim do not move.
     seed : int
-        Of the random displacements.
+        Seed of the random displacements.
 
     Returns
     -------
@@ -111,22 +110,21 @@ def sheet(outline: ArrayLike, spacing: float, jitter: float = 0.0, seed: int = 0
     Parameters
     ----------
     outline : (m, 2) array [m]
-        Corners in order, either way round; the first may be repeated at the end.
+        Corners in order, clockwise or anticlockwise; the first may be repeated at the end.
     spacing : float [m]
-        Wished distance between nodes. Every edge gets a whole number of segments, none longer than
-        1.25 of it; the lattice takes the segment of the longest edge and lies along it.
+        Target distance between nodes. Every edge gets a whole number of segments of at most 1.25
+        times this length. The lattice has the segment length and direction of the longest edge.
     jitter : float
         Random displacement of every inner node, as a share of the distance to its nearest
-        neighbour, in [0, 0.3]. Nodes of the rim stay where they are.
+        neighbour, in [0, 0.3]. Nodes of the rim do not move.
     seed : int
-        Of the random displacements.
+        Seed of the random displacements.
 
     Returns
     -------
     Cloud
-        Groups are ``"face"`` (all nodes), ``"rim"`` and, from corner k to corner k + 1 and with both of them,
-        ``"edge0"``, ``"edge1"`` ... A
-        node's area is that of its Voronoi cell.
+        Groups are ``"face"`` (all nodes), ``"rim"``, and ``"edge0"``, ``"edge1"`` ... from corner k
+        to corner k + 1, both included. A node's area is that of its Voronoi cell.
 
     Raises
     ------
@@ -182,10 +180,10 @@ def _check_count(area: float, perimeter: float, spacing: float) -> None:
 
 
 def _rings(radius: float, spacing: float) -> tuple[Floats, Floats, float]:
-    """Inner nodes, rim nodes, spacing.
+    """Return inner nodes, rim nodes and the spacing.
 
-    Where nodes face each other across one pair of rings, they are staggered across the next: no
-    spokes form.
+    Nodes that are aligned across one pair of rings are staggered across the next, which avoids
+    spokes.
     """
     count = round(radius / spacing)
     ring = np.repeat(np.arange(1, count + 1), 6 * np.arange(1, count + 1))
@@ -197,7 +195,7 @@ def _rings(radius: float, spacing: float) -> tuple[Floats, Floats, float]:
 
 
 def _hexagonal_disc(radius: float, spacing: float) -> tuple[Floats, Floats, float]:
-    """Inner nodes, rim nodes (a multiple of six, for the symmetry of the lattice), spacing."""
+    """Return inner nodes, rim nodes (a multiple of six, for the symmetry of the lattice) and the spacing."""
     angle = np.linspace(0, 2 * np.pi, 6 * round(2 * np.pi * radius / spacing / 6), endpoint=False)
     rim = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     lattice = _lattice(rim, np.zeros(2), np.array([1.0, 0.0]), spacing)
@@ -205,7 +203,7 @@ def _hexagonal_disc(radius: float, spacing: float) -> tuple[Floats, Floats, floa
 
 
 def _lattice(corners: Floats, origin: Floats, direction: Floats, step: float) -> Floats:
-    """Nodes inside a polygon of the triangular lattice through `origin` with rows along the unit vector `direction`."""
+    """Return the triangular lattice through `origin` with rows along the unit vector `direction`, in a polygon."""
     turn = np.array([direction, [-direction[1], direction[0]]])
     turned = (corners - origin) @ turn.T
     low, high = turned.min(axis=0) / [step, ROW_DISTANCE * step], turned.max(axis=0) / [step, ROW_DISTANCE * step]
@@ -216,7 +214,7 @@ def _lattice(corners: Floats, origin: Floats, direction: Floats, step: float) ->
 
 
 def _inside(points: Floats, corners: Floats) -> NDArray[np.bool_]:
-    """Whether points lie inside a polygon: a ray from them in +x crosses the outline an odd number of times."""
+    """Return a mask of points inside a polygon: a ray from them in +x crosses the outline an odd number of times."""
     order = np.argsort(points[:, 1])
     x, y = points[order].T
     odd = np.zeros(len(points), dtype=bool)
@@ -227,9 +225,10 @@ def _inside(points: Floats, corners: Floats) -> NDArray[np.bool_]:
 
 
 def _clearance(points: Floats, rim: Floats) -> Floats:
-    """Distance [m] to the nearest circle that has a segment of the rim as its diameter: negative in one, inf far away.
+    """Return distances [m] to the nearest circle about a rim segment as diameter: negative inside, inf far away.
 
-    While these are empty of nodes, all segments of the rim are edges of the Delaunay triangulation.
+    If these circles contain no nodes, all segments of the rim are edges of the Delaunay
+    triangulation.
     """
     ahead = np.roll(rim, -1, axis=0)
     radii = np.append(np.linalg.norm(ahead - rim, axis=1) / 2, 0)
@@ -239,7 +238,7 @@ def _clearance(points: Floats, rim: Floats) -> Floats:
 
 
 def _relax_lattice(lattice: Floats, rim: Floats, corners: Floats, spacing: float) -> Floats:
-    """Leave out nodes too near the rim and relax the rest, twice if any ends up on the rim."""
+    """Return relaxed lattice nodes without those too near the rim; repeat once if some end on the rim."""
     tree = cKDTree(rim)
     for _ in range(2):
         far = tree.query(lattice, distance_upper_bound=spacing)[0] > MIN_RIM_DISTANCE * spacing * (1 - 1e-9)
@@ -252,7 +251,7 @@ def _relax_lattice(lattice: Floats, rim: Floats, corners: Floats, spacing: float
 
 
 def _relax(inner: Floats, rim: Floats, tree: cKDTree, spacing: float) -> Floats:
-    """Let nodes near the rim repel their neighbours by (1.5 - distance / spacing)^2, with smaller and smaller steps."""
+    """Relax nodes near the rim by repulsion (1.5 - distance / spacing)^2 from neighbours, with decreasing steps."""
     deepest = RELAXED_DEPTH + REPULSION_RADIUS + 1
     depth = tree.query(inner, distance_upper_bound=deepest * spacing)[0] / spacing
     order = np.argsort(depth, kind="stable")
@@ -269,7 +268,7 @@ def _relax(inner: Floats, rim: Floats, tree: cKDTree, spacing: float) -> Floats:
 
 
 def _jitter(inner: Floats, rim: Floats, jitter: float, seed: int) -> Floats:
-    """Displace inner nodes at random, but none up to the rim and none where rim nodes crowd each other."""
+    """Displace inner nodes at random, but none up to the rim and none near crowded rim nodes."""
     nearest = cKDTree(np.concatenate([inner, rim])).query(inner, k=2)[0][:, 1]
     most = np.minimum(jitter * nearest, 0.9 * np.maximum(_clearance(inner, rim), 0))
     longest = np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1).max()
@@ -283,7 +282,7 @@ def _jitter(inner: Floats, rim: Floats, jitter: float, seed: int) -> Floats:
 
 
 def _triangulate(points: Floats, corners: Floats, inner: int) -> Ints:
-    """Delaunay triangles inside the outline; the first `inner` points do not lie on it."""
+    """Return the Delaunay triangles inside the outline; the first `inner` points do not lie on it."""
     triangles = Delaunay(points - points.mean(axis=0)).simplices.astype(np.int64)  # anticlockwise, in the plane
     a, b, c = points[triangles].transpose(1, 0, 2)
     doubled = _cross(b - a, c - a)
@@ -297,15 +296,16 @@ def _triangulate(points: Floats, corners: Floats, inner: int) -> Ints:
     segments = np.sort(np.stack([rim, np.roll(rim, -1)], axis=1), axis=1) @ [len(points), 1]
     if not np.array_equal(keys[count == 1], np.sort(segments)):
         lost = np.append(rim[~np.isin(segments, keys[count == 1])], rim)[0]
-        raise InputError(f"outline is too narrow for its nodes near {points[lost]} m: use a smaller spacing")
+        raise InputError(f"outline must be wider for its nodes near {points[lost]} m; use a smaller spacing")
     return triangles
 
 
 def _voronoi_areas(points: Floats, triangles: Ints, inner: int) -> Floats:
-    """Area [m^2] of every node's Voronoi cell, from cotangents: Meyer, Desbrun, Schroder and Barr (2003), section 3.3.
+    """Return the area [m^2] of every node's Voronoi cell, from cotangents.
 
-    An obtuse triangle whose circumcentre lies beyond the rim is halved and quartered as there, so
-    that cells end there.
+    The method is that of Meyer, Desbrun, Schroder and Barr (2003), section 3.3. An obtuse triangle
+    whose circumcentre lies beyond the rim is halved and quartered as there, so that cells end at
+    the rim.
     """
     corner = points[triangles]
     side = np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1)  # opposite each corner
@@ -326,36 +326,38 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 def _check_outline(outline: ArrayLike) -> Floats:
-    """Corners (m, 2) of a simple polygon, the first not repeated."""
+    """Return the corners (m, 2) of a simple polygon, the first not repeated."""
     try:
         corners = np.array(outline, dtype=float)
     except (TypeError, ValueError, OverflowError):
         corners = np.empty(0)
     if corners.ndim != 2 or corners.shape[1] != 2:
-        raise InputError(f"outline must be numbers of shape (m, 2) [m], one corner a row, not {brief(outline)}")
+        raise InputError(f"outline must be numbers of shape (m, 2) [m], one corner per row, got {brief(outline)}")
     bad = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if bad.size:
-        raise InputError(f"outline has corners that are not finite: corner {bad[0]} is {corners[bad[0]]}")
+        raise InputError(f"outline must have finite corners, got {corners[bad[0]]} at corner {bad[0]}")
     far = np.flatnonzero(np.abs(corners).max(axis=1, initial=0.0) > MAX_COORDINATE)
     if far.size:
         raise InputError(f"outline must lie within {MAX_COORDINATE:g} m of the origin, got corner {corners[far[0]]}")
     if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
         corners = corners[:-1]
     if len(corners) < 3:
-        raise InputError(f"outline has {len(corners)} corners: at least 3 are needed")
+        raise InputError(f"outline must have at least 3 corners, got {len(corners)}")
     _, first, kind = np.unique(corners, axis=0, return_index=True, return_inverse=True)
     first = first[kind.ravel()]
     for k in np.flatnonzero(first != np.arange(len(corners))):
-        raise InputError(f"outline repeats corner {first[k]} as corner {k}, {corners[k]} m: leave out one")
+        raise InputError(
+            f"outline must have different corners, got {corners[k]} m at corners {first[k]} and {k}; leave out one"
+        )
     thickness = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
     if thickness[1] <= 1e-9 * thickness[0]:
-        raise InputError(f"outline has no area: its {len(corners)} corners lie on one line")
+        raise InputError(f"outline must have a positive area, got {len(corners)} corners on one line")
     _check_crossings(corners)
     return corners
 
 
 def _check_crossings(corners: Floats) -> None:
-    """Refuse edges that meet without a common corner: among them always one of two neighbours that fold back."""
+    """Check that edges without a common corner do not meet; this includes adjacent edges that fold back."""
     ends = np.roll(corners, -1, axis=0)
     for k in range(len(corners) - 2):
         others = slice(k + 2, len(corners) - (k == 0))
@@ -365,16 +367,16 @@ def _check_crossings(corners: Floats) -> None:
         meet &= _cross(d - c, a - c) * _cross(d - c, b - c) <= 0
         if meet.any():
             other = k + 2 + int(np.argmax(meet))
-            where = f"edge {k} from {a} m meets edge {other} from {corners[other]} m"
-            raise InputError(f"outline crosses or touches itself: {where}; give its corners in order")
+            where = f"edge {k} from {a} m that meets edge {other} from {corners[other]} m"
+            raise InputError(f"outline must not cross or touch itself, got {where}; give its corners in order")
 
 
 def _edge_nodes(corners: Floats, lengths: Floats, spacing: float) -> tuple[Floats, Ints]:
-    """Nodes of the rim in order, and the number of the first one of every edge, with their count at the end."""
+    """Return the rim nodes in order, and the index of the first one of every edge, with their count at the end."""
     k = int(np.argmin(lengths))
     if lengths[k] < spacing / 2:
         raise InputError(
-            f"edge {k} of the outline is {lengths[k]:g} m long, less than half the spacing = {spacing:g} m: "
+            f"edge {k} of the outline must be at least half the spacing = {spacing:g} m long, got {lengths[k]:g} m; "
             f"leave out a corner or use a spacing of at most {2 * lengths[k]:g} m"
         )
     count = np.maximum(np.rint(lengths / spacing), np.ceil(lengths / (MAX_SEGMENT * spacing))).astype(np.int64)
@@ -385,7 +387,7 @@ def _edge_nodes(corners: Floats, lengths: Floats, spacing: float) -> tuple[Float
 
 
 def _check_widths(rim: Floats, starts: Ints, corners: Floats, spacing: float) -> None:
-    """Refuse an outline that comes too near to itself: over a corner, inside (a passage) or outside (a gap)."""
+    """Check that an outline is not too near to itself: over a corner, inside (a passage) or outside (a gap)."""
     i, j = cKDTree(rim).query_pairs(MIN_GAP_WIDTH * spacing * (1 - 1e-9), output_type="ndarray").T
     distance = np.linalg.norm(rim[i] - rim[j], axis=1)
     place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1))])
@@ -404,18 +406,20 @@ def _check_widths(rim: Floats, starts: Ints, corners: Floats, spacing: float) ->
     if turns[worst] == 1:
         b = (b if around[worst] else a) + 1
         a, b = b - 1, b % len(corners)
-        advice = "sharp a corner: cut it off, or leave 24 degrees between edges longer than the spacing"
+        advice = "sharp corner; cut it off, or leave 24 degrees between edges longer than the spacing"
     else:
         what = "gap, which stencils would reach across" if outside[worst] else "passage"
         most = distance[worst] / needed[worst] * spacing
-        advice = f"narrow a {what}: widen it or use a spacing of at most {most:.3g} m"
-    near = f"come within {distance[worst]:.3g} m of each other near {rim[i[worst]]} m"
-    raise InputError(f"edges {a} and {b} of the outline {near}, for spacing = {spacing:g} m too {advice}")
+        advice = f"narrow {what}; widen it or use a spacing of at most {most:.3g} m"
+    near = f"{distance[worst]:.3g} m near {rim[i[worst]]} m"
+    raise InputError(
+        f"edges {a} and {b} of the outline must be farther apart for spacing = {spacing:g} m, got {near}: a {advice}"
+    )
 
 
 def _check_stencils(points: Floats, spacing: float) -> None:
     try:
         moving_least_squares(points, order=2, neighbours=18)
     except CloudError as fault:
-        message = f"outline is too small or too narrow for spacing = {spacing:g} m: use a smaller one"
+        message = f"spacing must be smaller for a small or narrow outline, got {spacing:g} m"
         raise InputError(f"{message} ({fault})") from None

@@ -1,10 +1,10 @@
 """Moving least squares (section 2.3 of the paper, equations 9 to 13) as tables of neighbours and weights.
 
 The derivative of a field at node I is a weighted sum of the field over the neighbours of I. The
-weights are those of a polynomial fitted to the neighbours with the quartic spline (13) as weight,
-differentiated as it stands at I (diffuse derivatives). In the *interpolating* fit the polynomial
-passes through node I: its constant is eliminated, so that the nodal unknowns are the displacements
-themselves and the sums run over differences u_J - u_I.
+weights follow from a polynomial that is fitted to the neighbours with the quartic spline (13) as
+weight, and differentiated with fixed coefficients at I (diffuse derivatives). In the
+*interpolating* fit the polynomial passes through node I: its constant is eliminated. So the nodal
+unknowns are the displacements themselves, and the sums are over differences u_J - u_I.
 
 Nodes whose neighbours lie in the same arrangement (most nodes of a lattice) share one row of
 weights.
@@ -28,7 +28,7 @@ from palpate.meshfree.cloud import MAX_COORDINATE
 
 __all__ = ["Stencils", "moving_least_squares"]
 
-MAX_CONDITION = 1e10  # of scaled moment matrices; beyond it, second derivatives lose half their digits
+MAX_CONDITION = 1e10  # of scaled moment matrices; above it, second derivatives lose half their digits
 BATCH_NODES = 1024  # nodes fitted at once
 MIN_DISTANCE_RATIO = 0.2  # smallest distance of nodes over the median distance of nearest neighbours
 
@@ -45,8 +45,7 @@ class Stencils(Described):
         The node's row in the tables of weights; nodes with the same arrangement of neighbours share
         one.
     value : (s, k) array
-        Weights of the fitted value. All zero in the interpolating fit, whose value is the node's
-        own.
+        Weights of the fitted value; zero in the interpolating fit, whose value is the node's own.
     first : (s, k, d) array [1/m]
         Weights of the first derivatives.
     second : (s, k, d (d + 1) / 2) array [1/m^2]
@@ -87,7 +86,7 @@ class Stencils(Described):
         return self._apply(self.first, self.own_first, field)
 
     def products(self, volumes: Floats) -> Any:
-        """Return the sparse (n, n) matrix A with u . A v the sum over the nodes of V_I grad u . grad v."""
+        """Return the sparse (n, n) matrix A for which u . A v is the sum over the nodes of V_I grad u . grad v."""
         n = len(self.row)
         nodes = np.concatenate([np.arange(n)[:, None], self.neighbours], axis=1)
         weights = np.concatenate([self.own_first[self.row][:, None], self.first[self.row]], axis=1)
@@ -111,7 +110,7 @@ class Stencils(Described):
 
 @njit(parallel=True, cache=True)
 def _apply(neighbours, row, weights, own, field):  # type: ignore[no-untyped-def]
-    """Weighted sums over the neighbours: (n, c) fields to (n, c, w) values."""
+    """Return weighted sums (n, c, w) of fields (n, c) over the neighbours."""
     n, k = neighbours.shape
     columns, width = field.shape[1], weights.shape[2]
     result = np.zeros((n, columns, width))
@@ -141,9 +140,9 @@ def moving_least_squares(
     points : (n, d) array [m]
         In the plane or in space.
     order : int
-        Of the polynomials, 1 to 3. A fit of order 1 has no second derivatives.
+        Order of the polynomials, 1 to 3. A fit of order 1 has no second derivatives.
     neighbours : int, optional
-        Wished number of points in a stencil, the node included. The stencil ends at the widest gap
+        Target number of points in a stencil, the node included. The stencil ends at the widest gap
         between successive distances near that number, so that on a lattice it holds whole shells.
     radius : float, optional [m]
         Support radius instead of a number.
@@ -157,8 +156,8 @@ def moving_least_squares(
     Raises
     ------
     CloudError
-        Duplicate points, too few or coplanar neighbours, or an ill-conditioned moment matrix; names
-        the nodes.
+        Duplicate points, too few or coplanar neighbours, or an ill-conditioned moment matrix; the
+        message names the nodes.
     """
     points = np.ascontiguousarray(points, dtype=float)
     n, d = points.shape
@@ -186,8 +185,8 @@ def moving_least_squares(
     few = np.flatnonzero(count < needed)
     if few.size:
         raise CloudError(
-            f"nodes {first_few(few)} have {count[few].min()} neighbours; a fit of order {order} in {d}D needs at least "
-            f"{needed}: use more points, more neighbours or a larger radius",
+            f"nodes {first_few(few)} must have at least {needed} neighbours for a fit of order {order} in {d}D, got "
+            f"{count[few].min()}; use more points, more neighbours or a larger radius",
             few,
         )
     near, row, sample = _arrangements(points, near)
@@ -199,7 +198,7 @@ def moving_least_squares(
         worst = condition[row[bad[0]]]
         raise CloudError(
             f"moment matrices of nodes {first_few(bad)} are ill-conditioned (node {bad[0]} at "
-            f"{points[bad[0]]}: condition {worst:.1e}, allowed {MAX_CONDITION:.0e}): their neighbours lie in "
+            f"{points[bad[0]]}: condition {worst:.1e}, limit {MAX_CONDITION:.0e}): their neighbours lie in "
             f"(nearly) one plane or line; use more neighbours or spread the points",
             bad,
         )
@@ -211,7 +210,7 @@ def moving_least_squares(
 
 
 def _exponents(d: int, order: int) -> Ints:
-    """Monomial exponents (m, d): constant, linear, quadratic as 00, 11, 22, 01, 02, 12, then the cubic ones."""
+    """Return monomial exponents (m, d): constant, linear, quadratic as 00, 11, 22, 01, 02, 12, then cubic."""
     rows = [[0] * d, *np.eye(d, dtype=int).tolist()]
     if order >= 2:
         rows += (2 * np.eye(d, dtype=int)).tolist()
@@ -246,9 +245,9 @@ def _nearest(points: Floats, tree: cKDTree, count: int) -> tuple[Ints, Floats]:
         high = n - 1
         low = min(low, high - 1)
     if low < 1:
-        raise CloudError(f"the cloud has {n} points; stencils of {count} need more")
+        raise CloudError(f"cloud must have more points for stencils of {count}, got {n}")
     distance, near = tree.query(points, k=high + 1, workers=-1)
-    # a tie in the last shell may put a farther copy first; the node itself is always at distance 0
+    # equal distances in the last shell may change the order; the node itself is always at distance 0
     gaps = np.round(np.diff(distance[:, low - 1 :], axis=1) / distance[:, 1:2], 6)
     last = low + np.argmax(gaps, axis=1)  # points kept, the node itself included
     near = np.where(np.arange(high + 1)[None, :] < last[:, None], near, np.arange(n)[:, None])
@@ -264,9 +263,9 @@ def _within(points: Floats, tree: cKDTree, radius: float) -> tuple[Ints, Floats]
 
 
 def _arrangements(points: Floats, near: Ints) -> tuple[Ints, Ints, Ints]:
-    """Sort every node's neighbours by their offset and find the nodes that share one arrangement.
+    """Return neighbours sorted by offset, each node's arrangement, and one node of every arrangement.
 
-    Returns the sorted neighbours, each node's arrangement, and one node of every arrangement.
+    Nodes whose neighbours have equal offsets share one arrangement.
     """
     n = len(near)
     scale = np.median(np.linalg.norm(points[near[:, 0]] - points, axis=1))
@@ -287,7 +286,7 @@ def _arrangements(points: Floats, near: Ints) -> tuple[Ints, Ints, Ints]:
 def _fit(
     offsets: Floats, present: NDArray[np.bool_], reach: Floats, exponents: NDArray[np.int64], interpolating: bool
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Weights of value, first and second derivatives, own weights, condition numbers."""
+    """Return the weights of value, first and second derivatives, own weights and condition numbers."""
     parts = [slice(begin, begin + BATCH_NODES) for begin in range(0, len(offsets), BATCH_NODES)]
     fits = [_fit_some(offsets[part], present[part], reach[part], exponents, interpolating) for part in parts]
     value, first, second, own, condition = (np.concatenate(arrays) for arrays in zip(*fits, strict=True))
@@ -317,7 +316,7 @@ def _fit_some(
     condition = np.full(s, np.inf)
     condition[~unfit] = spectrum[~unfit, -1] / spectrum[~unfit, 0]
     moment[unfit], weighted[unfit] = np.eye(len(exponents)), 0.0
-    # the c-th derivative at the node is that of the c-th monomial
+    # the c-th derivative at the node is the coefficient of the c-th monomial, times a factor
     factors = np.prod(np.where(exponents == 2, 2.0, 1.0) / reach[:, None, None] ** exponents, axis=2)
     size = 1 + d + d * (d + 1) // 2
     found = np.zeros((s, size, weighted.shape[2]))

@@ -25,7 +25,7 @@ MIN_THICKNESS_RATIO = 0.05
 
 @dataclass(frozen=True)
 class SurfaceProblem:
-    """SurfaceProblem of a surface.
+    """Problem of a surface.
 
     Parameters
     ----------
@@ -140,10 +140,10 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
 
 
 def _pinch_problems(surface: Surface) -> list[SurfaceProblem]:
-    """Return vertices where two sheets touch in a point."""
+    """Return the problem of vertices where two sheets touch in a point."""
     corners = surface.triangles.ravel()
     t = len(surface.triangles)
-    # corners of one vertex in triangles that share an edge there hang together
+    # corners at one vertex are connected if their triangles share an edge there
     number = np.arange(3 * t).reshape(t, 3)
     pairs = []
     for k in range(3):
@@ -214,7 +214,7 @@ def _part_centroids(surface: Surface, label: Ints) -> Floats:
 
 
 def _crossing_problems(surface: Surface) -> list[SurfaceProblem]:
-    """Return self-intersections."""
+    """Return the problem of self-intersections."""
     try:
         pairs = self_intersections(surface.vertices, surface.triangles)
     except InputError as error:
@@ -237,5 +237,5 @@ def _scale_problems(surface: Surface) -> list[SurfaceProblem]:
     volume = abs(surface.volume)
     if PLAUSIBLE_VOLUMES[0] <= volume <= PLAUSIBLE_VOLUMES[1]:
         return []
-    what = f"its volume of {1e3 * volume:.3g} litres is not that of an organ: are the units right?"
+    what = f"its volume of {1e3 * volume:.3g} litres is not that of an organ; check the units"
     return [SurfaceProblem("note", "scale", what)]

@@ -36,30 +36,29 @@ def read_surface(
 ) -> Surface:
     """Read a closed surface.
 
-    Only the file itself is read, never another one that it names; polygons are split into fans of
-    triangles.
+    Other files that the file names are not read. Polygons are split into fans of triangles.
 
     Parameters
     ----------
     path : str or path
         An STL, OBJ, PLY, OFF, GLB, glTF, VTK or VTP file.
     part : str, optional
-        Name of the part to take from a file of several.
+        Name of the part in a file of several.
     units : str, optional
-        Of the file's lengths: ``"m"``, ``"cm"``, ``"mm"`` or ``"in"``. A glTF file is in metres;
-        others do not say, and without `units` the one is taken in which the volume is most like an
-        organ's, with a warning.
+        Unit of length in the file: ``"m"``, ``"cm"``, ``"mm"`` or ``"in"``. A glTF file is in
+        metres; other formats do not state a unit. By default it is the unit for which the volume is
+        nearest to that of an organ, with a warning.
     repair : bool
         Whether to repair the surface, see `palpate.meshfree.surface_repair.repair_surface`.
 
     Raises
     ------
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     FileFormatError
-        It is not a regular file, of another kind, damaged, over 300 MB, or holds no triangles.
+        The file is not regular, of another format, damaged, over 300 MB, or without triangles.
     InputError
-        It has several parts and none is chosen, or too many triangles, or unknown units.
+        The file has several parts and `part` is not given, or too many triangles, or unknown units.
     """
     path = Path(path)
     if units is not None and units not in UNITS:
@@ -91,7 +90,7 @@ def _gmsh_version(path: Path) -> str:
 
 
 def _read(path: Path, kind: str, part: str | None) -> tuple[Floats, Ints]:
-    """Vertices and triangles of a file, or of a part of it."""
+    """Return the vertices and triangles of a file, or of a part of it."""
     data = read_bytes(path, "surface file", MAX_BYTES)
     if not data:
         raise FileFormatError(f"{path} must not be empty")
@@ -103,7 +102,7 @@ def _read(path: Path, kind: str, part: str | None) -> tuple[Floats, Ints]:
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except (ArithmeticError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:
-        # what no check of a reader has caught
+        # errors that no check of a reader has found
         raise FileFormatError(f"{path} is damaged ({type(error).__name__}: {shortened(str(error))})") from error
     if not len(triangles):
         raise FileFormatError(f"{path} must hold triangles, got none")
@@ -131,8 +130,8 @@ def _in_metres(surface: Surface, units: str | None) -> Surface:
         away = {name: abs(np.log(volume * scale**3 / TYPICAL_VOLUME)) for name, scale in UNITS.items() if name != "in"}
         units = min(away, key=away.__getitem__)
         guess = (
-            f"{surface.name} does not say its units: taken as {units}, which makes "
-            f"{1e3 * volume * UNITS[units] ** 3:.3g} litres; say units= to be sure"
+            f"{surface.name} does not state its units: {units} assumed, for a volume of "
+            f"{1e3 * volume * UNITS[units] ** 3:.3g} litres; give units= to be sure"
         )
         warnings = (*warnings, guess)
     return Surface(surface.vertices * UNITS[units], surface.triangles, surface.name, warnings)

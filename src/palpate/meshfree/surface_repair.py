@@ -29,10 +29,9 @@ def repair_surface(surface: Surface) -> Surface:
     """Return a welded surface with small holes closed, triangles oriented, small parts removed and folds smoothed.
 
     A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than 0.6
-    pi times the diagonal of the body. Where triangles pass through each other, their corners are
-    moved towards the mean of their neighbours until they do not, or for 30 rounds. Specks are parts
-    of less than a thousandth of the volume. What cannot be repaired is left for `check_surface` to
-    name.
+    pi times the diagonal of the body. Parts of less than a thousandth of the volume are removed.
+    The corners of intersecting triangles are moved towards the mean of their neighbours until no
+    intersection remains, or for 30 rounds. `check_surface` reports the remaining problems.
     """
     surface = weld(surface)
     label = components(surface)
@@ -77,12 +76,12 @@ def _orient_triangles(triangles: Ints) -> Ints:
     left, right = owner[order].T
     disagree = (edges[order[:, 0]] == edges[order[:, 1]]).all(axis=1)
     t = len(triangles)
-    # a triangle and its turned twin: agreeing neighbours join like with like
+    # a graph of triangles and their reversed copies: consistent neighbours connect in equal orientation
     a = np.where(disagree, right + t, right)
     b = np.where(disagree, right, right + t)
     rows, columns = np.concatenate([left, left + t]), np.concatenate([a, b])
     _, side = connected_components(sparse.coo_matrix((np.ones(len(rows)), (rows, columns)), (2 * t, 2 * t)), False)
-    turned = side[:t] > side[t:]  # labels ascend: the part's first triangle counts as right as it is
+    turned = side[:t] > side[t:]  # labels ascend: the first triangle of a part keeps its orientation
     result = triangles.copy()
     result[turned] = result[turned][:, ::-1]
     return result

@@ -40,11 +40,11 @@ class Surface(Described):
     ----------
     vertices : (v, 3) array [m]
     triangles : (t, 3) int array
-        Seen from outside counter-clockwise.
+        Counter-clockwise seen from outside.
     name : str
-        For messages.
+        Name in messages.
     warnings : tuple of str
-        What was assumed when it was read.
+        Assumptions in reading the surface.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def weld(surface: Surface) -> Surface:
     Raises
     ------
     InputError
-        Nothing is left, or it is too small or too far from the origin.
+        No triangle is left, or the surface is too small or too far from the origin.
     """
     size = surface.size
     if size < MIN_SIZE:
@@ -168,11 +168,11 @@ def components(surface: Surface) -> Ints:
 
 
 def part_volumes(surface: Surface, label: Ints) -> Floats:
-    """Return the volume of each part [m^3]; parts are numbered as `components` does."""
+    """Return the volume of each part [m^3], with the numbers of `components`."""
     corners = surface.vertices[surface.triangles]
     count = np.bincount(label)
     middle = np.column_stack([np.bincount(label, corners[:, 0, a]) for a in range(3)]) / count[:, None]
-    heights = corners[:, 0] - middle[label]  # from within the part, against cancellation
+    heights = corners[:, 0] - middle[label]  # from the middle of the part, against cancellation
     return np.asarray(np.bincount(label, np.einsum("ta,ta->t", heights, surface.area_vectors) / 3), dtype=float)
 
 

@@ -28,7 +28,7 @@ def test_a_good_surface_is_filled_and_drawn(liver, run_study, tmp_path, assert_d
     assert {path.name for path in out.iterdir()} == set(FILES)
     assert json.loads(stdout) == report
     assert report["surface"]["volume"] == pytest.approx(1.5e-3, rel=1e-4)
-    assert "taken as mm" in report["surface"]["warnings"][0]
+    assert "mm assumed" in report["surface"]["warnings"][0]
     assert report["surface"]["problems"] == []
     cloud = pt.fill(pt.io.read_surface(liver, units="mm"), 0.012)
     assert report["cloud"]["nodes"] == len(cloud)

@@ -425,7 +425,7 @@ def test_a_sheet_that_is_slack_all_over_just_drifts():
 
 def test_a_cloud_without_a_boundary_is_refused():
     nothing = {"face_nodes": np.zeros(0, dtype=int), "face_normals": np.zeros((0, 2)), "face_areas": np.zeros(0)}
-    with pytest.raises(pt.CloudError, match="no closed boundary"):
+    with pytest.raises(pt.CloudError, match="must describe a closed boundary"):
         sheet(replace(CLOUDS["rings"], **nothing))
 
 

@@ -17,7 +17,7 @@ from palpate.meshfree.surfaces import MAX_TRIANGLES
 
 __all__ = ["Parts", "check_indices", "fans", "printable_word", "read_count", "read_numbers", "strips"]
 
-Parts = dict[str, Callable[[], tuple[Floats, Ints]]]  # vertices and triangles by the part's name, made when called
+Parts = dict[str, Callable[[], tuple[Floats, Ints]]]  # functions that return vertices and triangles, by the part's name
 
 MAX_INDEX = 2**31
 
@@ -43,7 +43,7 @@ def read_count(text: bytes | str, what: str, most: int) -> int:
 def triangle_count_error(count: int) -> InputError:
     """Return the error of a file with too many triangles."""
     return InputError(
-        f"it has {count} triangles; at most {MAX_TRIANGLES} are read; decimate it first (30,000 are enough)"
+        f"it must have at most {MAX_TRIANGLES} triangles, got {count}; decimate it first (30,000 are enough)"
     )
 
 
@@ -75,7 +75,7 @@ def fans(corners: Ints, sizes: Ints) -> Ints:
     Parameters
     ----------
     corners : (c,) array
-        Of all polygons in turn.
+        Corners of all polygons, one after the other.
     sizes : (p,) array
         Numbers of corners, c in all; polygons of fewer than three have no triangles.
     """
@@ -84,7 +84,7 @@ def fans(corners: Ints, sizes: Ints) -> Ints:
 
 
 def strips(corners: Ints, sizes: Ints) -> Ints:
-    """Return the triangles (t, 3) of strips, every other one turned; parameters as of `fans`."""
+    """Return the triangles (t, 3) of strips, every other one reversed; the parameters are those of `fans`."""
     first, k = _fan_indices(corners, sizes)
     at, odd = first + k, k % 2
     return np.column_stack([corners[at], corners[at + 1 + odd], corners[at + 2 - odd]])
@@ -93,7 +93,7 @@ def strips(corners: Ints, sizes: Ints) -> Ints:
 def _fan_indices(corners: Ints, sizes: Ints) -> tuple[Ints, Ints]:
     """Return the first corner of each triangle's polygon, and the triangle's index in it."""
     if sizes.sum() != len(corners):
-        raise FileFormatError(f"its polygons have {sizes.sum()} corners in all, but {len(corners)} are given")
+        raise FileFormatError(f"its polygons must have {sizes.sum()} corners in total, got {len(corners)}")
     count = np.maximum(sizes - 2, 0)
     total = int(count.sum())
     if total > MAX_TRIANGLES:

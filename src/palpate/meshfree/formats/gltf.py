@@ -1,4 +1,4 @@
-"""glTF and GLB files: the triangles of meshes where the nodes of the scene place them, and nothing else."""
+"""glTF and GLB files: the triangles of meshes, transformed by the nodes of the scene."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def read_glb(data: bytes) -> Parts:
 
 
 def read_gltf(data: bytes) -> Parts:
-    """Return the parts of a glTF file, whose buffers are all in it."""
+    """Return the parts of a glTF file that contains all its buffers."""
     return _parts(data, None)
 
 
@@ -90,7 +90,7 @@ class _GltfFile:
             self.tables[table] = _object_list(self.content, table)
         rows = self.tables[table]
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(rows):
-            raise FileFormatError(f"it names {table}[{number!r:.30}] and has {len(rows)}")
+            raise FileFormatError(f"it refers to {table}[{number!r:.30}] and has {len(rows)}")
         return rows[number]
 
     def buffer(self, number: Any) -> bytes:
@@ -154,7 +154,7 @@ def _integer(row: dict[str, Any], key: str, most: int, default: int | None = Non
 
 
 def _scene_meshes(file: _GltfFile) -> list[tuple[Any, Floats]]:
-    """Numbers of meshes in the scene with their matrices, each node once."""
+    """Return the indices of meshes in the scene with their matrices, each node once."""
     nodes = _object_list(file.content, "nodes")
     if _object_list(file.content, "scenes"):
         roots = _numbers(file.entry("scenes", file.content.get("scene", 0)), "nodes")
@@ -184,7 +184,7 @@ def _numbers(row: dict[str, Any], key: str) -> list[int]:
 
 
 def _matrix(node: dict[str, Any]) -> Floats:
-    """The matrix of a node (4, 4), of columns or of scale, rotation and translation."""
+    """Return the matrix (4, 4) of a node, from columns or from scale, rotation and translation."""
     if "matrix" in node:
         return _vector(node, "matrix", [0.0] * 16).reshape(4, 4).T
     x, y, z, w = _vector(node, "rotation", [0.0, 0.0, 0.0, 1.0])
@@ -211,7 +211,7 @@ def _vector(node: dict[str, Any], key: str, default: list[float]) -> Floats:
 
 
 def _join_primitives(file: _GltfFile, primitives: list[dict[str, Any]], matrix: Floats) -> tuple[Floats, Ints]:
-    """The primitives of a mesh as one, in place."""
+    """Return the transformed vertices and the triangles of all primitives of a mesh."""
     vertices: dict[Any, Floats] = {}  # by the accessor, which primitives may share
     first: dict[Any, int] = {}
     v = 0
@@ -232,14 +232,14 @@ def _join_primitives(file: _GltfFile, primitives: list[dict[str, Any]], matrix: 
             of = (strips if mode == STRIP else fans)(corners, np.array([len(corners)]))
         triangles.append(of + first[position])
     joined = np.concatenate(triangles)
-    with np.errstate(all="ignore"):  # a surface refuses what is not finite
+    with np.errstate(all="ignore"):  # `Surface` raises for values that are not finite
         placed = np.concatenate(list(vertices.values())) @ matrix[:3, :3].T + matrix[:3, 3]
         mirrored = np.linalg.det(matrix[:3, :3]) < 0
     return placed, joined[:, ::-1] if mirrored else joined
 
 
 def _key(primitive: dict[str, Any]) -> tuple[Any, Any, int]:
-    """Accessors of positions and indices, and the mode of a primitive."""
+    """Return the accessors of positions and indices, and the mode, of a primitive."""
     extensions, attributes = primitive.get("extensions", {}), primitive.get("attributes")
     if not isinstance(extensions, dict) or "KHR_draco_mesh_compression" in extensions:
         raise FileFormatError("its meshes are compressed by Draco, which is not supported; export it without")

@@ -33,7 +33,7 @@ class _Element:
 def read_ply(data: bytes) -> Parts:
     """Return the surface of a PLY file."""
     elements, order, at = _header(data)
-    if not order:  # a file of text is one of doubles
+    if not order:  # read a text file as one of doubles
         data, at = read_numbers(data[at:]).astype("<f8").tobytes(), 0
         for element in elements:
             element.properties = [(name, "f8", "f8" if length else "") for name, _, length in element.properties]
@@ -49,7 +49,7 @@ def read_ply(data: bytes) -> Parts:
 
 
 def _header(data: bytes) -> tuple[list[_Element], str, int]:
-    """Elements, the order of bytes (none of text), and where the rows begin."""
+    """Return the elements, the byte order (empty for text) and the first byte of the rows."""
     end = data.find(b"end_header", 0, MAX_HEADER_BYTES)
     at = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or at == 0 or data[end + 10 : at].strip():
@@ -80,11 +80,11 @@ def _header(data: bytes) -> tuple[list[_Element], str, int]:
 
 
 def _rows(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, tuple[NDArray[Any], Ints]], int]:
-    """Values of each property, all rows in turn, with the lengths of lists; and where the next element begins."""
+    """Return the values and list lengths of each property over all rows, and the first byte of the next element."""
     least = sum(np.dtype(length or kind).itemsize for _, kind, length in element.properties)
     if element.count * least > len(data) - at:
         raise FileFormatError(
-            f"it states {element.count} rows of {printable_word(element.name.encode())} and ends before them"
+            f"it states {element.count} rows of {printable_word(element.name.encode())} and ends before that"
         )
     if not element.count or not element.properties:
         return {}, at
@@ -102,7 +102,7 @@ def _rows(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str
 
 
 def _sizes(element: _Element, data: bytes, at: int, order: str) -> list[int | None]:
-    """Lengths of the lists in the row that begins at a byte; None of single values."""
+    """Return the lengths of the lists in the row that begins at a byte; None for single values."""
     sizes: list[int | None] = []
     for _, kind, length in element.properties:
         n = None
@@ -115,7 +115,7 @@ def _sizes(element: _Element, data: bytes, at: int, order: str) -> list[int | No
 
 
 def _length(data: bytes, at: int, kind: str, each: int) -> int:
-    """Length of a list, for which the rest of the file has room."""
+    """Return the length of a list that fits in the rest of the file."""
     if at + np.dtype(kind).itemsize > len(data):
         raise FileFormatError("it ends within a row")
     stated = np.frombuffer(data, kind, 1, at)[0]
@@ -136,7 +136,7 @@ def _row(element: _Element, sizes: list[int | None], order: str) -> np.dtype[Any
 def _ragged_rows(
     element: _Element, data: bytes, at: int, order: str
 ) -> tuple[dict[str, tuple[NDArray[Any], Ints]], int]:
-    """Rows one by one, of lists of different lengths."""
+    """Return the values of rows with lists of different lengths, read one by one."""
     pieces: list[list[NDArray[Any]]] = [[] for _ in element.properties]
     for _ in range(element.count):
         for k, (_, kind, length) in enumerate(element.properties):

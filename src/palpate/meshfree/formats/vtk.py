@@ -83,7 +83,7 @@ class _Lines:
         return b""
 
     def array(self, count: int, kind: bytes) -> NDArray[Any]:
-        """Return numbers of a type; of a text all that come before the next word."""
+        """Return numbers of a type; in text, all numbers before the next word."""
         if kind.lower() not in TYPES:
             raise FileFormatError(f"it has numbers of an unknown type {printable_word(kind)}")
         dtype = np.dtype(TYPES[kind.lower()])
@@ -110,7 +110,7 @@ def _field(lines: _Lines) -> None:
 
 
 def _cells(lines: _Lines, first: bytes, second: bytes) -> tuple[Ints, Ints]:
-    """Corners of polygons in turn and their numbers, of either layout."""
+    """Return the corners of all polygons and their numbers, for either layout."""
     most = len(lines.data)
     count, size = read_count(first, "polygons", most), read_count(second, "indices", most)
     before = lines.at
@@ -129,7 +129,7 @@ def _cells(lines: _Lines, first: bytes, second: bytes) -> tuple[Ints, Ints]:
     both = check_indices(lines.array(size, b"int"), "indices")
     if count == 0 or size == 0:
         return both, np.zeros(0, dtype=np.int64)
-    starts = np.arange(0, size, both[0] + 1)  # of polygons of as many corners as the first
+    starts = np.arange(0, size, both[0] + 1)  # if all polygons have as many corners as the first
     if len(starts) != count or size % count or np.any(both[starts] != both[0]):
         starts = _starts(both, count)
     keep = np.ones(size, dtype=bool)
@@ -138,7 +138,7 @@ def _cells(lines: _Lines, first: bytes, second: bytes) -> tuple[Ints, Ints]:
 
 
 def _starts(both: Ints, count: int) -> Ints:
-    """Where polygons begin, each with the number of its corners."""
+    """Return the indices at which polygons begin, each with the number of its corners."""
     starts: list[int] = []
     at = 0
     sizes = both.tolist()

@@ -35,7 +35,7 @@ class _Array:
 
 @dataclass
 class _VtpFile:
-    """What the XML says, and the bytes of appended data."""
+    """Content of the XML, and the bytes of appended data."""
 
     appended: bytes
     coded: bool
@@ -68,7 +68,7 @@ def read_vtp(data: bytes) -> Parts:
         for section, split in (("Polys", fans), ("Strips", strips)):
             found = split(*_cells(file, arrays, section))
             if found.size and found.max() >= n:
-                raise FileFormatError(f"its {section} name point {found.max()} and there are {n}")
+                raise FileFormatError(f"its {section} must have points below {n}, got {found.max()}")
             triangles.append(found + before)
         before += n
     if not sum(map(len, triangles)):
@@ -169,7 +169,7 @@ def _header_type(file: _VtpFile) -> str:
 
 
 def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype[Any]) -> bytes:
-    """The bytes of an array whose header begins at a place: one length, or those of compressed blocks."""
+    """Return the bytes of an array whose header, one length or those of compressed blocks, begins at `at`."""
     wide = header.itemsize
     if "compressor" not in file.attributes:
         length = int(np.frombuffer(_decode_bytes(source, coded, at, wide)[0], header)[0])
@@ -199,14 +199,14 @@ def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype
 
 
 def _reserve_bytes(file: _VtpFile, size: int) -> None:
-    """Refuse arrays that expand to much more than the file."""
+    """Check that arrays do not expand to much more than the file."""
     file.room -= size
     if file.room < 0:
         raise FileFormatError(f"its arrays must not expand to more than {MAX_EXPANSION} times the size of the file")
 
 
 def _decode_bytes(source: bytes, coded: bool, at: int, size: int) -> tuple[bytes, int]:
-    """Bytes from a place on, decoded, and the place after them."""
+    """Return decoded bytes from position `at`, and the position after them."""
     end = at + ((size + 2) // 3 * 4 if coded else size)
     if end > len(source):
         raise FileFormatError("an array of it is cut off")
