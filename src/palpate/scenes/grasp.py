@@ -21,21 +21,21 @@ from palpate.tissue.materials import MooneyRivlin
 __all__ = ["GROUP", "Hand", "grasp", "grasped_beam"]
 
 
-GROUP = "x+"  # that the tool holds
-# of one swing, from and to: displacement along x, y, z [m], rotation vector [rad]
+GROUP = "x+"  # nodes that the tool holds
+# lower and upper bounds of one swing: displacement along x, y, z [m], rotation vector [rad]
 SWING = np.array([(-0.001, 0.012), (-0.012, 0.012), (-0.012, 0.012), (-0.25, 0.25), (-0.15, 0.15), (-0.15, 0.15)])
-SWINGS = 3  # that a motion is made of
+SWINGS = 3  # in a motion
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A smooth random motion of the tool: swings out and back, one to three of them in a time, one after the other.
+    """Smooth random motion of the tool: a sum of swings out and back, with one to three periods in a motion.
 
     Parameters
     ----------
     seed : int
     lasting : float [s]
-        Time after which the motion repeats itself; the tool then is at rest.
+        Period of the motion, at the ends of which the tool is at rest.
     """
 
     seed: int
@@ -54,7 +54,7 @@ class Hand:
         return moved[:3], Rotation.from_rotvec(moved[3:])
 
     def __call__(self, time: float) -> tuple[Floats, Floats]:
-        """Return the same as `palpate.DummyDevice` takes it: position [m] and quaternion, w x y z."""
+        """Return the pose for `palpate.DummyDevice`: position [m] and quaternion, w x y z."""
         moved, turned = self.pose(time)
         return moved, np.roll(turned.as_quat(), 1)
 
@@ -71,7 +71,7 @@ class Hand:
 
 
 def grasp(spacing: float = MAX_SPACING, poisson: float = 0.45) -> Solid:
-    """Return the beam of `palpate.scenes.beam.beam` in its energy form, whose free end a tool will hold."""
+    """Return the beam of `palpate.scenes.beam.beam` in its energy form, for a tool that holds its free end."""
     material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
     return Solid(box(SIZE, spacing=spacing), material, fixed="x-", form="energy")
 
@@ -79,7 +79,7 @@ def grasp(spacing: float = MAX_SPACING, poisson: float = 0.45) -> Solid:
 def grasped_beam(
     spacing: float = MAX_SPACING, poisson: float = 0.45, lasting: float = 0.4, every: float = 0.005
 ) -> TrainingScene:
-    """Return the beam whose free end a tool moves along random smooth paths, out and back.
+    """Return the beam with a tool that moves its free end along random smooth paths, out and back.
 
     Parameters
     ----------
@@ -88,14 +88,14 @@ def grasped_beam(
     poisson : float
         Poisson's ratio at rest, in [0, 0.499].
     lasting : float [s]
-        Of a path, at most 10.
+        Duration of a path, at most 10.
     every : float [s]
         Time between snapshots, of which a path has at most 10,000.
 
     Raises
     ------
     InputError
-        A parameter out of range, by its name.
+        A parameter out of range; the message names it.
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     lasting = number_in_range("lasting", lasting, 0.0, 10.0, open_low=True, unit="s")

@@ -21,18 +21,18 @@ __all__ = ["ToolPaths", "pressed_liver"]
 
 SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007
 DENSITY = 1060.0  # [kg/m^3]
-BED = 0.07  # [m] of the back that is fixed: the bare area, by which a liver grows to the diaphragm
-MARGIN = 0.02  # [m] that presses keep from it
-COARSE = 0.008  # [m] spacing of the coarse liver whose vibrations and statics are those of finer ones
-CLEARANCE = 0.003  # [m] between ball and body before and after
+BED = 0.07  # [m] depth of the fixed back: the bare area, where a liver is attached to the diaphragm
+MARGIN = 0.02  # [m] smallest distance of presses from it
+COARSE = 0.008  # [m] spacing of the coarse liver, for the vibration modes and statics of finer ones
+CLEARANCE = 0.003  # [m] between ball and body before and after a press
 MAX_SLIDE = 0.02  # [m]
 MIN_DEPTH_RATIO = 0.3  # smallest depth of a press over the largest
 EVERY = 0.01  # [s]
 TIMES = (0.0, 0.02, 0.25, 0.45, 0.58, 0.6)  # [s] away, near, pressed, slid, near, away; of forceps: pulled, turned
 GRASP_INTERVAL = 4  # every fourth seed is a grasp, the others are presses
-REACH, WIDEST = 0.6, 2.0  # of forceps: of the ball's radius; of the spacing at least, so that they hold some ten nodes
-CONE, TURN = np.pi / 4, np.pi / 9  # [rad] of pulls about the normal; of the largest turn
-CUBATURE = 1e-2  # a tenth of it samples two to three times as many nodes, and errs as much on held-out presses
+REACH, WIDEST = 0.6, 2.0  # radius of forceps over the ball's; at least, in spacings, so that they hold some ten nodes
+CONE, TURN = np.pi / 4, np.pi / 9  # [rad] largest angle of pulls to the normal; largest rotation
+CUBATURE = 1e-2  # a tenth of it samples two to three times as many nodes, with equal errors on held-out presses
 MAX_DRAWS = 1000  # of random presses until one is not obstructed by the body
 
 
@@ -41,11 +41,11 @@ def pressed_liver(
 ) -> TrainingScene:
     """Return the generated liver (`palpate.liver_surface`) with random presses of a ball and pulls of forceps.
 
-    Neo-Hookean with the mean shear modulus of healthy livers, 2.2 kPa; the back is fixed. A press
-    comes along the normal of a random place, goes in by 0.3 to 1 times `depth`, slides up to 20 mm
-    along the surface, and leaves. Every fourth seed, 3, 7 and so on, is a grasp: forceps hold the
-    surface nodes around a random place, pull them by 0.3 to 1 times `depth` at up to 45 degrees to
-    the normal, half of them turn by up to 20 degrees, and come back and let go.
+    Neo-Hookean with the mean shear modulus of healthy livers, 2.2 kPa; the back is fixed. In a
+    press the ball moves along the normal at a random node, indents the surface by 0.3 to 1 times
+    `depth`, slides up to 20 mm, and retracts. Every fourth seed, 3, 7 and so on, is a grasp.
+    Forceps hold the surface nodes around a random one, and pull them by 0.3 to 1 times `depth` at
+    up to 45 degrees to the normal. Half of them turn by up to 20 degrees. They return and release.
 
     Parameters
     ----------
@@ -54,17 +54,17 @@ def pressed_liver(
     poisson : float
         Poisson's ratio at rest, in [0, 0.49].
     radius : float [m]
-        Of the ball; at least 2.5 spacings, so that nodes stand for the surface under it. Forceps
-        hold what is within 0.6 of it, or within 2 spacings if that is more.
+        Radius of the ball, at least 2.5 spacings, so that nodes resolve the surface under it. The
+        radius of forceps is 0.6 times it, or 2 spacings if that is more.
     depth : float [m]
-        Of the deepest press and the longest pull, up to 40 mm.
+        Depth of the deepest press and length of the longest pull, up to 40 mm.
     friction : float
         Coulomb's coefficient.
 
     Raises
     ------
     InputError
-        A parameter out of range, by its name.
+        A parameter out of range; the message names it.
     """
     spacing = number_in_range("spacing", spacing, 0.002, 0.012, unit="m")
     poisson = number_in_range("poisson", poisson, 0.0, 0.49)
@@ -96,17 +96,17 @@ class ToolPaths:
     Parameters
     ----------
     cloud : Cloud
-        With a group ``"back"`` that is fixed.
+        Cloud with a fixed group ``"back"``.
     radius, depth : float [m]
-        Of the ball; of the deepest press and the longest pull.
+        Radius of the ball; depth of the deepest press and length of the longest pull.
     friction : float
     shallowest : float
-        Share of the depth that the shallowest press and the shortest pull have.
+        Depth of the shallowest press and length of the shortest pull, over `depth`.
 
     Raises
     ------
     InputError
-        When a path is asked for: the ball or the forceps are too large for the body.
+        In a call, if the ball or the forceps are too large for the body.
     """
 
     def __init__(

@@ -21,7 +21,7 @@ AFTER = ("return", "hold", "release")
 def tool_tip(time: float, after: str = "return") -> float:
     """Return the displacement [m] of the tool tip in equation (35) at a time [s].
 
-    It rises at 0.1 m/s for 0.1 s. At that time it still is 10 mm, and after it back at 0, or unchanged.
+    It rises at 0.1 m/s to 10 mm at 0.1 s. After that time it is 0 for ``"return"``, else unchanged.
     """
     if time <= PUSH_TIME * (1 + 1e-9):
         return SPEED * max(time, 0.0)
@@ -42,19 +42,19 @@ def membrane(
     """Return the paper's membrane: a disc, 0.2 m across and 0.01 mm thick, its rim fixed, its centre pushed by a tool.
 
     Neo-Hookean with C1 = 0.17 MPa, density 1200 kg/m^3. The tool's group is ``"tool"``. A snapshot
-    is kept every 2 ms for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or lets
-    go.
+    is kept every 2 ms for 0.2 s; that at 0.1 s shows the sheet just before the tool returns or
+    releases it.
 
     Parameters
     ----------
     spacing : float [m]
         Distance between nodes, from 1 mm.
     after : str
-        What the tool does after 0.1 s: ``"return"`` to 0 at once, as (35) prints, ``"hold"`` or
+        Motion of the tool after 0.1 s: ``"return"`` to 0 at once, as in (35), ``"hold"`` or
         ``"release"``.
     tool_radius : float [m]
-        All nodes within it follow the tool, at least the spacing; 0 is the paper's point: the node
-        at the centre.
+        Radius within which nodes follow the tool, at least the spacing; 0 is the paper's point, the
+        node at the centre.
     prestretch : float
         As for `palpate.Membrane`.
     layout, jitter, seed
@@ -65,7 +65,7 @@ def membrane(
     Raises
     ------
     InputError
-        A parameter out of range, by its name.
+        A parameter out of range; the message names it.
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, unit="m")
     tool_radius = number_in_range("tool_radius", tool_radius, 0.0, 0.8 * RADIUS, unit="m")

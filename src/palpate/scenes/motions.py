@@ -14,13 +14,13 @@ from palpate.scenes.beam import DURATION
 
 __all__ = ["LIMITS", "Course", "random_motion", "training_motions"]
 
-# of each kind: axial force [N], size of the transverse force [N], size of the twisting moment [N m], from and to
+# lower and upper bounds by kind: axial force [N], magnitudes of the transverse force [N] and twisting moment [N m]
 LIMITS = {
     "inside": ((0.0, 10.0), (0.0, 0.1), (0.0, 5e-3)),
     "outside": ((13.0, 20.0), (0.13, 0.2), (6.5e-3, 0.01)),
     "buckling": ((-0.5, -0.2), (0.0, 0.02), (0.0, 1e-3)),
 }
-# axial force, transverse force along y and z, twisting moment, as shares of the largest inside
+# axial force, transverse force along y and z, twisting moment, as shares of the largest of kind "inside"
 SINGLE = (
     (1.0, 0.0, 0.0, 0.0),
     (0.0, 1.0, 0.0, 0.0),
@@ -39,7 +39,7 @@ class Course:
     Parameters
     ----------
     start, rise, hold, fall : float [s]
-        When the ramp up starts, and how long it, the hold and the ramp down are.
+        Start of the ramp up, and durations of the ramp up, the hold and the ramp down.
     """
 
     start: float
@@ -60,7 +60,7 @@ class Course:
 def random_motion(seed: int, kind: str = "inside") -> tuple[Load, ...]:
     """Return loads on the beam's end ``"x+"`` that pull, bend and twist it at random for a second.
 
-    Each of the three has its own `Course`, over before the second is.
+    Each of the three has its own `Course`, which ends within the second.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ def random_motion(seed: int, kind: str = "inside") -> tuple[Load, ...]:
         At least 0.
     kind : str
         ``"inside"``: an axial force of 0 to 10 N, a transverse force of up to 0.1 N in any
-        direction and a twisting moment of up to 5 mN m either way. ``"outside"``: each 1.3 to 2
-        times as large as those may be. ``"buckling"``: the beam is pushed with 0.2 to 0.5 N, beyond
-        Euler's 0.15 N, and bent and twisted a little.
+        direction and a twisting moment of up to 5 mN m in either direction. ``"outside"``: each 1.3
+        to 2 times those limits. ``"buckling"``: the beam is pushed with 0.2 to 0.5 N, beyond
+        Euler's 0.15 N, and slightly bent and twisted.
 
     Raises
     ------
@@ -90,8 +90,8 @@ def random_motion(seed: int, kind: str = "inside") -> tuple[Load, ...]:
 def training_motions(count: int = 8) -> list[tuple[Load, ...]]:
     """Return a few pulls, bends and twists within the limits ``"inside"``, each a tuple of loads for a run of a second.
 
-    The first six are single ones at the limits: a pull, a bend along y, one along z, a twist, a
-    diagonal bend with a pull, and one with a twist back. The others are random.
+    The first six are at the limits: a pull, a bend along y, one along z, a twist, a diagonal bend
+    with a pull, and one with a reverse twist. The others are random.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Generated liver surface without data of persons: a smooth implicit surface.
+"""Generated liver surface without patient data: a smooth implicit surface.
 
-Ellipsoids joined smoothly make the lobes; what the neighbours press into the underside is taken out
-smoothly: kidney and colon, stomach, gallbladder, the porta hepatis, the spine with the vena cava,
-and the notch of the round ligament.
+Smoothly joined ellipsoids form the lobes. The impressions of adjacent organs on the underside are
+subtracted smoothly: kidney and colon, stomach, gallbladder, the porta hepatis, the spine with the
+vena cava, and the notch of the round ligament.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["liver_surface"]
 
 Vector = Sequence[float]
 
-VOLUME = 1.5e-3  # [m^3] of an adult's
+VOLUME = 1.5e-3  # [m^3] of an adult liver
 LOW, HIGH = np.array([-0.15, -0.11, -0.13]), np.array([0.17, 0.12, 0.12])  # [m] of the grid
 
 
@@ -30,9 +30,9 @@ def liver_surface(resolution: float = 0.003, volume: float = VOLUME) -> Surface:
     Parameters
     ----------
     resolution : float [m]
-        Of the grid on which the surface is found, from 1 to 8 mm, for a volume of 1.5 litres.
+        Spacing of the grid for the isosurface, from 1 to 8 mm, for a volume of 1.5 litres.
     volume : float [m^3]
-        The shape is scaled to it.
+        Volume to which the shape is scaled.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def _liver(x: Floats, y: Floats, z: Floats) -> Floats:
     front = _ellipsoid(x, y, z, (-0.016, -0.022, -0.016), (0.116, 0.066, 0.090), tilt=-0.25)
     left = _ellipsoid(x, y, z, (0.074, -0.026, 0.030), (0.092, 0.050, 0.046), tilt=-0.10)
     body = _union(_union(right, front, 0.03), left, 0.05)
-    below = 0.42 * x - 0.9 * z + 0.0 * y - 0.072  # the inferior margin climbs from the right to the left
+    below = 0.42 * x - 0.9 * z + 0.0 * y - 0.072  # the inferior margin rises from the right to the left
     body = _cut(body, -below, 0.03)
     viscera = _ellipsoid(x, y, z, (0.045, 0.115, -0.125), (0.150, 0.150, 0.150))
     body = _cut(body, viscera, 0.012)

@@ -16,7 +16,7 @@ from palpate.meshfree.surfaces import Surface
 __all__ = ["CITATION", "PART", "SOURCE", "fetch_liver"]
 
 SOURCE = "https://github.com/hubmapconsortium/ccf-releases/raw/cb9bfd93/v1.3/models/VH_F_Liver.glb"
-NAME, LARGEST, SECONDS = "VH_F_Liver.glb", 20_000_000, 60.0  # most bytes, and longest wait for some of them
+NAME, LARGEST, SECONDS = "VH_F_Liver.glb", 20_000_000, 60.0  # file name, largest size [bytes], timeout [s]
 SHA256 = "ad9b0be0ff253e7bfe31bfffc00017dafce226d4f3e7804a81cbb4c2e269d598"
 PART = "VH_F_capsule_of_the_liver"
 CITATION = (
@@ -33,8 +33,8 @@ def fetch_liver(folder: str | Path | None = None, source: str = SOURCE) -> Surfa
     Parameters
     ----------
     folder : path, optional
-        Where the file is kept; by default the user's cache. A file ``VH_F_Liver.glb`` that lies
-        there already is used.
+        Folder of the file; by default the user's cache. An existing valid file ``VH_F_Liver.glb``
+        is used.
     source : str
         Address to download from, if the published one has moved.
 
@@ -43,9 +43,9 @@ def fetch_liver(folder: str | Path | None = None, source: str = SOURCE) -> Surfa
     InputError
         `source` is not an address.
     FileFormatError
-        What was downloaded is another file; nothing is written.
+        The download is another file; nothing is written.
     OSError
-        It cannot be downloaded.
+        The file cannot be downloaded.
 
     References
     ----------
@@ -61,7 +61,7 @@ def fetch_liver(folder: str | Path | None = None, source: str = SOURCE) -> Surfa
 
 
 def _downloaded(source: str) -> bytes:
-    """Return the published file."""
+    """Return the content of the published file."""
     try:
         with urlopen(source, timeout=SECONDS) as answer:
             content: bytes = answer.read(LARGEST)

@@ -17,36 +17,36 @@ from palpate.tissue.materials import NeoHookean
 __all__ = ["GROUP", "pushed_membrane"]
 
 
-GROUP = "tool"  # that the hand holds
+GROUP = "tool"  # nodes that the tool moves
 MAX_SPACING, TOOL_RADIUS, PRESTRETCH = (
     0.01,
     0.02,
     1.05,
-)  # [m], [m] radius of what the hand holds, of the sheet before it is mounted
-MAX_TANGENTIAL, MAX_DEPTH = 0.004, 0.02  # [m] of one swing, in the sheet's plane and across it, at most
-SWINGS = 3  # that a motion is made of
+)  # [m], [m] radius of the tool's group, prestretch of the sheet
+MAX_TANGENTIAL, MAX_DEPTH = 0.004, 0.02  # [m] largest displacements of one swing, in the sheet's plane and across it
+SWINGS = 3  # in a motion
 
 
 def pushed_membrane(
     spacing: float = MAX_SPACING, prestretch: float = PRESTRETCH, lasting: float = 0.4, every: float = 0.005
 ) -> TrainingScene:
-    """Return the paper's membrane, taut, whose middle a tool pushes along random smooth paths, out and back.
+    """Return the paper's membrane, taut, with a tool that pushes its centre along random smooth paths, out and back.
 
     Parameters
     ----------
     spacing : float [m]
         Distance between nodes, from 1 mm to 10 mm.
     prestretch : float
-        From 1.01 to 1.5: a slack sheet wrinkles, and few modes do not follow it.
+        From 1.01 to 1.5: a slack sheet wrinkles, and few modes do not represent wrinkles.
     lasting : float [s]
-        Of a path, at most 10.
+        Duration of a path, at most 10.
     every : float [s]
         Time between snapshots, of which a path has at most 10,000.
 
     Raises
     ------
     InputError
-        A parameter out of range, by its name.
+        A parameter out of range; the message names it.
     """
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     prestretch = number_in_range("prestretch", prestretch, 1.01, 1.5)

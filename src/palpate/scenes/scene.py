@@ -27,7 +27,7 @@ class Scene:
         Length of the run, and time between snapshots.
     title : str
     parameters : mapping of str to float
-        What the scene was made with, in SI units.
+        Parameters of the scene, in SI units.
     """
 
     model: NodalModel
@@ -42,28 +42,28 @@ class Scene:
 class TrainingScene:
     """Body with random tool paths for a training campaign.
 
-    Equal parameters make equal bodies, and equal seeds equal paths, in every process.
+    Equal parameters give equal bodies, and equal seeds equal paths, in every process.
 
     Parameters
     ----------
     model : Solid or Membrane
     path : function
-        Of a seed, an integer from 0, returns the loads of a run and its duration [s].
+        Function of a seed, an integer from 0, that returns the loads of a run and its duration [s].
     every : float [s]
         Time between snapshots.
     title : str
     parameters : mapping of str to number or text
-        What the scene was made with, in SI units.
+        Parameters of the scene, in SI units.
     tools : tuple of str
         Groups that rigid tools hold and move (`palpate.PrescribedMotion`), as `prescribed` of
         `palpate.hyper_reduce`.
     coarse : function, optional
-        Returns a model of the same body of at most 5,000 nodes, in its energy form. Where tools
-        may touch a body anywhere, modes of the runs would be indentations where those runs had them.
-        So the modes are vibrations of this model, and the surface compliance follows from its statics
+        Returns a model of the same body of at most 5,000 nodes, in its energy form. If tools may
+        touch a body anywhere, modes of runs would be indentations at the places of those runs. So
+        the modes are vibrations of this model, and the surface compliance follows from its statics
         (`palpate.reduction.contact.residual_flexibility`).
     cubature : float
-        As of `palpate.hyper_reduce`: what the sampled forces may miss of the whole ones.
+        Largest relative error of the sampled forces, as for `palpate.hyper_reduce`.
     """
 
     model: Solid | Membrane

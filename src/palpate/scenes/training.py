@@ -21,7 +21,7 @@ __all__ = ["TRAINING", "search_current_folder", "training_scene", "typed"]
 TRAINING: dict[str, Callable[..., TrainingScene]] = {
     "beam": grasped_beam, "liver": pressed_liver, "membrane": pushed_membrane,
 }  # fmt: skip
-KNOWN = f"allowed are {', '.join(map(repr, TRAINING))}, or 'module:function' of your own"
+KNOWN = f"{', '.join(map(repr, TRAINING))}, or 'module:function' of your own"
 KINDS = (bool, int, float, str)  # of parameters
 LONGEST = 200  # characters of a text
 
@@ -34,45 +34,45 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     name : str
         One of `TRAINING`, or ``"module:function"`` of a function that returns a `TrainingScene`.
     parameters : mapping
-        Arguments of its function; what is not given has its default.
+        Arguments of its function; others have their defaults.
 
     Raises
     ------
     InputError
-        An unknown scene or parameter, or a value out of range; a module or function of one's own
-        that fails.
+        An unknown scene or parameter, a value out of range, or a user's module or function that
+        fails.
     """
     function, arguments = _function(name), typed(name, parameters)
     if name in TRAINING:
         return function(**arguments)
     made = _own(name, "failed", lambda: function(**arguments))
     if not isinstance(made, TrainingScene):
-        raise InputError(f"scene {name!r} returned a {type(made).__name__}; needed is a TrainingScene")
+        raise InputError(f"scene {name!r} must return a TrainingScene, got a {type(made).__name__}")
     return made
 
 
 def typed(name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all parameters of a scene, those given, numbers or text, as its function's defaults are typed.
+    """Return all parameters of a scene, with given values converted to the types of its function's defaults.
 
     Raises
     ------
     InputError
-        An unknown scene or parameter, or a value that is not such a number.
+        An unknown scene or parameter, or a value of another type.
     """
     known = _defaults(name)
     values = dict(known)
     for key, given in parameters.items():
         if key not in known:
-            raise InputError(f"scene {name!r} has no parameter {brief(key)}; it has {', '.join(known)}")
+            raise InputError(f"parameters of scene {name!r} must be among {', '.join(known)}, got {brief(key)}")
         values[key] = _converted(key, given, known[key])
     return values
 
 
 def search_current_folder() -> None:
-    """Let modules be found in the current folder, too, after all others.
+    """Append the current folder to the search path of modules.
 
-    Only for a scene that a person names on the command line: a name from a file must not choose
-    code there.
+    It is only for a scene that a person names on the command line: a name from a file must not
+    select code there.
     """
     folder = os.getcwd()
     if not {"", folder} & set(sys.path):
@@ -84,10 +84,10 @@ def _defaults(name: str) -> dict[str, Any]:
     try:
         known = {p.name: p.default for p in inspect.signature(_function(name)).parameters.values()}
     except (TypeError, ValueError) as error:
-        raise InputError(f"scene = {name!r} is not a function with named parameters ({error})") from error
+        raise InputError(f"scene must be a function with named parameters, got {name!r} ({error})") from error
     for key, default in known.items():
         if not isinstance(default, KINDS):
-            raise InputError(f"scene = {name!r}: its parameter {key!r} needs a number or a text as default")
+            raise InputError(f"parameter {key!r} of scene {name!r} must have a number or text as default")
     return known
 
 
@@ -104,7 +104,7 @@ def _converted(key: str, given: Any, default: Any) -> Any:
         if isinstance(default, int) and not isinstance(given, str) and value != given:
             raise ValueError
     except (ValueError, TypeError, OverflowError, KeyError):
-        raise InputError(f"{key} = {brief(given)}: needed is a {kind.__name__}, as its default {default!r}") from None
+        raise InputError(f"{key} must be a {kind.__name__}, as its default {default!r}, got {brief(given)}") from None
     return value
 
 
@@ -113,18 +113,20 @@ def _function(name: str) -> Callable[..., Any]:
         return TRAINING[name]
     module, _, function = name.partition(":")
     if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-        raise InputError(f"scene = {brief(name)}: {KNOWN}")
+        raise InputError(f"scene must be {KNOWN}, got {brief(name)}")
     found = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
     if not callable(found):
-        raise InputError(f"scene = {name!r}: module {module!r} has no function {function!r}; {KNOWN}")
+        raise InputError(f"scene must be {KNOWN}, got {name!r}: module {module!r} has no function {function!r}")
     return found
 
 
 def _own(name: str, what: str, call: Callable[[], Any]) -> Any:
-    """Call code that is not palpate's: whatever it raises is said of the scene."""
+    """Call code of a user, and raise its errors as errors of the scene."""
     try:
         return call()
     except InputError:
         raise
     except (Exception, SystemExit) as error:
-        raise InputError(f"scene = {name!r} {what} ({type(error).__name__}: {error}); {KNOWN}") from error
+        raise InputError(
+            f"scene must be {KNOWN}, got {name!r}, which {what} ({type(error).__name__}: {error})"
+        ) from error

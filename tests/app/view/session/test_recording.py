@@ -366,7 +366,7 @@ def test_no_module_that_a_recording_names_is_imported(recorded, tmp_path, forge,
         ("beam", {}, "the recorded body"),
         ("beam", {"spacing": 1e-9}, "spacing"),
         ("liver", {"depth": "deep"}, "depth"),
-        ("liver", {"colour": 1}, "no parameter"),
+        ("liver", {"colour": 1}, "got 'colour'"),
     ],
 )
 def test_a_recording_that_names_another_body_is_refused(recorded, tmp_path, forge, scene, parameters, message):
