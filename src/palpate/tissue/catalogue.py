@@ -1,7 +1,6 @@
 """Catalogue of the material laws, the fibre laws and the relaxation.
 
-Command line, files, tests and validation read the laws from here: no other list of them is kept by
-hand.
+Command line, files, tests and validation read the laws from this list only.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class CatalogueEntry:
     kind : type
         Class of the material, the fibre law or the relaxation.
     formula : str
-        Energy, for reading.
+        Energy, for display.
     reference : str
         Source of the law.
     example : dict

@@ -2,11 +2,11 @@
 
 A *coupled* law W_s(I1, I2, J) also resists a change of volume. Its *isochoric* counterpart is
 
-    W_s(I1 J^(-2/3), I2 J^(-4/3), 1),      of stretches W_s(l1 J^(-1/3), l2 J^(-1/3), l3 J^(-1/3)),
+    W_s(I1 J^(-2/3), I2 J^(-4/3), 1),      of stretches W_s(l1 J^(-1/3), l2 J^(-1/3), l3 J^(-1/3)).
 
-which does not: only the volumetric part U(J) resists it, with lame = bulk (Flory, Trans. Faraday
-Soc. 57, 829, 1961; Simo, Taylor, Pister, Comput. Methods Appl. Mech. Eng. 51, 1985). Both agree at
-constant volume. The isochoric law is free of stress at rest for every W_s.
+It does not resist a change of volume: only the volumetric part U(J) does, with lame = bulk (Flory,
+Trans. Faraday Soc. 57, 829, 1961; Simo, Taylor, Pister, Comput. Methods Appl. Mech. Eng. 51, 1985).
+Both agree at constant volume. The isochoric law is free of stress at rest for every W_s.
 
 The isochoric law follows from the functions of the coupled one by the chain rule. In the logarithms
 of the stretches the chain rule is a projection. With t_i = l_i dW/dl_i, their derivatives H and D =

@@ -40,7 +40,7 @@ __all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw", "parameter"]
 
 MAX_POISSON = 0.499  # largest ratio with verified stability of the split pressure
 EXPECTED_DENSITIES = 100.0, 20_000.0  # [kg/m^3]; other densities are probably in another unit
-EXPECTED_MODULI = 1.0, 1e8  # [Pa] of shear, the same
+EXPECTED_MODULI = 1.0, 1e8  # [Pa] shear moduli; others are probably in another unit
 
 
 UNITS = {"density": "kg/m^3", "bulk": "Pa"}  # of the fields of every material
@@ -85,7 +85,8 @@ class Material(Described, ABC):
     Warns
     -----
     UnitWarning
-        A density or a shear modulus at rest that is far from any tissue's, as one in another unit is.
+        A density or a shear modulus at rest is far from that of tissue, and probably in another
+        unit.
 
     Attributes
     ----------
@@ -121,7 +122,7 @@ class Material(Described, ABC):
             ("poisson", f"{self.poisson:.4g}", ""),
             ("shear modulus", float(self.shear_modulus), "Pa"),
             ("bulk modulus", self.bulk_modulus if compressible else None, "Pa"),
-            ("energy", getattr(self, "expression", None), ""),  # of a law that is written down
+            ("energy", getattr(self, "expression", None), ""),  # of a symbolic law
             ("volumetric", self.volumetric if self.volumetric != QUADRATIC else None, ""),
             ("split", self.split if self.split != COUPLED else None, ""),
             ("relaxation times", None if prony is None else prony.times, "s"),
@@ -161,7 +162,7 @@ class Material(Described, ABC):
         self.warn_of_units()
 
     def warn_of_units(self) -> None:
-        """Warn of a density or a shear modulus at rest that is far from any tissue's."""
+        """Warn of a density or a shear modulus at rest that is far from that of tissue."""
         name, mu = type(self).__name__, self.shear_modulus
         warn_of_unit(f"the density of {name}", self.density, *EXPECTED_DENSITIES, "kg/m^3", "densities are in kg/m^3")
         warn_of_unit(f"the shear modulus of {name}", mu, *EXPECTED_MODULI, "Pa", "moduli are in pascals")
@@ -229,17 +230,17 @@ class Material(Described, ABC):
     @staticmethod
     @abstractmethod
     def energy(I1: Any, I2: Any, J: Any, c: tuple[float, ...]) -> Any:
-        """W_s [J/m^3]."""
+        """Return W_s [J/m^3]."""
 
     @staticmethod
     @abstractmethod
     def first(I1: Any, I2: Any, J: Any, c: tuple[float, ...]) -> tuple[Any, Any, Any]:
-        """Derivatives of W_s by I1, I2, J."""
+        """Return the derivatives of W_s by I1, I2, J."""
 
     @staticmethod
     @abstractmethod
     def second(I1: Any, I2: Any, J: Any, c: tuple[float, ...]) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """Second derivatives of W_s by (I1 I1), (I1 I2), (I2 I2), (I1 J), (I2 J), (J J)."""
+        """Return the second derivatives of W_s by (I1 I1), (I1 I2), (I2 I2), (I1 J), (I2 J), (J J)."""
 
     def strain_energy(self, F: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the energy W [J/m^3] for deformation gradients of shape (..., 3, 3)."""

@@ -111,7 +111,7 @@ def read_measurements(path: str | PathLike[str]) -> list[Measurement]:
         more than 1,000 curves; a cell is not a finite decimal number; or a curve is not a valid
         `Measurement`. The message names file and line.
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     """
     path = Path(path)
     lines = LINE.split(read_text(path, "table of measured curves"))

@@ -1,8 +1,8 @@
 """Straight-line programs of energies, their exact derivatives and their code.
 
-An expression is the index of a row in a `Tape`. Every row is one operation on earlier rows, and equal
-operations share a row. A derivative adds a few rows for each row that it depends on, so the length of
-second derivatives is proportional to that of the energy. All numbers are floats.
+An expression is the index of a row in a `Tape`. Every row is one operation on earlier rows, and
+equal operations share a row. A derivative adds a few rows for each row that it depends on, so the
+length of second derivatives is proportional to that of the energy. All numbers are floats.
 """
 
 from __future__ import annotations

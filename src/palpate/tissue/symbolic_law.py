@@ -74,32 +74,33 @@ def Hyperelastic(
     energy : str
         W_s [J/m^3] without its volumetric part U(J), in the notation of Python, of the invariants
         ``I1``, ``I2``, ``J`` of C and of ``I1bar`` = I1 J^(-2/3), ``I2bar`` = I2 J^(-4/3); or of
-        the principal stretches ``l1``, ``l2``, ``l3``. It may hold + - * / **, exp, log, sqrt, sinh, cosh, tanh, atan,
-        numbers, and parameters under other names. Limits: 4,000 characters, 250 operations, 32 nested
-        brackets and 32 parameters; magnitudes of numbers from 1e-30 to 1e30; exponents from -100 to
-        100; 700 operations with all first and second derivatives. Names of Python or of `Material` are
-        reserved.
+        the principal stretches ``l1``, ``l2``, ``l3``. It may hold + - * / **, exp, log, sqrt,
+        sinh, cosh, tanh, atan, numbers, and parameters under other names. Limits: 4,000 characters,
+        250 operations, 32 nested brackets and 32 parameters; magnitudes of numbers from 1e-30 to
+        1e30; exponents from -100 to 100; 700 operations with all first and second derivatives.
+        Names of Python or of `Material` are reserved.
     density : float [kg/m^3]
     poisson, bulk, prony, volumetric, split
         As for `palpate.materials.Material`.
     stable : (float, float) or None
         Range of the principal stretches, around 1, in which the law must be strongly elliptic
-        (`palpate.materials.material_stability`, with volumes from 0.9 to 1.1); None omits the check.
+        (`palpate.materials.material_stability`, with volumes from 0.9 to 1.1); None omits the
+        check.
     **parameters : float
         Values of the parameters of the energy, in SI units.
 
     Returns
     -------
     Material
-        Material with the parameters as attributes, and `expression`, the text. Materials of equal text
-        share one class, which is compiled once.
+        Material with the parameters as attributes, and `expression`, the text. Materials of equal
+        text share one class, which is compiled once.
 
     Raises
     ------
     InputError
         The text is not a valid energy, exceeds the limits, or is not symmetric in the stretches; a
-        parameter is missing or unknown; the energy is not finite or not free of stress at rest, has no
-        positive moduli there, or is not elliptic in the range.
+        parameter is missing or unknown; the energy is not finite or not free of stress at rest, has
+        no positive moduli there, or is not elliptic in the range.
 
     Examples
     --------
