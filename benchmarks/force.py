@@ -38,7 +38,8 @@ def case(nodes: int, jitter: float) -> dict[str, float]:
     prepare = perf_counter() - start
     u = 1e-4 * np.random.default_rng(0).standard_normal(cloud.points.shape)
     result = np.zeros_like(u)
-    (force,) = median_seconds(lambda: model._internal_force(u, model.body, model.work, result))
+    passes = model.workspace().passes
+    (force,) = median_seconds(lambda: model._internal_force(u, model.body, passes, result))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     weights = np.ones(neighbours * 9)
     reading = read_seconds(weights, parallel=True)

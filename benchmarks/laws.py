@@ -89,9 +89,6 @@ def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeat
     if form == "strong":
         chosen = {name: law for name, law in chosen.items() if law.prony is None}
     models = {name: model(form, law, nodes, jitter) for name, law in chosen.items()}
-    for each in models.values():
-        if each.material.prony is not None:
-            each.work.history.interval[0] = 1e-5  # stores history at every evaluation, as in a run
     if form == "energy":
         asked = {name: pair for name, pair in regions().items() if not laws or name.split(",")[0] in laws}
         models |= {name: model(form, pair, nodes, jitter) for name, pair in asked.items()}
@@ -100,15 +97,18 @@ def measure(form: str, nodes: int, jitter: float, laws: list[str] | None, repeat
     calls = []
     for each in models.values():
         u = 2e-4 * np.random.default_rng(0).standard_normal((len(each.cloud), 3))
-        calls.append(partial(several, each, u, np.zeros_like(u)))
+        work = each.workspace().passes
+        if each.material.prony is not None:
+            work.history.interval[0] = 1e-5  # stores history at every evaluation, as in a run
+        calls.append(partial(several, each, work, u, np.zeros_like(u)))
     seconds = median_seconds(*calls, repeats=repeats)
     return {name: 1e9 * t / TIMES / len(m.cloud) for (name, m), t in zip(models.items(), seconds, strict=True)}
 
 
-def several(model: Any, u: Any, out: Any) -> None:
+def several(model: Any, work: Any, u: Any, out: Any) -> None:
     """Evaluate the force a few times, so that the model's own arrays are where a run finds them."""
     for _ in range(TIMES):
-        model._internal_force(u, model.body, model.work, out)
+        model._internal_force(u, model.body, work, out)
 
 
 def main() -> None:

@@ -112,11 +112,12 @@ def overhead(spacing: float = 0.0018, rounds: int = 12) -> list[dict]:
     schedule, zero, state = prepared.schedule(np.array([0.0, 1e-4])), np.zeros((len(model.cloud), 3)), model.state(free)
     u, top = zero.copy(), model.cloud.group("z+")
     u[top, 2] = 5e-4 * np.exp(-np.sum((model.cloud.points[top, :2] - WIDTH / 2) ** 2, axis=1) / 0.006**2)
-    nodes, scratch = model.nodal_data(), step_scratch(len(model.cloud))
+    nodes, scratch = model._nodal_data(), step_scratch(len(model.cloud))
+    work = model.workspace()
     seconds, contact = [], []
     for _ in range(rounds):
         began = perf_counter()
-        model.advance(state, free, model.stability.step, 4)  # five evaluations
+        model.advance(state, free, model.stability.step, 4, work)  # five evaluations
         seconds.append((perf_counter() - began) / 5)
         for _ in range(20):
             velocity = zero.copy()

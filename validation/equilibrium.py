@@ -13,8 +13,8 @@ def relax(model: pt.Solid, loads: list, u: np.ndarray, settle: float, damping: f
     prepared = model.prepare(loads)
     state = pt.State(u.copy(), np.zeros_like(u))
     while state.time < settle:
-        step = model.stable_step(state, prepared)
-        state = model.advance(state, prepared, step, 50)
+        step = model.stable_step(state, prepared)[0]
+        state = model.advance(state, prepared, step, 50)[0]
         state = pt.State(state.coordinates, state.velocities * np.exp(-50 * step * damping), state.time)
     return state.coordinates
 

@@ -110,7 +110,7 @@ def _run(draw: _Draw) -> pt.Trajectory:
     loads = _loads(draw, plane)
     with np.errstate(all="ignore"):
         ready = model.prepare(loads)
-        stable = model.stable_step(model.state(ready), ready)
+        stable = model.stable_step(model.state(ready), ready)[0]
     long = times["duration"] > ASKED * min(stable, times.get("step", np.inf))
     watched = _watched(draw.vector(0.0, 0.0, -9.81), _Enough if long else TooLong)
     return pt.rollout(model, [watched, *loads], **times, progress=False)

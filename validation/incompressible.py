@@ -28,7 +28,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 import palpate as pt
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.dynamics.solid.model import ENERGY_DAMPING
+from palpate.dynamics.solid.energy import DAMPING
 from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
 from palpate.meshfree.stencils import moving_least_squares
 
@@ -128,8 +128,9 @@ def pressures(model: pt.Solid, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
     The energy form smooths twice: its stress has what the transposed smoothing makes of the first.
     """
-    model.force(u)
-    work, lame = model.work, model.material.lame
+    work, lame = model.workspace(), model.material.lame
+    model.force(u, work=work)
+    work = work.passes
     own = lame * (np.linalg.det(model.deformation_gradient(u)) - 1)
     if model.conservative:
         return lame * work.smooth, lame * work.pressure, own
@@ -180,7 +181,7 @@ def settled_panel(model: pt.Solid, seconds: float = 0.6, damping: float = 60.0) 
     faces = np.union1d(model.cloud.group("z-"), model.cloud.group("z+"))
     u, v, now, steps = np.zeros_like(model.cloud.points), np.zeros_like(model.cloud.points), 0.0, 0
     while now < seconds:
-        step = 0.8 * model.stable_step(pt.State(u, v, now), prepared)
+        step = 0.8 * model.stable_step(pt.State(u, v, now), prepared)[0]
         for _ in range(200):
             a = model.acceleration(pt.State(u, v, now), prepared)
             a[faces, 2] = 0.0
@@ -250,7 +251,7 @@ def model_of(
 def default_step(model: pt.Solid) -> float:
     """Stable step [s] at rest with the default stiffness damping."""
     highest = model.stability.highest_frequency
-    return stable_step(highest, ENERGY_DAMPING / highest) if model.conservative else model.stability.step
+    return stable_step(highest, DAMPING / highest) if model.conservative else model.stability.step
 
 
 def run(case: str, poisson: float, form: str, spacing: float, jitter: float) -> None:

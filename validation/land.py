@@ -47,7 +47,7 @@ def settle(model: Any, u: Any, tip: int) -> tuple[Any, int, float]:
     model.highest_frequency.restart()
     for steps in range(MOST):
         if steps % EVERY == 0:
-            step = SHARE * model.stable_step(pt.State(u, rest, 0.0), prepared)
+            step = SHARE * model.stable_step(pt.State(u, rest, 0.0), prepared)[0]
             if steps > FEWEST and abs(u[tip, 2] - before) < SETTLED * MM and unbalanced(model, u, prepared) < BALANCED:
                 break
             before = u[tip, 2]

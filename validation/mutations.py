@@ -159,12 +159,13 @@ MUTATIONS = (
     ),
     Mutation(
         "loads of one run act in the next", "dynamics/nodal/model.py",
-        "_scratch.surface[:] = 0.0", "_scratch.surface[:0] = 0.0", load("solid, energy", "Foundation, springs"),
+        "work.step.surface[:] = 0.0", "work.step.surface[:0] = 0.0",
+        contract("a_workspace_leaves_no_trace", "solid, energy"),
     ),
     Mutation(
-        "loads of one run taken for the next's", "reduction/hyper/model.py",
-        "self._projected is None or self._projected.prepared is not ready", "self._projected is None",
-        load("hyper-reduced", "SurfaceForce, moment"),
+        "tools of one run taken for the next's", "reduction/hyper/model.py",
+        "work.tools is None or work.tools.prepared is not ready", "work.tools is None",
+        contract("a_workspace_leaves_no_trace", "hyper-reduced, touched"),
     ),
     # energy and momentum
     Mutation(
@@ -186,11 +187,11 @@ MUTATIONS = (
     ),
     Mutation(
         "loads counted twice in reactions", "dynamics/run/reactions.py",
-        "- model.external_force(state, prepared)", "- 2.0 * model.external_force(state, prepared)",
+        "- model.external_force(state, prepared, work)", "- 2.0 * model.external_force(state, prepared, work)",
         contract("supports_bear_the_loads", "solid, strong"),
     ),
     Mutation(
-        "factor at the boundary", "dynamics/solid/model.py",
+        "factor at the boundary", "dynamics/solid/strong.py",
         "(self.cloud.face_nodes)] /= self.half_cell", "(self.cloud.face_nodes)] /= 1.0",
         ("tests/dynamics/solid/test_equilibrium.py::test_tractions_and_gravity_do_their_true_virtual_work_in_the_inner_product",),
     ),

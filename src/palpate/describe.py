@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class Described:
     of its own lists its fields, arrays by their shape.
     """
 
+    _title: ClassVar[str] = ""  # name of a class that stands behind another one
+
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if "__repr__" not in cls.__dict__:
@@ -48,7 +50,7 @@ class Described:
         return ""
 
     def __repr__(self) -> str:
-        name = type(self).__name__
+        name = self._title or type(self).__name__
         try:
             facts = self._facts()
         except AttributeError:  # an object whose construction has not ended
@@ -68,7 +70,7 @@ class Described:
             for what, value, unit in self._facts()
             if value is not None
         )
-        title = escape(type(self).__name__)
+        title = escape(self._title or type(self).__name__)
         table = f'<table><caption style="text-align:left"><b>{title}</b></caption><tbody>{rows}</tbody></table>'
         return f'<div style="display:flex;flex-wrap:wrap;gap:1em;align-items:center">{table}{self._picture()}</div>'
 

@@ -7,13 +7,16 @@ from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.contact.tools import Motion, Tool
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.prepared import Load, LoadHistory, PreparedLoads
-from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.nodal.stability import FrequencyTracker, StabilityReport
-from palpate.dynamics.run.model import ContactState, Model, Outputs
+from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.nodal.model import NodalModel, NodalWork
+from palpate.dynamics.nodal.stability import StabilityReport
+from palpate.dynamics.run.model import ContactState, Evaluation, Model, Outputs, StepReport
 from palpate.realtime.device import DeviceLog
 from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Distribution, Histograms
+from palpate.reduction.galerkin.step import GalerkinWork
 from palpate.reduction.hyper.data import ReducedData
+from palpate.reduction.hyper.model import ReducedWork
 from palpate.reduction.lti.realtime import LinearRealtime
 from palpate.reduction.realtime.model import RealtimeModel
 
@@ -22,9 +25,10 @@ __all__ = [
     "DeadLoad",
     "DeviceLog",
     "Distribution",
+    "Evaluation",
     "ForcePattern",
     "Formulation",
-    "FrequencyTracker",
+    "GalerkinWork",
     "Histograms",
     "LinearRealtime",
     "Load",
@@ -32,11 +36,15 @@ __all__ = [
     "Model",
     "Motion",
     "NodalModel",
+    "NodalWork",
     "Outputs",
     "PreparedLoads",
     "Reading",
     "RealtimeModel",
     "ReducedData",
+    "ReducedWork",
     "StabilityReport",
+    "StepReport",
+    "Tissue",
     "Tool",
 ]

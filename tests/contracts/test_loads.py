@@ -126,7 +126,8 @@ def test_a_new_kind_of_load_is_refused_until_a_model_has_forces_for_it(kind, mon
         return
     for module in (
         "palpate.reduction.hyper.loads.prepare_loads",
-        "palpate.dynamics.solid.model.prepare_loads",
+        "palpate.dynamics.solid.base.prepare_loads",
+        "palpate.dynamics.solid.energy.prepare_loads",
         "palpate.dynamics.membrane.model.prepare_loads",
     ):
         original = pytest.importorskip(module.rpartition(".")[0]).prepare_loads

@@ -58,12 +58,12 @@ def test_nodes_in_several_parts_leave_force_and_energy_as_they_are(sampled, coun
 def test_times_of_compiled_loops_are_positive_and_leave_the_model_as_it_was(sampled, pull):
     prepared = sampled.prepare([pull])
     state = sampled.state(prepared)
-    before = sampled.advance(state, prepared, 1e-5, 10)
+    before = sampled.advance(state, prepared, 1e-5, 10)[0]
     force, reading = force_seconds(sampled, repeats=2)
     (step,) = step_seconds((sampled, prepared, state), steps=50, repeats=2)
     assert min(force, reading, step, read_seconds(np.ones(10**4), repeats=2)) > 0
     assert not state.coordinates.any()
-    np.testing.assert_array_equal(sampled.advance(state, prepared, 1e-5, 10).coordinates, before.coordinates)
+    np.testing.assert_array_equal(sampled.advance(state, prepared, 1e-5, 10)[0].coordinates, before.coordinates)
 
 
 @pytest.fixture

@@ -41,7 +41,7 @@ def test_away_from_the_interface_each_part_answers_as_its_own_material(prony):
     # stresses depend on the smoothed pressure, which nodes near the interface share; shear parts do not
     F = mixed.deformation_gradient(u)
     for model, here in zip(alone, (~far, far), strict=True):
-        np.testing.assert_allclose(mixed.shear_stress(F)[here], model.shear_stress(F)[here], rtol=1e-12)
+        np.testing.assert_allclose(mixed.tissue.shear_stress(F)[here], model.tissue.shear_stress(F)[here], rtol=1e-12)
     deep = np.isin(mixed.cloud.points[:, 0], [0.0, 0.04])  # no stencil of a stencil reaches the other part
     expected = np.where(far[:, None], alone[1].force(u), alone[0].force(u))
     found = mixed.force(u)

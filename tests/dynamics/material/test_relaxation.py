@@ -24,16 +24,14 @@ def body():
 
 def responses(body, courses, times):
     """First Piola-Kirchhoff stresses (t, 3, 3), stored and lost energies [J/m^3] of uniform deformations F(t)."""
-    history, points = body.work.history, body.cloud.points
-    body._restore_history(body.state(body.prepare([])))
+    history, points = body.state(body.prepare([])).history, body.cloud.points
     stresses, stored, lost = [], [], []
     for before, time in zip([times[0], *times], times, strict=False):
-        history.interval[0] = time - before
         u = points @ (courses(time) - np.eye(3)).T
-        stresses.append(body.stress(u).mean(axis=0))
-        history.interval[0] = 0.0
-        stored.append(body.strain_energy(u) / body.volumes.sum())
-        lost.append(body._saved_history()[0] / body.volumes.sum())
+        history, dissipated = body.history_after(u, history, time - before) if time > before else (history, 0.0)
+        stresses.append(body.stress(u, history).mean(axis=0))
+        stored.append(body.strain_energy(u, history) / body.volumes.sum())
+        lost.append((lost[-1] if lost else 0.0) + dissipated / body.volumes.sum())
     return np.array(stresses), np.array(stored), np.array(lost)
 
 

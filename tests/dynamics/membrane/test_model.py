@@ -254,8 +254,8 @@ def test_a_taut_sheet_sounds_at_the_zeros_of_bessel(cloud, form, bound):
 def settle(model, loads, u, seconds=0.4, damping=60.0):
     prepared, state = model.prepare(loads), pt.State(u, np.zeros_like(u))
     while state.time < seconds:
-        step = model.stable_step(state, prepared)
-        state = model.advance(state, prepared, step, 50)
+        step = model.stable_step(state, prepared)[0]
+        state = model.advance(state, prepared, step, 50)[0]
         state = pt.State(state.coordinates, state.velocities * np.exp(-50 * step * damping), state.time)
     return state, prepared
 

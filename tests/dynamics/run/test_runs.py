@@ -302,7 +302,7 @@ def test_works_do_not_depend_on_how_steps_are_bundled(held, loaded):
     for bundle in (1, 50):
         state = held.state(prepared, u)
         for _ in range(200 // bundle):
-            state = held.advance(state, prepared, 2e-5, bundle)
+            state = held.advance(state, prepared, 2e-5, bundle)[0]
         ends.append(state)
     np.testing.assert_allclose(ends[0].coordinates, ends[1].coordinates, atol=5e-6)  # of 4.5 mm
     assert ends[1].dissipated == pytest.approx(ends[0].dissipated, rel=0.05)

@@ -145,7 +145,7 @@ def test_pymor_s_time_stepping_gives_the_same_result(method, reduction):
     model = reduction.model(method, 6)
     pull = pt.SurfaceForce("x+", force=lambda t: (1e-4 * t * (0.02 - t), 0.0, 5e-5 * t * (0.02 - t)))
     prepared, end, missed = model.prepare([pull]), 0.02, []
-    state = model.advance(model.state(prepared), prepared, end / 800, 800)
+    state = model.advance(model.state(prepared), prepared, end / 800, 800)[0]
     expected = model.responses(state, prepared)
     for steps in (800, 1600):
         lti = LTIModel.from_matrices(

@@ -30,9 +30,9 @@ def pressed():
     prepared = model.prepare([load])
     state = model.state(prepared)
     for _ in range(40):
-        step = model.stable_step(state, prepared)
+        step = model.stable_step(state, prepared)[0]
         steps = int(np.ceil(0.005 / step))
-        state = model.advance(state, prepared, 0.005 / steps, steps)
+        state = model.advance(state, prepared, 0.005 / steps, steps)[0]
     return model, prepared, state
 
 
@@ -56,8 +56,8 @@ def test_held_nodes_get_their_forces_themselves(pressed):
     prepared = model.prepare([load])
     state = model.state(prepared)
     for _ in range(10):
-        steps = int(np.ceil(0.005 / model.stable_step(state, prepared)))
-        state = model.advance(state, prepared, 0.005 / steps, steps)
+        steps = int(np.ceil(0.005 / model.stable_step(state, prepared)[0]))
+        state = model.advance(state, prepared, 0.005 / steps, steps)[0]
     push = state.contact_state.surface_forces[0]
     on = np.flatnonzero(push.any(axis=1))
     nodal = model.displacement(state, prepared, surface.nodes)

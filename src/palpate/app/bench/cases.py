@@ -127,8 +127,9 @@ def large_case(repeats: int, console: Console) -> dict[str, Any]:
 
 def _chunk(model: ReducedModel, prepared: Any, state: Any) -> Callable[[], Any]:
     """Return a call that takes steps as `rollout` does."""
-    step = model.stable_step(state, prepared)
-    return lambda: model.advance(state, prepared, step, CHUNK)
+    step, state = model.stable_step(state, prepared)
+    work = model.workspace()
+    return lambda: model.advance(state, prepared, step, CHUNK, work)
 
 
 def _load(k: int) -> Load:

@@ -88,7 +88,9 @@ def force_seconds(model: ReducedModel, repeats: int = 15) -> tuple[float, float]
     repeat, read, flat = _repeated_force(), _reader(False), model._integration_points.table.reshape(-1)
     result = np.zeros(model.count)
     force, evaluations = _per_count(
-        lambda times: repeat(model._force, columns, model._integration_points, model._scratch, result, times)
+        lambda times: repeat(
+            model._force, columns, model._integration_points, model.workspace().coordinates, result, times
+        )
     )
     table, readings = _per_count(lambda times: read(flat, times))
     own, reading = median_seconds(force, table, repeats=repeats)
@@ -104,7 +106,7 @@ def step_seconds(*runs: tuple[ReducedModel, PreparedLoads, State], steps: int = 
 
 def _compile_loop(model: ReducedModel, prepared: PreparedLoads, state: State, steps: int) -> Call:
     """Return a call of the compiled steps, with what `ReducedModel.advance` gives them."""
-    step, given = model.stable_step(state, prepared), []
+    (step, _), given = model.stable_step(state, prepared), []
     explicit = model._explicit
 
     def record(*arguments: Any) -> Any:

@@ -147,7 +147,7 @@ def _run(scene: Scene, model: Model, console: Console, file: Path | None = None)
     prepared = model.prepare(scene.loads)
     kept = f"; the frames until then are kept in {file}" if file else ""
     try:
-        step = min(scene.every, model.stable_step(model.state(prepared), prepared))
+        step = min(scene.every, model.stable_step(model.state(prepared), prepared)[0])
         rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
         run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file)
     except DivergenceError as error:

@@ -13,7 +13,7 @@ from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.app.train.local import run_local
 from palpate.app.train.work import Outcome
 from palpate.dynamics.contact.tools import Contact, Grasp
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.files import check_space
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.hyper.model import ReducedModel
@@ -119,7 +119,7 @@ def make_model(
     share = scene.cubature if cubature is None else cubature
     with console.status(f"training {modes} modes on {len(learned)} runs, trying them on {len(tried)} others"):
         coarse = smooth = None
-        if scene.coarse is not None and isinstance(scene.model, Solid):
+        if scene.coarse is not None and isinstance(scene.model, EnergySolid):
             coarse = scene.coarse()
             smooth = interpolated_modes(coarse, scene.model, modes)
         model = hyper_reduce(

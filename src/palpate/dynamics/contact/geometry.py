@@ -113,6 +113,17 @@ class Contacts(NamedTuple):
     tool_impulses: Floats
 
 
+SCRATCH = (
+    "frames", "active_count", "active", "patch_impulses", "inverse_mass", "step_impulses", "nodal_impulses",
+    "tool_impulses",
+)  # fmt: skip
+
+
+def with_scratch(contacts: Contacts) -> Contacts:
+    """Return the same tools and patches with new scratch arrays."""
+    return contacts._replace(**{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH})
+
+
 @kernel_njit()
 def signed_distance(kind, sizes, x, y, z):  # type: ignore[no-untyped-def]
     """Return the distance [m] of a point in the tool's frame to its surface, negative inside, and the outward normal.

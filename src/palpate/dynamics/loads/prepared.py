@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.dynamics.contact.geometry import Contacts, contacts
+from palpate.dynamics.contact.geometry import Contacts, contacts, with_scratch
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
@@ -131,6 +131,8 @@ class PreparedLoads(Described):
         Names of the prescribed groups of a `Grasp`.
     partitions : dict
         Partitions of unity by groups, computed on first use.
+    derived : dict
+        What models compute from the loads on first use: pairs of a model and its value, by the model's id.
     """
 
     loads: tuple[Load, ...]
@@ -141,6 +143,11 @@ class PreparedLoads(Described):
     motions: tuple[tuple[PrescribedMotion, slice], ...] = field(default=())
     grasps: tuple[str, ...] = ()
     partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)
+    derived: dict[int, tuple[object, object]] = field(default_factory=dict, repr=False, compare=False)
+
+    def with_scratch(self) -> tuple[LoadSites, Contacts]:
+        """Return the sites and contacts with new scratch arrays, for one call of a step."""
+        return self.sites._replace(impulses=np.zeros_like(self.sites.impulses)), with_scratch(self.contacts)
 
     def _facts(self) -> list[Fact]:
         return [("nodes", len(self.points), ""), ("supports", list(self.supports), ""), ("loads", self.loads, "")]

@@ -15,12 +15,12 @@ from palpate.dynamics.compiled.lanes import Lanes, Weights, lane_table, transpos
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, prepare_loads
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
-from palpate.dynamics.material.relaxation import equilibrium_history, relaxation, restore_history, saved_history
+from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, additional_stress
 from palpate.dynamics.membrane.passes import POINTS, RADIUS, SheetBody, sheet, sheet_work
-from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.nodal.model import History, NodalModel, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
-from palpate.dynamics.run.model import State
+from palpate.dynamics.run.model import Evaluation
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
@@ -105,16 +105,22 @@ class Membrane(NodalModel):
         target = NEIGHBOURS[form] if neighbours is None else neighbours
         self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=target)
         self._areas = cloud.volumes / self.prestretch**2
+        self.volumes = self._areas * self.thickness
         body, longest = self._body()
         self._compile(
             sheet(type(material), self.relaxed, form == "strong", self._additional_stress()),
             body,
-            sheet_work(
-                len(cloud), len(body.lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS, len(body.relaxation.times)
+            partial(
+                sheet_work,
+                len(cloud),
+                len(body.lanes.nodes),
+                longest,
+                numba.config.NUMBA_NUM_THREADS,
+                len(body.relaxation.times),
             ),
             body.lanes,
         )
-        self._equilibrium_history(np.zeros((len(cloud), 3)))
+        self._history_at_rest = self._equilibrium_history(np.zeros((len(cloud), 3)))
         self._taut = resting_frequency(self, TAUT_STRAIN * self._in_space(cloud.points))
         chosen = DAMPING[form] / self._taut if stiffness_damping is None else stiffness_damping
         used = number_in_range("stiffness_damping", chosen, 0.0, unit="s")
@@ -171,10 +177,6 @@ class Membrane(NodalModel):
         """Append a zero third component to plane vectors, shape (n, 3)."""
         return np.column_stack([points, np.zeros(len(points))])
 
-    @property
-    def volumes(self) -> Floats:
-        return self._areas * self.thickness
-
     def deformation_gradient(self, displacements: Floats) -> Floats:
         """Return F = dx/dX of the stress-free sheet at every node, (n, 3, 2), for displacements (n, 3) [m].
 
@@ -183,34 +185,20 @@ class Membrane(NodalModel):
         """
         return self.stencils.gradient(displacements) + self.prestretch * np.eye(3, 2)
 
-    def strain_energy(self, displacements: Floats) -> float:
-        self.force(displacements)
-        return float(np.sum(self.volumes * self.work.energy))
-
-    def _equilibrium_history(self, displacements: Floats) -> tuple[Floats, ...]:
-        return equilibrium_history(self.work.history, lambda: self.force(displacements))
-
-    def _restore_history(self, state: State | None) -> None:
-        restore_history(self.work.history, () if state is None else state.history)
-        if state is None:
-            self._equilibrium_history(np.zeros((len(self.cloud), 3)))
-
-    def _saved_history(self) -> tuple[float, tuple[Floats, ...]]:
-        if self.material.prony is None:
-            return 0.0, ()
-        lost = self.work.history.lost
-        by_node = lost.reshape(-1, POINTS, lost.shape[1]).mean(axis=1).ravel()[self.slot]
-        return float(self.volumes @ by_node), saved_history(self.work.history)
-
-    def stress(self, displacements: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa] at every node, (n, 3, 2), for displacements (n, 3) [m].
-
-        With fibres or relaxation it is the mean over the six points around the node.
-        """
+    def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
+        """As `NodalModel.evaluate`; with fibres or relaxation the stress is the mean over the six points."""
+        work = self.workspace() if work is None else work
+        force, passes = self.force(displacements, history, work), work.passes
         if self._additional_stress() == NO_ADDITIONAL_STRESS:
-            return self.stress_at(self.deformation_gradient(displacements))
-        self.force(displacements)
-        return np.array(self.work.flux[:, :6].reshape(-1, 2, 3).transpose(0, 2, 1))
+            stress = self.stress_at(self.deformation_gradient(displacements))
+        else:
+            stress = np.array(passes.flux[:, :6].reshape(-1, 2, 3).transpose(0, 2, 1))
+        return Evaluation(force, stress, np.zeros(len(force)), passes.energy.copy())
+
+    def _relaxed_energy(self, work: NodalWork) -> float:
+        lost = work.passes.history.lost
+        by_node = lost.reshape(-1, POINTS, lost.shape[1]).mean(axis=1).ravel()[self.slot]
+        return float(self.volumes @ by_node)
 
     def stress_at(self, F: Floats) -> Floats:
         """Return the law's first Piola-Kirchhoff stress [Pa], (..., 3, 2), for gradients (..., 3, 2)."""
@@ -260,10 +248,9 @@ class Membrane(NodalModel):
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         return prepare_loads(self.cloud, self.fixed, loads, partial(load_areas, self.cloud, self.prestretch))
 
-    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
+    def _step(self, frequency: float, prepared: PreparedLoads) -> float:
         # a slack region can become taut before the next estimate
-        frequency = self.highest_frequency(state.coordinates, prepared.constraint_mask(state.time))
-        return self._step(max(frequency, self._taut), prepared)
+        return super()._step(max(frequency, self._taut), prepared)
 
 
 def _validated_fibres(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +16,17 @@ from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.loads.prepared import FIXED, FREE, LoadHistory, PreparedLoads
 from palpate.dynamics.material.fibres import always_taut
+from palpate.dynamics.material.relaxation import equilibrium_history, restore_history, saved_history
 from palpate.dynamics.nodal.central_difference import (
     Damping,
     NodalData,
+    StepScratch,
     foundation_force,
     full_step,
     step_scratch,
     surface_force,
 )
-from palpate.dynamics.nodal.stability import FrequencyTracker, StabilityReport, stable_step
+from palpate.dynamics.nodal.stability import StabilityReport, highest_frequency, stable_step
 from palpate.dynamics.run.contact_state import (
     check_initial_penetration,
     check_penetration,
@@ -30,12 +34,28 @@ from palpate.dynamics.run.contact_state import (
     initial_contact_state,
     next_contact_state,
 )
-from palpate.dynamics.run.model import Model, Nodes, Outputs, State, initial_field
+from palpate.dynamics.run.model import Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import evaluate, tool_power
 from palpate.faults import number_in_range
 from palpate.tissue.fibres import FibreLaw
 
-__all__ = ["NodalModel"]
+__all__ = ["NodalModel", "NodalWork"]
+
+History = tuple[Floats, ...]
+
+
+class NodalWork(NamedTuple):
+    """Scratch arrays of a nodal model, for one thread at a time.
+
+    Parameters
+    ----------
+    passes : NamedTuple
+        Scratch arrays of the compiled passes, with the history variables of relaxing tissue.
+    step : StepScratch
+    """
+
+    passes: Any
+    step: StepScratch
 
 
 class NodalModel(Model):
@@ -43,8 +63,8 @@ class NodalModel(Model):
 
     Attributes
     ----------
-    body, work : NamedTuples
-        Input and scratch arrays of the compiled passes.
+    body : NamedTuple
+        Constants of the compiled passes.
     formulation : Formulation
     half_cell : float
         Half the c of the half-cell balance at the boundary.
@@ -53,32 +73,28 @@ class NodalModel(Model):
     stability : StabilityReport
     wave_speed : float [m/s]
         Estimate of the fastest wave speed, and limit of prescribed velocities in the damping forces.
-    highest_frequency : FrequencyTracker
     fibres : FibreLaw or None
         Fibres with a direction at every node.
     """
 
     body: Any
-    work: Any
     formulation: Formulation
     half_cell: float
     fixed_mask: NDArray[np.bool_]
     stability: StabilityReport
     wave_speed: float
-    highest_frequency: FrequencyTracker
     fibres: FibreLaw | None = None
 
-    def _compile(self, formulation: Formulation, body: Any, work: Any, lanes: Lanes) -> None:
-        """Set the compiled passes and their arrays; requires the cloud and the supports."""
-        self.formulation, self.body, self.work = formulation, body, work
+    def _compile(self, formulation: Formulation, body: Any, allocate: Callable[[], Any], lanes: Lanes) -> None:
+        """Set the compiled passes and their constants; requires the cloud, the volumes and the supports."""
+        self.formulation, self.body, self._allocate = formulation, body, allocate
         self._always_taut = body if self.fibres is None else body._replace(families=always_taut(body.families))
         self._internal_force, self._advance = internal_force(formulation), full_step(formulation)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
-        self._scratch = step_scratch(len(self.cloud))
         self.fixed_mask = self.prepare(()).sites.kind != FREE
-        self.highest_frequency = FrequencyTracker(self)
         self.wave_speed = np.inf
+        self._history_at_rest: History = ()
 
     def _set_stability(self, report: StabilityReport) -> None:
         """Set the damping and the wave speed of a stability report."""
@@ -90,20 +106,99 @@ class NodalModel(Model):
         """Weights [m^3] of the inner product of virtual work, shape (n,)."""
         return self.volumes
 
-    def force(self, displacements: Floats) -> Floats:
-        """Return the nodal internal force density (n, 3) [N/m^3] for displacements (n, 3) [m]."""
+    # evaluation
+
+    def workspace(self) -> NodalWork:
+        return NodalWork(self._allocate(), step_scratch(len(self.cloud)))
+
+    def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
+        """Return force, stress, pressure and energy density of displacements (n, 3) [m].
+
+        Parameters
+        ----------
+        displacements : (n, 3) array [m]
+        history : tuple of arrays
+            History variables of relaxing tissue, as in a `State`; by default those at rest. The tissue
+            responds to the change since then as to an instantaneous one.
+        work : NodalWork, optional
+        """
+        raise NotImplementedError
+
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        """Return F = dx/dX of nodal displacements at every node, shape (n, 3, d)."""
+        raise NotImplementedError
+
+    def force(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Floats:
+        """Return the internal force density (n, 3) [N/m^3] of displacements, without the rest of `evaluate`."""
+        work = self.workspace() if work is None else work
+        self._restore(history, work)
+        return self._force(displacements, self.body, work)
+
+    def _force(self, displacements: Floats, body: Any, work: NodalWork) -> Floats:
+        """Return the internal force density for the history variables in a workspace."""
         result = np.zeros((len(self.cloud), 3))
-        self._internal_force(np.ascontiguousarray(displacements, dtype=float), self.body, self.work, result)
+        self._internal_force(np.ascontiguousarray(displacements, dtype=float), body, work.passes, result)
         return result
 
-    def always_taut_force(self, displacements: Floats) -> Floats:
-        """Return the internal force density [N/m^3] with fibres always taut, for the stable step."""
-        result = np.zeros((len(self.cloud), 3))
-        self._internal_force(np.ascontiguousarray(displacements, dtype=float), self._always_taut, self.work, result)
-        return result
+    def _restore(self, history: History, work: NodalWork) -> None:
+        """Write history variables, or those at rest for none, to a workspace."""
+        if self.material.prony is not None:
+            restore_history(work.passes.history, history or self._history_at_rest)
 
-    def nodal_force(self, displacements: Floats) -> Floats:
-        return self.force(displacements)
+    def nodal_force(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Floats:
+        """Return the internal force density [N/m^3] of nodal displacements, shape (n, 3)."""
+        return self.force(displacements, history, work)
+
+    def stress(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Floats:
+        """Return the nodal first Piola-Kirchhoff stress [Pa] of displacements, shape (n, 3, d)."""
+        return self.evaluate(displacements, history, work).stress
+
+    def strain_energy(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> float:
+        """Return the strain energy [J] of nodal displacements; NaN for an inverted body."""
+        return float(self.volumes @ self.evaluate(displacements, history, work).energy_density)
+
+    def highest_frequency(
+        self,
+        displacements: Floats,
+        constrained: NDArray[np.bool_],
+        history: History = (),
+        start: Floats | None = None,
+        work: NodalWork | None = None,
+    ) -> tuple[float, Floats | None]:
+        """Return the highest frequency [rad/s] of the body at displacements, with fibres always taut.
+
+        Parameters
+        ----------
+        displacements : (n, 3) array [m]
+        constrained : (n,) bool array
+            Nodes that do not move.
+        history : tuple of arrays
+        start : (n, 3) array, optional
+            Vector of an earlier estimate, from which the power iteration starts.
+        work : NodalWork, optional
+
+        Returns
+        -------
+        frequency, vector
+            The vector for the next estimate; None for a body without stiffness.
+        """
+        scratch = self.workspace() if work is None else work
+        self._restore(history, scratch)
+        return highest_frequency(
+            lambda u: self._force(u, self._always_taut, scratch),
+            displacements,
+            constrained,
+            self._noise,
+            start,
+            amplitude=1e-6 * self.cloud.spacing,
+            density=self.material.density,
+        )
+
+    @cached_property
+    def _noise(self) -> Floats:
+        return np.random.default_rng(0).standard_normal((len(self.cloud), 3))
+
+    # steps
 
     def state(
         self,
@@ -112,7 +207,6 @@ class NodalModel(Model):
         velocity: Floats | None = None,
         time: float = 0.0,
     ) -> State:
-        self.highest_frequency.restart()
         fields: list[Floats] = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
             array = initial_field(name, given, len(self.cloud))
@@ -130,17 +224,38 @@ class NodalModel(Model):
             fields[0], fields[1], time, history=self._equilibrium_history(fields[0]), contact_state=contact_state
         )
 
-    def _equilibrium_history(self, displacements: Floats) -> tuple[Floats, ...]:
+    def _equilibrium_history(self, displacements: Floats) -> History:
         """Return the history variables at equilibrium; empty without relaxation."""
-        return ()
+        if self.material.prony is None:
+            return ()
+        work = self.workspace()
+        return equilibrium_history(work.passes.history, lambda: self._force(displacements, self.body, work))
 
-    def _restore_history(self, state: State | None) -> None:
-        """Restore the history variables of a state, or those at rest."""
+    def history_after(
+        self, displacements: Floats, history: History, interval: float, work: NodalWork | None = None
+    ) -> tuple[History, float]:
+        """Return the history variables after a linear change over an interval [s] to displacements (n, 3) [m].
 
-    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
-        self._restore_history(state)
-        frequency = self.highest_frequency(state.coordinates, prepared.constraint_mask(state.time))
-        return self._step(frequency, prepared)
+        Returns
+        -------
+        history, dissipated
+            The energy [J] that relaxation has dissipated.
+        """
+        if self.material.prony is None:
+            return (), 0.0
+        work = self.workspace() if work is None else work
+        self._restore(history, work)
+        variables = work.passes.history
+        variables.interval[0] = interval
+        self._force(displacements, self.body, work)
+        variables.interval[0] = 0.0
+        return saved_history(variables), self._relaxed_energy(work)
+
+    def stable_step(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> tuple[float, State]:
+        constrained = prepared.constraint_mask(state.time)
+        start = state.estimate[0] if state.estimate else None
+        frequency, vector = self.highest_frequency(state.coordinates, constrained, state.history, start, work)
+        return self._step(frequency, prepared), replace(state, estimate=() if vector is None else (vector,))
 
     def _step(self, frequency: float, prepared: PreparedLoads) -> float:
         """Return the stable step [s] for a highest frequency [rad/s], with foundations."""
@@ -154,43 +269,50 @@ class NodalModel(Model):
         highest = float(np.sqrt(frequency**2 + squares))
         return stable_step(highest, self.stiffness_damping + rates / highest**2)
 
-    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
+    def advance(
+        self, state: State, prepared: PreparedLoads, step: float, steps: int, work: NodalWork | None = None
+    ) -> tuple[State, StepReport]:
         number_in_range("step", step, 0.0, open_low=True, unit="s")
+        work = self.workspace() if work is None else work
         times: Floats = state.time + step * np.arange(steps + 1, dtype=float)
         u, v = state.coordinates.copy(), state.velocities.copy()
         schedule = prepared.schedule(times)
         check_tool_step(prepared, schedule, self.cloud.spacing)
-        prepared.contacts.tool_impulses[:], prepared.contacts.nodal_impulses[:], prepared.sites.impulses[:] = (
-            0.0,
-            0.0,
-            0.0,
-        )
-        self._scratch.surface[:] = 0.0  # values of another run's loads
-        self._restore_history(state)
-        before = 0.0 if self.conservative else tool_power(self, state, prepared)
-        work, lost, tools = self._advance(
+        sites, contacts = prepared.with_scratch()
+        power = 0.0 if self.conservative else tool_power(self, state, prepared, work)
+        self._restore(state.history, work)
+        work.step.surface[:] = 0.0  # of another run's loads
+        least = self._least_dilatation(work)
+        least[:] = 0.0
+        done, lost, tools = self._advance(
             u,
             v,
             step,
             Damping(self.stiffness_damping, self.wave_speed),
-            (self.body, self.work),
-            (prepared.sites, prepared.contacts, schedule),
+            (self.body, work.passes),
+            (sites, contacts, schedule),
             self._nodal_data(),
-            self._scratch,
+            work.step,
         )
         if prepared.tools:
-            check_penetration(prepared, schedule, u, surface_nodes(self.cloud), self.cloud.spacing)
-        relaxed, history = self._saved_history()
-        dissipated = state.dissipated + lost + relaxed
-        contact_state = (
-            None
-            if state.contact_state is None
-            else next_contact_state(prepared, state.contact_state, 0.5 * step, schedule.constrained[-1])
-        )
-        new = State(u, v, float(times[-1]), state.external_work + work, dissipated, history, contact_state)
+            check_penetration(prepared, contacts, schedule, u, surface_nodes(self.cloud), self.cloud.spacing)
+        history: History = ()
+        if self.material.prony is not None:
+            lost += self._relaxed_energy(work)
+            history = saved_history(work.passes.history)
+        contact_state = state.contact_state
+        if contact_state is not None:
+            contact_state = next_contact_state(
+                prepared, (sites, contacts), contact_state, 0.5 * step, schedule.constrained[-1]
+            )
+        new = replace(
+            state, coordinates=u, velocities=v, time=float(times[-1]), external_work=state.external_work + done,
+            dissipated=state.dissipated + lost, history=history, contact_state=contact_state,
+        )  # fmt: skip
         if not self.conservative:  # trapezium rule for the power of the tools
-            tools = 0.5 * step * steps * (before + tool_power(self, new, prepared))
-        return replace(new, external_work=new.external_work + tools)
+            tools = 0.5 * step * steps * (power + tool_power(self, new, prepared, work))
+        report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.tool_impulses)
+        return replace(new, external_work=new.external_work + tools), report
 
     def _nodal_data(self) -> NodalData:
         """Return the constants of the nodes for the compiled step."""
@@ -202,18 +324,26 @@ class NodalModel(Model):
             half_cell=self.half_cell,
         )
 
-    def _saved_history(self) -> tuple[float, tuple[Floats, ...]]:
-        """Return the energy [J] dissipated by relaxation since the last restore, and the history variables."""
-        return 0.0, ()
+    def _least_dilatation(self, work: NodalWork) -> Floats:
+        """Return the array (1,) in which the passes store the least dilatation; empty where they do not."""
+        return np.zeros(0)
 
-    def tractions(self, prepared: PreparedLoads, schedule: LoadHistory, state: State | None = None) -> Floats:
+    def _relaxed_energy(self, work: NodalWork) -> float:
+        """Return the energy [J] dissipated by relaxation since the history variables were restored."""
+        raise NotImplementedError
+
+    # results of a state
+
+    def tractions(
+        self, prepared: PreparedLoads, schedule: LoadHistory, cofactor: Floats, state: State | None = None
+    ) -> Floats:
         """Return the surface loads per nodal volume [N/m^3] at the first time of a load history.
 
-        Pressures act on the body as last evaluated. With a state, the forces of foundations and of
-        tools in contact are included.
+        Pressures act on the area vectors of the cofactors (b, 9, LANES) of the passes. With a state, the
+        forces of foundations and of tools in contact are included.
         """
         surface = np.zeros((len(self.cloud), 3))
-        surface_force(prepared.sites, schedule, 0, self.volumes, self.slot, self.work.cofactor, surface)
+        surface_force(prepared.sites, schedule, 0, self.volumes, self.slot, cofactor, surface)
         if state is not None:
             if len(prepared.sites.foundation_node):
                 foundation_force(prepared.sites, state.coordinates, state.velocities, self.volumes, surface)
@@ -221,15 +351,14 @@ class NodalModel(Model):
                 surface += state.contact_state.forces / self.volumes[:, None]
         return surface
 
-    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
-        self._restore_history(state)
-        return evaluate(self, state, prepared)
+    def outputs(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Outputs:
+        return evaluate(self, state, prepared, work)
 
-    def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
-        self._restore_history(state)
-        schedule = prepared.schedule(np.array([state.time]))
-        force = self.force(state.coordinates + self.stiffness_damping * state.velocities)
-        force += self.half_cell * self.tractions(prepared, schedule, state)
+    def acceleration(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Floats:
+        """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""
+        schedule, work = prepared.schedule(np.array([state.time])), self.workspace() if work is None else work
+        force = self.force(state.coordinates + self.stiffness_damping * state.velocities, state.history, work)
+        force += self.half_cell * self.tractions(prepared, schedule, work.passes.cofactor, state)
         acceleration = force / self.material.density + schedule.gravity[0]
         acceleration[prepared.sites.kind == FIXED] = 0.0
         constrained, prescribed = schedule.constrained[0], prepared.sites.prescribed
@@ -238,11 +367,12 @@ class NodalModel(Model):
             acceleration[prescribed[constrained]] = rates[constrained]
         return acceleration
 
-    def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
-        schedule = prepared.schedule(np.array([state.time]))
+    def external_force(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Floats:
+        """Return the nodal forces [N] of surface loads and gravity, shape (n, 3)."""
+        schedule, work = prepared.schedule(np.array([state.time])), self.workspace() if work is None else work
         if prepared.sites.pressure_node.size:
-            self.force(state.coordinates)  # deforms the face of the pressure
-        surface = self.tractions(prepared, schedule, state)
+            self.force(state.coordinates, state.history, work)  # deforms the face of the pressure
+        surface = self.tractions(prepared, schedule, work.passes.cofactor, state)
         return surface * self.volumes[:, None] + self.masses[:, None] * schedule.gravity[0]
 
     def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:

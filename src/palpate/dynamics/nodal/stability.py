@@ -12,7 +12,7 @@ frequency w. A few power iterations on the present tangent update w for the defo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -22,15 +22,15 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
-from palpate.dynamics.run.model import State
+from palpate.dynamics.run.model import State, StepReport
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
 
 __all__ = [
-    "FrequencyTracker",
     "StabilityReport",
     "choose_stiffness_damping",
+    "highest_frequency",
     "resting_frequency",
     "spectrum",
     "stable_step",
@@ -42,6 +42,8 @@ DAMPING_SAFETY = 2.0  # factor of the damping: a body stretched four times requi
 MAX_DENSE_NODES = 400  # largest cloud of the dense spectrum
 WINDOW_STEPS, WINDOWS, MAX_ROUNDS = 100, 12, 8  # steps a window, windows a round, rounds of raising beta
 MIN_GROWTH = 0.03  # logarithmic growth per window of an unstable motion
+FIRST_ITERATIONS, LATER_ITERATIONS = 60, 4  # power iterations of the first estimate, and of those that follow it
+NOISE = 0.03  # noise in the start vector, relative to its largest component
 MIN_FREQUENCY, MAX_FREQUENCY = 1e-6, 1e15  # [rad/s], so that squares are in double precision
 
 
@@ -51,12 +53,9 @@ class ElasticBody(Protocol):
     Parameters
     ----------
     stiffness_damping : float [s]
-    highest_frequency : function
-        Returns the highest frequency [rad/s] for displacements (n, 3) [m] and constrained nodes (n,).
     """
 
     stiffness_damping: float
-    highest_frequency: Any
 
     @property
     def cloud(self) -> Cloud: ...
@@ -64,10 +63,15 @@ class ElasticBody(Protocol):
     def material(self) -> Material: ...
     @property
     def fixed_mask(self) -> NDArray[np.bool_]: ...
-    def force(self, displacements: Floats) -> Floats: ...
-    def always_taut_force(self, displacements: Floats) -> Floats: ...
+    def workspace(self) -> Any: ...
+    def force(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> Floats: ...
+    def highest_frequency(
+        self, displacements: Floats, constrained: NDArray[np.bool_]
+    ) -> tuple[float, Floats | None]: ...
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads: ...
-    def advance(self, state: State, prepared: PreparedLoads, dt: float, steps: int) -> State: ...
+    def advance(
+        self, state: State, prepared: PreparedLoads, step: float, steps: int, work: Any = None
+    ) -> tuple[State, StepReport]: ...
 
 
 @dataclass(frozen=True)
@@ -158,7 +162,7 @@ def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -
     """
     at = np.zeros((len(model.cloud), 3)) if displacements is None else displacements
     with np.errstate(all="ignore"):
-        frequency = model.highest_frequency(at, model.fixed_mask)
+        frequency, _ = model.highest_frequency(at, model.fixed_mask)
     if not MIN_FREQUENCY <= frequency <= MAX_FREQUENCY:
         raise InputError(
             f"the highest frequency of the body must be {MIN_FREQUENCY:g} to {MAX_FREQUENCY:g} rad/s, got "
@@ -173,12 +177,12 @@ def stiffness(model: ElasticBody, displacements: Floats | None = None) -> Floats
     u = np.zeros((len(model.cloud), 3)) if displacements is None else displacements.copy()
     free = np.flatnonzero(np.repeat(~model.fixed_mask, 3))
     flat, step = u.reshape(-1), 1e-5 * model.cloud.spacing
-    columns = np.empty((len(free), len(free)))
+    columns, work = np.empty((len(free), len(free))), model.workspace()
     for column, k in enumerate(free):
         flat[k] += step
-        ahead = model.force(u).reshape(-1)[free]
+        ahead = model.force(u, work=work).reshape(-1)[free]
         flat[k] -= 2 * step
-        behind = model.force(u).reshape(-1)[free]
+        behind = model.force(u, work=work).reshape(-1)[free]
         flat[k] += step
         columns[:, column] = (behind - ahead) / (2 * step * model.material.density)
     return columns
@@ -196,37 +200,53 @@ def needed_stiffness_damping(eigenvalues: NDArray[np.complex128]) -> float:
     return float(np.max(2 * np.abs(frequency.imag[moving]) / np.abs(eigenvalues[moving])))
 
 
-class FrequencyTracker:
-    """The highest frequency of a deforming body, by power iterations that continue between calls."""
+def highest_frequency(
+    force: Callable[[Floats], Floats],
+    displacements: Floats,
+    constrained: NDArray[np.bool_],
+    noise: Floats,
+    start: Floats | None,
+    *,
+    amplitude: float,
+    density: float,
+) -> tuple[float, Floats | None]:
+    """Return the highest frequency [rad/s] of a body at displacements, by power iterations on its tangent.
 
-    def __init__(self, model: ElasticBody) -> None:
-        self._model = model
-        self._noise = np.random.default_rng(0).standard_normal((len(model.cloud), 3))
-        self.restart()
+    Parameters
+    ----------
+    force : function
+        Internal force density (n, 3) [N/m^3] of displacements (n, 3) [m].
+    displacements : (n, 3) array [m]
+    constrained : (n,) bool array
+        Nodes that do not move.
+    noise : (n, 3) array
+        Start vector of a first estimate, and addition to later ones. It lets another mode grow when the
+        fastest part of the body changes.
+    start : (n, 3) array, optional
+        Vector of the last estimate.
+    amplitude : float [m]
+        Displacement of the difference quotients.
+    density : float [kg/m^3]
 
-    def restart(self) -> None:
-        """Reset the iteration vector, so that equal runs take equal steps."""
-        self._vector, self._iterations = self._noise, 60
-
-    def __call__(self, displacements: Floats, constrained: NDArray[np.bool_]) -> float:
-        """Return the highest frequency [rad/s] for displacements (n, 3) [m] and constrained nodes (n,)."""
-        model, vector = self._model, self._vector
-        amplitude = 1e-6 * model.cloud.spacing
-        rest, ratio = model.always_taut_force(displacements), 0.0
-        # the noise lets another mode grow when the fastest part of the body changes
-        vector = vector / np.abs(vector).max() + 0.03 * self._noise
-        for _ in range(self._iterations):
-            vector = np.where(constrained[:, None], 0.0, vector)
-            vector *= amplitude / np.abs(vector).max()
-            image = (rest - model.always_taut_force(displacements + vector)) / model.material.density
-            image[constrained] = 0.0
-            if not image.any():  # no stiffness, as in a slack sheet
-                self.restart()
-                return 0.0
-            ratio = float(np.linalg.norm(image) / np.linalg.norm(vector))
-            vector = image
-        self._vector, self._iterations = vector, 4
-        return float(np.sqrt(ratio))
+    Returns
+    -------
+    frequency, vector
+        The vector starts the next estimate; None for a body without stiffness.
+    """
+    iterations = FIRST_ITERATIONS if start is None else LATER_ITERATIONS
+    vector = noise if start is None else start
+    rest, ratio = force(displacements), 0.0
+    vector = vector / np.abs(vector).max() + NOISE * noise
+    for _ in range(iterations):
+        vector = np.where(constrained[:, None], 0.0, vector)
+        vector *= amplitude / np.abs(vector).max()
+        image = (rest - force(displacements + vector)) / density
+        image[constrained] = 0.0
+        if not image.any():  # no stiffness, as in a slack sheet
+            return 0.0, None
+        ratio = float(np.linalg.norm(image) / np.linalg.norm(vector))
+        vector = image
+    return float(np.sqrt(ratio)), vector
 
 
 def choose_stiffness_damping(model: ElasticBody, stiffness_damping: float | None, neighbours: int) -> StabilityReport:
@@ -276,7 +296,7 @@ def _cloud_error(model: ElasticBody, neighbours: int, node: int) -> CloudError:
 
 def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> tuple[float, float]:
     """Raise beta until a tiny random motion decays; return beta and the remaining growth rate."""
-    prepared, needed, rate = model.prepare(()), 0.0, 0.0
+    prepared, work, needed, rate = model.prepare(()), model.workspace(), 0.0, 0.0
     for _ in range(MAX_ROUNDS):
         model.stiffness_damping = needed
         step = stable_step(frequency, needed)
@@ -285,7 +305,7 @@ def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> 
         state, logs = State(tiny, np.zeros_like(tiny)), []
         size = np.linalg.norm(model.force(state.coordinates))
         for _ in range(WINDOWS):
-            state = model.advance(state, prepared, step, WINDOW_STEPS)
+            state, _ = model.advance(state, prepared, step, WINDOW_STEPS, work)
             force = model.force(state.coordinates)
             logs.append(np.log(np.linalg.norm(force) / size))
             scale = np.linalg.norm(tiny) / max(float(np.linalg.norm(state.coordinates)), 1e-300)

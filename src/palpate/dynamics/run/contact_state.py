@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.contact.geometry import compute_gaps, compute_patch_positions
+from palpate.dynamics.contact.geometry import Contacts, compute_gaps, compute_patch_positions
 from palpate.dynamics.contact.tools import BONDED, PLANE
-from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads
+from palpate.dynamics.loads.prepared import LoadHistory, LoadSites, PreparedLoads
 from palpate.dynamics.run.model import ContactState
 from palpate.faults import DivergenceError, InputError, first_few
 
@@ -79,7 +79,12 @@ def check_tool_step(prepared: PreparedLoads, schedule: LoadHistory, spacing: flo
 
 
 def check_penetration(
-    prepared: PreparedLoads, schedule: LoadHistory, displacements: Floats, surface: NDArray[np.int64], spacing: float
+    prepared: PreparedLoads,
+    contacts: Contacts,
+    schedule: LoadHistory,
+    displacements: Floats,
+    surface: NDArray[np.int64],
+    spacing: float,
 ) -> None:
     """Check that no tool has passed between the nodes of the surface at the last time of a load history.
 
@@ -91,7 +96,7 @@ def check_penetration(
     DivergenceError
         A tool has passed through; the message names the tool, the time and a node.
     """
-    contacts, depth = prepared.contacts, np.zeros(len(displacements))
+    depth = np.zeros(len(displacements))
     for t, tool in enumerate(prepared.tools):
         if tool.group is not None:
             continue
@@ -135,13 +140,19 @@ def initial_contact_state(tools: int, nodes: int, time: float, surface: int = 0,
 
 
 def next_contact_state(
-    prepared: PreparedLoads, before: ContactState, kick: float, constrained: NDArray[np.bool_]
+    prepared: PreparedLoads,
+    after_steps: tuple[LoadSites, Contacts],
+    before: ContactState,
+    kick: float,
+    constrained: NDArray[np.bool_],
 ) -> ContactState:
     """Return the contact state after a call of some steps.
 
     Parameters
     ----------
     prepared : PreparedLoads
+    after_steps : LoadSites and Contacts
+        With the scratch arrays that the steps have written.
     before : ContactState
     kick : float [s]
         Length of the last kick.
@@ -149,7 +160,7 @@ def next_contact_state(
         Prescribed nodes that were constrained in it. Impulses of other tools on them act on the
         constraint.
     """
-    contacts, sites, after = prepared.contacts, prepared.sites, before
+    (sites, contacts), after = after_steps, before
     if prepared.tools:
         after = before._replace(
             forces=contacts.step_impulses / kick,

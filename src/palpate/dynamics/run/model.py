@@ -18,7 +18,7 @@ from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-__all__ = ["ContactState", "Model", "Nodes", "Outputs", "State", "initial_field"]
+__all__ = ["ContactState", "Evaluation", "Model", "Nodes", "Outputs", "State", "StepReport", "initial_field"]
 
 Nodes = NDArray[np.int64] | slice
 
@@ -58,9 +58,60 @@ class ContactState(NamedTuple):
         return self._replace(start_time=time, **{name: np.zeros_like(getattr(self, name)) for name in names})
 
 
+class Evaluation(NamedTuple):
+    """Force, stress, pressure and energy density of nodal displacements.
+
+    Parameters
+    ----------
+    force : (n, 3) array [N/m^3]
+        Internal force density.
+    stress : (n, 3, d) array [Pa]
+        First Piola-Kirchhoff stress.
+    pressure : (n,) array [Pa]
+        U'(J), positive for expansion; zero in a sheet, whose volume is constant.
+    energy_density : (n,) array [J/m^3]
+        Energy per stress-free volume.
+    """
+
+    force: Floats
+    stress: Floats
+    pressure: Floats
+    energy_density: Floats
+
+
+@dataclass(frozen=True)
+class StepReport(Described):
+    """Energies and impulses of a call of `Model.advance`.
+
+    Parameters
+    ----------
+    external_work : float [J]
+        Work of loads and tools.
+    dissipated : float [J]
+        Energy dissipated by damping, relaxation, friction and impact.
+    least_dilatation : float
+        Least J - 1 at the nodes in the energy form of a solid; 0 where it is not computed.
+    tool_impulses : (t, 6) array [N s], [N m s]
+        Impulse of every tool in contact and its moment about the tool's origin.
+    """
+
+    external_work: float
+    dissipated: float
+    least_dilatation: float = 0.0
+    tool_impulses: Floats = field(default_factory=lambda: np.zeros((0, 6)))
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("external work", float(self.external_work), "J"),
+            ("dissipated", float(self.dissipated), "J"),
+            ("least dilatation", float(self.least_dilatation), ""),
+            ("tools", len(self.tool_impulses), ""),
+        ]
+
+
 @dataclass(frozen=True)
 class State(Described):
-    """Coordinates and velocities of a model at one time.
+    """All that the next step of a model depends on, at one time.
 
     Parameters
     ----------
@@ -74,6 +125,9 @@ class State(Described):
         History variables of viscoelastic tissue; empty without relaxation.
     contact_state : ContactState, optional
         Forces and impulses of the tools; None without tools.
+    estimate : tuple of arrays
+        Last estimate of the highest frequency or of the tangent, from which the next one starts;
+        empty at the start of a run.
     """
 
     coordinates: Floats
@@ -83,6 +137,7 @@ class State(Described):
     dissipated: float = 0.0
     history: tuple[Floats, ...] = ()
     contact_state: ContactState | None = None
+    estimate: tuple[Floats, ...] = ()
 
     def _facts(self) -> list[Fact]:
         return [
@@ -174,6 +229,8 @@ class Model(Described, ABC):
         Stencils for derivatives of nodal fields.
     stiffness_damping : float [s]
         Rayleigh stiffness damping beta of C = beta K.
+    volumes : (n,) array [m^3]
+        Nodal volumes of the stress-free body.
     name : str
         ``"full"``, ``"reduced"`` ...
     min_steps_per_frame : int
@@ -189,6 +246,7 @@ class Model(Described, ABC):
     stencils: Stencils
     fixed: tuple[str, ...]
     stiffness_damping: float
+    volumes: Floats
     name: str
     conservative: bool
     min_steps_per_frame: int = 20
@@ -215,6 +273,10 @@ class Model(Described, ABC):
         return []
 
     @abstractmethod
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+        """Prepare loads for this model."""
+
+    @abstractmethod
     def state(
         self,
         prepared: PreparedLoads,
@@ -225,64 +287,40 @@ class Model(Described, ABC):
         """Return the state at a time [s] with given nodal displacements and velocities (equations 7 and 8)."""
 
     @abstractmethod
-    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        """Prepare loads for this model."""
+    def stable_step(self, state: State, prepared: PreparedLoads, work: Any = None) -> tuple[float, State]:
+        """Estimate the largest stable time step [s] at a state; return it and the state with that estimate."""
 
     @abstractmethod
-    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
-        """Estimate the largest stable time step [s] at a state."""
-
-    @abstractmethod
-    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
+    def advance(
+        self, state: State, prepared: PreparedLoads, step: float, steps: int, work: Any = None
+    ) -> tuple[State, StepReport]:
         """Advance by a number of steps of one length [s]."""
 
-    def accept_step(self, before: State, after: State) -> bool:
+    @abstractmethod
+    def outputs(self, state: State, prepared: PreparedLoads, work: Any = None) -> Outputs:
+        """Return displacements, reactions and energies of a state."""
+
+    def workspace(self) -> Any:
+        """Allocate the scratch arrays of evaluations and steps, for one thread at a time.
+
+        Methods that take them as `work` allocate their own for None. Results do not depend on their contents.
+        """
+        return None
+
+    def accept_step(self, before: State, after: State, report: StepReport, work: Any = None) -> bool:
         """Return True to accept the last steps, False to retry with a smaller step.
 
         The default accepts every finite state.
         """
         return bool(np.isfinite(after.coordinates).all())
 
-    @abstractmethod
     def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes."""
+        return self.outputs(state, prepared).displacements[nodes]
 
-    @abstractmethod
     def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
-
-    @abstractmethod
-    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
-        """Return displacements, reactions and energies of a state."""
-
-    @abstractmethod
-    def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
-        """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""
-
-    @abstractmethod
-    def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
-        """Return the nodal forces [N] of surface loads and gravity, shape (n, 3)."""
-
-    @abstractmethod
-    def nodal_force(self, displacements: Floats) -> Floats:
-        """Return the internal force density [N/m^3] of nodal displacements, shape (n, 3)."""
-
-    @abstractmethod
-    def deformation_gradient(self, displacements: Floats) -> Floats:
-        """Return F = dx/dX of nodal displacements at every node, shape (n, 3, d)."""
-
-    @abstractmethod
-    def stress(self, displacements: Floats) -> Floats:
-        """Return the nodal first Piola-Kirchhoff stress [Pa] of displacements, shape (n, 3, d)."""
-
-    @abstractmethod
-    def strain_energy(self, displacements: Floats) -> float:
-        """Return the strain energy [J] of nodal displacements; NaN for an inverted body."""
-
-    @property
-    @abstractmethod
-    def volumes(self) -> Floats:
-        """Nodal volumes [m^3] of the stress-free body, shape (n,)."""
+        return self.outputs(state, prepared).velocities[nodes]
 
     @property
     def masses(self) -> Floats:

@@ -13,15 +13,40 @@ an energy, the virtual work of the stresses is - V phi f, and R is the exact res
 
 from __future__ import annotations
 
+from typing import Any, Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
-from palpate.dynamics.run.model import Model, Outputs, State
+from palpate.dynamics.run.model import Nodes, Outputs, State
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.stencils import Stencils
 
-__all__ = ["contact_outputs", "evaluate", "partition", "reactions", "tool_power"]
+__all__ = ["NodalFields", "contact_outputs", "evaluate", "partition", "reactions", "tool_power"]
+
+
+class NodalFields(Protocol):
+    """The interface of a model with accelerations, forces and stresses at every node."""
+
+    conservative: bool
+    stiffness_damping: float
+    volumes: Floats
+    stencils: Stencils
+
+    @property
+    def cloud(self) -> Cloud: ...
+    @property
+    def masses(self) -> Floats: ...
+    def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats: ...
+    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats: ...
+    def acceleration(self, state: State, prepared: PreparedLoads, work: Any = None) -> Floats: ...
+    def external_force(self, state: State, prepared: PreparedLoads, work: Any = None) -> Floats: ...
+    def nodal_force(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> Floats: ...
+    def stress(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> Floats: ...
+    def strain_energy(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> float: ...
 
 
 def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:
@@ -33,7 +58,7 @@ def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:
     return np.asarray(inverse / inverse.sum(axis=0))
 
 
-def reactions(model: Model, state: State, prepared: PreparedLoads) -> dict[str, Floats]:
+def reactions(model: NodalFields, state: State, prepared: PreparedLoads, work: Any = None) -> dict[str, Floats]:
     """Return the force (3,) [N] of every support and tool on the body; zero after a tool's release."""
     zero = {name: np.zeros(3) for name in prepared.supports}
     supports = prepared.active_supports(state.time)
@@ -43,23 +68,23 @@ def reactions(model: Model, state: State, prepared: PreparedLoads) -> dict[str, 
     if names not in prepared.partitions:
         prepared.partitions[names] = partition(model.cloud.points, supports)
     phi = prepared.partitions[names]
-    inertia = model.masses[:, None] * model.acceleration(state, prepared) - model.external_force(state, prepared)
-    forces = phi @ inertia
+    inertia = model.masses[:, None] * model.acceleration(state, prepared, work)
+    forces = phi @ (inertia - model.external_force(state, prepared, work))
     if model.conservative:
         moved = model.displacement(state, prepared) + model.stiffness_damping * model.velocity(state, prepared)
-        forces = forces - (phi * model.volumes) @ model.nodal_force(moved)
+        forces = forces - (phi * model.volumes) @ model.nodal_force(moved, state.history, work)
     elif len(phi) > 1:
         moved = model.displacement(state, prepared) + model.stiffness_damping * model.velocity(state, prepared)
         slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
-        forces = forces + np.einsum("n,nil,ngl->gi", model.volumes, model.stress(moved), slopes)
+        forces = forces + np.einsum("n,nil,ngl->gi", model.volumes, model.stress(moved, state.history, work), slopes)
     return zero | dict(zip(supports, forces, strict=True))
 
 
-def tool_power(model: Model, state: State, prepared: PreparedLoads) -> float:
+def tool_power(model: NodalFields, state: State, prepared: PreparedLoads, work: Any = None) -> float:
     """Return the power [W] of the tools on the body: their forces times the mean velocities of their nodes."""
     if not prepared.motions:
         return 0.0
-    forces = reactions(model, state, prepared)
+    forces = reactions(model, state, prepared, work)
     groups = [motion.group for motion, _ in prepared.motions]
     return float(sum(forces[g] @ model.velocity(state, prepared, prepared.supports[g]).mean(axis=0) for g in groups))
 
@@ -99,16 +124,16 @@ def contact_outputs(
     return forces, moments, np.column_stack([nodes, nodal_forces[nodes]]), bonded[nodes]
 
 
-def evaluate(model: Model, state: State, prepared: PreparedLoads) -> Outputs:
+def evaluate(model: NodalFields, state: State, prepared: PreparedLoads, work: Any = None) -> Outputs:
     """Return displacements, velocities, forces and energies of a state."""
     u, v = model.displacement(state, prepared), model.velocity(state, prepared)
     forces, moments, contact_forces, bonded = contact_outputs(state, prepared)
     return Outputs(
         displacements=u,
         velocities=v,
-        reactions=reactions(model, state, prepared) | forces,
+        reactions=reactions(model, state, prepared, work) | forces,
         kinetic=float(0.5 * np.sum(model.masses[:, None] * v**2)),
-        strain=model.strain_energy(u),
+        strain=model.strain_energy(u, state.history, work),
         external=state.external_work,
         dissipated=state.dissipated,
         moments=moments,

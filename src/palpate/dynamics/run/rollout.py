@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -94,6 +95,7 @@ def rollout(
     prepared = model.prepare(listed(loads))
     with np.errstate(all="ignore"):  # non-finite values raise errors that name them
         state = model.state(prepared, displacement, velocity, float(start))
+        work = model.workspace()
         outputs = _initial_outputs(model, state, prepared)
     path = None if file is None else Path(file)
     recorder = Recorder(path, model.name, model.cloud.points, model.stiffness_damping, label)
@@ -105,9 +107,9 @@ def rollout(
             recorder.add(start, 0, outputs)
             for frame in range(1, frames + 1):
                 for time in prepared.breakpoints(state.time, start + frame * every):
-                    state, taken, last = _advance_to(model, state, prepared, time, control)
+                    state, taken, last = _advance_to(model, state, prepared, time, control, work)
                     steps += taken
-                outputs = model.outputs(state, prepared)
+                outputs = model.outputs(state, prepared, work)
                 _check_outputs(model, state, prepared, outputs, last)
                 recorder.add(state.time, steps, outputs)
                 if state.contact_state is not None:  # contact forces are means over one frame
@@ -130,13 +132,14 @@ class _StepControl:
     longest: float
     first: float = 0.0
 
-    def step(self, model: Model, state: State, prepared: PreparedLoads, share: float) -> float:
-        """Return the fixed step [s], or a share of the stable one."""
+    def step(self, model: Model, state: State, prepared: PreparedLoads, share: float, work: Any) -> tuple[float, State]:
+        """Return the fixed step [s], or a share of the stable one, and the state with its estimate."""
         if self.fixed is not None:
-            return self.fixed
-        stable = min(model.stable_step(state, prepared), self.longest)
+            return self.fixed, state
+        stable, state = model.stable_step(state, prepared, work)
+        stable = min(stable, self.longest)
         self.first = self.first or stable
-        return share * stable
+        return share * stable, state
 
     def max_steps(self, interval: float) -> float:
         """Return the largest number of steps allowed in an interval [s]."""
@@ -179,12 +182,12 @@ def _initial_outputs(model: Model, state: State, prepared: PreparedLoads) -> Out
 
 
 def _advance_to(
-    model: Model, state: State, prepared: PreparedLoads, time: float, control: _StepControl
+    model: Model, state: State, prepared: PreparedLoads, time: float, control: _StepControl, work: Any
 ) -> tuple[State, int, float]:
     """Advance to a time [s]; return the state, the number of steps and the last step [s]."""
     taken, used, share, interval = 0, control.longest, 1.0, time - state.time
     while time - state.time > 1e-12 * abs(time):
-        target = control.step(model, state, prepared, share)
+        target, state = control.step(model, state, prepared, share, work)
         if not target > 0 or (time - state.time) / target > MAX_STEPS_PER_FRAME:
             raise _divergence(model, state, prepared, "no step is stable", target)
         if target < MIN_STEP_ULPS * np.spacing(abs(time)):
@@ -200,8 +203,8 @@ def _advance_to(
         left = int(np.ceil((time - state.time) / target * (1 - 1e-9)))
         step = (time - state.time) / left
         count = min(left, STEPS_PER_ESTIMATE)
-        new = model.advance(state, prepared, step, count)
-        if control.fixed is None and share > MIN_RETRY_STEP and not model.accept_step(state, new):
+        new, report = model.advance(state, prepared, step, count, work)
+        if control.fixed is None and share > MIN_RETRY_STEP and not model.accept_step(state, new, report, work):
             share /= 2  # the body is stiffer than at the estimate
             continue
         if not np.isfinite(new.coordinates).all():

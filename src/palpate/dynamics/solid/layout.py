@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numba
@@ -15,17 +15,15 @@ from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres
 from palpate.dynamics.material.material_fields import EVERYWHERE, spread
 from palpate.dynamics.material.relaxation import relaxation
+from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.solid.energy_form import EnergyBody, energy_work, solid_energy
 from palpate.dynamics.solid.strong_form import Body, solid, workspace
-from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.quadrature import conservative_smoothing
 from palpate.meshfree.stencils import Stencils
-from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
-from palpate.tissue.regions import Regions
 
-__all__ = ["CompiledForm", "EnergyTissue", "energy_passes", "nodal_stiffness", "strong_passes"]
+__all__ = ["CompiledForm", "energy_passes", "strong_passes"]
 
 HOURGLASS = 1.0  # modulus of the hourglass residual, in shear moduli over the spacing squared
 
@@ -36,37 +34,17 @@ class CompiledForm(NamedTuple):
     Parameters
     ----------
     formulation : Formulation
-    body, work : NamedTuples
-        Constants and scratch arrays of the passes.
+    body : NamedTuple
+        Constants of the passes.
+    allocate : function
+        Returns new scratch arrays of the passes.
     lanes : Lanes
     """
 
     formulation: Formulation
     body: Any
-    work: Any
+    allocate: Callable[[], Any]
     lanes: Lanes
-
-
-@dataclass(frozen=True)
-class EnergyTissue:
-    """Material of a solid in the energy form.
-
-    Parameters
-    ----------
-    material : Material
-    regions : Regions or None
-    stiffness : (n, 3) array
-        Stiffness factors of the law, of the hourglass residual and of the volume; empty if all are 1.
-    lame : float [Pa]
-        Unit of the nodal volumetric coefficients.
-    fibres : FibreLaw or None
-    """
-
-    material: Material
-    regions: Regions | None
-    stiffness: Floats
-    lame: float
-    fibres: FibreLaw | None
 
 
 def strong_passes(
@@ -87,12 +65,12 @@ def strong_passes(
         lame=material.lame,
     )
     longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
-    work = workspace(len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
-    return CompiledForm(solid(material.law, direct, material.volumetric), body, work, lanes)
+    allocate = partial(workspace, len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
+    return CompiledForm(solid(material.law, direct, material.volumetric), body, allocate, lanes)
 
 
 def energy_passes(
-    cloud: Cloud, tissue: EnergyTissue, stencils: Stencils, smoother: Stencils, volumes: Floats
+    cloud: Cloud, tissue: Tissue, stencils: Stencils, smoother: Stencils, volumes: Floats
 ) -> tuple[CompiledForm, Floats]:
     """Lay out the passes of the energy form; return them and the smoothing weights (n, w)."""
     material, regions = tissue.material, tissue.regions
@@ -122,35 +100,14 @@ def energy_passes(
         lame=tissue.lame,
         hourglass=HOURGLASS * material.shear_modulus / cloud.spacing**2,
         relaxation=relaxation(material),
-        stiffness=tissue.stiffness,
+        stiffness=np.zeros((0, 3)) if tissue.uniform else np.ascontiguousarray(tissue.factors),
         families=lay_out_fibres(tissue.fibres, lanes.nodes),
     )
     tables = (lanes, smooth_lanes, back_lanes)
     longest = int(max(*(np.diff(table.start).max() for table in tables), 4 * np.diff(transposed.start).max()))
     branches = len(body.relaxation.times)
     threads, form = numba.config.NUMBA_NUM_THREADS, material.volumetric
-    work = energy_work(len(cloud), len(lanes.nodes), longest, threads, branches, form)
+    allocate = partial(energy_work, len(cloud), len(lanes.nodes), longest, threads, branches, form)
     varied = EVERYWHERE if regions is None else len(material.coefficients)
     formulation = solid_energy(material.law, form, fibre_points(tissue.fibres), varied)
-    return CompiledForm(formulation, body, work, lanes), smoothing
-
-
-def nodal_stiffness(cloud: Cloud, given: Mapping[str, float] | Floats | None) -> Floats:
-    """Return the stiffness factors (n,) of the nodes; empty for None.
-
-    Raises
-    ------
-    InputError
-        A factor is not positive, a group is unknown, or the array has another shape.
-    """
-    if given is None:
-        return np.zeros(0)
-    if isinstance(given, Mapping):
-        stiffness = np.ones(len(cloud))
-        for group, value in given.items():
-            stiffness[cloud.group(group)] = number_in_range(f"stiffness[{group!r}]", value, 0.0, open_low=True)
-        return stiffness
-    stiffness = np.array(given, dtype=float)
-    if stiffness.shape != (len(cloud),) or not np.all(np.isfinite(stiffness) & (stiffness > 0)):
-        raise InputError(f"stiffness must be {len(cloud)} positive numbers, one per node, got shape {stiffness.shape}")
-    return stiffness
+    return CompiledForm(formulation, body, allocate, lanes), smoothing

@@ -9,7 +9,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.run.reactions import partition
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.basis.linear_modes import tool_responses
 
@@ -20,7 +20,7 @@ MAX_NODES = 6000  # of a body whose equations are solved
 RIGID_TOLERANCE = 1e-3  # largest error of a tool's motion in the lifting vectors, relative
 
 
-def lifting_vectors(body: Solid | Membrane, tools: Sequence[str]) -> Floats:
+def lifting_vectors(body: EnergySolid | Membrane, tools: Sequence[str]) -> Floats:
     """Return fields (l, n, 3) for rigid motions of each tool's nodes, with the static response of the body.
 
     In a large body they decay evenly towards supports and other tools instead, and the modes represent the
@@ -45,7 +45,7 @@ def lifting_vectors(body: Solid | Membrane, tools: Sequence[str]) -> Floats:
     return tool_responses(body, np.array(columns), tools)
 
 
-def support_fields(body: Solid | Membrane, tools: Sequence[str]) -> Floats:
+def support_fields(body: EnergySolid | Membrane, tools: Sequence[str]) -> Floats:
     """Return test fields (3 g, n, 3) for support forces: 1 at one support, 0 at others and at tools."""
     groups = {name: body.cloud.group(name) for name in (*body.fixed, *tools)}
     if not body.fixed:
@@ -59,12 +59,12 @@ class RemoveToolMotion:
 
     Parameters
     ----------
-    body : Solid or Membrane
+    body : EnergySolid or Membrane
     lifting : (l, n, 3) array
     tools : sequence of str
     """
 
-    def __init__(self, body: Solid | Membrane, lifting: Floats, tools: Sequence[str]) -> None:
+    def __init__(self, body: EnergySolid | Membrane, lifting: Floats, tools: Sequence[str]) -> None:
         self._lifting, self._least = lifting, RIGID_TOLERANCE * body.cloud.spacing
         self._nodes = np.unique(np.concatenate([body.cloud.group(name) for name in tools])) if tools else None
         self._error = self._largest = 0.0

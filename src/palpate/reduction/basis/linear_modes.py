@@ -8,6 +8,7 @@ along them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from palpate.arrays import Floats
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid, Solid
 from palpate.faults import InputError, integer_in_range
 
 __all__ = [
@@ -66,7 +67,7 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
     InputError
         As `rest_stiffness`.
     """
-    if not body.conservative:
+    if not isinstance(body, EnergySolid):
         raise InputError(
             "body must have the energy form for a symmetric stiffness, got the strong form; use form='energy'"
         )
@@ -74,12 +75,11 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
     near, row = body.stencils.neighbours, body.stencils.row
     slopes = [_operator(near, body.stencils.first[row][:, :, d]) for d in range(3)]
     hourglass_residual = _operator(near, body.stencils.value[row])
-    assert body.smoothing is not None
     smooth = _operator(*body.smoothing) + sparse.identity(n)
-    moduli, own = body.moduli("shear_modulus"), body.elastic_volumes
+    moduli, own = body.tissue.moduli("shear_modulus"), body.elastic_volumes
     shear = sparse.diags(own * moduli)
-    second = sparse.diags(own * (body.moduli("shear_share") - 2 / 3 * moduli))
-    bulk = sparse.diags(own * body.moduli("lame")).astype(kind)
+    second = sparse.diags(own * (body.tissue.moduli("shear_share") - 2 / 3 * moduli))
+    bulk = sparse.diags(own * body.tissue.moduli("lame")).astype(kind)
     thetas = [(smooth @ slope).astype(kind) for slope in slopes]
     common = sum(slope.T @ shear @ slope for slope in slopes)
     common = common + body.body.hourglass * hourglass_residual.T @ sparse.diags(body.shear_volumes) @ hourglass_residual
@@ -138,7 +138,7 @@ def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[
     Parameters
     ----------
     body : Solid
-        In its energy form.
+        In the energy form.
     count : int
     held : sequence of str
         Groups that tools hold, in addition to the supports.
@@ -209,7 +209,7 @@ def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
     Parameters
     ----------
     body : Solid
-        In its energy form.
+        In the energy form.
     fields : (l, n, 3) array
         Only the values at the groups' nodes are used.
     held : sequence of str
@@ -232,14 +232,11 @@ def modal_derivatives(body: Solid, modes: Floats, held: Sequence[str] = ()) -> F
 
 
 def _derivatives(body: Solid, statics: _Statics, modes: Floats) -> Floats:
-    pairs = []
-    body._restore_history(None)
+    pairs, force = [], partial(body.force, work=body.workspace())
     shapes = DIFFERENCE_STEP * body.cloud.spacing * modes / np.linalg.norm(modes, axis=2).max(axis=1)[:, None, None]
     for i, one in enumerate(shapes):
         for two in shapes[i:]:
-            second_difference = (
-                body.force(one + two) - body.force(one - two) - body.force(two - one) + body.force(-one - two)
-            )
+            second_difference = force(one + two) - force(one - two) - force(two - one) + force(-one - two)
             field = np.zeros(3 * len(body.cloud))
             field[statics.free] = statics.solve((second_difference * body.volumes[:, None]).reshape(-1)[statics.free])
             pairs.append(field.reshape(-1, 3) / np.linalg.norm(field.reshape(-1, 3), axis=1).max())

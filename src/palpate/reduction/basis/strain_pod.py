@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.basis.incremental_pod import allowance, block_size, decompose
 from palpate.reduction.basis.snapshots import Snapshots
@@ -21,7 +21,7 @@ RANK_TOLERANCE = 1e-10  # of the largest eigenvalue, below which shapes are roun
 
 
 def main_modes(
-    body: Solid | Membrane,
+    body: EnergySolid | Membrane,
     snapshots: Snapshots | Floats,
     modes: int,
     spare: int = 0,
@@ -66,7 +66,7 @@ def main_modes(
     return _orthonormal(body, found.shapes(min(modes + spare, rank))), lost
 
 
-def _inner_product(body: Solid | Membrane) -> Callable[[Floats], Floats]:
+def _inner_product(body: EnergySolid | Membrane) -> Callable[[Floats], Floats]:
     """Return A of the inner product u . A v of fields (b, n, 3): of du/dX, or of a membrane's u, over the volume."""
     if isinstance(body, Membrane):
         return lambda fields: fields * body.volumes[:, None]
@@ -82,14 +82,14 @@ def _sizes(fields: Floats, image: Callable[[Floats], Floats]) -> Floats:
     return np.sqrt(np.maximum(np.einsum("bnc,bnc->b", fields, image(fields)), 0.0))
 
 
-def _orthonormal(body: Solid | Membrane, fields: Floats) -> Floats:
+def _orthonormal(body: EnergySolid | Membrane, fields: Floats) -> Floats:
     """Return fields (m, n, 3) with the same span, orthonormal in the volumes."""
     weights = np.repeat(np.sqrt(body.volumes), 3)
     orthonormal, _ = np.linalg.qr((fields.reshape(len(fields), -1) * weights).T)
     return np.asarray((orthonormal / weights[:, None]).T.reshape(fields.shape))
 
 
-def join(body: Solid | Membrane, modes: Floats | None, enrichment: Floats | None) -> Floats:
+def join(body: EnergySolid | Membrane, modes: Floats | None, enrichment: Floats | None) -> Floats:
     """Return modes and enrichment, orthonormal together."""
     if enrichment is None:
         return np.zeros((0, len(body.cloud), 3)) if modes is None else modes

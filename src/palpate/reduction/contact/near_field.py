@@ -18,7 +18,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.basis.linear_modes import stiffness_blocks
 
 __all__ = ["add_own_compliance", "near_field_compliance"]
@@ -31,13 +31,13 @@ TOLERANCE, SAFETY = 1e-3, 0.05  # of the lowest compliance
 
 
 def near_field_compliance(
-    fine: Solid, nodes: Ints, coarse: Solid, coarse_nodes: Ints, places: Ints, weights: Floats
+    fine: EnergySolid, nodes: Ints, coarse: EnergySolid, coarse_nodes: Ints, places: Ints, weights: Floats
 ) -> tuple[Ints, NDArray[np.float32]]:
     """Return the near-field correction between nearby surface nodes at rest.
 
     Parameters
     ----------
-    fine, coarse : Solid
+    fine, coarse : EnergySolid
         Of one body, in the energy form.
     nodes, coarse_nodes : (k,), (c,) int arrays
         Free surface nodes of either.
@@ -85,7 +85,7 @@ def near_field_compliance(
 class _Piece:
     """A body from which pieces are cut out."""
 
-    def __init__(self, body: Solid) -> None:
+    def __init__(self, body: EnergySolid) -> None:
         self.tree, self.free = cKDTree(body.cloud.points), ~body.fixed_mask
         self.blocks = stiffness_blocks(body, np.float32)
 

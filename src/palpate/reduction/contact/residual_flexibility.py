@@ -18,7 +18,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.linear_modes import rest_stiffness
@@ -34,13 +34,13 @@ MIN_ALIGNMENT = 0.05  # least factor on the weight of a carrier with another nor
 
 
 def residual_flexibility(
-    body: Solid, nodes: Ints, points: Floats, columns: Floats, interior_nodes: Ints | None = None
+    body: EnergySolid, nodes: Ints, points: Floats, columns: Floats, interior_nodes: Ints | None = None
 ) -> Floats:
     """Return the residual flexibility of surface nodes at rest, rows 3 i + c of node i.
 
     Parameters
     ----------
-    body : Solid
+    body : EnergySolid
         In its energy form, of at most 5,000 nodes.
     nodes : (k,) int array
         Free surface nodes.

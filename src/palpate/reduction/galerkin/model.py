@@ -15,14 +15,14 @@ from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, check_kinds
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
-from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.dynamics.run.model import Model, Nodes, Outputs, State
+from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport
 from palpate.dynamics.run.reactions import evaluate, tool_power
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.reduction.basis.pod import Basis, pod
-from palpate.reduction.galerkin.step import BasisData, BodyData, StepScratch, reduced_step
+from palpate.reduction.galerkin.step import BasisData, BodyData, GalerkinWork, reduced_step
 
 __all__ = ["GalerkinModel", "galerkin"]
 
@@ -64,7 +64,7 @@ class GalerkinModel(Model):
             )
         self.full, self.basis = full, basis
         self.cloud, self.material, self.fixed = full.cloud, full.material, full.fixed
-        self.conservative = full.conservative
+        self.conservative, self.volumes = full.conservative, full.volumes
         self.stiffness_damping, self.stencils = full.stiffness_damping, full.stencils
         n, count = len(full.cloud), len(basis)
         self.lifting = np.zeros((0, n, 3)) if lifting is None else np.asarray(lifting, dtype=float)
@@ -77,7 +77,6 @@ class GalerkinModel(Model):
         self._sizes = np.linalg.norm(self.columns, axis=2).max(axis=1)  # largest displacement of a unit coordinate
         self._body = BodyData(
             body=full.body,
-            work=full.work,
             volumes=self.volumes,
             slot=full.slot,
             half_cell=full.half_cell,
@@ -93,13 +92,8 @@ class GalerkinModel(Model):
             gravity_work=np.einsum("n,mnc->mc", full.masses, self.columns),
             wave_speed=full.wave_speed / self._sizes[len(basis) :],
         )
-        self._work = StepScratch(
-            np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((blocks, len(self.columns))), *np.zeros((5, len(self.columns)))
-        )
-        full.formulation.differentiate(self.columns, full.body, full.work, self._basis.table)
+        full.formulation.differentiate(self.columns, full.body, full.workspace().passes, self._basis.table)
         self._projected_force, self._advance = reduced_step(full.formulation)
-        self._tangent_at: Floats | None = None
-        self._tangent, self._largest_displacement = np.zeros_like(self.mass), 0.0
         self.implicit = implicit
 
     def _own_facts(self) -> list[Fact]:
@@ -110,10 +104,21 @@ class GalerkinModel(Model):
             ("slows fast modes", self.implicit, ""),
         ]
 
-    def force(self, coordinates: Floats) -> Floats:
+    def workspace(self) -> GalerkinWork:
+        n, count, blocks = len(self.cloud), len(self.columns), len(self._basis.table)
+        return GalerkinWork(
+            self.full.workspace(),
+            np.zeros((n, 3)),
+            np.zeros((n, 3)),
+            np.zeros((blocks, count)),
+            *np.zeros((5, count)),
+        )
+
+    def force(self, coordinates: Floats, work: GalerkinWork | None = None) -> Floats:
         """Return Q^T f / rho for coordinates of modes and lifting vectors, both of shape (M + l,)."""
-        self._projected_force(np.ascontiguousarray(coordinates), self._body, self._basis, self._work)
-        return self._work.result / self.material.density
+        work = self.workspace() if work is None else work
+        self._projected_force(np.ascontiguousarray(coordinates), self._body, self._basis, work)
+        return work.result / self.material.density
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         check_kinds(loads, KINDS, "loads of a projected model")
@@ -166,7 +171,6 @@ class GalerkinModel(Model):
         velocity: Floats | None = None,
         time: float = 0.0,
     ) -> State:
-        self._tangent_at, self._largest_displacement = None, 0.0
         nodal = self.full.state(prepared, displacement, velocity, time)
         fields = np.stack([nodal.coordinates, nodal.velocities])
         if self._holds(prepared, np.array([time]))[0]:
@@ -179,42 +183,52 @@ class GalerkinModel(Model):
             coordinates = np.linalg.solve(self.mass, (weighted @ self.columns.reshape(len(self.mass), -1).T).T).T
         return State(coordinates[0], coordinates[1], time)
 
-    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
+    def stable_step(
+        self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None
+    ) -> tuple[float, State]:
         prescribed = bool(self._holds(prepared, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])  # after this time
         if self.implicit and prescribed:
-            return np.inf
+            return np.inf, state
         if self.implicit:  # released nodes move too fast for updates of the tangent
-            return stable_step(self.full.stability.highest_frequency, self.stiffness_damping)
-        self._update_tangent(state)
+            return stable_step(self.full.stability.highest_frequency, self.stiffness_damping), state
+        state = self._with_tangent(state, work)
         moving = slice(len(self.basis) if prescribed else None)
-        tangent = np.linalg.solve(self.mass[moving, moving], self._tangent[moving, moving])
-        return stable_step(float(np.sqrt(np.abs(np.linalg.eigvals(tangent)).max())), self.stiffness_damping)
+        tangent = np.linalg.solve(self.mass[moving, moving], state.estimate[0][moving, moving])
+        highest = float(np.sqrt(np.abs(np.linalg.eigvals(tangent)).max()))
+        return stable_step(highest, self.stiffness_damping), state
 
-    def _update_tangent(self, state: State) -> None:
-        """Update the tangent if the state has moved far enough since its last evaluation."""
+    def _with_tangent(self, state: State, work: GalerkinWork | None) -> State:
+        """Return the state with its tangent, updated if it has moved far enough since the last update.
+
+        The estimate of the state is the tangent, the displacements at which it was computed, and the
+        largest displacement of the run, in the sizes of the coordinates.
+        """
         moved = state.coordinates * self._sizes  # modes and lifting coordinates have different units
-        self._largest_displacement = max(self._largest_displacement, float(np.abs(moved).max()))
-        farthest = REFRESH_DISPLACEMENT * self._largest_displacement
-        if self._tangent_at is None or np.abs(moved - self._tangent_at).max() > farthest:
-            self._tangent, self._tangent_at = self.stiffness(state.coordinates), moved
+        largest = float(np.abs(moved).max())
+        if state.estimate:
+            tangent, at, before = state.estimate
+            largest = max(largest, float(before))
+            if np.abs(moved - at).max() <= REFRESH_DISPLACEMENT * largest:
+                return replace(state, estimate=(tangent, at, np.array(largest)))
+        return replace(state, estimate=(self.stiffness(state.coordinates, work), moved, np.array(largest)))
 
     def _responses(self, state: State, step: float) -> tuple[Floats, Floats]:
         """Return (mass + (dt^2 / 2 + beta dt) K)^-1 of the modes alone, and of all coordinates."""
         matrix, modes = self.mass, slice(len(self.basis))
         if self.implicit:
-            self._update_tangent(state)
-            matrix = self.mass + step * (0.5 * step + self.stiffness_damping) * self._tangent
+            matrix = self.mass + step * (0.5 * step + self.stiffness_damping) * state.estimate[0]
         return np.linalg.inv(matrix[modes, modes]), np.linalg.inv(matrix)
 
-    def stiffness(self, columns: Floats) -> Floats:
+    def stiffness(self, columns: Floats, work: GalerkinWork | None = None) -> Floats:
         """Return the tangent -d(force)/d(coordinates) [1/s^2], (M + l, M + l), by differences."""
-        tangent, base = np.empty_like(self.mass), self.force(columns).copy()
+        work = self.workspace() if work is None else work
+        tangent, base = np.empty_like(self.mass), self.force(columns, work)
         for m in range(len(self.columns)):
             # a displacement of about a millionth of the spacing
             delta = 1e-6 * self.cloud.spacing / self._sizes[m]
             moved = columns.copy()
             moved[m] += delta
-            tangent[:, m] = (base - self.force(moved)) / delta
+            tangent[:, m] = (base - self.force(moved, work)) / delta
         return tangent
 
     def spectrum(self, columns: Floats) -> NDArray[np.complex128]:
@@ -222,20 +236,26 @@ class GalerkinModel(Model):
         count = len(self.basis)
         return np.linalg.eigvals(self.stiffness(columns)[:count, :count]).astype(complex)
 
-    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
+    def advance(
+        self, state: State, prepared: PreparedLoads, step: float, steps: int, work: GalerkinWork | None = None
+    ) -> tuple[State, StepReport]:
+        work = self.workspace() if work is None else work
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         a, v = state.coordinates.copy(), state.velocities.copy()
-        self._work.surface[:] = 0.0  # of another run's loads
-        before = 0.0 if self.conservative else tool_power(self, state, prepared)
+        work.surface[:] = 0.0  # of another run's loads
+        before = 0.0 if self.conservative else tool_power(self, state, prepared, work)
         lifting, holds = self._lifting_coordinates(prepared, times), self._holds(prepared, times[1:-1])
+        if self.implicit:
+            state = self._with_tangent(state, work)
         loads, responses = (prepared.sites, prepared.schedule(times[1:-1])), self._responses(state, step)
-        work, lost, tools = self._advance(
-            a, v, lifting, holds, step, loads, responses, self._body, self._basis, self._work
-        )
-        new = State(a, v, float(times[-2]), state.external_work + work, state.dissipated + lost)
+        done, lost, tools = self._advance(a, v, lifting, holds, step, loads, responses, self._body, self._basis, work)
+        new = replace(
+            state, coordinates=a, velocities=v, time=float(times[-2]), external_work=state.external_work + done,
+            dissipated=state.dissipated + lost,
+        )  # fmt: skip
         if not self.conservative:  # trapezium rule for the power of the tools
-            tools = 0.5 * step * steps * (before + tool_power(self, new, prepared))
-        return replace(new, external_work=new.external_work + tools)
+            tools = 0.5 * step * steps * (before + tool_power(self, new, prepared, work))
+        return replace(new, external_work=new.external_work + tools), StepReport(done + tools, lost)
 
     def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes."""
@@ -245,13 +265,15 @@ class GalerkinModel(Model):
         """Return the velocities [m/s] of some nodes."""
         return np.tensordot(state.velocities, self.columns[:, nodes], 1)
 
-    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
-        return evaluate(self, state, prepared)
+    def outputs(self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None) -> Outputs:
+        return evaluate(self, state, prepared, work)
 
-    def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
+    def acceleration(self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None) -> Floats:
+        """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""
         schedule, count = prepared.schedule(np.array([state.time])), len(self.basis)
-        rates = self.force(state.coordinates + self.stiffness_damping * state.velocities).copy()
-        tractions = self.full.tractions(prepared, schedule).reshape(-1)
+        work = self.workspace() if work is None else work
+        rates = self.force(state.coordinates + self.stiffness_damping * state.velocities, work)
+        tractions = self.full.tractions(prepared, schedule, work.full.passes.cofactor).reshape(-1)
         rates += self.full.half_cell * (self.test @ tractions) / self.material.density
         rates += self._basis.gravity_test @ schedule.gravity[0]
         if self._holds(prepared, np.array([state.time]))[0]:
@@ -261,26 +283,26 @@ class GalerkinModel(Model):
             rates = np.linalg.solve(self.mass, rates)
         return np.tensordot(rates, self.columns, 1)
 
-    def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
-        return self.full.external_force(
-            State(self.displacement(state, prepared), state.velocities, state.time), prepared
-        )
+    def external_force(self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None) -> Floats:
+        """Return the nodal forces [N] of surface loads and gravity, shape (n, 3)."""
+        nodal = State(self.displacement(state, prepared), state.velocities, state.time)
+        return self.full.external_force(nodal, prepared, None if work is None else work.full)
 
-    def nodal_force(self, displacements: Floats) -> Floats:
-        return self.full.nodal_force(displacements)
+    def nodal_force(self, displacements: Floats, history: History = (), work: GalerkinWork | None = None) -> Floats:
+        """Return the full model's internal force density [N/m^3], shape (n, 3)."""
+        return self.full.nodal_force(displacements, history, None if work is None else work.full)
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
+        """Return the full model's deformation gradients, shape (n, 3, d)."""
         return self.full.deformation_gradient(displacements)
 
-    def stress(self, displacements: Floats) -> Floats:
-        return self.full.stress(displacements)
+    def stress(self, displacements: Floats, history: History = (), work: GalerkinWork | None = None) -> Floats:
+        """Return the full model's nodal stress [Pa], shape (n, 3, d)."""
+        return self.full.stress(displacements, history, None if work is None else work.full)
 
-    def strain_energy(self, displacements: Floats) -> float:
-        return self.full.strain_energy(displacements)
-
-    @property
-    def volumes(self) -> Floats:
-        return self.full.volumes
+    def strain_energy(self, displacements: Floats, history: History = (), work: GalerkinWork | None = None) -> float:
+        """Return the full model's strain energy [J]."""
+        return self.full.strain_energy(displacements, history, None if work is None else work.full)
 
 
 def galerkin(

@@ -12,15 +12,15 @@ from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.nodal.central_difference import surface_force
+from palpate.dynamics.nodal.model import NodalWork
 
-__all__ = ["BasisData", "BodyData", "StepScratch", "reduced_step"]
+__all__ = ["BasisData", "BodyData", "GalerkinWork", "reduced_step"]
 
 
 class BodyData(NamedTuple):
-    """Constants of the full model, and its work arrays."""
+    """Constants of the full model."""
 
     body: Any
-    work: Any
     volumes: Floats  # (n,) [m^3]
     slot: Any  # place of each node in the blocks
     half_cell: float
@@ -40,9 +40,10 @@ class BasisData(NamedTuple):
     wave_speed: Floats  # (l,) largest rates of the lifting coordinates in the damping forces
 
 
-class StepScratch(NamedTuple):
-    """Work arrays of the step."""
+class GalerkinWork(NamedTuple):
+    """Scratch arrays of the step."""
 
+    full: NodalWork
     force: Floats  # (n, 3)
     surface: Floats  # (n, 3)
     partial: Floats  # (b, m)
@@ -101,16 +102,16 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
 
         @law_njit(digest)
         def projected_force(coordinates, body, basis, work):  # type: ignore[no-untyped-def]
-            respond(coordinates, basis.table, body.body, body.work)
-            finish(body.body, body.work, work.force)
+            respond(coordinates, basis.table, body.body, work.full.passes)
+            finish(body.body, work.full.passes, work.force)
             _project(basis.test, work.force, work.result)
 
     else:
 
         @law_njit(digest)
         def projected_force(coordinates, body, basis, work):  # type: ignore[no-untyped-def]
-            respond(coordinates, basis.table, body.body, body.work)
-            project(basis.table, body.body, body.work, body.volumes, work.partial, work.result)
+            respond(coordinates, basis.table, body.body, work.full.passes)
+            project(basis.table, body.body, work.full.passes, body.volumes, work.partial, work.result)
 
     @law_njit(digest)
     def advance(a, velocity, lifting, holds, step, loads, responses, body, basis, work):  # type: ignore[no-untyped-def]
@@ -135,7 +136,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
                 if s > 0:
                     lost += (coordinates[m] - a[m]) * (previous[m] - result[m])
                 previous[m] = result[m]
-            surface_force(sites, schedule, s, body.volumes, body.slot, body.work.cofactor, work.surface)
+            surface_force(sites, schedule, s, body.volumes, body.slot, work.full.passes.cofactor, work.surface)
             power[:] = 0.0
             _add_surface_forces(sites, body, basis, work)
             kick = 0.5 * step if s in (0, steps) else step

@@ -8,9 +8,9 @@ on the number of nodes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,9 @@ from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.material.fibres import always_taut
-from palpate.dynamics.material.relaxation import equilibrium_history, restore_history, saved_history
+from palpate.dynamics.material.relaxation import equilibrium_history, history_after, restore_history, saved_history
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.dynamics.run.model import Model, Nodes, Outputs, State, initial_field
+from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import contact_outputs
 from palpate.faults import InputError
 from palpate.meshfree.stencils import moving_least_squares
@@ -31,10 +31,10 @@ from palpate.reduction.hyper.error_indicator import distances_to_nearest, expect
 from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
 from palpate.reduction.hyper.foundation import add_spring_forces
 from palpate.reduction.hyper.generalised_forces import GeneralisedForces, generalised_forces, load_forces, pose_map
-from palpate.reduction.hyper.implicit import FACTOR_STEP, ImplicitData, implicit_step, newton_scratch
+from palpate.reduction.hyper.implicit import FACTOR_STEP, ImplicitData, NewtonScratch, implicit_step, newton_scratch
 from palpate.reduction.hyper.loads import lifting_coordinates, prepare_reduced_loads
 from palpate.reduction.hyper.material_point import material_point
-from palpate.reduction.hyper.sampled_energy import IntegrationPoints, sampled_energy, scratch, shear_weights
+from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy, scratch, shear_weights
 
 __all__ = ["ReducedData", "ReducedModel"]
 
@@ -43,6 +43,28 @@ REFRESH_DISPLACEMENT = 0.1  # displacement after which the stable step is update
 NEWTON_TOLERANCE = 1e-7  # largest displacement of the last Newton update, in spacings
 DIFFERENCE_STEP = 1e-5  # displacements for difference quotients of the tangent, in spacings
 STENCIL_NEIGHBOURS = {2: 14, 3: 42}  # by dimension of the cloud: a sheet, a solid
+
+
+@dataclass
+class ReducedWork:
+    """Scratch arrays of a reduced model, for one thread at a time.
+
+    Parameters
+    ----------
+    coordinates, all : Scratch
+        Of the forces on the coordinates, and on all basis vectors; they share the history variables.
+    newton : NewtonScratch
+    force, all_forces : arrays [N]
+    tools : ContactTools, optional
+        Rigid tools of the loads that were used last.
+    """
+
+    coordinates: Scratch
+    all: Scratch
+    newton: NewtonScratch
+    force: Floats
+    all_forces: Floats
+    tools: ContactTools | None = None
 
 
 class ReducedModel(Model):
@@ -74,7 +96,7 @@ class ReducedModel(Model):
             raise InputError(
                 "step must be None for tissue that relaxes (prony), which is stepped explicitly; leave it out"
             )
-        self.data, self.step, self.single = data, step, single
+        self.data, self.step, self.single, self.volumes = data, step, single, data.volumes
         self.cloud, self.material, self.fixed = data.cloud, data.material, data.fixed
         self.stiffness_damping, self.report = data.stiffness_damping, data.report
         self.min_steps_per_frame = 20 if step is None else 1  # the implicit step is the user's choice
@@ -90,20 +112,13 @@ class ReducedModel(Model):
         self._all = self.integration_points(np.arange(len(flat)))
         self._integration_points = self.integration_points(np.arange(count))
         self._taut_points = self._integration_points._replace(families=always_taut(self._integration_points.families))
-        self._scratch, self._newton = scratch(self._integration_points), newton_scratch(count)
-        self._all_scratch = scratch(self._all, self._scratch.history)
         self._force, self._energy = sampled_energy(self._law, single)
         self._explicit = explicit_step(self._law, single)
         self._implicit, self._tangent = implicit_step(self._law, single)
         # largest displacement [m] of a unit coordinate
         self.sizes = np.linalg.norm(data.basis_vectors[:count], axis=2).max(axis=1)
         self._differences = DIFFERENCE_STEP * self.cloud.spacing / self.sizes
-        self._projected: GeneralisedForces | None = None
         self._contact_surface = data.surface
-        self._tools_cache: ContactTools | None = None
-        self._result, self._all_result = np.zeros(count), np.zeros(len(flat))
-        self._frequency, self._largest_displacement = 0.0, 0.0
-        self._frequency_at: Floats | None = None
 
     def _own_facts(self) -> list[Fact]:
         data, found = self.data, self.report.get("held_out", {}).get("mean", {}).get("displacement")
@@ -120,43 +135,60 @@ class ReducedModel(Model):
             ("step", "explicit" if self.step is None else self.step, "" if self.step is None else "s"),
         ]
 
-    @property
-    def volumes(self) -> Floats:
-        return self.data.volumes
+    def workspace(self) -> ReducedWork:
+        own, count = scratch(self._integration_points), self.count
+        forces = np.zeros(count), np.zeros(len(self.data.basis_vectors))
+        return ReducedWork(own, scratch(self._all, own.history), newton_scratch(count), *forces)
 
-    def force(self, coordinates: Floats) -> Floats:
-        """Return the internal forces on the coordinates, -dE/da, shape (m + l,)."""
-        self._force(
-            np.ascontiguousarray(coordinates, dtype=float), self._integration_points, self._scratch, self._result
-        )
-        return self._result.copy()
+    def force(self, coordinates: Floats, history: tuple[Floats, ...] = (), work: ReducedWork | None = None) -> Floats:
+        """Return the internal forces on the coordinates, -dE/da, shape (m + l,).
 
-    def forces(self, coordinates: Floats) -> Floats:
+        Relaxing tissue responds to the change since its history variables, by default those at rest, as to
+        an instantaneous one.
+        """
+        work = self.workspace() if work is None else work
+        restore_history(work.coordinates.history, history)
+        return self._instant_force(coordinates, work)
+
+    def _instant_force(self, coordinates: Floats, work: ReducedWork) -> Floats:
+        """Return the forces on the coordinates for the history variables in a workspace."""
+        a = np.ascontiguousarray(coordinates, dtype=float)
+        self._force(a, self._integration_points, work.coordinates, work.force)
+        return work.force.copy()
+
+    def forces(self, coordinates: Floats, history: tuple[Floats, ...] = (), work: ReducedWork | None = None) -> Floats:
         """Return the internal forces on all basis vectors, test fields included, shape (m + l + 3 g + w,)."""
+        work = self.workspace() if work is None else work
+        restore_history(work.all.history, history)
         padded = np.zeros(len(self.data.basis_vectors))
         padded[: self.count] = coordinates
-        self._force(padded, self._all, self._all_scratch, self._all_result)
-        return self._all_result.copy()
+        self._force(padded, self._all, work.all, work.all_forces)
+        return work.all_forces.copy()
 
     def project(self, fields: Floats) -> Floats:
         """Return the coordinates (t, m + l) of the best approximations of fields (t, n, 3), in the mass norm."""
         flat = self.data.basis_vectors[: self.count].reshape(self.count, -1) * np.repeat(self.masses, 3)
         return np.asarray((fields.reshape(len(fields), -1) @ flat.T) @ self._inverse_mass)
 
-    def energy(self, coordinates: Floats) -> float:
+    def energy(self, coordinates: Floats, history: tuple[Floats, ...] = (), work: ReducedWork | None = None) -> float:
         """Return the strain energy [J]."""
-        return float(
-            self._energy(np.ascontiguousarray(coordinates, dtype=float), self._integration_points, self._scratch)
-        )
+        work = self.workspace() if work is None else work
+        restore_history(work.coordinates.history, history)
+        a = np.ascontiguousarray(coordinates, dtype=float)
+        return float(self._energy(a, self._integration_points, work.coordinates))
 
-    def stiffness(self, coordinates: Floats) -> Floats:
+    def stiffness(
+        self, coordinates: Floats, history: tuple[Floats, ...] = (), work: ReducedWork | None = None
+    ) -> Floats:
         """Return the tangent -d(force)/d(coordinates), shape (m + l, m + l)."""
-        return self._stiffness(coordinates, self._integration_points)
+        work = self.workspace() if work is None else work
+        restore_history(work.coordinates.history, history)
+        return self._stiffness(coordinates, self._integration_points, work)
 
-    def _stiffness(self, coordinates: Floats, of: IntegrationPoints) -> Floats:
+    def _stiffness(self, coordinates: Floats, of: IntegrationPoints, work: ReducedWork) -> Floats:
         matrix = np.zeros((self.count, self.count))
         a, vectors = np.ascontiguousarray(coordinates, dtype=float), np.zeros((3, self.count))
-        self._tangent(a, self._differences, of, self._scratch, vectors, self.count, matrix)
+        self._tangent(a, self._differences, of, work.coordinates, vectors, self.count, matrix)
         return matrix
 
     # loads
@@ -165,14 +197,16 @@ class ReducedModel(Model):
         return prepare_reduced_loads(self.data, loads, implicit=self.step is not None)
 
     def _project_loads(self, ready: PreparedLoads) -> GeneralisedForces:
-        if self._projected is None or self._projected.prepared is not ready:
-            self._projected = generalised_forces(ready, self.data.basis_vectors, self.masses, self.mass)
-        return self._projected
+        known = ready.derived.get(id(self))
+        if known is None:  # it keeps the model, whose id no other object has then
+            projected = generalised_forces(ready, self.data.basis_vectors, self.masses, self.mass)
+            ready.derived[id(self)] = known = (self, projected)
+        return cast(GeneralisedForces, known[1])
 
-    def _contact_tools(self, ready: PreparedLoads) -> ContactTools:
-        if self._tools_cache is None or self._tools_cache.prepared is not ready:
-            self._tools_cache = ContactTools(self._contact_surface, ready)
-        return self._tools_cache
+    def _contact_tools(self, ready: PreparedLoads, work: ReducedWork) -> ContactTools:
+        if work.tools is None or work.tools.prepared is not ready:
+            work.tools = ContactTools(self._contact_surface, ready)
+        return work.tools
 
     @staticmethod
     def _holds(ready: PreparedLoads, times: Floats) -> NDArray[np.bool_]:
@@ -188,8 +222,7 @@ class ReducedModel(Model):
         velocity: Floats | None = None,
         time: float = 0.0,
     ) -> State:
-        self._frequency_at, self._largest_displacement, self._newton.factored[FACTOR_STEP] = None, 0.0, 0.0
-        flat = self.data.basis_vectors[: self.count].reshape(self.count, -1)
+        work, flat = self.workspace(), self.data.basis_vectors[: self.count].reshape(self.count, -1)
         projected = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
             array = initial_field(name, given, len(self.cloud))
@@ -206,32 +239,64 @@ class ReducedModel(Model):
                 vector[self.data.modes :] = known
         else:
             coordinates, velocities = self._inverse_mass @ coordinates, self._inverse_mass @ velocities
-        history = equilibrium_history(self._scratch.history, lambda: self.force(coordinates))
+        history = self.equilibrium_history(coordinates, work)
         rest = State(coordinates, velocities, time, history=history)
-        tools = self._contact_tools(prepared)
+        tools = self._contact_tools(prepared, work)
         contact = tools.initial_state(lambda: self.displacement(rest, prepared), time, self.cloud.spacing)
         return replace(rest, contact_state=contact)
 
-    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
-        if self.step is not None:
-            return self.step
-        restore_history(self._scratch.history, state.history)
-        moved = state.coordinates * self.sizes
-        self._largest_displacement = max(self._largest_displacement, float(np.abs(moved).max(initial=0.0)))
-        farthest = REFRESH_DISPLACEMENT * self._largest_displacement
-        if self._frequency_at is None or np.abs(moved - self._frequency_at).max() > farthest:
-            prescribed = bool(self._holds(prepared, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
-            self._frequency, self._frequency_at = self._highest_frequency(state.coordinates, prescribed), moved
-        springs = self._project_loads(prepared).coordinate_springs
-        highest = float(np.hypot(max(self._frequency, self.data.taut_frequency), np.sqrt(springs.highest_squared)))
-        if not highest:  # no stiffness
-            return np.inf
-        return stable_step(highest, self.stiffness_damping + springs.decay_rate / highest / highest)
+    def history_after(
+        self, coordinates: Floats, history: tuple[Floats, ...], interval: float, work: ReducedWork | None = None
+    ) -> tuple[Floats, ...]:
+        """Return the history variables after a linear change over an interval [s] to coordinates (m + l,)."""
+        work = self.workspace() if work is None else work
+        variables = work.coordinates.history
+        return history_after(variables, history, interval, lambda: self._instant_force(coordinates, work))
 
-    def _highest_frequency(self, coordinates: Floats, prescribed: bool = True) -> float:
+    def equilibrium_history(self, coordinates: Floats, work: ReducedWork | None = None) -> tuple[Floats, ...]:
+        """Return the history variables at equilibrium; empty without relaxation."""
+        work = self.workspace() if work is None else work
+        return equilibrium_history(work.coordinates.history, lambda: self._instant_force(coordinates, work))
+
+    def stable_step(
+        self, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
+    ) -> tuple[float, State]:
+        """As `Model.stable_step`; the estimate is updated where the body has moved far enough.
+
+        The estimate of the state is the highest frequency, the displacements at which it was computed, and
+        the largest displacement of the run, in the sizes of the coordinates.
+        """
+        if self.step is not None:
+            return self.step, state
+        moved = state.coordinates * self.sizes
+        largest = float(np.abs(moved).max(initial=0.0))
+        frequency, at = None, moved
+        if state.estimate:
+            largest = max(largest, float(state.estimate[2]))
+            if np.abs(moved - state.estimate[1]).max() <= REFRESH_DISPLACEMENT * largest:
+                frequency, at = float(state.estimate[0]), state.estimate[1]
+        if frequency is None:
+            prescribed = bool(self._holds(prepared, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
+            frequency = self._highest_frequency(state.coordinates, prescribed, state.history, work)
+        state = replace(state, estimate=(np.array(frequency), at, np.array(largest)))
+        springs = self._project_loads(prepared).coordinate_springs
+        highest = float(np.hypot(max(frequency, self.data.taut_frequency), np.sqrt(springs.highest_squared)))
+        if not highest:  # no stiffness
+            return np.inf, state
+        return stable_step(highest, self.stiffness_damping + springs.decay_rate / highest / highest), state
+
+    def _highest_frequency(
+        self,
+        coordinates: Floats,
+        prescribed: bool = True,
+        history: tuple[Floats, ...] = (),
+        work: ReducedWork | None = None,
+    ) -> float:
         """Return the highest frequency [rad/s], with the lifting coordinates prescribed or free."""
+        work = self.workspace() if work is None else work
+        restore_history(work.coordinates.history, history)
         moving = slice(self.data.modes if prescribed else None)
-        tangent = self._stiffness(coordinates, self._taut_points)[moving, moving]
+        tangent = self._stiffness(coordinates, self._taut_points, work)[moving, moving]
         if not np.isfinite(tangent).all():
             return np.inf
         inverse_mass = self._constrained_inverse_mass if prescribed else self._inverse_mass
@@ -248,14 +313,21 @@ class ReducedModel(Model):
         return np.sqrt(np.where(squares >= 0, squares, np.nan))
 
     def advance(
-        self, state: State, prepared: PreparedLoads, step: float, steps: int, added_forces: Floats | float = 0.0
-    ) -> State:
+        self,
+        state: State,
+        prepared: PreparedLoads,
+        step: float,
+        steps: int,
+        work: ReducedWork | None = None,
+        added_forces: Floats | float = 0.0,
+    ) -> tuple[State, StepReport]:
         """Advance by some steps; explicit steps support additional forces (m + l,) on the coordinates."""
-        a, v, count, history = state.coordinates.copy(), state.velocities.copy(), self.count, self._scratch.history
+        work = self.workspace() if work is None else work
+        a, v, count, history = state.coordinates.copy(), state.velocities.copy(), self.count, work.coordinates.history
         restore_history(history, state.history)
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
-        contact, projected = self._contact_tools(prepared), self._project_loads(prepared)
-        lifting = lifting_coordinates(self.data, prepared, times)
+        contact, projected = self._contact_tools(prepared, work), self._project_loads(prepared)
+        lifting, estimate = lifting_coordinates(self.data, prepared, times), state.estimate
         if self.step is None:
             loads = np.ascontiguousarray(projected.at(times[1:-1])[:, :count] + added_forces)
             explicit_data = ExplicitData(
@@ -265,9 +337,9 @@ class ReducedModel(Model):
                 constrained_inverse_mass=self._constrained_inverse_mass,
                 inverse_mass=self._inverse_mass,
                 integration_points=self._integration_points,
-                scratch=self._scratch,
+                scratch=work.coordinates,
                 springs=projected.coordinate_springs,
-                work=self._newton.vectors,
+                work=work.newton.vectors,
             )
             contact_data = ContactData(
                 poses=contact.poses(times[1:-1], state.contact_state, self.cloud.spacing),
@@ -276,7 +348,7 @@ class ReducedModel(Model):
                 tools=contact.tools,
             )
             holds = self._holds(prepared, times[1:-1])
-            work, lost, tool_work = self._explicit(a, v, lifting, holds, step, loads, explicit_data, contact_data)
+            done, lost, tool_work = self._explicit(a, v, lifting, holds, step, loads, explicit_data, contact_data)
         else:
             middles = times[1:-2] + 0.5 * step
             loads = np.ascontiguousarray(projected.at(middles)[:, :count])
@@ -286,25 +358,33 @@ class ReducedModel(Model):
                 differences=self._differences,
                 tolerance=self.tolerance,
                 integration_points=self._integration_points,
-                scratch=self._scratch,
+                scratch=work.coordinates,
                 springs=projected.coordinate_springs,
-                newton=self._newton,
+                newton=work.newton,
             )
             holds = self._holds(prepared, times[2:-1])
-            work, lost, tool_work, taken = self._implicit(a, v, lifting, holds, step, loads, implicit_data)
+            factor, factored = work.newton.factor, work.newton.factored
+            factored[FACTOR_STEP] = 0.0
+            if estimate:  # the factor of the last step, which Newton's method starts with
+                factor[:], factored[:] = estimate
+            done, lost, tool_work, taken = self._implicit(a, v, lifting, holds, step, loads, implicit_data)
+            estimate = factor.copy(), factored.copy()
             if taken < steps:
                 a[:] = np.nan
         if history.branches.size:
             lost += float(np.sum(shear_weights(self._integration_points) * history.lost) + history.volume_lost.sum())
-        return State(
+        after = contact.final_state(state.contact_state)
+        new = State(
             coordinates=a,
             velocities=v,
             time=float(times[-2]),
-            external_work=state.external_work + work + tool_work,
+            external_work=state.external_work + done + tool_work,
             dissipated=state.dissipated + lost,
             history=saved_history(history),
-            contact_state=contact.final_state(state.contact_state),
+            contact_state=after,
+            estimate=estimate,
         )
+        return new, StepReport(done + tool_work, lost, tool_impulses=contact.tools.impulses.copy())
 
     # results of a state
 
@@ -322,10 +402,11 @@ class ReducedModel(Model):
         """Return the velocities [m/s] of some nodes."""
         return np.tensordot(state.velocities, self.data.basis_vectors[: self.count, nodes], 1)
 
-    def _accelerations(self, state: State, prepared: PreparedLoads) -> tuple[Floats, Floats]:
+    def _accelerations(
+        self, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
+    ) -> tuple[Floats, Floats]:
         """Return the accelerations of the coordinates, and internal forces plus loads on all basis vectors."""
-        restore_history(self._scratch.history, state.history)
-        forces = self.forces(state.coordinates + self.stiffness_damping * state.velocities)
+        forces = self.forces(state.coordinates + self.stiffness_damping * state.velocities, state.history, work)
         forces += self._project_loads(prepared).at(np.array([state.time]))[0]
         add_spring_forces(self._project_loads(prepared).springs, state.coordinates, state.velocities, forces)
         if state.contact_state is not None:
@@ -337,17 +418,17 @@ class ReducedModel(Model):
             return np.concatenate([self._constrained_inverse_mass @ free, lifting_rates]), forces
         return self._inverse_mass @ forces[: self.count], forces
 
-    def required_forces(self, state: State, prepared: PreparedLoads) -> Floats:
+    def required_forces(self, state: State, prepared: PreparedLoads, work: ReducedWork | None = None) -> Floats:
         """Return the constraint forces on all basis vectors, shape (m + l + 3 g + w,).
 
         They are the inertial forces minus internal forces and loads.
         """
-        rates, forces = self._accelerations(state, prepared)
+        rates, forces = self._accelerations(state, prepared, work)
         return np.asarray(self._all_mass[:, : self.count] @ rates - forces)
 
-    def reactions(self, state: State, prepared: PreparedLoads) -> dict[str, Floats]:
+    def reactions(self, state: State, prepared: PreparedLoads, work: ReducedWork | None = None) -> dict[str, Floats]:
         """Return the force [N] of every support and tool on the body, from the constraint forces."""
-        required_forces, first = self.required_forces(state, prepared), self.count
+        required_forces, first = self.required_forces(state, prepared, work), self.count
         result = {name: required_forces[first + 3 * g : first + 3 * g + 3] for g, name in enumerate(self.fixed)}
         holds, tools = self._holds(prepared, np.array([state.time]))[0], required_forces[self.data.modes : self.count]
         for name in self.data.prescribed:
@@ -363,15 +444,15 @@ class ReducedModel(Model):
         nodes = self.cloud.group(group)
         return pose_map(self.cloud.points[nodes], self.data.basis_vectors[self.data.modes : self.count, nodes])
 
-    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
+    def outputs(self, state: State, prepared: PreparedLoads, work: ReducedWork | None = None) -> Outputs:
         forces, moments, contact_forces, _ = contact_outputs(state, prepared)
         residual, energy = self._tool_displacements(state, prepared)
         return Outputs(
             np.tensordot(state.coordinates, self.data.basis_vectors[: self.count], 1) + residual,
             self.velocity(state, prepared),
-            self.reactions(state, prepared) | forces,
+            self.reactions(state, prepared, work) | forces,
             float(0.5 * state.velocities @ self.mass @ state.velocities),
-            self.energy(state.coordinates) + energy,
+            self.energy(state.coordinates, state.history, work) + energy,
             state.external_work,
             state.dissipated,
             moments,
@@ -438,9 +519,6 @@ class ReducedModel(Model):
     def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
         forces = load_forces(prepared, self.masses, self.data.basis_vectors, state)
         return forces if state.contact_state is None else forces + state.contact_state.forces
-
-    def nodal_force(self, displacements: Floats) -> Floats:
-        raise InputError("model must be a full model to return nodal forces, got a ReducedModel; use Solid or Membrane")
 
     @cached_property
     def stencils(self) -> Any:  # type: ignore[override]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, check_kinds, is_pressure
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
-from palpate.dynamics.run.model import Model, Nodes, Outputs, State
+from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport
 from palpate.dynamics.run.reactions import evaluate
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder, first_order_hold
@@ -93,6 +93,7 @@ class LinearModel(Model):
             full.stiffness_damping,
             full.stencils,
         )
+        self.volumes = full.volumes
         self.count, self.lifting_count = len(reduced.fields), len(system.lifting)
         self.columns = np.concatenate([reduced.fields, system.lifting])
         self.A, self.B, self.C, self.D = (np.ascontiguousarray(matrix) for matrix in reduced.state_space())
@@ -100,7 +101,6 @@ class LinearModel(Model):
         self._lost = full.stiffness_damping * (flat @ (system.whole @ flat.T))
         self._moved = self._force_columns() @ flat.T  # displacements along the forces for unit coordinates
         self._steps: dict[float, tuple[Floats, ...]] = {}
-        self._ready: _Inputs | None = None
 
     def _own_facts(self) -> list[Fact]:
         return [
@@ -157,7 +157,8 @@ class LinearModel(Model):
         return ready
 
     def _inputs(self, prepared: PreparedLoads) -> _Inputs:
-        if self._ready is None or self._ready.prepared is not prepared:
+        known = prepared.derived.get(id(self))
+        if known is None:  # it keeps the model, whose id no other object has then
             of, place, gravity = {}, 0, None
             for load in self.system.loads:
                 if isinstance(load, DeadLoad):
@@ -166,8 +167,8 @@ class LinearModel(Model):
                 elif isinstance(load, Gravity):
                     gravity, place = slice(place, place + 3), place + 3
             inputs = tuple((g, of[_input(load)]) for g, load in enumerate(prepared.dead_loads))
-            self._ready = _Inputs(prepared, inputs, gravity)
-        return self._ready
+            prepared.derived[id(self)] = known = (self, _Inputs(prepared, inputs, gravity))
+        return cast(_Inputs, known[1])
 
     def tool_coordinates(self, prepared: PreparedLoads, times: Floats) -> Floats:
         """Return the coordinates (t, l) of the tools at some times [s]: translations [m], small rotations [rad].
@@ -221,19 +222,20 @@ class LinearModel(Model):
             own = np.asarray(np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T, dtype=float)
         return State(np.concatenate([own[0], tools]), np.concatenate([own[1], rates]), time)
 
-    def stable_step(self, state: State, prepared: PreparedLoads) -> float:
+    def stable_step(self, state: State, prepared: PreparedLoads, work: None = None) -> tuple[float, State]:
         """Return infinity: the step is exact, and a run takes `min_steps_per_frame` steps between snapshots."""
-        return np.inf
+        return np.inf, state
 
     def _propagator(self, step: float) -> tuple[Floats, ...]:
         """Return E, G0 and G1 of a step for the inputs other than tools, and the impulse matrix of the tools."""
-        if step not in self._steps:
+        known = self._steps.get(step)
+        if known is None:
             if len(self._steps) > 16:
                 self._steps.clear()
             forces = self.system.forces
             own = first_order_hold(self.A, self.B[:, :forces], step)
-            self._steps[step] = tuple(np.ascontiguousarray(m) for m in (*own, self.B[:, forces:]))
-        return self._steps[step]
+            self._steps[step] = known = tuple(np.ascontiguousarray(m) for m in (*own, self.B[:, forces:]))
+        return known
 
     def _packed(self, state: State) -> Floats:
         """Return the state x of the first-order equations."""
@@ -241,7 +243,9 @@ class LinearModel(Model):
             return np.concatenate([state.coordinates[: self.count], state.velocities[: self.count]])
         return state.coordinates[: self.count].copy()
 
-    def advance(self, state: State, prepared: PreparedLoads, step: float, steps: int) -> State:
+    def advance(
+        self, state: State, prepared: PreparedLoads, step: float, steps: int, work: None = None
+    ) -> tuple[State, StepReport]:
         number_in_range("step", step, 0.0, open_low=True, unit="s")
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         f = np.ascontiguousarray(self._inputs(prepared).at(times[1:-1], self.system.forces))
@@ -253,11 +257,12 @@ class LinearModel(Model):
         rates = self._rates(history, f)
         c, speeds = history[:, : self.count], (g[2:] - g[:-2]) / (2 * step)
         all_c, all_v = np.hstack([c, g[1:-1]]), np.hstack([rates, speeds])
-        work = self._work(all_c, f, history, (g[1:-1], speeds, kicks / step))
+        done = self._work(all_c, f, history, (g[1:-1], speeds, kicks / step))
         power = np.einsum("ti,ij,tj->t", all_v, self._lost, all_v)
         lost = step * float(power.sum() - 0.5 * (power[0] + power[-1]))
-        external, dissipated = state.external_work + work, state.dissipated + lost
-        return State(all_c[-1].copy(), all_v[-1].copy(), float(times[-2]), external, dissipated)
+        external, dissipated = state.external_work + done, state.dissipated + lost
+        new = State(all_c[-1].copy(), all_v[-1].copy(), float(times[-2]), external, dissipated)
+        return new, StepReport(done, lost)
 
     def _rates(self, history: Floats, f: Floats) -> Floats:
         """Return rates (t, k) of the coordinates for states (t, N) and inputs other than tools."""
@@ -311,10 +316,11 @@ class LinearModel(Model):
         """Return the velocities [m/s] of some nodes."""
         return np.tensordot(state.velocities, self.columns[:, nodes], 1)
 
-    def outputs(self, state: State, prepared: PreparedLoads) -> Outputs:
+    def outputs(self, state: State, prepared: PreparedLoads, work: None = None) -> Outputs:
         return evaluate(self, state, prepared)
 
-    def acceleration(self, state: State, prepared: PreparedLoads) -> Floats:
+    def acceleration(self, state: State, prepared: PreparedLoads, work: None = None) -> Floats:
+        """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""
         inputs, forces = self._inputs(prepared), self.system.forces
         bends = self._bends(state, prepared)
         if isinstance(self.reduced, SecondOrder):
@@ -325,19 +331,22 @@ class LinearModel(Model):
             own = self.A @ state.velocities[: self.count] + self.B[:, :forces] @ slope
         return np.tensordot(np.concatenate([own, bends]), self.columns, 1)
 
-    def external_force(self, state: State, prepared: PreparedLoads) -> Floats:
+    def external_force(self, state: State, prepared: PreparedLoads, work: None = None) -> Floats:
+        """Return the nodal forces [N] of surface loads and gravity, shape (n, 3)."""
         return self.full.external_force(
             State(self.displacement(state, prepared), state.velocities, state.time), prepared
         )
 
-    def nodal_force(self, displacements: Floats) -> Floats:
+    def nodal_force(self, displacements: Floats, history: tuple[Floats, ...] = (), work: None = None) -> Floats:
+        """Return the linear internal force density [N/m^3] of nodal displacements, shape (n, 3)."""
         pushed = -(self.system.whole @ displacements.ravel()).reshape(-1, 3)
         return np.asarray(pushed / self.full.weights[:, None])
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
+        """Return the full model's deformation gradients, shape (n, 3, d)."""
         return self.full.deformation_gradient(displacements)
 
-    def stress(self, displacements: Floats) -> Floats:
+    def stress(self, displacements: Floats, history: tuple[Floats, ...] = (), work: None = None) -> Floats:
         """Return the linearised stress [Pa] of the full model, by central differences."""
         largest = float(np.abs(displacements).max())
         if largest == 0:
@@ -345,13 +354,10 @@ class LinearModel(Model):
         scale = DIFFERENCE_STEP * self.cloud.spacing / largest
         return (self.full.stress(scale * displacements) - self.full.stress(-scale * displacements)) / (2 * scale)
 
-    def strain_energy(self, displacements: Floats) -> float:
+    def strain_energy(self, displacements: Floats, history: tuple[Floats, ...] = (), work: None = None) -> float:
+        """Return the strain energy [J] of nodal displacements, quadratic in them."""
         flat = displacements.ravel()
         return float(0.5 * flat @ (self.system.whole @ flat))
-
-    @property
-    def volumes(self) -> Floats:
-        return self.full.volumes
 
 
 @kernel_njit(fastmath={"contract", "reassoc"})

@@ -15,7 +15,7 @@ import scipy.sparse as sparse
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.nodal.model import NodalModel
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
 __all__ = ["coupling", "independent_groups", "nodal_stiffness"]
@@ -41,22 +41,19 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
         stencils. Otherwise it is computed by differences, with errors of about 1e-9 of the largest
         entry.
     """
-    plain = isinstance(model, Solid) and model.conservative and model.fibres is None
-    if displacements is None and plain:
-        assert isinstance(model, Solid)
+    if displacements is None and isinstance(model, EnergySolid) and model.fibres is None:
         return rest_stiffness(model)
     u = np.zeros((len(model.cloud), 3)) if displacements is None else np.array(displacements, dtype=float)
     n, pattern, delta = len(u), coupling(model), STEP * model.cloud.spacing
-    rows, columns, values = [], [], []
-    model._restore_history(None)
+    rows, columns, values, work = [], [], [], model.workspace()
     for group in independent_groups(pattern):
         inside = pattern[:, group].tocoo()
         node, moved = inside.row, group[inside.col]
         for c in range(3):
             u[group, c] += delta
-            ahead = model.force(u)
+            ahead = model.force(u, work=work)
             u[group, c] -= 2 * delta
-            slope = (model.force(u) - ahead) / (2 * delta) * model.weights[:, None]
+            slope = (model.force(u, work=work) - ahead) / (2 * delta) * model.weights[:, None]
             u[group, c] += delta
             for e in range(3):
                 rows.append(3 * node + e)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
-from palpate.dynamics.material.relaxation import equilibrium_history, history_after
 from palpate.dynamics.run.model import State
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.contact.compliance import contact_displacements
@@ -48,13 +46,11 @@ def indicator_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory
     compliance = np.array([_contact_displacements(model, own, k) for k in range(len(own.times))])
     coordinates, velocities = model.project(own.displacements - compliance), model.project(own.velocities)
     states: list[State] = []
+    work = model.workspace()
     for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):
-        where, evaluate = model._scratch.history, partial(model.force, a)
         last = states[-1] if states else None
         history = (
-            history_after(where, last.history, time - last.time, evaluate)
-            if last
-            else equilibrium_history(where, evaluate)
+            model.history_after(a, last.history, time - last.time, work) if last else model.equilibrium_history(a, work)
         )
         states.append(State(a, v, time, history=history, contact_state=contact_forces[len(states)]))
     squares = np.einsum("tnc,n->t", full.displacements**2, mass)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.membrane.passes import COSINE, SINE
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.hyper.cubature import Cubature, fit_moments, sketch, sparse_nnls
 from palpate.reduction.hyper.material_point import volume_measure
@@ -65,7 +65,7 @@ class Fields:
         return Fields(self.columns[which], self.gradients[:, which], constant, self.nodes, self.volumes)
 
 
-def differentiate(body: Solid | Membrane, columns: Floats) -> Fields:
+def differentiate(body: EnergySolid | Membrane, columns: Floats) -> Fields:
     """Return basis vectors (m, n, 3) with their derivatives at all points."""
     if isinstance(body, Membrane):
         return _differentiate_sheet(body, columns)
@@ -99,24 +99,24 @@ def _precision(points: int, count: int) -> Any:
     return np.float64 if points * count < 2_000_000 else np.float32
 
 
-def _by_node(body: Solid | Membrane, columns: Floats, numbers: int) -> Iterator[Floats]:
+def _by_node(body: EnergySolid | Membrane, columns: Floats, numbers: int) -> Iterator[Floats]:
     """Yield the nodal derivatives (n, numbers) of every basis vector by the formulation."""
     blocks, lanes = body.body.lanes.nodes.shape
-    table = np.zeros((blocks, 1, numbers, lanes))
+    table, passes = np.zeros((blocks, 1, numbers, lanes)), body.workspace().passes
     for column in columns:
-        body.formulation.differentiate(np.ascontiguousarray(column[None]), body.body, body.work, table)
+        body.formulation.differentiate(np.ascontiguousarray(column[None]), body.body, passes, table)
         yield table[:, 0].transpose(0, 2, 1).reshape(-1, numbers)[body.slot]
 
 
 def choose_integration_points(
-    body: Solid | Membrane, fields: Fields, modes: int, states: Floats, mass: Floats, share: float, moments: Floats,
-    seed: int,
+    body: EnergySolid | Membrane, fields: Fields, modes: int, states: Floats, mass: Floats, share: float,
+    moments: Floats, seed: int,
 ) -> tuple[NDArray[np.int64], Cubature]:  # fmt: skip
     """Return places of the chosen points in the fields, and the cubature with their weights and moments.
 
     Parameters
     ----------
-    body : Solid or Membrane
+    body : EnergySolid or Membrane
     fields : Fields
         Of modes, lifting vectors and the supports' test fields.
     modes : int
@@ -145,7 +145,12 @@ def choose_integration_points(
 
 
 def _rows(
-    body: Solid | Membrane, fields: Fields, modes: int, states: Floats, root: Floats, generator: np.random.Generator
+    body: EnergySolid | Membrane,
+    fields: Fields,
+    modes: int,
+    states: Floats,
+    root: Floats,
+    generator: np.random.Generator,
 ) -> Floats:
     """Return the contributions (r, p) of every point to the forces at all states.
 
@@ -177,7 +182,7 @@ def deformation(gradients: Floats, state: Floats) -> tuple[Floats, Floats, Float
     return F, cofactor, np.sum(F[:, 0] * cofactor[:, 0], axis=1)
 
 
-def _shear_work(body: Solid | Membrane, fields: Fields, state: Floats) -> Floats:
+def _shear_work(body: EnergySolid | Membrane, fields: Fields, state: Floats) -> Floats:
     """Return the work (m, p) of every point's shear stress, times its volume, on all basis vectors."""
     gradients = fields.gradients
     F, _, _ = deformation(gradients[:, : len(state)], state)
@@ -185,12 +190,12 @@ def _shear_work(body: Solid | Membrane, fields: Fields, state: Floats) -> Floats
         stress = np.zeros_like(F)
         stress[:, :, :2] = body.stress_at(F[:, :, :2] + (body.prestretch - 1) * np.eye(3, 2))
     else:
-        stress = body.shear_stress(F)
+        stress = body.tissue.shear_stress(F)
     weighted = (stress * fields.volumes[:, None, None]).reshape(-1, 9).astype(gradients.dtype)
     return np.asarray(np.matmul(gradients, weighted[:, :, None])[:, :, 0].T, dtype=float)
 
 
-def pressure_moments(body: Solid | Membrane, snapshots: Snapshots, pressures: int) -> Floats:
+def pressure_moments(body: EnergySolid | Membrane, snapshots: Snapshots, pressures: int) -> Floats:
     """Return the coefficients (k, n) of the nodes' J - 1, or g(J), in the moments.
 
     The moments belong to the main modes of the pressures in the snapshots.
@@ -198,27 +203,26 @@ def pressure_moments(body: Solid | Membrane, snapshots: Snapshots, pressures: in
     if isinstance(body, Membrane):  # it has no pressure, because its thickness follows
         return np.zeros((0, len(body.cloud)))
     roots, chosen = np.sqrt(body.bulk_volumes), np.arange(0, len(snapshots), max(1, len(snapshots) // PRESSURE_STATES))
-    smooth = np.empty((len(chosen), len(roots)))
+    smooth, work = np.empty((len(chosen), len(roots))), body.workspace()
     for u, row in zip(snapshots.each(chosen), smooth, strict=True):
-        body.force(u)
-        row[:] = body.work.smooth * roots
+        row[:] = body.smoothed_measure(u, work) * roots
     sizes = np.linalg.norm(smooth, axis=1)
     smooth /= np.sqrt(np.maximum(sizes, MIN_SIZE * sizes.max()))[:, None]
     _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
     kept = min(pressures, int(np.sum(values > 1e-10 * values[0])))
-    return np.asarray(np.sqrt(body.lame) * body.smooth_transposed(shapes[:kept] * roots))
+    return np.asarray(np.sqrt(body.tissue.lame) * body.smooth_transposed(shapes[:kept] * roots))
 
 
-def compliance_root(body: Solid | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
+def compliance_root(body: EnergySolid | Membrane, fields: Fields, count: int, moments: Floats, mass: Floats) -> Floats:
     """Return R for which R^T R is the compliance of the body at rest in the coordinates.
 
     For a membrane it is that of the taut state.
     """
     stiffness, own = fields.constant[:count, :count].copy(), fields.gradients[:, :count]
     shear, second = np.full(len(body.cloud), body.material.shear_modulus), np.zeros(len(body.cloud))
-    if isinstance(body, Solid):
-        shear = body.moduli("shear_modulus")
-        second = body.moduli("shear_share") - 2 / 3 * shear
+    if isinstance(body, EnergySolid):
+        shear = body.tissue.moduli("shear_modulus")
+        second = body.tissue.moduli("shear_share") - 2 / 3 * shear
     for start in range(0, len(own), BLOCK):
         block = own[start : start + BLOCK].astype(float).reshape(-1, count, 3, 3)
         roots, nodes = np.sqrt(fields.volumes[start : start + BLOCK]), fields.nodes[start : start + BLOCK]

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.run.rollout import MAX_STEP_RATIO, MAX_STEPS_PER_FRAME
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.basis.snapshots import Snapshots
@@ -47,7 +47,7 @@ RATIO_SPREAD = 0.1  # of the ratio of works, between frames
 
 
 def fit_compliance(
-    model: ReducedModel, body: Solid, snapshots: Snapshots, statics: Solid
+    model: ReducedModel, body: EnergySolid, snapshots: Snapshots, statics: EnergySolid
 ) -> tuple[SurfaceCompliance, float]:
     """Fit the surface compliance to runs with contact.
 
@@ -55,11 +55,11 @@ def fit_compliance(
     ----------
     model : ReducedModel
         Its compliance is not used.
-    body : Solid
+    body : EnergySolid
         In its energy form.
     snapshots : Snapshots
         Runs of the full model.
-    statics : Solid
+    statics : EnergySolid
         The body, or a coarser model of it, in the energy form, of at most 5,000 nodes.
 
     Returns
@@ -111,7 +111,7 @@ def fit_compliance(
     return _fit_factors(unscaled, cloud.points, frames)
 
 
-def _patches(body: Solid, nodes: Ints) -> tuple[Ints, Floats]:
+def _patches(body: EnergySolid, nodes: Ints) -> tuple[Ints, Floats]:
     """Return the nodes (k, p) of the patches of surface about some nodes, among these, and their weights."""
     count = len(nodes)
     table = sparse.csr_array(body.patches[nodes][:, nodes])
@@ -259,15 +259,16 @@ def _follow_run(model: ReducedModel, run: Any) -> Floats:
     InputError
         The times of the run do not increase, or the model would need too many steps.
     """
-    prepared, columns = model.prepare(()), model.data.basis_vectors[: model.count]
-    rest_step = model.stable_step(model.state(prepared), prepared)
+    prepared, columns, work = model.prepare(()), model.data.basis_vectors[: model.count], model.workspace()
+    rest_step, _ = model.stable_step(model.state(prepared), prepared, work)
     state = model.state(prepared, run.displacements[0], time=float(run.times[0]))
     found, start = [state.coordinates], np.searchsorted(run.contact_forces[:, 0], np.arange(len(run.times) + 1))
     for frame in range(1, len(run.times)):
         contact_forces = run.contact_forces[start[frame] : start[frame + 1]]
         forces = np.einsum("mkc,kc->m", columns[:, contact_forces[:, 1].astype(int)], contact_forces[:, 2:])
         interval = float(run.times[frame] - state.time)
-        required = interval / max(min(model.stable_step(state, prepared), interval / model.min_steps_per_frame), 1e-300)
+        stable, state = model.stable_step(state, prepared, work)
+        required = interval / max(min(stable, interval / model.min_steps_per_frame), 1e-300)
         if (
             not 0
             < required
@@ -278,6 +279,6 @@ def _follow_run(model: ReducedModel, run: Any) -> Floats:
                 f"snapshot after t = {state.time:.4g} s; leave that run out, or repeat it"
             )
         steps = int(np.ceil(required * (1 - 1e-9)))
-        state = model.advance(state, prepared, interval / steps, steps, forces)
+        state, _ = model.advance(state, prepared, interval / steps, steps, work, forces)
         found.append(state.coordinates)
     return np.array(found)

@@ -15,7 +15,7 @@ from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid, Solid
 from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
 from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.lifting import RemoveToolMotion, lifting_vectors, support_fields
@@ -123,7 +123,9 @@ def hyper_reduce(
     for _, run in held_out:
         _check(full, [run.points if isinstance(run, Trajectory) else StoredTrajectory(run).points])
     share = number_in_range("cubature", cubature, 0.0, 1.0)
-    body = full if full.conservative else _energy_form(full)
+    if coarse is not None and not isinstance(coarse, EnergySolid):
+        raise InputError(f"coarse must be a Solid with form='energy', got {coarse!r:.200}; make it in the energy form")
+    body = _energy_form(full)
     tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
     options = _Options(tools, held_out, enrichment, share, pressures, seed, coarse, repeated)
     if modes is not None:
@@ -161,7 +163,7 @@ class _Options:
     cubature: float
     pressures: int | None
     seed: int
-    coarse: Solid | None
+    coarse: EnergySolid | None
     repeated: Sequence[Trial]
 
 
@@ -173,24 +175,28 @@ def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
             )
 
 
-def _energy_form(full: Solid | Membrane) -> Solid | Membrane:
+def _energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
+    """Return the model itself, or for a strong form the same body in the energy form."""
+    if isinstance(full, EnergySolid):
+        return full
     if isinstance(full, Membrane):
+        if full.conservative:
+            return full
         return Membrane(
             full.cloud, full.material, full.thickness, full.fixed,
             prestretch=full.prestretch, relaxed=full.relaxed, stiffness_damping=full.stiffness_damping,
         )  # fmt: skip
-    return Solid(
+    return EnergySolid(
         full.cloud,
         full.material,
         full.fixed,
-        form="energy",
         stiffness_damping=full.stiffness_damping,
         neighbours=full.neighbours,
     )
 
 
 def _train(
-    full: Solid | Membrane, body: Solid | Membrane, snapshots: Snapshots, size: int, options: _Options
+    full: Solid | Membrane, body: EnergySolid | Membrane, snapshots: Snapshots, size: int, options: _Options
 ) -> ReducedModel:
     """Train a model with a given number of modes."""
     start = perf_counter()
@@ -219,7 +225,7 @@ def _train(
         "seed": options.seed,
         "training_seconds": perf_counter() - start,
     }
-    if snapshots.has_contact and not options.tools and isinstance(body, Solid):
+    if snapshots.has_contact and not options.tools and isinstance(body, EnergySolid):
         compliance, report["compliance_explained"] = fit_compliance(model, body, snapshots, options.coarse or body)
         model = ReducedModel(replace(model.data, compliance=compliance))
         if options.repeated:
@@ -244,7 +250,7 @@ class _BasisVectors:
     lost: float  # relative error of the modes by truncation between blocks
 
 
-def _basis_vectors(body: Solid | Membrane, snapshots: Snapshots, size: int, options: _Options) -> _BasisVectors:
+def _basis_vectors(body: EnergySolid | Membrane, snapshots: Snapshots, size: int, options: _Options) -> _BasisVectors:
     lifting, supports = lifting_vectors(body, options.tools), support_fields(body, options.tools)
     rest = RemoveToolMotion(body, lifting, options.tools)
     found, lost = main_modes(body, snapshots, size, 0 if isinstance(body, Membrane) else RESIDUAL_FIELDS, rest)
@@ -259,7 +265,7 @@ def _basis_vectors(body: Solid | Membrane, snapshots: Snapshots, size: int, opti
     return _BasisVectors(differentiate(body, columns), len(shapes), count, len(residual_fields), mass, lost)
 
 
-def _states(body: Solid | Membrane, columns: _BasisVectors, snapshots: Snapshots) -> tuple[Floats, float]:
+def _states(body: EnergySolid | Membrane, columns: _BasisVectors, snapshots: Snapshots) -> tuple[Floats, float]:
     """Return the coordinates (t, m + l) of all snapshots, and their relative projection error."""
     flat = columns.fields.columns[: columns.count].reshape(columns.count, -1)
     weighted, states, projection_error, whole = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
@@ -274,7 +280,7 @@ def _states(body: Solid | Membrane, columns: _BasisVectors, snapshots: Snapshots
 
 
 def _data(
-    full: Solid | Membrane, body: Solid | Membrane, snapshots: Snapshots, columns: _BasisVectors, states: Floats,
+    full: Solid | Membrane, body: EnergySolid | Membrane, snapshots: Snapshots, columns: _BasisVectors, states: Floats,
     options: _Options,
 ) -> ReducedData:  # fmt: skip
     """Choose the integration points, and return the data of the reduced model."""
@@ -308,7 +314,7 @@ def _data(
         residual_fields=columns.residual_fields,
         kinematics=_kinematics(body),
         fibres=body.fibres,
-        regions=body.regions if isinstance(body, Solid) else None,
+        regions=body.tissue.regions if isinstance(body, EnergySolid) else None,
     )
     if not columns.residual_fields:
         return data
@@ -316,11 +322,11 @@ def _data(
     return replace(data, residual_scale=typical_residual(ReducedModel(data), body, some))
 
 
-def _stiffness(body: Solid | Membrane) -> Floats:
+def _stiffness(body: EnergySolid | Membrane) -> Floats:
     return np.ones(len(body.cloud)) if isinstance(body, Membrane) else body.elastic_volumes / body.volumes
 
 
-def _kinematics(body: Solid | Membrane) -> Kinematics:
+def _kinematics(body: EnergySolid | Membrane) -> Kinematics:
     if isinstance(body, Membrane):
         return Kinematics(True, body.prestretch, body.relaxed)
     return Kinematics()

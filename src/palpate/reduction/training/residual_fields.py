@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.solid.model import Solid
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
@@ -40,7 +40,7 @@ MIN_SIZE = 1e-3  # of the largest force, below which a state has reduced weight
 TYPICAL_SHARE = 0.95  # of the training states
 
 
-def orthogonal_complement(body: Solid | Membrane, shapes: Floats, fields: Floats) -> Floats:
+def orthogonal_complement(body: EnergySolid | Membrane, shapes: Floats, fields: Floats) -> Floats:
     """Return the parts of fields (w, n, 3) orthogonal to shapes (m, n, 3); at most w orthonormal fields.
 
     The shapes are orthonormal. The inner product has the nodal volumes as weights.
@@ -56,14 +56,14 @@ def orthogonal_complement(body: Solid | Membrane, shapes: Floats, fields: Floats
 
 
 def scale_residual_fields(
-    body: Solid | Membrane, fields: Fields, sizes: tuple[int, int, int], states: Floats, rule: Cubature,
+    body: EnergySolid | Membrane, fields: Fields, sizes: tuple[int, int, int], states: Floats, rule: Cubature,
     places: NDArray[np.int64], moments: Floats,
 ) -> tuple[Fields, Floats]:  # fmt: skip
     """Combine the residual fields so that the residual is a displacement, and return their derivatives.
 
     Parameters
     ----------
-    body : Solid or Membrane
+    body : EnergySolid or Membrane
         A membrane has no residual fields.
     fields : Fields
         All basis vectors, the residual fields last.
@@ -99,7 +99,7 @@ def scale_residual_fields(
     return replace(fields, columns=columns, constant=mixed @ fields.constant @ mixed.T), gradients
 
 
-def _scale(body: Solid, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
+def _scale(body: EnergySolid, fields: Fields, modes: int, residual_fields: int, moments: Floats) -> Floats:
     """Return A (w, w) [m/N] for which |A r| is the displacement [m] caused by a residual r."""
     own = fields.of(np.r_[:modes, len(fields.columns) - residual_fields : len(fields.columns)])
     flat = own.columns.reshape(len(own.columns), -1)
@@ -118,10 +118,10 @@ class _Quadrature:
     weights: Floats
     pressure: Floats
 
-    def work(self, body: Solid, count: int, residual_fields: int, state: Floats) -> Floats:
+    def work(self, body: EnergySolid, count: int, residual_fields: int, state: Floats) -> Floats:
         """Return the work (s, w) of the nodes' stresses on the residual fields, the last basis vectors."""
         F, cofactor, J = deformation(self.gradients[:, :count], state)
-        stress = body.shear_stress(F, self.nodes)
+        stress = body.tissue.shear_stress(F, self.nodes)
         measure, slope = volume_measure(body.material, J - 1)
         pressure = slope * (self.pressure.T @ (self.pressure @ measure))
         whole = self.weights[:, None, None] * stress + pressure[:, None, None] * cofactor
@@ -129,7 +129,7 @@ class _Quadrature:
 
 
 def _factors(
-    body: Solid, fields: Fields, count: int, residual_fields: int, states: Floats, rule: Cubature, moments: Floats
+    body: EnergySolid, fields: Fields, count: int, residual_fields: int, states: Floats, rule: Cubature, moments: Floats
 ) -> Floats:
     """Return factors (s, w) on the residual fields' derivatives at the integration points."""
     sampled = _Quadrature(
@@ -148,7 +148,7 @@ def _factors(
     return result
 
 
-def typical_residual(model: ReducedModel, body: Solid | Membrane, displacements: Iterable[Floats]) -> float:
+def typical_residual(model: ReducedModel, body: EnergySolid | Membrane, displacements: Iterable[Floats]) -> float:
     """Return the residual norm [m] that most training states do not exceed, without regard to loads.
 
     It is the change of the forces on the residual fields when displacements (n, 3) of the full body are
@@ -156,7 +156,6 @@ def typical_residual(model: ReducedModel, body: Solid | Membrane, displacements:
     neglected.
     """
     residual_fields, found = model.data.basis_vectors[len(model.data.basis_vectors) - model.data.residual_fields :], []
-    body._restore_history(None)
     for u in displacements:
         state = model.project(u[None])[0]
         whole = np.tensordot(residual_fields, body.force(u) * body.volumes[:, None], 2)

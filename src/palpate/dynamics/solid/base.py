@@ -1,0 +1,165 @@
+"""The common base of solids: equations of motion at every node (sections 2.1 and 2.2, equations 1 to 8)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.describe import Fact
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
+from palpate.dynamics.material.tissue import Tissue, tissue_of
+from palpate.dynamics.nodal.model import History, NodalModel
+from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.stencils import Stencils, moving_least_squares
+from palpate.tissue.fibres import FibreLaw
+from palpate.tissue.materials import Material
+
+__all__ = ["NEIGHBOURS", "Choices", "Solid"]
+
+
+RECOVERY_NEIGHBOURS = 57  # points of the fit of the recovered pressure
+NEIGHBOURS = (42, 50, 63)  # default points in a stencil; the energy form tries them in turn
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Arguments of a solid for one of its forms; see `Solid`."""
+
+    stiffness_damping: float | None
+    pressure: str
+    half_cell: float
+    neighbours: int | None
+    smoother: Stencils
+
+
+class Solid(NodalModel):
+    """A hyperelastic solid with equations of motion collocated at the nodes.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        In space (d = 3).
+    material : Material, or mapping of str to Material, or sequence of n Materials
+        One material for the body. The energy form supports materials of one law with different
+        parameters by group (``""`` for all other nodes) or by node. A node's share of the volume has
+        the node's material, so interfaces are midway between nodes.
+    fixed : str or sequence of str
+        Clamped groups (equation 5); none for a free body.
+    stiffness_damping : float, optional [s]
+        Rayleigh stiffness damping beta of C = beta K in (29). By default it follows from the spectrum
+        of the linearised body (`palpate.dynamics.nodal.stability`).
+    form : str
+        ``"strong"``: the equations of motion are collocated at the nodes, as in the paper.
+        ``"energy"``: the nodal forces are the derivative of an energy summed over nodes
+        (`palpate.dynamics.solid.energy_form`). It conserves energy, requires no damping, and is more
+        accurate in bending. Hyper-reduction samples the same sum.
+    stiffness : mapping of str to float, or (n,) array, optional
+        Stiffness factors of groups or of all nodes, in the energy form, such as a tumour in a liver.
+    pressure : str
+        Pressure of the strong form. ``"split"``: the pressure is smoothed and differentiated
+        separately, which neither locks nor loses stability up to a Poisson's ratio of 0.499.
+        ``"direct"``: all terms are differentiated directly, for comparison.
+    half_cell : float
+        The c in the balance of a boundary node, rho a = Div P + c/h (f_s - P N). The half cell itself
+        has c = 2. The default c = 3 cancels the leading error of one-sided quadratic fits (for u = z^3
+        it is (6 - 2 c) h) and is more accurate in bending.
+    neighbours : int, optional
+        Target number of points in a stencil. By default 42; the energy form tries 50 and 63 where 42
+        are too few, as in a thin tip.
+    smoothing : int
+        Target number of points of the linear fit that smooths the pressure.
+    fibres : FibreLaw, optional
+        Fibre reinforcement in the energy form (`palpate.materials.Fibres`, `palpate.materials.Guccione`).
+
+    Raises
+    ------
+    InputError
+        A group is unknown or a parameter is out of range.
+    CloudError
+        The cloud does not admit the stencils.
+    """
+
+    name = "full"
+    _title = "Solid"
+    forms: ClassVar[dict[str, type[Solid]]] = {}
+    form: ClassVar[str]
+    tissue: Tissue
+    neighbours: int
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        Solid.forms[cls.form] = cls
+
+    def __new__(cls, *_: Any, form: str = "strong", **__: Any) -> Solid:
+        if cls is not Solid:
+            return super().__new__(cls)
+        if form not in cls.forms:
+            raise InputError(f"form must be 'strong' or 'energy', got {form!r}")
+        return super().__new__(cls.forms[form])
+
+    def __init__(
+        self,
+        cloud: Cloud,
+        material: Material | Mapping[str, Material] | Sequence[Material],
+        fixed: str | Sequence[str] = (),
+        *,
+        form: str = "strong",
+        stiffness_damping: float | None = None,
+        stiffness: Mapping[str, float] | Floats | None = None,
+        pressure: str = "split",
+        half_cell: float = 3.0,
+        neighbours: int | None = None,
+        smoothing: int = 27,
+        fibres: FibreLaw | None = None,
+    ) -> None:
+        if cloud.points.shape[1] != 3:
+            raise InputError("cloud of Solid must be in space (d = 3), got a plane cloud; use Membrane")
+        if pressure not in ("split", "direct"):
+            raise InputError(f"pressure must be 'split' or 'direct', got {pressure!r}")
+        self.cloud, self.tissue = cloud, tissue_of(cloud, material, stiffness, fibres, self.form)
+        self.material, self.fibres = self.tissue.material, self.tissue.fibres
+        self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
+        if self.material.prony is not None and self.material.variables == "small strain":
+            raise InputError("prony of the material must be None; relaxation requires form='energy' and finite strain")
+        number_in_range("half_cell", half_cell, 1.0, 4.0)
+        integer_in_range("smoothing", smoothing, 5)
+        smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
+        self._build(Choices(stiffness_damping, pressure, half_cell, neighbours, smoother))
+
+    def _build(self, choices: Choices) -> None:
+        """Compute the stencils, compile the passes, and examine the stability."""
+        raise NotImplementedError
+
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+        return prepare_loads(self.cloud, self.fixed, listed(loads))
+
+    def _own_facts(self) -> list[Fact]:
+        report = self.stability
+        return [("form", self.form, ""), ("verdict", report.verdict, ""), ("stable step", report.step, "s")]
+
+    def deformation_gradient(self, displacements: Floats) -> Floats:
+        """Return F = dx/dX of nodal displacements at every node, shape (n, 3, 3)."""
+        return self.stencils.gradient(displacements) + np.eye(3)
+
+    def recovered_pressure(self, displacements: Floats, history: History = ()) -> Floats:
+        """Return the pressure U'(J) [Pa] for display, shape (n,): a linear fit over about 57 nodes.
+
+        It is positive for expansion. In nearly incompressible tissue the pressure in `stress` alternates
+        between nodes, without effect on forces. Figures are in docs/incompressibility.md.
+        """
+        return self._recovery.fit(self.evaluate(displacements, history).pressure)
+
+    @cached_property
+    def _recovery(self) -> Stencils:
+        return moving_least_squares(self.cloud.points, order=1, neighbours=RECOVERY_NEIGHBOURS, interpolating=False)
+
+    def cauchy_stress(self, displacements: Floats, history: History = ()) -> Floats:
+        """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3)."""
+        F = self.deformation_gradient(displacements)
+        return self.stress(displacements, history) @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None]

@@ -1,0 +1,150 @@
+"""Solids in the energy form: the nodal forces are the derivative of an energy summed over the nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sparse
+
+from palpate.arrays import Floats
+from palpate.dynamics.compiled.passes import smooth_field
+from palpate.dynamics.contact.tools import Contact
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
+from palpate.dynamics.nodal.model import History, NodalWork
+from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency, stable_step
+from palpate.dynamics.run.model import Evaluation, State, StepReport
+from palpate.dynamics.solid.base import NEIGHBOURS, Choices, Solid
+from palpate.dynamics.solid.layout import energy_passes
+from palpate.faults import number_in_range
+from palpate.meshfree.consistent import consistent_stencils
+from palpate.meshfree.patches import surface_patches
+
+__all__ = ["EnergySolid"]
+
+
+DAMPING = 0.1  # default stiffness damping, times the highest frequency
+CRUSHED_DILATATION = -0.6  # dilatation below which the energy balance of steps is checked
+MAX_ENERGY_ERROR = 1e-3  # largest energy error of such steps, relative to the energy
+
+
+class EnergySolid(Solid):
+    """A solid in the energy form (`palpate.dynamics.solid.energy_form`).
+
+    Attributes
+    ----------
+    volumes : (n,) array [m^3]
+        They integrate quadratic fields.
+    smoothing : pair of arrays
+        Neighbours (n, k) and weights (n, k) of the smoothing of the volumetric measure.
+    """
+
+    form: ClassVar[str] = "energy"
+    conservative = True
+
+    def _build(self, choices: Choices) -> None:
+        cloud = self.cloud
+        # the boundary vectors, which have c = 2, are a part of the energy
+        self.half_cell = 1.0
+        tried = NEIGHBOURS if choices.neighbours is None else (choices.neighbours,)
+        self.neighbours, self.stencils, self.volumes, self._lattice = consistent_stencils(cloud, tried)
+        compiled, weights = energy_passes(cloud, self.tissue, self.stencils, choices.smoother, self.volumes)
+        self.smoothing = choices.smoother.neighbours, weights
+        self._compile(*compiled)
+        self.stiffness_damping = 0.0
+        highest, given = resting_frequency(self), choices.stiffness_damping
+        used = number_in_range("stiffness_damping", DAMPING / highest if given is None else given, 0.0, unit="s")
+        self._set_stability(StabilityReport("energy form", None, 0.0, used, highest, stable_step(highest, used)))
+
+    @property
+    def elastic_volumes(self) -> Floats:
+        """Nodal volumes [m^3] times the stiffness factors, the weights of energies, shape (n,)."""
+        return self.volumes * self.tissue.stiffness if len(self.tissue.stiffness) else self.volumes
+
+    @property
+    def shear_volumes(self) -> Floats:
+        """`elastic_volumes` times the ratio of nodal shear moduli to that of `material`, shape (n,)."""
+        regions = self.tissue.regions
+        return self.elastic_volumes if regions is None else self.elastic_volumes * regions.modulus_ratio
+
+    @property
+    def bulk_volumes(self) -> Floats:
+        """`elastic_volumes` times the ratio of nodal volumetric coefficients to the tissue's `lame`, shape (n,)."""
+        regions, lame = self.tissue.regions, self.tissue.lame
+        return self.elastic_volumes if regions is None else self.elastic_volumes * regions.values("lame") / lame
+
+    def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
+        work = self.workspace() if work is None else work
+        force, passes = self.force(displacements, history, work), work.passes
+        law, modulus, bulk = self.tissue.factors.T
+        shear, lame = self.tissue.shear_energy(self.deformation_gradient(displacements)), self.tissue.lame
+        hourglass = np.sum(passes.flux[:, 9:] ** 2, axis=1) / (2 * self.body.hourglass * modulus)
+        density = np.asarray(law * shear + bulk * lame / 2 * passes.smooth**2 + hourglass)
+        if self.material.prony is not None:
+            branches = passes.history
+            density += modulus * branches.energy.ravel()[self.slot] + bulk * lame * branches.volume_energy
+        stress = np.array(passes.flux[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1))
+        return Evaluation(force, stress, lame * passes.pressure, density)
+
+    def smooth(self, values: Floats) -> Floats:
+        """Return nodal values (n,) smoothed like the volumetric measure."""
+        body, passes, result = self.body, self._allocate(), np.empty(len(self.cloud))
+        own = np.ascontiguousarray(values, dtype=float)
+        smooth_field(body.smoothing, body.value, body.smoothing_own, passes.fields, passes.derivatives, own, result)
+        return result
+
+    def smooth_transposed(self, weights: Floats) -> Floats:
+        """Return the transposed smoothing (k, n) of rows: w' . x = w . smooth(x) for all x."""
+        body, passes, result = self.body, self._allocate(), np.empty_like(weights)
+        for row, into in zip(weights / self.volumes, result, strict=True):
+            smooth_field(
+                body.transposed_smoothing, body.transposed_value, body.smoothing_own, passes.fields,
+                passes.derivatives, np.ascontiguousarray(row), into,
+            )  # fmt: skip
+        return result * self.volumes
+
+    def smoothed_measure(self, displacements: Floats, work: NodalWork | None = None) -> Floats:
+        """Return the smoothed volumetric measure g(J) at every node, shape (n,)."""
+        work = self.workspace() if work is None else work
+        self.force(displacements, work=work)
+        return np.array(work.passes.smooth)
+
+    def _least_dilatation(self, work: NodalWork) -> Floats:
+        return np.asarray(work.passes.least)
+
+    def _relaxed_energy(self, work: NodalWork) -> float:
+        history = work.passes.history
+        shear, volume = history.lost.ravel()[self.slot], self.tissue.lame * history.volume_lost
+        return float(self.shear_volumes @ shear + self.bulk_volumes @ volume)
+
+    def accept_step(self, before: State, after: State, report: StepReport, work: Any = None) -> bool:
+        """Return True to accept the last steps, False if their energy balance has an error.
+
+        Strongly compressed tissue can stiffen so fast that a step, stable at its estimate, becomes
+        unstable. The balance is checked after steps with such tissue only.
+        """
+        if not super().accept_step(before, after, report):
+            return False
+        if report.least_dilatation > CRUSHED_DILATATION:
+            return True
+        with np.errstate(all="ignore"):  # an unstable body
+            first, last = (self._energy(state, work) for state in (before, after))
+        error = last - first - (report.external_work - report.dissipated)
+        return bool(abs(error) <= MAX_ENERGY_ERROR * max(first, last))  # False for NaN
+
+    def _energy(self, state: State, work: NodalWork | None) -> float:
+        """Return the kinetic and strain energy [J] of a state."""
+        kinetic = 0.5 * self.masses @ np.sum(state.velocities**2, axis=1)
+        return float(kinetic) + self.strain_energy(state.coordinates, state.history, work)
+
+    def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
+        loads = listed(loads)
+        in_contact = any(isinstance(load, Contact) for load in loads)
+        return prepare_loads(self.cloud, self.fixed, loads, patches=self.patches if in_contact else None)
+
+    @cached_property
+    def patches(self) -> sparse.csr_array:
+        """Weights (n, n) of the nodal displacements in those of the contact patches."""
+        return surface_patches(self.cloud, lattice=self._lattice)

@@ -1,0 +1,66 @@
+"""Solids in the strong form: the equations of motion are collocated at the nodes, as in the paper."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.nodal.model import History, NodalWork
+from palpate.dynamics.nodal.stability import choose_stiffness_damping
+from palpate.dynamics.run.model import Evaluation
+from palpate.dynamics.solid.base import NEIGHBOURS, Choices, Solid
+from palpate.dynamics.solid.layout import strong_passes
+from palpate.faults import InputError
+from palpate.meshfree.stencils import moving_least_squares
+
+__all__ = ["StrongSolid"]
+
+
+class StrongSolid(Solid):
+    """A solid in the strong form (`palpate.dynamics.solid.strong_form`)."""
+
+    form: ClassVar[str] = "strong"
+    conservative = False
+
+    def _build(self, choices: Choices) -> None:
+        cloud, tissue = self.cloud, self.tissue
+        if self.material.prony is not None:
+            raise InputError("prony of the material must be None; relaxation requires form='energy' and finite strain")
+        if len(tissue.stiffness):
+            raise InputError("stiffness must be None in the strong form; use form='energy'")
+        if tissue.regions is not None:
+            raise InputError("material must be one material in the strong form; use form='energy'")
+        # the cloud's boundary vectors have c = 2
+        self.half_cell = choices.half_cell / 2
+        self.volumes, self.pressure = cloud.volumes, choices.pressure
+        self.neighbours = NEIGHBOURS[0] if choices.neighbours is None else choices.neighbours
+        stencils = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours)
+        direct = self.pressure == "direct"
+        self._compile(*strong_passes(cloud, self.material, stencils, choices.smoother, self.half_cell, direct))
+        # the second derivatives are in the lanes; gradients of nodal fields require the others only
+        empty = np.zeros((0, 0))
+        self.stencils = replace(stencils, second=empty[:, :, None], value=empty)
+        self._set_stability(choose_stiffness_damping(self, choices.stiffness_damping, self.neighbours))
+
+    @property
+    def weights(self) -> Floats:
+        """Weights [m^3] of the inner product of virtual work, shape (n,).
+
+        They are the cloud's volumes, times 2/c at the boundary, where a traction is multiplied by c/h
+        instead of the half cell's 2/h.
+        """
+        weights = self.cloud.volumes.copy()
+        weights[np.unique(self.cloud.face_nodes)] /= self.half_cell
+        return weights
+
+    def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
+        work = self.workspace() if work is None else work
+        force, F = self.force(displacements, history, work), self.deformation_gradient(displacements)
+        stress, pressure = self.material.stress(F), work.passes.pressure
+        if self.pressure == "split":
+            stress = stress + (work.passes.smooth - pressure)[:, None, None] * self.material.cofactor(F)
+            pressure = work.passes.smooth
+        return Evaluation(force, stress, pressure.copy(), self.material.strain_energy(F))
