@@ -71,13 +71,13 @@ def bar():
 @pytest.fixture(scope="session")
 def calm(bar, tissue):
     """The stiffness damping that the held bar needs, from its spectrum."""
-    return pt.Solid(bar, tissue, fixed="x-").stiffness_damping
+    return pt.Solid(bar, tissue, form="strong", fixed="x-").stiffness_damping
 
 
 @pytest.fixture
 def held(bar, tissue, calm):
     """The bar, held at one end; new for every test."""
-    return pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm)
+    return pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm)
 
 
 @pytest.fixture(scope="session")
@@ -89,7 +89,7 @@ def small_cloud():
 @pytest.fixture
 def free(small_cloud, tissue):
     """The smallest box, held nowhere; new for every test."""
-    return pt.Solid(small_cloud, tissue, stiffness_damping=6e-5)
+    return pt.Solid(small_cloud, tissue, form="strong", stiffness_damping=6e-5)
 
 
 @pytest.fixture(scope="session")
@@ -109,7 +109,9 @@ def pull():
 @pytest.fixture(scope="session")
 def run(bar, tissue, calm, pull):
     """A short run of the bar under that pull."""
-    return pt.rollout(pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm), [pull], duration=0.03, every=0.0005)
+    return pt.rollout(
+        pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm), [pull], duration=0.03, every=0.0005
+    )
 
 
 @pytest.fixture

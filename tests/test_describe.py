@@ -24,7 +24,7 @@ SVG = "{http://www.w3.org/2000/svg}svg"
 
 @pytest.fixture(scope="module")
 def still(bar, tissue, calm):
-    return pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm)
+    return pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm)
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,9 @@ def body(spacing: float, poisson: float, form: str, pressure: str, half_cell: fl
     if form == "energy":
         return pt.Solid(cloud, law, "x-", form="energy")
     # more than the default stiffness damping: it changes no static state
-    return pt.Solid(cloud, law, "x-", stiffness_damping=1.8e-2 * spacing, pressure=pressure, half_cell=half_cell)
+    return pt.Solid(
+        cloud, law, "x-", form="strong", stiffness_damping=1.8e-2 * spacing, pressure=pressure, half_cell=half_cell
+    )
 
 
 def tips(model: pt.Solid, kind: str, forces: list[float], starts: list[np.ndarray] | None) -> list[np.ndarray]:

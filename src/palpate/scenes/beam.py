@@ -47,7 +47,7 @@ def beam(spacing: float = 0.005, load: float = 100.0, poisson: float = 0.49) -> 
     spacing = number_in_range("spacing", spacing, MIN_SPACING, MAX_SPACING, unit="m")
     load = number_in_range("load", load, 0.0, MAX_LOAD, open_low=True, unit="N")
     material = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=poisson)
-    model = Solid(box(SIZE, spacing=spacing), material, fixed="x-")
+    model = Solid(box(SIZE, spacing=spacing), material, form="strong", fixed="x-")
     traction = SurfaceForce("x+", force=lambda time: (pull(time, load), 0.0, 0.0))
     parameters = {"spacing": spacing, "load": load, "poisson": float(poisson)}
     return Scene(model, (traction,), DURATION, EVERY, f"Beam under traction, {load:g} N", parameters)

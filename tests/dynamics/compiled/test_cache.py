@@ -24,7 +24,7 @@ SECOND_PROCESS = """
 import sys
 import palpate as pt
 tissue = eval(sys.argv[1])
-model = pt.Solid(pt.box((0.03, 0.015, 0.015), spacing=0.005), tissue, fixed="x-", stiffness_damping=6e-5)
+model = pt.Solid(pt.box((0.03, 0.015, 0.015), spacing=0.005), tissue, fixed="x-", form="strong", stiffness_damping=6e-5)
 pull = pt.SurfaceForce("x+", force=(1.0, 0.0, 0.0))
 run = pt.rollout(model, [pull], duration=1e-3, every=2e-4, progress=False)
 rom = pt.galerkin(model, run, modes=2)
@@ -57,7 +57,12 @@ def test_another_law_has_another_digest():
 
 def test_models_of_one_law_share_their_compiled_functions(bar, small_cloud):
     models = [
-        pt.Solid(cloud, pt.materials.MooneyRivlin(C1=c, C2=0, density=1000, poisson=0.4), stiffness_damping=0.0)
+        pt.Solid(
+            cloud,
+            pt.materials.MooneyRivlin(C1=c, C2=0, density=1000, poisson=0.4),
+            form="strong",
+            stiffness_damping=0.0,
+        )
         for cloud, c in ((bar, 10e3), (small_cloud, 20e3))
     ]
     assert models[0]._advance is models[1]._advance

@@ -80,7 +80,7 @@ def test_forceps_that_let_go_within_a_frame_give_the_momentum_until_then(small_c
 def test_forces_on_nodes_are_those_of_a_grasp_in_the_energy_form_alone(small_cloud, tissue, forceps):
     """A strong form's residuals are not the forces of what holds it; and other motions train lifting columns."""
     cloud = forceps.with_group(small_cloud)
-    strong = pt.Solid(cloud, tissue, "z-", stiffness_damping=6e-5)
+    strong = pt.Solid(cloud, tissue, "z-", form="strong", stiffness_damping=6e-5)
     body = pt.Solid(cloud, tissue, "z-", form="energy")
     motion = pt.PrescribedMotion("forceps", forceps.displacement)
     for model, load in ((strong, forceps), (body, motion)):

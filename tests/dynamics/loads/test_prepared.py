@@ -85,7 +85,7 @@ def test_a_surface_force_on_a_prescribed_group_is_refused(held):
 
 def test_a_traction_on_nodes_that_are_no_face_is_refused(bar, tissue):
     inside = replace(bar, groups={**bar.groups, "deep": np.array([21, 22])})
-    model = pt.Solid(inside, tissue, stiffness_damping=0.0)
+    model = pt.Solid(inside, tissue, form="strong", stiffness_damping=0.0)
     with pytest.raises(pt.InputError, match="'deep' must lie on one face"):
         model.prepare([pt.SurfaceForce("deep", force=(1, 0, 0))])
 
@@ -102,7 +102,7 @@ def test_tractions_on_one_group_add_up(held):
 @pytest.mark.parametrize("group", ["x+", "y+", "z-", "patch"])
 def test_a_moment_sums_to_itself_and_to_no_force(bar, tissue, group, axis):
     patch = bar.group("x+")[[0, 1, 6, 11]]  # lies skew to the axes, its centroid at no node
-    model = pt.Solid(replace(bar, groups={**bar.groups, "patch": patch}), tissue, stiffness_damping=0.0)
+    model = pt.Solid(replace(bar, groups={**bar.groups, "patch": patch}), tissue, form="strong", stiffness_damping=0.0)
     moment = 2.0 * np.eye(3)[axis]
     prepared = model.prepare([pt.SurfaceForce(group, moment=moment)])
     force = model.external_force(model.state(prepared), prepared)
@@ -132,7 +132,7 @@ def test_a_force_and_a_moment_of_one_traction_and_of_two_are_the_same(held):
 @pytest.mark.parametrize("group", [[-1], [-1, -2], [-1, -2, -3, -4]], ids=["node", "pair", "edge"])
 def test_a_moment_on_nodes_in_one_line_is_refused_by_name(bar, tissue, group):
     cloud = replace(bar, groups={**bar.groups, "line": np.sort(bar.group("x+")[group])})
-    model = pt.Solid(cloud, tissue, stiffness_damping=0.0)
+    model = pt.Solid(cloud, tissue, form="strong", stiffness_damping=0.0)
     with pytest.raises(pt.InputError, match=r"SurfaceForce 'line' must be a face .*one line or at one point"):
         model.prepare([pt.SurfaceForce("line", force=(1, 0, 0), moment=(1, 0, 0))])
     model.prepare([pt.SurfaceForce("line", force=(1, 0, 0))])
@@ -156,7 +156,7 @@ def test_a_moment_on_a_sheet_acts_on_its_face_and_not_on_its_edge():
 def twist_rate(cells, tissue, moment, width=0.015):
     """Turn per length [1/m] of a square bar at rest, half-way between its held and its twisted end."""
     cloud = pt.box((2 * width, width, width), spacing=width / cells)
-    model = pt.Solid(cloud, tissue, fixed="x-", stiffness_damping=0.0)
+    model = pt.Solid(cloud, tissue, form="strong", fixed="x-", stiffness_damping=0.0)
     prepared = model.prepare([pt.SurfaceForce("x+", moment=(moment, 0, 0))])
     unknown = np.flatnonzero(np.repeat(~model.fixed_mask, 3))
     stiffness = np.empty((len(unknown), len(unknown)))

@@ -141,6 +141,6 @@ def test_materials_that_do_not_go_together_are_refused(materials, message):
 
 def test_the_strong_form_and_membranes_refuse_them():
     with pytest.raises(pt.InputError, match="form='energy'"):
-        pt.Solid(cloud_of(), {"": SOFT, "far": FIRM}, "x-")
+        pt.Solid(cloud_of(), {"": SOFT, "far": FIRM}, "x-", form="strong")
     with pytest.raises(pt.InputError, match="one material"):
         pt.Membrane(pt.disc(0.1, 0.02), {"": SOFT}, 1e-3)

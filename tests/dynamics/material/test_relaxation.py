@@ -203,6 +203,6 @@ def test_bad_series_are_refused(options, message):
 def test_the_strong_form_and_other_things_are_refused():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     with pytest.raises(pt.InputError, match="form='energy'"):
-        pt.Solid(cloud, tissue(), "x-")
+        pt.Solid(cloud, tissue(), "x-", form="strong")
     with pytest.raises(pt.InputError, match=r"must be a palpate\.materials\.Prony"):
         pt.materials.NeoHookean(C1=1.0, density=1.0, poisson=0.4, prony=0.5)

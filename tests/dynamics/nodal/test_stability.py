@@ -19,7 +19,7 @@ from palpate.dynamics.run.model import State
 
 @pytest.fixture(scope="module")
 def model(bar, tissue):
-    return pt.Solid(bar, tissue, fixed="x-")
+    return pt.Solid(bar, tissue, form="strong", fixed="x-")
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_power_iterations_follow_the_body_as_it_stretches(model):
 
 
 def test_damping_by_stepping_agrees_with_the_spectrum(bar, tissue, eigenvalues):
-    model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=0.0)
+    model = pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=0.0)
     found, growth = _damping_by_steps(model, model.neighbours, model.stability.highest_frequency)
     needed = needed_stiffness_damping(eigenvalues)
     assert needed / 2 < found < 2 * needed
@@ -86,7 +86,7 @@ def test_the_report_says_what_decided(model, eigenvalues):
 
 
 def test_a_given_damping_is_used(bar, tissue):
-    model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=1.25e-4)
+    model = pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=1.25e-4)
     assert model.stiffness_damping == model.stability.used == 1.25e-4
     assert "not computed" in str(model.stability)
 
@@ -109,7 +109,7 @@ def test_the_step_is_the_stability_limit_of_one_oscillator(stiffness_damping):
 
 @pytest.mark.parametrize("viscous", [False, True], ids=["needed", "more"])
 def test_the_stable_step_is_stable_and_a_third_more_is_not(bar, tissue, calm, viscous):
-    model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=5 * calm if viscous else calm)
+    model = pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=5 * calm if viscous else calm)
     prepared = model.prepare(())
     noise = 1e-9 * np.random.default_rng(0).normal(size=bar.points.shape)
     start = model.state(prepared, noise)
@@ -138,13 +138,13 @@ def test_a_body_that_no_damping_can_calm_is_refused_with_the_node():
     cloud = pt.box((0.02,) * 3, spacing=0.005, jitter=0.2)
     tissue = pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=0.499)
     with pytest.raises(pt.CloudError, match=r"unstable at rest.*node \d+.*more neighbours \(now 27\)"):
-        pt.Solid(cloud, tissue, fixed="x-", pressure="direct", neighbours=27)
+        pt.Solid(cloud, tissue, form="strong", fixed="x-", pressure="direct", neighbours=27)
 
 
 @pytest.mark.slow
 def test_large_clouds_are_examined_by_the_step_map(tissue):
     cloud = pt.box((0.04, 0.02, 0.02), spacing=0.0025)
-    model = pt.Solid(cloud, tissue, fixed="x-")
+    model = pt.Solid(cloud, tissue, form="strong", fixed="x-")
     report = model.stability
     assert report.method == "step map"
     assert report.growth is not None

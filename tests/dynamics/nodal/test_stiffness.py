@@ -132,4 +132,4 @@ def test_bad_stiffness_is_refused(stiffness, message):
 
 def test_the_strong_form_refuses_it():
     with pytest.raises(pt.InputError, match="form='energy'"):
-        pt.Solid(pt.box((0.06, 0.01, 0.01), 0.0025), TISSUE, "x-", stiffness={"x+": 2.0})
+        pt.Solid(pt.box((0.06, 0.01, 0.01), 0.0025), TISSUE, "x-", form="strong", stiffness={"x+": 2.0})

@@ -43,7 +43,7 @@ def test_a_free_body_moves_on_with_its_velocity(free):
 
 def centre_error(cloud, material, force):
     """How far the centre of mass is from F t^2 / 2 m, relatively, after a few oscillations."""
-    model = pt.Solid(cloud, material, stiffness_damping=6e-5)
+    model = pt.Solid(cloud, material, form="strong", stiffness_damping=6e-5)
     run = pt.rollout(model, [pt.SurfaceForce("x+", force=force)], duration=0.02, every=0.02)
     path = 0.5 * 0.02**2 * np.array(force) / model.masses.sum()
     return np.linalg.norm(mean(model, run.displacements[-1]) - path) / np.linalg.norm(path)
@@ -112,7 +112,7 @@ def test_a_symmetric_pull_stays_symmetric(held):
 def test_a_bar_without_contraction_rings_at_its_axial_frequency():
     cloud = pt.box((0.06, 0.015, 0.015), spacing=0.005)
     material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.0)
-    model = pt.Solid(cloud, material, fixed="x-", stiffness_damping=3e-5)
+    model = pt.Solid(cloud, material, form="strong", fixed="x-", stiffness_damping=3e-5)
     frequency = np.pi / 2 / 0.06 * np.sqrt(2 * material.shear_modulus / 1000)
     shape = np.zeros((len(cloud), 3))
     shape[:, 0] = np.sin(np.pi / 2 * cloud.points[:, 0] / 0.06)
@@ -149,7 +149,7 @@ def test_energy_balances_the_finer_the_better(tissue, pull):
     missed = []
     for spacing in (0.005, 0.0025):
         cloud = pt.box((0.03, 0.015, 0.015), spacing=spacing)
-        model = pt.Solid(cloud, tissue, fixed="x-", stiffness_damping=0.01 * spacing)
+        model = pt.Solid(cloud, tissue, form="strong", fixed="x-", stiffness_damping=0.01 * spacing)
         run = pt.rollout(model, [pull], duration=0.03, every=0.0005)
         missed.append(np.abs(run.balance).max() / run.external.max())
         assert np.all(np.diff(run.dissipated) >= 0)
@@ -170,7 +170,7 @@ def test_velocities_are_the_rates_of_the_displacements(run):
 
 
 def test_a_support_carries_the_weight(bar, tissue):
-    model = pt.Solid(bar, tissue, fixed="z-", stiffness_damping=1e-3)
+    model = pt.Solid(bar, tissue, form="strong", fixed="z-", stiffness_damping=1e-3)
     run = pt.rollout(model, [pt.Gravity()], duration=0.05, every=0.05)
     weight = 9.81 * model.masses.sum()
     np.testing.assert_allclose(run.reactions["z-"][-1], (0, 0, weight), atol=1e-3 * weight)
@@ -184,7 +184,9 @@ def motion():
 @pytest.fixture(scope="module")
 def prescribed(bar, tissue, calm, motion):
     """The bar, pulled by a tool at its end."""
-    return pt.rollout(pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm), [motion], duration=0.02, every=0.001)
+    return pt.rollout(
+        pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm), [motion], duration=0.02, every=0.001
+    )
 
 
 def test_a_tool_holds_its_nodes_exactly(bar, prescribed, motion):
@@ -214,7 +216,7 @@ def test_the_work_of_a_tool_goes_into_the_body(prescribed):
 def test_a_tool_pulls_as_hard_as_the_support_when_nothing_moves():
     bar = pt.box((0.03, 0.015, 0.015), spacing=0.00375)
     material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=0.0)
-    model = pt.Solid(bar, material, fixed="x-", stiffness_damping=1e-3)
+    model = pt.Solid(bar, material, form="strong", fixed="x-", stiffness_damping=1e-3)
     stretch = pt.PrescribedMotion("x+", lambda points, t: (0.003 * min(1, t / 0.02), 0, 0))
     run = pt.rollout(model, [stretch], duration=0.06, every=0.06)
     tool, support = (run.reactions[name][-1] for name in ("x+", "x-"))
@@ -246,7 +248,9 @@ def test_a_motion_sees_the_places_of_its_nodes(bar, held):
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.49, 0.499])
 def test_a_poked_body_calms_down(poisson, jitter):
     cloud = pt.box((0.02, 0.015, 0.015), spacing=0.005, jitter=jitter)
-    model = pt.Solid(cloud, pt.materials.MooneyRivlin(C1=20e3, C2=2e3, density=1000, poisson=poisson), fixed="z-")
+    model = pt.Solid(
+        cloud, pt.materials.MooneyRivlin(C1=20e3, C2=2e3, density=1000, poisson=poisson), form="strong", fixed="z-"
+    )
     poke = pt.SurfaceForce("z+", force=lambda t: (0.5, 0, -1.0) if t < 0.005 else (0, 0, 0))
     run = pt.rollout(model, [poke], duration=0.03, every=0.001)
     total = run.kinetic + run.strain
@@ -265,7 +269,9 @@ def same(one, other):
 
 def test_a_run_of_the_same_body_is_the_same_bit_by_bit(bar, tissue, calm, pull):
     same(*(
-        pt.rollout(pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm), [pull], duration=0.01, every=0.005)
+        pt.rollout(
+            pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm), [pull], duration=0.01, every=0.005
+        )
         for _ in range(2)
     ))  # fmt: skip
 
@@ -279,7 +285,7 @@ def test_any_number_of_threads_gives_the_same_bits(bar, tissue, calm, pull):
     runs = []
     for threads in (1, 2):
         numba.set_num_threads(threads)
-        model = pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm)
+        model = pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm)
         runs.append(pt.rollout(model, [pull], duration=0.01, every=0.005))
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     same(*runs)

@@ -61,7 +61,7 @@ def test_a_block_bends_as_far_as_in_finite_elements(poisson):
     material = pt.materials.NeoHookean(C1=20e3, density=1000, poisson=poisson)
     expected = finite_elements(material, (6, 3, 3))
     cloud = pt.box(SIZE, spacing=0.0025)
-    model = pt.Solid(cloud, material, fixed="x-", stiffness_damping=0.0)
+    model = pt.Solid(cloud, material, form="strong", fixed="x-", stiffness_damping=0.0)
     prepared = model.prepare([pt.SurfaceForce("x+", force=(0, 0, FORCE))])
     # so small a load that one Newton step ends at rest
     last = np.zeros_like(cloud.points)

@@ -25,7 +25,7 @@ def explicit(model):
 
 @pytest.fixture(scope="module")
 def body(small_cloud, tissue):
-    return pt.Solid(small_cloud, tissue, fixed="x-", stiffness_damping=6e-5)
+    return pt.Solid(small_cloud, tissue, form="strong", fixed="x-", stiffness_damping=6e-5)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def everything(body):
 
 @pytest.fixture
 def model(bar, tissue, calm):
-    return pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm)
+    return pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm)
 
 
 def test_a_full_rank_reduced_model_has_the_full_force(body, everything):
@@ -51,7 +51,7 @@ def test_a_full_rank_reduced_model_has_the_full_force(body, everything):
 
 
 def test_a_full_rank_reduced_run_is_the_full_run(small_cloud, tissue, everything):
-    full = pt.Solid(small_cloud, tissue, fixed="x-", stiffness_damping=6e-5)
+    full = pt.Solid(small_cloud, tissue, form="strong", fixed="x-", stiffness_damping=6e-5)
     runs = [pt.rollout(m, LOADS, duration=0.01, every=0.002, step=2e-5) for m in (full, everything)]
     assert np.abs(runs[0].displacements).max() > 1e-4
     for name in ("displacements", "velocities", "kinetic", "strain", "external"):
@@ -154,12 +154,16 @@ def motion():
 
 @pytest.fixture(scope="module")
 def prescribed(bar, tissue, calm, motion):
-    return pt.rollout(pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm), [motion], duration=0.03, every=0.0005)
+    return pt.rollout(
+        pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm), [motion], duration=0.03, every=0.0005
+    )
 
 
 @pytest.fixture(scope="module")
 def lifted(bar, tissue, calm, prescribed, motion):
-    rom = pt.galerkin(pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm), prescribed, modes=8, prescribed=["x+"])
+    rom = pt.galerkin(
+        pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm), prescribed, modes=8, prescribed=["x+"]
+    )
     return rom, pt.rollout(rom, [motion], duration=0.03, every=0.0005)
 
 

@@ -277,7 +277,7 @@ def test_a_tolerance_takes_the_fewest_modes_that_keep_it(body, runs):
 
 
 def test_a_strong_form_is_reduced_by_way_of_the_energy_form(body, runs):
-    strong = pt.Solid(body.cloud, body.material, "x-", stiffness_damping=6e-5)
+    strong = pt.Solid(body.cloud, body.material, "x-", form="strong", stiffness_damping=6e-5)
     slow = pull(8.0, 0.0, 0.0, rate=60.0)
     run = rollout(strong, slow)
     rom = pt.hyper_reduce(strong, run, modes=6)

@@ -21,7 +21,7 @@ def soft_pull():
 
 @pytest.fixture(scope="session")
 def strong(bar, tissue, calm):
-    return pt.Solid(bar, tissue, fixed="x-", stiffness_damping=calm)
+    return pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=calm)
 
 
 @pytest.fixture(scope="session")

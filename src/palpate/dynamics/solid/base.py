@@ -14,7 +14,7 @@ from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
 from palpate.dynamics.material.tissue import Tissue, tissue_of
 from palpate.dynamics.nodal.model import History, NodalModel
-from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.faults import InputError, integer_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
@@ -32,8 +32,8 @@ class Choices:
     """Arguments of a solid for one of its forms; see `Solid`."""
 
     stiffness_damping: float | None
-    pressure: str
-    half_cell: float
+    pressure: str | None
+    half_cell: float | None
     neighbours: int | None
     smoother: Stencils
 
@@ -52,22 +52,23 @@ class Solid(NodalModel):
     fixed : str or sequence of str
         Clamped groups (equation 5); none for a free body.
     stiffness_damping : float, optional [s]
-        Rayleigh stiffness damping beta of C = beta K in (29). By default it follows from the spectrum
-        of the linearised body (`palpate.dynamics.nodal.stability`).
+        Rayleigh stiffness damping beta of C = beta K in (29). By default 0.1 over the highest frequency;
+        in the strong form what the spectrum of the linearised body requires
+        (`palpate.dynamics.nodal.stability`).
     form : str
-        ``"strong"``: the equations of motion are collocated at the nodes, as in the paper.
         ``"energy"``: the nodal forces are the derivative of an energy summed over nodes
         (`palpate.dynamics.solid.energy_form`). It conserves energy, requires no damping, and is more
         accurate in bending. Hyper-reduction samples the same sum.
+        ``"strong"``: the equations of motion are collocated at the nodes, as in the paper.
     stiffness : mapping of str to float, or (n,) array, optional
         Stiffness factors of groups or of all nodes, in the energy form, such as a tumour in a liver.
-    pressure : str
-        Pressure of the strong form. ``"split"``: the pressure is smoothed and differentiated
+    pressure : str, optional
+        Pressure of the strong form. ``"split"``, its default: the pressure is smoothed and differentiated
         separately, which neither locks nor loses stability up to a Poisson's ratio of 0.499.
         ``"direct"``: all terms are differentiated directly, for comparison.
-    half_cell : float
-        The c in the balance of a boundary node, rho a = Div P + c/h (f_s - P N). The half cell itself
-        has c = 2. The default c = 3 cancels the leading error of one-sided quadratic fits (for u = z^3
+    half_cell : float, optional
+        The c of the strong form in the balance of a boundary node, rho a = Div P + c/h (f_s - P N). The
+        half cell itself has c = 2. The default c = 3 cancels the leading error of one-sided quadratic fits (for u = z^3
         it is (6 - 2 c) h) and is more accurate in bending.
     neighbours : int, optional
         Target number of points in a stencil. By default 42; the energy form tries 50 and 63 where 42
@@ -96,7 +97,7 @@ class Solid(NodalModel):
         super().__init_subclass__()
         Solid.forms[cls.form] = cls
 
-    def __new__(cls, *_: Any, form: str = "strong", **__: Any) -> Solid:
+    def __new__(cls, *_: Any, form: str = "energy", **__: Any) -> Solid:
         if cls is not Solid:
             return super().__new__(cls)
         if form not in cls.forms:
@@ -109,25 +110,22 @@ class Solid(NodalModel):
         material: Material | Mapping[str, Material] | Sequence[Material],
         fixed: str | Sequence[str] = (),
         *,
-        form: str = "strong",
+        form: str = "energy",
         stiffness_damping: float | None = None,
         stiffness: Mapping[str, float] | Floats | None = None,
-        pressure: str = "split",
-        half_cell: float = 3.0,
+        pressure: str | None = None,
+        half_cell: float | None = None,
         neighbours: int | None = None,
         smoothing: int = 27,
         fibres: FibreLaw | None = None,
     ) -> None:
         if cloud.points.shape[1] != 3:
             raise InputError("cloud of Solid must be in space (d = 3), got a plane cloud; use Membrane")
-        if pressure not in ("split", "direct"):
-            raise InputError(f"pressure must be 'split' or 'direct', got {pressure!r}")
         self.cloud, self.tissue = cloud, tissue_of(cloud, material, stiffness, fibres, self.form)
         self.material, self.fibres = self.tissue.material, self.tissue.fibres
         self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
         if self.material.prony is not None and self.material.variables == "small strain":
             raise InputError("prony of the material must be None; relaxation requires form='energy' and finite strain")
-        number_in_range("half_cell", half_cell, 1.0, 4.0)
         integer_in_range("smoothing", smoothing, 5)
         smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
         self._build(Choices(stiffness_damping, pressure, half_cell, neighbours, smoother))

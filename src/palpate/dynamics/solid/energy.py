@@ -18,7 +18,7 @@ from palpate.dynamics.nodal.stability import StabilityReport, resting_frequency,
 from palpate.dynamics.run.model import Evaluation, State, StepReport
 from palpate.dynamics.solid.base import NEIGHBOURS, Choices, Solid
 from palpate.dynamics.solid.layout import energy_passes
-from palpate.faults import number_in_range
+from palpate.faults import InputError, number_in_range
 from palpate.meshfree.consistent import consistent_stencils
 from palpate.meshfree.patches import surface_patches
 
@@ -46,6 +46,9 @@ class EnergySolid(Solid):
 
     def _build(self, choices: Choices) -> None:
         cloud = self.cloud
+        for name, given in (("pressure", choices.pressure), ("half_cell", choices.half_cell)):
+            if given is not None:
+                raise InputError(f"{name} must be left out in the energy form, got {given!r}; use form='strong'")
         # the boundary vectors, which have c = 2, are a part of the energy
         self.half_cell = 1.0
         tried = NEIGHBOURS if choices.neighbours is None else (choices.neighbours,)
@@ -54,8 +57,8 @@ class EnergySolid(Solid):
         self.smoothing = choices.smoother.neighbours, weights
         self._compile(*compiled)
         self.stiffness_damping = 0.0
-        highest, given = resting_frequency(self), choices.stiffness_damping
-        used = number_in_range("stiffness_damping", DAMPING / highest if given is None else given, 0.0, unit="s")
+        highest, damping = resting_frequency(self), choices.stiffness_damping
+        used = number_in_range("stiffness_damping", DAMPING / highest if damping is None else damping, 0.0, unit="s")
         self._set_stability(StabilityReport("energy form", None, 0.0, used, highest, stable_step(highest, used)))
 
     @property

@@ -13,10 +13,12 @@ from palpate.dynamics.nodal.stability import choose_stiffness_damping
 from palpate.dynamics.run.model import Evaluation
 from palpate.dynamics.solid.base import NEIGHBOURS, Choices, Solid
 from palpate.dynamics.solid.layout import strong_passes
-from palpate.faults import InputError
+from palpate.faults import InputError, number_in_range
 from palpate.meshfree.stencils import moving_least_squares
 
 __all__ = ["StrongSolid"]
+
+HALF_CELL = 3.0  # default c of the half-cell balance
 
 
 class StrongSolid(Solid):
@@ -33,9 +35,12 @@ class StrongSolid(Solid):
             raise InputError("stiffness must be None in the strong form; use form='energy'")
         if tissue.regions is not None:
             raise InputError("material must be one material in the strong form; use form='energy'")
+        half_cell = HALF_CELL if choices.half_cell is None else choices.half_cell
         # the cloud's boundary vectors have c = 2
-        self.half_cell = choices.half_cell / 2
-        self.volumes, self.pressure = cloud.volumes, choices.pressure
+        self.half_cell = number_in_range("half_cell", half_cell, 1.0, 4.0) / 2
+        self.volumes, self.pressure = cloud.volumes, "split" if choices.pressure is None else choices.pressure
+        if self.pressure not in ("split", "direct"):
+            raise InputError(f"pressure must be 'split' or 'direct', got {self.pressure!r}")
         self.neighbours = NEIGHBOURS[0] if choices.neighbours is None else choices.neighbours
         stencils = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours)
         direct = self.pressure == "direct"
