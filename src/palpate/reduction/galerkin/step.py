@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import prange
 
 from palpate.arrays import Floats
@@ -13,6 +12,14 @@ from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.nodal.central_difference import surface_force
 from palpate.dynamics.nodal.model import NodalWork
+from palpate.reduction.galerkin.central_difference import (
+    damping_work,
+    drift,
+    kick_coordinates,
+    prescribe,
+    prescribed_work,
+    trial_coordinates,
+)
 
 __all__ = ["BasisData", "BodyData", "GalerkinWork", "reduced_step"]
 
@@ -115,60 +122,39 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
 
     @law_njit(digest)
     def advance(a, velocity, lifting, holds, step, loads, responses, body, basis, work):  # type: ignore[no-untyped-def]
-        beta, mass, density, result = body.stiffness_damping, basis.mass, body.density, work.result
-        coordinates, previous, rates, power = work.coordinates, work.previous, work.rates, work.power
+        beta, density, result, power = body.stiffness_damping, body.density, work.result, work.power
         sites, schedule = loads
         total, lost, tool_work, steps = 0.0, 0.0, 0.0, lifting.shape[0] - 3
         count, first = a.shape[0], a.shape[0] - lifting.shape[1]
         for s in range(steps + 1):
-            # lifting has one time before the first step and one after the last
             if holds[s]:
-                for j in range(first, count):
-                    a[j] = lifting[s + 1, j - first]
-                    velocity[j] = (lifting[s + 1, j - first] - lifting[s, j - first]) / step
-            for m in range(count):
-                coordinates[m] = a[m] + beta * velocity[m]
-            for j in range(first, count):
-                if holds[s] and abs(velocity[j]) > basis.wave_speed[j - first]:  # a jump, as in the full model
-                    coordinates[j] = a[j] + beta * np.sign(velocity[j]) * basis.wave_speed[j - first]
-            projected_force(coordinates, body, basis, work)
-            for m in range(count):
-                if s > 0:
-                    lost += (coordinates[m] - a[m]) * (previous[m] - result[m])
-                previous[m] = result[m]
+                prescribe(a, velocity, lifting, s, step)
+            trial_coordinates(a, velocity, beta, basis.wave_speed, holds[s], work.coordinates)
+            projected_force(work.coordinates, body, basis, work)
+            change = damping_work(work.coordinates, a, result, work.previous)
+            if s > 0:
+                lost += change
             surface_force(sites, schedule, s, body.volumes, body.slot, work.full.passes.cofactor, work.surface)
             power[:] = 0.0
             _add_surface_forces(sites, body, basis, work)
+            for m in range(count):
+                work.rates[m] = result[m] / density
+                for c in range(3):
+                    work.rates[m] += basis.gravity_test[m, c] * schedule.gravity[s, c]
+                    power[m] += basis.gravity_work[m, c] * schedule.gravity[s, c]
             kick = 0.5 * step if s in (0, steps) else step
             prescribed = holds[min(s + 1, steps)]
-            moving = first if prescribed else count  # coordinates that obey the equations of motion
-            for m in range(count):
-                rates[m] = result[m] / density
-                for c in range(3):
-                    rates[m] += basis.gravity_test[m, c] * schedule.gravity[s, c]
-                    power[m] += basis.gravity_work[m, c] * schedule.gravity[s, c]
-                if prescribed:
-                    for j in range(first, count):
-                        bend = lifting[s + 2, j - first] - 2 * lifting[s + 1, j - first] + lifting[s, j - first]
-                        rates[m] -= mass[m, j] * bend / step**2
             response = responses[0] if prescribed else responses[1]
-            for m in range(moving):
-                rate = 0.0
-                for k in range(moving):
-                    rate += response[m, k] * rates[k]
-                before = velocity[m]
-                velocity[m] = before + kick * rate
-                total += kick * power[m] * 0.5 * (before + velocity[m])
-                for j in range(moving, count):
-                    rates[j] -= mass[j, m] * rate
-            for j in range(moving, count):
-                speed = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
-                total += kick * power[j] * speed
+            total += kick_coordinates(
+                velocity, work.rates, power, lifting, s, step, kick, prescribed, basis.mass, response
+            )
+            if prescribed:
+                works = prescribed_work(work.rates, power, lifting, s, step, kick, density)
+                total += works[0]
                 if s < steps:  # the next call evaluates the last time
-                    tool_work -= step * density * rates[j] * speed
+                    tool_work += works[1]
             if s < steps:
-                for m in range(moving):
-                    a[m] += step * velocity[m]
+                drift(a, velocity, first if prescribed else count, step)
         return total, lost, tool_work
 
     return projected_force, advance

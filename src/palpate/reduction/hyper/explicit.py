@@ -15,13 +15,19 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import law_digest, law_njit
 from palpate.dynamics.contact.geometry import rotation
 from palpate.reduction.contact.gauss_seidel import settle
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
+from palpate.reduction.galerkin.central_difference import (
+    damping_work,
+    drift,
+    kick_coordinates,
+    prescribe,
+    prescribed_work,
+    trial_coordinates,
+)
 from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
@@ -87,43 +93,24 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
         count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
         total, lost, tool_work = 0.0, 0.0, 0.0
         at, result, previous, rate = data.work[TRIAL], data.work[FORCE], data.work[PREVIOUS], data.work[RATE]
-        beta, mass, scratch, tools = data.stiffness_damping, data.mass, data.scratch, contact.tools
+        mass, scratch, tools = data.mass, data.scratch, contact.tools
         for s in range(steps + 1):
             if holds[s]:
-                for j in range(first, count):
-                    a[j] = lifting[s + 1, j - first]
-                    v[j] = (lifting[s + 1, j - first] - lifting[s, j - first]) / step
-            for m in range(count):
-                at[m] = a[m] + beta * v[m]
-            for j in range(first, count):
-                if holds[s] and abs(v[j]) > data.wave_speed[j - first]:  # a jump, as in the full model
-                    at[j] = a[j] + beta * np.sign(v[j]) * data.wave_speed[j - first]
+                prescribe(a, v, lifting, s, step)
+            trial_coordinates(a, v, data.stiffness_damping, data.wave_speed, holds[s], at)
             scratch.history.interval[0] = step if s > 0 else 0.0
             force(at, data.integration_points, scratch, result)
             add_spring_forces(data.springs, a, v, loads[s])
-            for m in range(count):
-                if s > 0:
-                    lost += (at[m] - a[m]) * (previous[m] - result[m])
-                previous[m] = result[m]
-            kick = 0.5 * step if s in (0, steps) else step
-            prescribed = holds[min(s + 1, steps)]
-            moving = first if prescribed else count  # coordinates that obey the equations of motion
+            change = damping_work(at, a, result, previous)
+            if s > 0:
+                lost += change
             for m in range(count):
                 rate[m] = result[m] + loads[s, m]
-                if prescribed:
-                    for j in range(first, count):
-                        bend = lifting[s + 2, j - first] - 2 * lifting[s + 1, j - first] + lifting[s, j - first]
-                        rate[m] -= mass[m, j] * bend / step**2
+            kick = 0.5 * step if s in (0, steps) else step
+            prescribed = holds[min(s + 1, steps)]
+            moving = first if prescribed else count
             response = data.constrained_inverse_mass if prescribed else data.inverse_mass
-            for m in range(moving):
-                value = 0.0
-                for k in range(moving):
-                    value += response[m, k] * rate[k]
-                before = v[m]
-                v[m] = before + kick * value
-                total += kick * loads[s, m] * 0.5 * (before + v[m])
-                for j in range(moving, count):
-                    rate[j] -= mass[j, m] * value
+            total += kick_coordinates(v, rate, loads[s], lifting, s, step, kick, prescribed, mass, response)
             if s < steps and tools.kind.shape[0] > 0:
                 for t in range(tools.kind.shape[0]):
                     rotation(contact.poses[s, t], tools.frames[t, 0])
@@ -140,14 +127,13 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
                     total += 0.5 * kick * loads[s, m] * value  # loads work at the mean velocity
                 for j in range(moving, count):
                     rate[j] += tools.load[j]
-            for j in range(moving, count):
-                speed = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
-                total += kick * loads[s, j] * speed
+            if prescribed:
+                works = prescribed_work(rate, loads[s], lifting, s, step, kick, 1.0)
+                total += works[0]
                 if s < steps:  # the next call evaluates the last time
-                    tool_work -= step * rate[j] * speed
+                    tool_work += works[1]
             if s < steps:
-                for m in range(moving):
-                    a[m] += step * v[m]
+                drift(a, v, moving, step)
         scratch.history.interval[0] = 0.0
         return total, lost, tool_work
 

@@ -20,6 +20,7 @@ from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, S
 from palpate.reduction.contact.gauss_seidel import compliance_energy, press, set_tool_path
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
 from palpate.reduction.contact.tangent import ContactSystem
+from palpate.reduction.galerkin.central_difference import drift, kick_coordinates, trial_coordinates
 from palpate.reduction.hyper.foundation import add_spring_forces
 from palpate.reduction.hyper.implicit import FORCE as NEWTON_FORCE
 from palpate.reduction.hyper.implicit import LOAD as NEWTON_LOAD
@@ -182,7 +183,9 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     def substeps(data, q, v, speeds, period, report):  # type: ignore[no-untyped-def]
         """Take explicit steps over a period; return their number."""
         modes, count = data.modes, q.shape[0]
-        at, result, rate = data.vectors[WORK], data.vectors[FORCE], data.vectors[RATE]
+        at, result = data.vectors[WORK], data.vectors[FORCE]
+        still = data.path[:3]  # the tools move evenly
+        still[:] = 0.0
         springs = data.body.springs
         frequency = max(data.tracking[REST_FREQUENCY], data.tracking[FREQUENCY])
         frequency = np.sqrt(frequency**2 + springs.highest_squared)
@@ -192,28 +195,20 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         step = period / steps
         data.substep[0] = step
         for s in range(steps):
-            for m in range(count):
-                at[m] = q[m] + data.body.stiffness_damping * v[m]
+            trial_coordinates(q, v, data.body.stiffness_damping, speeds[modes:], False, at)
             clock = data.body.scratch.history.interval
             clock[0] = clock[1]
             force(at, data.body.integration_points, data.body.scratch, result)
             add_spring_forces(data.body.springs, q, v, result)
             clock[0], clock[1] = 0.0, step
-            for m in range(modes):
-                value = 0.0
-                for k in range(modes):
-                    value += data.constrained_inverse_mass[m, k] * result[k]
-                rate[m] = value
-                v[m] += step * value
+            kick_coordinates(
+                v, result, data.no_loads[0], still, 0, step, step, True, data.body.mass, data.constrained_inverse_mass
+            )
             for j in range(modes, count):
-                value = -result[j]
-                for m in range(modes):
-                    value += data.body.mass[j, m] * rate[m]
-                report[FORCES + j - modes] += value / steps
+                report[FORCES + j - modes] -= result[j] / steps
             if data.tools.kind.shape[0] > 0:
                 press(data, q, v, at, step, period, (s + 1.0) / steps, report[FORCES:])
-            for m in range(modes):
-                q[m] += step * v[m]
+            drift(q, v, modes, step)
             for j in range(modes, count):
                 q[j] += step * speeds[j]
         return steps
