@@ -8,20 +8,15 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 from palpate.faults import InputError, brief
-from palpate.scenes.grasp import grasped_beam
-from palpate.scenes.liver import pressed_liver
-from palpate.scenes.push import pushed_membrane
+from palpate.scenes.names import SCENES
 from palpate.scenes.scene import TrainingScene
 
-__all__ = ["TRAINING", "search_current_folder", "training_scene", "typed"]
+__all__ = ["scene_function", "search_current_folder", "training_scene", "typed"]
 
-TRAINING: dict[str, Callable[..., TrainingScene]] = {
-    "beam": grasped_beam, "liver": pressed_liver, "membrane": pushed_membrane,
-}  # fmt: skip
-KNOWN = f"{', '.join(map(repr, TRAINING))}, or 'module:function' of your own"
+KNOWN = f"{', '.join(map(repr, SCENES))}, or 'module:function' of your own"
 KINDS = (bool, int, float, str)  # of parameters
 LONGEST = 200  # characters of a text
 
@@ -32,7 +27,7 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
     Parameters
     ----------
     name : str
-        One of `TRAINING`, or ``"module:function"`` of a function that returns a `TrainingScene`.
+        One of `palpate.scenes.names.SCENES`, or ``"module:function"`` of a function that returns a `TrainingScene`.
     parameters : mapping
         Arguments of its function; others have their defaults.
 
@@ -42,9 +37,9 @@ def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
         An unknown scene or parameter, a value out of range, or a user's module or function that
         fails.
     """
-    function, arguments = _function(name), typed(name, parameters)
-    if name in TRAINING:
-        return function(**arguments)
+    function, arguments = scene_function(name), typed(name, parameters)
+    if name in SCENES:
+        return cast(TrainingScene, function(**arguments))
     made = _own(name, "failed", lambda: function(**arguments))
     if not isinstance(made, TrainingScene):
         raise InputError(f"scene {name!r} must return a TrainingScene, got a {type(made).__name__}")
@@ -82,7 +77,7 @@ def search_current_folder() -> None:
 def _defaults(name: str) -> dict[str, Any]:
     """Return the parameters of a scene's function with their defaults, each a number, a truth value or text."""
     try:
-        known = {p.name: p.default for p in inspect.signature(_function(name)).parameters.values()}
+        known = {p.name: p.default for p in inspect.signature(scene_function(name)).parameters.values()}
     except (TypeError, ValueError) as error:
         raise InputError(f"scene must be a function with named parameters, got {name!r} ({error})") from error
     for key, default in known.items():
@@ -108,9 +103,11 @@ def _converted(key: str, given: Any, default: Any) -> Any:
     return value
 
 
-def _function(name: str) -> Callable[..., Any]:
-    if name in TRAINING:
-        return TRAINING[name]
+def scene_function(name: str) -> Callable[..., Any]:
+    """Return the function of a scene; see `training_scene`."""
+    if name in SCENES:
+        file, function = SCENES[name]
+        return cast(Callable[..., Any], getattr(import_module(f"palpate.scenes.{file}"), function))
     module, _, function = name.partition(":")
     if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
         raise InputError(f"scene must be {KNOWN}, got {brief(name)}")

@@ -11,12 +11,13 @@ from palpate.app.models.quick_training import train_quickly
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import load
-from palpate.scenes.training import TRAINING
+from palpate.scenes.names import SCENES as NAMES
+from palpate.scenes.training import scene_function
 
 __all__ = ["open_model"]
 
 MODES = 24  # of the models of scenes that are trained at each start: all but the liver
-SCENES = (LIVER, *(name for name in TRAINING if name != LIVER))
+SCENES = (LIVER, *(name for name in NAMES if name != LIVER))
 
 
 def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
@@ -26,7 +27,7 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     ----------
     what : str
         ``"liver"``: the small model from the user's cache, trained at the first use; another scene of
-        `palpate.scenes.training.TRAINING`, trained at once; or a file of `palpate train`.
+        `palpate.scenes.names.SCENES`, trained at once; or a file of `palpate train`.
     console : Console
 
     Raises
@@ -36,8 +37,8 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     """
     if what == LIVER:
         return load_cached_liver(console), "Liver"
-    if what in TRAINING:
-        return train_quickly(TRAINING[what], MODES, console), what.capitalize()
+    if what in NAMES:
+        return train_quickly(scene_function(what), MODES, console), what.capitalize()
     path = Path(what)
     if not path.suffix and not path.exists():
         raise InputError(

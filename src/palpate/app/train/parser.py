@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from palpate.app.common.arguments import Command, add_command, add_output, number, whole
+from palpate.scenes.names import listed_scenes
 
 __all__ = ["add_train"]
 
@@ -29,7 +30,7 @@ def add_train(commands: Any) -> None:
     train.renamed["--folder"] = "--out"
     train.assignments["given"] = "--set"
     add = train.add_argument
-    text = "beam, liver, membrane, or module:function of your own, also from the current folder"
+    text = f"{listed_scenes()}, or module:function of your own, also from the current folder"
     add("scene", metavar="SCENE", help=text)
     text = "parameters of the scene, such as spacing=0.005"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)

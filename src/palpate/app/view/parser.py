@@ -14,6 +14,7 @@ from palpate.app.common.arguments import (
     path,
     whole,
 )
+from palpate.scenes.names import listed_scenes
 
 __all__ = ["add_replay", "add_view"]
 
@@ -40,7 +41,7 @@ def add_view(commands: Any) -> None:
         description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
     )
     add = view.add_argument
-    text = "liver, beam or membrane; or the file of a reduced model, such as model.rom of palpate train"
+    text = f"a scene ({listed_scenes()}); or the file of a reduced model, such as model.rom of palpate train"
     add("what", metavar="SCENE|FILE", help=text)
     _add_address(view)
     text = "record the session, and write it to this file when the session ends"

@@ -19,7 +19,8 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.files import shortened
 from palpate.reduction.realtime.display_surface import Surface
-from palpate.scenes.training import TRAINING, search_current_folder, training_scene, typed
+from palpate.scenes.names import SCENES
+from palpate.scenes.training import search_current_folder, training_scene, typed
 
 __all__ = ["full_model", "replay_errors", "replay_on_full_model", "tool_path"]
 
@@ -56,9 +57,9 @@ def full_model(recording: Recording, trusted_scene: str | None = None) -> Model:
     scene = scene_record["name"]
     if trusted_scene is not None and trusted_scene != scene:
         raise InputError(f"scene must be {scene!r}, on which the recorded model was trained, got {trusted_scene!r}")
-    if trusted_scene is None and scene not in TRAINING:
+    if trusted_scene is None and scene not in SCENES:
         raise InputError(
-            f"scene of the recording must be one of {', '.join(TRAINING)}, got {shortened(scene)!r}; names in a file "
+            f"scene of the recording must be one of {', '.join(SCENES)}, got {shortened(scene)!r}; names in a file "
             "are not imported: add --scene MODULE:FUNCTION if you trust that module"
         )
     if trusted_scene is not None:
