@@ -24,9 +24,8 @@ __all__ = [
     "Weights",
     "column_sums",
     "column_work",
-    "lane_sums_1x1",
+    "lane_gather",
     "lane_sums_1x3",
-    "lane_sums_3x1",
     "lane_sums_3x2",
     "lane_sums_3x3",
     "lane_sums_3x6",
@@ -58,23 +57,12 @@ class Lanes(NamedTuple):
     shared: NDArray[np.bool_]
     weight_start: NDArray[np.int64]
 
-    @classmethod
-    def none(cls) -> Lanes:
-        """Return an empty layout."""
-        nodes, start = np.zeros((0, LANES), dtype=np.int32), np.zeros(1, dtype=np.int64)
-        return cls(nodes, start, nodes.copy(), np.zeros(0, dtype=np.bool_), start[:0].copy())
-
 
 class Weights(NamedTuple):
     """Weights of `Lanes`: shared ones (s, r), and those by lane (t, r, LANES)."""
 
     one: NDArray[np.float64]
     lanes: NDArray[np.float64]
-
-    @classmethod
-    def none(cls) -> Weights:
-        """Return empty weights."""
-        return cls(np.zeros((0, 1)), np.zeros((0, 1, LANES)))
 
 
 def lane_table(
@@ -226,6 +214,64 @@ def _emit_loop(builder: Any, args: list[Any], fields: int, weights: int, broadca
             builder.store(sums[f][w].next_value, builder.gep(out_ptr, [ir.Constant(i64, f * weights + w)]), align=8)
 
 
+@intrinsic
+def lane_gather(typingctx, weight_at, neighbours, begin, values, out_at, count, shared):  # type: ignore[no-untyped-def]
+    """out[:] = sum over k of weight[k, :] * values[neighbours[begin + k, :]], for one block.
+
+    Arguments are the address of the weights, the neighbours (t, LANES) with the first entry of the block, the
+    nodal values (n,), the address of the result, the number of neighbours, and whether the weights have one
+    number (k,) or one a lane (k, LANES).
+    """
+    integers = (types.intp,) * 4
+    signature = types.void(integers[0], neighbours, integers[1], values, integers[2], integers[3], types.boolean)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        near, field = (context.make_array(signature.args[k])(context, builder, args[k]).data for k in (1, 3))
+        index = builder.gep(near, [builder.mul(args[2], ir.Constant(ir.IntType(64), LANES))])
+        with builder.if_else(builder.trunc(args[6], ir.IntType(1))) as (then, otherwise):
+            with then:
+                _emit_gather(builder, args[0], index, field, args[4], args[5], broadcast=True)
+            with otherwise:
+                _emit_gather(builder, args[0], index, field, args[4], args[5], broadcast=False)
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+def _emit_gather(
+    builder: Any, weight_at: Any, index: Any, values: Any, out_at: Any, count: Any, broadcast: bool
+) -> None:
+    """Emit the loop over neighbours, whose values are loaded into the lanes of a register."""
+    i64, scalar = ir.IntType(64), ir.DoubleType()
+    vector = ir.VectorType(scalar, LANES)
+    weight_ptr = builder.inttoptr(weight_at, (scalar if broadcast else vector).as_pointer())
+    undefined = ir.Constant(vector, ir.Undefined)
+    entry, loop = builder.block, builder.append_basic_block("neighbour")
+    end = builder.append_basic_block("gather.end")
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    k, total = builder.phi(i64), builder.phi(vector)
+    k.add_incoming(ir.Constant(i64, 0), entry)
+    total.add_incoming(ir.Constant(vector, [0.0] * LANES), entry)
+    weight = builder.load(builder.gep(weight_ptr, [k]), align=8)
+    if broadcast:
+        first = builder.insert_element(undefined, weight, ir.Constant(ir.IntType(32), 0))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+        weight = builder.shuffle_vector(first, undefined, zeros)
+    near, row = undefined, builder.mul(k, ir.Constant(i64, LANES))
+    for lane in range(LANES):
+        at = builder.gep(index, [builder.add(row, ir.Constant(i64, lane))])
+        value = builder.load(builder.gep(values, [builder.sext(builder.load(at, align=4), i64)]), align=8)
+        near = builder.insert_element(near, value, ir.Constant(ir.IntType(32), lane))
+    following = builder.fadd(builder.fmul(weight, near, flags=("contract",)), total, flags=("contract",))
+    total.add_incoming(following, loop)
+    after = builder.add(k, ir.Constant(i64, 1))
+    k.add_incoming(after, loop)
+    builder.cbranch(builder.icmp_signed("<", after, count), loop, end)
+    builder.position_at_end(end)
+    builder.store(following, builder.inttoptr(out_at, vector.as_pointer()), align=8)
+
+
 def _column_pass(single: bool, back: bool, name: str) -> Any:
     """Return an intrinsic for sums over the nine derivatives (m, 9, LANES) of basis vectors at one block.
 
@@ -301,7 +347,5 @@ column_sums = {False: _column_pass(False, False, "column_sums"), True: _column_p
 column_work = {False: _column_pass(False, True, "column_work"), True: _column_pass(True, True, "column_work_single")}
 lane_sums_3x3 = _lane_sums(3, 3, "lane_sums_3x3")
 lane_sums_3x6 = _lane_sums(3, 6, "lane_sums_3x6")
-lane_sums_1x1 = _lane_sums(1, 1, "lane_sums_1x1")
 lane_sums_1x3 = _lane_sums(1, 3, "lane_sums_1x3")
-lane_sums_3x1 = _lane_sums(3, 1, "lane_sums_3x1")
 lane_sums_3x2 = _lane_sums(3, 2, "lane_sums_3x2")

@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 from numba import get_thread_id, prange
 
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES, lane_sums_1x1, lane_sums_3x1
+from palpate.dynamics.compiled.lanes import LANES, lane_gather
 
 __all__ = [
     "Formulation",
     "add_blocks",
     "combine",
     "differences",
-    "gather_fluxes",
     "internal_force",
     "lift_passes",
     "smooth_field",
@@ -105,44 +104,16 @@ def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(parallel=True, fastmath={"contract"})
-def smooth_field(lanes, value, own, fields, derivatives, values, smooth):  # type: ignore[no-untyped-def]
+def smooth_field(lanes, value, own, sums, values, smooth):  # type: ignore[no-untyped-def]
     """Compute the fitted value of a nodal field (n,) at every node."""
     for b in prange(lanes.nodes.shape[0]):
-        field = fields[get_thread_id()].reshape(-1, LANES)
-        total = derivatives[get_thread_id()]
+        total = sums[get_thread_id()]
         begin, end = lanes.start[b], lanes.start[b + 1]
-        for k in range(begin, end):
-            for lane in range(LANES):
-                field[k - begin, lane] = values[lanes.neighbours[k, lane]]
-        lane_sums_1x1(
-            weights_address(value, lanes, b), field.ctypes.data, total.ctypes.data, end - begin, lanes.shared[b]
-        )
+        lane_gather(weights_address(value, lanes, b), lanes.neighbours, begin, values, total.ctypes.data, end - begin,
+                    lanes.shared[b])  # fmt: skip
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
             smooth[i] = total[0, lane] + own[i] * values[i]
-
-
-@kernel_njit(parallel=True, fastmath={"contract"})
-def gather_fluxes(lanes, back, own, fields, sums, flux, force):  # type: ignore[no-untyped-def]
-    """Compute the force [N/m^3], minus the transposed derivatives of the fluxes (n, 3 w)."""
-    for b in prange(lanes.nodes.shape[0]):
-        field, total = fields[get_thread_id()], sums[get_thread_id()]
-        begin, end = lanes.start[b], lanes.start[b + 1]
-        for k in range(begin, end):
-            for lane in range(LANES):
-                i = lanes.neighbours[k, lane]
-                for w in range(own.shape[1]):
-                    for c in range(3):
-                        field[own.shape[1] * (k - begin) + w, c, lane] = flux[i, 3 * w + c]
-        count = own.shape[1] * (end - begin)
-        lane_sums_3x1(weights_address(back, lanes, b), field.ctypes.data, total.ctypes.data, count, lanes.shared[b])
-        for lane in range(LANES):
-            i = lanes.nodes[b, lane]
-            for c in range(3):
-                value = total[c, lane]
-                for w in range(own.shape[1]):
-                    value += own[i, w] * flux[i, 3 * w + c]
-                force[i, c] = -value
 
 
 @kernel_njit()

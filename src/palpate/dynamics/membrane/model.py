@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.describe import Fact
-from palpate.dynamics.compiled.lanes import Lanes, Weights, lane_table, transpose
+from palpate.dynamics.compiled.lanes import lane_table, transpose
+from palpate.dynamics.compiled.rows import Rows, row_table
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, prepare_loads
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
@@ -145,24 +146,20 @@ class Membrane(NodalModel):
         """Lay out the stencils; return them with the largest number of neighbours in a pass."""
         cloud, stencils = self.cloud, self.stencils
         row, first, second = stencils.row, stencils.first, stencils.second
-        own = np.zeros((len(cloud), 5))
-        transposed, back = Lanes.none(), Weights.none()
+        transposed = Rows.none()
         if self.form == "energy":
             edges = cloud.boundary_vectors() * cloud.volumes[:, None] / self.prestretch
             first = consistent_gradient(stencils, cloud.points / self.prestretch, self._areas, edges)
             row, second = np.arange(len(cloud), dtype=np.int32), second[row]
             both = np.concatenate([first, second], axis=2)
-            own = -both.sum(axis=1)
             near, weights = transpose(stencils.neighbours, both, self._areas)
-            transposed, (back,) = lane_table(near, row, weights)
+            transposed = row_table(near, row, weights, -both.sum(axis=1))
         lanes, (first_weights, second_weights) = lane_table(stencils.neighbours, row, first, second)
         body = SheetBody(
             lanes=lanes,
             first=first_weights,
             second=second_weights,
             transposed=transposed,
-            back=back,
-            own=own,
             boundary=np.ascontiguousarray(self.prestretch * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
             radius=RADIUS * np.sqrt(self._areas),
             coefficients=self.material.coefficients,
@@ -170,7 +167,7 @@ class Membrane(NodalModel):
             relaxation=relaxation(self.material),
             families=lay_out_fibres(self.fibres, lanes.nodes),
         )
-        return body, int(max(np.diff(lanes.start).max(), 5 * np.diff(transposed.start).max(initial=0)))
+        return body, int(np.diff(lanes.start).max())
 
     @staticmethod
     def _in_space(points: Floats) -> Floats:
@@ -192,7 +189,7 @@ class Membrane(NodalModel):
         if self._additional_stress() == NO_ADDITIONAL_STRESS:
             stress = self.stress_at(self.deformation_gradient(displacements))
         else:
-            stress = np.array(passes.flux[:, :6].reshape(-1, 2, 3).transpose(0, 2, 1))
+            stress = np.array(passes.flux[:, :, :2])
         return Evaluation(force, stress, np.zeros(len(force)), passes.energy.copy())
 
     def _relaxed_energy(self, work: NodalWork) -> float:

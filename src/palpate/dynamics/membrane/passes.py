@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_3x2, lane_sums_3x3
-from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, gather_fluxes, lift_passes
+from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, lift_passes
+from palpate.dynamics.compiled.rows import Rows, aligned_zeros, gather_fluxes
 from palpate.dynamics.material.fibres import Families
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, after, history, prepare
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, flatten_additional
@@ -36,6 +37,7 @@ from palpate.tissue.materials import Material
 
 __all__ = ["COSINE", "POINTS", "SINE", "SheetBody", "SheetWork", "make_moduli", "sheet", "sheet_work"]
 
+WIDTH = 8  # numbers of a component's flux: two stresses, three moments and padding
 NUMBERS = 15  # derivatives per node: x_c,0 and x_c,1, then x_c,00 x_c,11 x_c,01, for three components c
 POINTS = 6  # integration points around a node, with the symmetry of a triangular lattice
 # Distance of the points from the node, in roots of its area. In a hexagonal cell 0.4 would integrate
@@ -51,9 +53,7 @@ class SheetBody(NamedTuple):
     lanes: Lanes
     first: Weights
     second: Weights
-    transposed: Lanes  # of every node, the nodes whose stencils contain it
-    back: Weights  # their five weights on it, times the ratio of the volumes
-    own: NDArray[np.float64]  # (n, 5) own weights
+    transposed: Rows  # of every node, the nodes whose stencils contain it, and itself; times the ratio of volumes
     boundary: NDArray[np.float64]  # (b, 2, LANES) boundary vectors [1/m]
     radius: NDArray[np.float64]  # (n,) distance of the points from their node [m]
     coefficients: tuple[float, ...]
@@ -65,10 +65,10 @@ class SheetBody(NamedTuple):
 class SheetWork(NamedTuple):
     """Scratch arrays of the passes."""
 
-    fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences, or their fluxes
+    fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences
     derivatives: NDArray[np.float64]  # (threads, 15, LANES)
     cofactor: NDArray[np.float64]  # (b, 9, LANES): the last of every three is the deformed normal's component
-    flux: NDArray[np.float64]  # (n, 15) stress and its first moments; in the strong form the force (n, 0:3)
+    flux: NDArray[np.float64]  # (n, 3, 8) stress and its first moments; in the strong form the force (n, 3, 0)
     energy: NDArray[np.float64]  # (n,) [J/m^3]
     history: HistoryVariables  # of viscoelastic tissue; point q of block b at POINTS b + q
 
@@ -79,13 +79,14 @@ def sheet_work(nodes: int, blocks: int, longest: int, threads: int, branches: in
         np.zeros((threads, longest, 3, LANES)),
         np.zeros((threads, NUMBERS, LANES)),
         np.zeros((blocks, 9, LANES)),
-        np.zeros((nodes, NUMBERS)),
+        aligned_zeros(nodes, 3, WIDTH),
         np.zeros(nodes),
         history(branches, POINTS * blocks, 0),
     )
 
 
 _lift, _differentiate = lift_passes("sheet", lane_sums_3x2, lane_sums_3x3, 6)
+_gather_fluxes = gather_fluxes[WIDTH]
 
 
 @kernel_njit(parallel=True, fastmath={"contract"})
@@ -100,9 +101,9 @@ def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-unty
                     break  # the last node of an unfilled block is repeated
                 work = 0.0
                 for c in range(3):
-                    work += flux[i, c] * table[b, m, 2 * c, lane] + flux[i, 3 + c] * table[b, m, 2 * c + 1, lane]
+                    work += flux[i, c, 0] * table[b, m, 2 * c, lane] + flux[i, c, 1] * table[b, m, 2 * c + 1, lane]
                     for w in range(3):
-                        work += flux[i, 6 + 3 * w + c] * table[b, m, 6 + 3 * c + w, lane]
+                        work += flux[i, c, 2 + w] * table[b, m, 6 + 3 * c + w, lane]
                 total -= volumes[i] * work
             partial[b, m] = total
 
@@ -117,7 +118,7 @@ def _project(table, body, work, volumes, partial, result):  # type: ignore[no-un
 def _copy_force(flux, force):  # type: ignore[no-untyped-def]
     for i in range(force.shape[0]):
         for c in range(3):
-            force[i, c] = flux[i, c]
+            force[i, c] = flux[i, c, 0]
 
 
 @kernel_njit(forceinline=True)
@@ -201,8 +202,9 @@ def _make_energy_response(digest: str, moduli: Any, added: Any) -> Any:
         for v in range(LANES):
             i = nodes[b, v]
             total = 0.0
-            for q in range(NUMBERS):
-                flux[i, q] = 0.0
+            for c in range(3):
+                for w in range(WIDTH):
+                    flux[i, c, w] = 0.0
             for q in range(POINTS):
                 x, y = radius[i] * COSINE[q], radius[i] * SINE[q]
                 F00 = prestretch + d[0, v] + d[6, v] * x + d[8, v] * y
@@ -223,21 +225,21 @@ def _make_energy_response(digest: str, moduli: Any, added: Any) -> Any:
                 P00, P01 = F00 * l00 + F01 * l01, F00 * l01 + F01 * l11
                 P10, P11 = F10 * l00 + F11 * l01, F10 * l01 + F11 * l11
                 P20, P21 = F20 * l00 + F21 * l01, F20 * l01 + F21 * l11
-                flux[i, 0] += P00
-                flux[i, 1] += P10
-                flux[i, 2] += P20
-                flux[i, 3] += P01
-                flux[i, 4] += P11
-                flux[i, 5] += P21
-                flux[i, 6] += P00 * x
-                flux[i, 7] += P10 * x
-                flux[i, 8] += P20 * x
-                flux[i, 9] += P01 * y
-                flux[i, 10] += P11 * y
-                flux[i, 11] += P21 * y
-                flux[i, 12] += P00 * y + P01 * x
-                flux[i, 13] += P10 * y + P11 * x
-                flux[i, 14] += P20 * y + P21 * x
+                flux[i, 0, 0] += P00
+                flux[i, 1, 0] += P10
+                flux[i, 2, 0] += P20
+                flux[i, 0, 1] += P01
+                flux[i, 1, 1] += P11
+                flux[i, 2, 1] += P21
+                flux[i, 0, 2] += P00 * x
+                flux[i, 1, 2] += P10 * x
+                flux[i, 2, 2] += P20 * x
+                flux[i, 0, 3] += P01 * y
+                flux[i, 1, 3] += P11 * y
+                flux[i, 2, 3] += P21 * y
+                flux[i, 0, 4] += P00 * y + P01 * x
+                flux[i, 1, 4] += P10 * y + P11 * x
+                flux[i, 2, 4] += P20 * y + P21 * x
             energy[i] = total / POINTS
             _normal(b, v, d, prestretch, cofactor)
 
@@ -274,7 +276,7 @@ def _make_strong_response(digest: str, moduli: Any, slopes: Any) -> Any:
                 # columns of F adj(C), and its divergence
                 G0, G1 = F0 * C11 - F1 * C01, F1 * C00 - F0 * C01
                 spread = H00 * C11 + H11 * C00 - 2 * H01 * C01 + F0 * (K11 - M01) + F1 * (L00 - L01)
-                flux[i, c] = a * (H00 + H11) + F0 * a0 + F1 * a1 + g * spread + G0 * g0 + G1 * g1
+                flux[i, c, 0] = a * (H00 + H11) + F0 * a0 + F1 * a1 + g * spread + G0 * g0 + G1 * g1
             _normal(b, v, d, prestretch, cofactor)
 
     return node_response
@@ -367,7 +369,7 @@ def sheet(
         if strong:
             _copy_force(work.flux, force)
         else:
-            gather_fluxes(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
+            _gather_fluxes(body.transposed, work.flux, force)
 
     project = None if strong else _project
     return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, project, after)

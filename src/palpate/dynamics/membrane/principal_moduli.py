@@ -120,12 +120,12 @@ def make_principal_strong(digest: str, law_first: Any, law_second: Any, moduli: 
             v1, v2 = -s1 * (p * b0 + q * b1), -s2 * (p * b1 - q * b0)
             for c in range(3):
                 f1, f2, h11, h22, h12 = _in_principal_axes(c, v, d, prestretch, p, q)
-                flux[i, c] = s1 * h11 + s2 * h22
+                flux[i, c, 0] = s1 * h11 + s2 * h22
                 v1 += 2.0 * (s11 * f1 * h11 + s12 * f2 * h12) + k * (h12 * f2 + f1 * h22)
                 v2 += 2.0 * (s12 * f1 * h12 + s22 * f2 * h22) + k * (h12 * f1 + f2 * h11)
             for c in range(3):
                 f1, f2, _, _, _ = _in_principal_axes(c, v, d, prestretch, p, q)
-                flux[i, c] += f1 * v1 + f2 * v2
+                flux[i, c, 0] += f1 * v1 + f2 * v2
             normal(b, v, d, prestretch, cofactor)
 
     return node_response

@@ -83,19 +83,19 @@ class EnergySolid(Solid):
         force, passes = self.force(displacements, history, work), work.passes
         law, modulus, bulk = self.tissue.factors.T
         shear, lame = self.tissue.shear_energy(self.deformation_gradient(displacements)), self.tissue.lame
-        hourglass = np.sum(passes.flux[:, 9:] ** 2, axis=1) / (2 * self.body.hourglass * modulus)
+        hourglass = np.sum(passes.flux[:, :, 3] ** 2, axis=1) / (2 * self.body.hourglass * modulus)
         density = np.asarray(law * shear + bulk * lame / 2 * passes.smooth**2 + hourglass)
         if self.material.prony is not None:
             branches = passes.history
             density += modulus * branches.energy.ravel()[self.slot] + bulk * lame * branches.volume_energy
-        stress = np.array(passes.flux[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1))
+        stress = np.array(passes.flux[:, :, :3])
         return Evaluation(force, stress, lame * passes.pressure, density)
 
     def smooth(self, values: Floats) -> Floats:
         """Return nodal values (n,) smoothed like the volumetric measure."""
         body, passes, result = self.body, self._allocate(), np.empty(len(self.cloud))
         own = np.ascontiguousarray(values, dtype=float)
-        smooth_field(body.smoothing, body.value, body.smoothing_own, passes.fields, passes.derivatives, own, result)
+        smooth_field(body.smoothing, body.value, body.smoothing_own, passes.derivatives, own, result)
         return result
 
     def smooth_transposed(self, weights: Floats) -> Floats:
@@ -103,8 +103,8 @@ class EnergySolid(Solid):
         body, passes, result = self.body, self._allocate(), np.empty_like(weights)
         for row, into in zip(weights / self.volumes, result, strict=True):
             smooth_field(
-                body.transposed_smoothing, body.transposed_value, body.smoothing_own, passes.fields,
-                passes.derivatives, np.ascontiguousarray(row), into,
+                body.transposed_smoothing, body.transposed_value, body.smoothing_own, passes.derivatives,
+                np.ascontiguousarray(row), into,
             )  # fmt: skip
         return result * self.volumes
 

@@ -18,6 +18,9 @@ Ganzenmueller, Comput. Methods Appl. Mech. Eng. 286, 2015, of second order).
 The force requires four passes over blocks of nodes: deformation and shear stress; smoothing of g;
 the transposed smoothing, which yields the pressure; the transposed derivatives of the stresses. Each
 node's result is independent of the others, so the bits are equal for any number of threads.
+
+The first and the last pass sum node by node (`palpate.dynamics.compiled.rows`). The flux of a node is
+what its weights multiply: the nine stresses and the three forces s e of the residual.
 """
 
 from __future__ import annotations
@@ -30,8 +33,9 @@ from numba import get_thread_id, prange
 from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
-from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_3x1, lane_sums_3x3
-from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, gather_fluxes, lift_passes, smooth_field
+from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_gather
+from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, smooth_field, weights_address
+from palpate.dynamics.compiled.rows import Rows, aligned_zeros, difference_sums, gather_fluxes
 from palpate.dynamics.material.fibres import NO_FIBRES, Families, FibrePoints
 from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
 from palpate.dynamics.material.principal_stretches import make_principal_stress
@@ -43,17 +47,16 @@ from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 __all__ = ["EnergyBody", "EnergyWork", "energy_work", "make_stress", "solid_energy"]
 
 NUMBERS = 12  # per node: du_c/dX_d as 3 c + d, then the residuals e_c
+WIDTH = 4  # weights per neighbour
+# first rows of a block's scratch array (ROWS * LANES,); rows at fixed distances let the compiler vectorise the law
+STRESS, COFACTOR, DILATATION, ROWS = NUMBERS, 2 * NUMBERS, 2 * NUMBERS + 9, 2 * NUMBERS + 10
 
 
 class EnergyBody(NamedTuple):
     """Constants of a body for the compiled passes."""
 
-    lanes: Lanes
-    first: Weights
-    second: Weights  # of the residuals e
-    transposed: Lanes  # of every node, the nodes whose stencils contain it
-    back: Weights  # their four weights on it, times the ratio of the volumes
-    own: NDArray[np.float64]  # (n, 4) own weights
+    lanes: Rows  # stencils of du/dX and of the residual e, four weights per neighbour
+    transposed: Rows  # of every node, the nodes whose stencils contain it, and itself; times the ratio of volumes
     smoothing: Lanes
     value: Weights
     smoothing_own: NDArray[np.float64]  # (n,)
@@ -70,10 +73,11 @@ class EnergyBody(NamedTuple):
 class EnergyWork(NamedTuple):
     """Scratch arrays of the passes."""
 
-    fields: NDArray[np.float64]  # (threads, k, 3, LANES) neighbours' differences, or their fluxes
+    sums: NDArray[np.float64]  # (threads, LANES, 3, 4) derivatives du_c/dX_d and residual e_c of a block's nodes
     derivatives: NDArray[np.float64]  # (threads, 12, LANES)
+    response: NDArray[np.float64]  # (threads, ROWS * LANES) derivatives, fluxes, cof F and J - 1 of a block
     cofactor: NDArray[np.float64]  # (b, 9, LANES)
-    flux: NDArray[np.float64]  # (n, 12): P_cd [Pa] as 3 d + c, then s e_c
+    flux: NDArray[np.float64]  # (n, 3, 4): P_cd [Pa] and s e_c
     dilatation: NDArray[np.float64]  # (n,) J - 1, or g(J)
     slope: NDArray[np.float64]  # (n,) g'(J); empty if it is 1
     smooth: NDArray[np.float64]  # (n,) theta
@@ -83,15 +87,14 @@ class EnergyWork(NamedTuple):
     least: NDArray[np.float64]  # (1,) least dilatation of all evaluations in a call of the step
 
 
-def energy_work(
-    nodes: int, blocks: int, longest: int, threads: int, branches: int, volumetric: str = QUADRATIC
-) -> EnergyWork:
-    """Allocate scratch arrays for `nodes` in `blocks` with at most `longest` neighbours."""
+def energy_work(nodes: int, blocks: int, threads: int, branches: int, volumetric: str = QUADRATIC) -> EnergyWork:
+    """Allocate scratch arrays for `nodes` in `blocks`."""
     return EnergyWork(
-        np.zeros((threads, longest, 3, LANES)),
-        np.zeros((threads, NUMBERS, LANES)),
-        np.zeros((blocks, 9, LANES)),
-        np.zeros((nodes, NUMBERS)),
+        aligned_zeros(threads, LANES, 3, 4),
+        aligned_zeros(threads, NUMBERS, LANES),
+        aligned_zeros(threads, ROWS * LANES),
+        aligned_zeros(blocks, 9, LANES),
+        aligned_zeros(nodes, 3, 4),
         np.zeros(nodes),
         np.zeros(0 if volumetric == QUADRATIC else nodes),
         np.zeros(nodes),
@@ -102,20 +105,56 @@ def energy_work(
     )
 
 
-_lift, _differentiate = lift_passes("solid energy", lane_sums_3x3, lane_sums_3x1, 9)
+_gather_fluxes = gather_fluxes[WIDTH]
 
 
-@kernel_njit(parallel=True, fastmath={"contract"})
-def _add_pressure(lanes, cofactor, pressure, lame, flux):  # type: ignore[no-untyped-def]
-    """Add lame p cof(F) to the stresses, with p the result of the transposed smoothing."""
+@kernel_njit(inner=True, cached=False)
+def _lift(b, u, rows, sums, response):  # type: ignore[no-untyped-def]
+    """Write the derivatives and residuals at the nodes of one block into the first rows of `response`."""
+    for lane in range(LANES):
+        difference_sums(u, rows, rows.nodes[b, lane], sums, lane)
+    for lane in range(LANES):
+        for c in range(3):
+            for d in range(3):
+                response[LANES * (3 * c + d) + lane] = sums[lane, c, d]
+            response[LANES * (9 + c) + lane] = sums[lane, c, 3]
+
+
+@kernel_njit(inner=True, parallel=True)
+def _lift_columns(modes, rows, sums, response, table):  # type: ignore[no-untyped-def]
+    for b in prange(rows.nodes.shape[0]):
+        derivatives = response[get_thread_id()]
+        for m in range(modes.shape[0]):
+            _lift(b, modes[m], rows, sums[get_thread_id()], derivatives)
+            for q in range(NUMBERS):
+                for lane in range(LANES):
+                    table[b, m, q, lane] = derivatives[LANES * q + lane]
+
+
+@kernel_njit()
+def _differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
+    _lift_columns(modes, body.lanes, work.sums, work.response, table)
+
+
+@kernel_njit(inner=True, parallel=True, fastmath={"contract"})
+def _add_pressure(lanes, value, own, lame, theta, slope, cofactor, sums, pressure, flux):  # type: ignore[no-untyped-def]
+    """Compute p, g' times the transposed smoothing of theta; add lame p cof(F) to the stresses."""
     for b in prange(lanes.nodes.shape[0]):
+        total = sums[get_thread_id()]
+        begin, end = lanes.start[b], lanes.start[b + 1]
+        lane_gather(weights_address(value, lanes, b), lanes.neighbours, begin, theta, total.ctypes.data, end - begin,
+                    lanes.shared[b])  # fmt: skip
         for lane in range(LANES):
             i = lanes.nodes[b, lane]
             if lane > 0 and i == lanes.nodes[b, lane - 1]:
                 break  # the last node of an unfilled block is repeated
+            p = total[0, lane] + own[i] * theta[i]
+            if slope.shape[0] > 0:
+                p *= slope[i]
+            pressure[i] = p
             for c in range(3):
                 for d in range(3):
-                    flux[i, 3 * d + c] += lame * pressure[i] * cofactor[b, 3 * c + d, lane]
+                    flux[i, c, d] += lame * p * cofactor[b, 3 * c + d, lane]
 
 
 @kernel_njit(parallel=True)
@@ -129,15 +168,17 @@ def _add_overstress(lanes, stress, stiffness, flux):  # type: ignore[no-untyped-
             factor = stiffness[i, 1] if stiffness.shape[0] > 0 else 1.0
             for c in range(3):
                 for d in range(3):
-                    flux[i, 3 * d + c] += factor * stress[b, 3 * c + d, lane]
+                    flux[i, c, d] += factor * stress[b, 3 * c + d, lane]
 
 
 @kernel_njit()
 def _scale_by_stiffness(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
     """Multiply the fluxes and theta of every node by its stiffness factors."""
     for i in range(stiffness.shape[0]):
-        for q in range(NUMBERS):
-            flux[i, q] *= stiffness[i, 0] if q < 9 else stiffness[i, 1]
+        for c in range(3):
+            for d in range(3):
+                flux[i, c, d] *= stiffness[i, 0]
+            flux[i, c, 3] *= stiffness[i, 1]
         scaled[i] = stiffness[i, 2] * theta[i]
 
 
@@ -153,9 +194,7 @@ def _update_least(values, least):  # type: ignore[no-untyped-def]
 def _complete(body, work):  # type: ignore[no-untyped-def]
     """Compute the total stresses from the results of the deformation pass."""
     _update_least(work.dilatation, work.least)
-    smooth_field(
-        body.smoothing, body.value, body.smoothing_own, work.fields, work.derivatives, work.dilatation, work.smooth
-    )
+    smooth_field(body.smoothing, body.value, body.smoothing_own, work.derivatives, work.dilatation, work.smooth)
     effective = work.smooth
     if body.relaxation.times.shape[0] > 0:
         overstress(body.relaxation, work.history, work.cofactor)
@@ -166,11 +205,8 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
         effective = work.scaled
     if body.relaxation.times.shape[0] > 0:
         _add_overstress(body.lanes, work.history.stress, body.stiffness, work.flux)
-    smooth_field(body.transposed_smoothing, body.transposed_value, body.smoothing_own, work.fields, work.derivatives,
-            effective, work.pressure)  # fmt: skip
-    for i in range(work.slope.shape[0]):
-        work.pressure[i] *= work.slope[i]
-    _add_pressure(body.lanes, work.cofactor, work.pressure, body.lame, work.flux)
+    _add_pressure(body.transposed_smoothing, body.transposed_value, body.smoothing_own, body.lame, effective,
+                  work.slope, work.cofactor, work.derivatives, work.pressure, work.flux)  # fmt: skip
 
 
 @kernel_njit(parallel=True, fastmath={"contract"})
@@ -185,9 +221,9 @@ def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-unty
                     break  # the last node of an unfilled block is repeated
                 work = 0.0
                 for c in range(3):
-                    work += flux[i, 9 + c] * table[b, m, 9 + c, lane]
+                    work += flux[i, c, 3] * table[b, m, 9 + c, lane]
                     for d in range(3):
-                        work += flux[i, 3 * d + c] * table[b, m, 3 * c + d, lane]
+                        work += flux[i, c, d] * table[b, m, 3 * c + d, lane]
                 total -= volumes[i] * work
             partial[b, m] = total
 
@@ -197,6 +233,20 @@ def _project(table, body, work, volumes, partial, result):  # type: ignore[no-un
     _complete(body, work)
     _virtual_work(table, body.lanes.nodes, work.flux, volumes, partial)
     add_blocks(partial, result)
+
+
+@kernel_njit(cached=False, forceinline=True)
+def _store_row_major(values, response, row, v):  # type: ignore[no-untyped-def]
+    """Store nine numbers in nine rows of a lane."""
+    response[LANES * row + v] = values[0]
+    response[LANES * (row + 1) + v] = values[1]
+    response[LANES * (row + 2) + v] = values[2]
+    response[LANES * (row + 3) + v] = values[3]
+    response[LANES * (row + 4) + v] = values[4]
+    response[LANES * (row + 5) + v] = values[5]
+    response[LANES * (row + 6) + v] = values[6]
+    response[LANES * (row + 7) + v] = values[7]
+    response[LANES * (row + 8) + v] = values[8]
 
 
 def make_stress(digest: str, law_first: Any, variables: str = "invariants") -> Any:
@@ -278,58 +328,64 @@ def solid_energy(
     measure = inline(digest, measure_of)
 
     @law_njit(digest, inner=True, cached=False, fastmath={"contract"}, forceinline=True)
-    def node_response(b, nodes, d, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def node_response(b, nodes, r, coefficients, hourglass, families, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
         for v in range(LANES):
-            P, c, volume = stress(
-                d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v],
-                at(coefficients, b, v),
-            )  # fmt: skip
-            P = add_stress(
-                P, d[0, v], d[1, v], d[2, v], d[3, v], d[4, v], d[5, v], d[6, v], d[7, v], d[8, v], b, v, families
-            )
-            i = nodes[b, v]
-            flux[i, 0], flux[i, 3], flux[i, 6] = P[0], P[1], P[2]
-            flux[i, 1], flux[i, 4], flux[i, 7] = P[3], P[4], P[5]
-            flux[i, 2], flux[i, 5], flux[i, 8] = P[6], P[7], P[8]
+            d0, d1, d2 = r[v], r[LANES + v], r[2 * LANES + v]
+            d3, d4, d5 = r[3 * LANES + v], r[4 * LANES + v], r[5 * LANES + v]
+            d6, d7, d8 = r[6 * LANES + v], r[7 * LANES + v], r[8 * LANES + v]
+            P, c, volume = stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, at(coefficients, b, v))
+            P = add_stress(P, d0, d1, d2, d3, d4, d5, d6, d7, d8, b, v, families)
+            _store_row_major(P, r, STRESS, v)
+            _store_row_major(c, r, COFACTOR, v)
             for w in range(3):
-                flux[i, 9 + w] = hourglass * d[9 + w, v]
-                cofactor[b, w, v], cofactor[b, 3 + w, v], cofactor[b, 6 + w, v] = c[w], c[3 + w], c[6 + w]
-            if curved:
-                d[0, v] = volume
-            else:
-                dilatation[i] = volume
-        if curved:
+                r[LANES * (STRESS + 9 + w) + v] = hourglass * r[LANES * (9 + w) + v]
+            r[LANES * DILATATION + v] = volume
+        for q in range(9):
             for v in range(LANES):
-                i = nodes[b, v]
-                dilatation[i], slope[i] = measure(d[0, v])
+                cofactor[b, q, v] = r[LANES * (COFACTOR + q) + v]
+        for v in range(LANES):
+            i = nodes[b, v]
+            for w in range(3):
+                for q in range(3):
+                    flux[i, w, q] = r[LANES * (STRESS + 3 * w + q) + v]
+                flux[i, w, 3] = r[LANES * (STRESS + 9 + w) + v]
+            if curved:
+                dilatation[i], slope[i] = measure(r[LANES * DILATATION + v])
+            else:
+                dilatation[i] = r[LANES * DILATATION + v]
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each(u, lanes, first, second, law, hourglass, families, fields, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
-        for b in prange(lanes.nodes.shape[0]):
-            out = derivatives[get_thread_id()]
-            _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
-            node_response(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
+    def each(u, rows, law, hourglass, families, sums, response, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+        for b in prange(rows.nodes.shape[0]):
+            out = response[get_thread_id()]
+            _lift(b, u, rows, sums[get_thread_id()], out)
+            node_response(b, rows.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
-        each(u, body.lanes, body.first, body.second, body.coefficients, body.hourglass, body.families,
-             work.fields, work.derivatives, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
+        each(u, body.lanes, body.coefficients, body.hourglass, body.families,
+             work.sums, work.response, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
-    def each_column(columns, table, lanes, law, hourglass, families, derivatives, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
+    def each_column(  # type: ignore[no-untyped-def]
+        columns, table, nodes, law, hourglass, families, derivatives, response, cofactor, flux, dilatation, slope
+    ):
         for b in prange(table.shape[0]):
-            out = derivatives[get_thread_id()]
-            combine(b, columns, table, out)
-            node_response(b, lanes.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
+            found, out = derivatives[get_thread_id()], response[get_thread_id()]
+            combine(b, columns, table, found)
+            for q in range(NUMBERS):
+                for v in range(LANES):
+                    out[LANES * q + v] = found[q, v]
+            node_response(b, nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
 
     @law_njit(digest, inner=True)
     def respond_to_columns(columns, table, body, work):  # type: ignore[no-untyped-def]
-        each_column(columns, table, body.lanes, body.coefficients, body.hourglass, body.families,
-                    work.derivatives, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
+        each_column(columns, table, body.lanes.nodes, body.coefficients, body.hourglass, body.families,
+                    work.derivatives, work.response, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
         _complete(body, work)
-        gather_fluxes(body.transposed, body.back, body.own, work.fields, work.derivatives, work.flux, force)
+        _gather_fluxes(body.transposed, work.flux, force)
 
     return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, after)

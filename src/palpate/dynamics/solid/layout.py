@@ -10,8 +10,9 @@ import numba
 import numpy as np
 
 from palpate.arrays import Floats
-from palpate.dynamics.compiled.lanes import Lanes, lane_table, transpose
+from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.passes import Formulation
+from palpate.dynamics.compiled.rows import row_table
 from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres
 from palpate.dynamics.material.material_fields import EVERYWHERE, spread
 from palpate.dynamics.material.relaxation import relaxation
@@ -38,13 +39,13 @@ class CompiledForm(NamedTuple):
         Constants of the passes.
     allocate : function
         Returns new scratch arrays of the passes.
-    lanes : Lanes
+    lanes : Lanes or Rows
     """
 
     formulation: Formulation
     body: Any
     allocate: Callable[[], Any]
-    lanes: Lanes
+    lanes: Any
 
 
 def strong_passes(
@@ -75,22 +76,17 @@ def energy_passes(
     """Lay out the passes of the energy form; return them and the smoothing weights (n, w)."""
     material, regions = tissue.material, tissue.regions
     row, first, residual = stencils.row, stencils.first, stencils.value
-    lanes, (first_weights, residual_weights) = lane_table(stencils.neighbours, row, first, residual)
-    both = np.concatenate([first, residual[:, :, None]], axis=2)[row]
-    near, weights = transpose(stencils.neighbours, both, volumes)
-    rows = np.arange(len(cloud))
-    transposed, (back,) = lane_table(near, rows, weights)
+    both, rows = np.concatenate([first, residual[:, :, None]], axis=2), np.arange(len(cloud))
+    lanes = row_table(stencils.neighbours, row, both)
+    near, weights = transpose(stencils.neighbours, both[row], volumes)
+    transposed = row_table(near, rows, weights, -both.sum(axis=1)[row])
     smoothing, own = conservative_smoothing(smoother, volumes)
     smooth_lanes, (value,) = lane_table(smoother.neighbours, rows, smoothing)
     near, weights = transpose(smoother.neighbours, smoothing[:, :, None], volumes)
     back_lanes, (back_value,) = lane_table(near, rows, weights)
     body = EnergyBody(
         lanes=lanes,
-        first=first_weights,
-        second=residual_weights,
         transposed=transposed,
-        back=back,
-        own=-both.sum(axis=1),
         smoothing=smooth_lanes,
         value=value,
         smoothing_own=own,
@@ -103,11 +99,9 @@ def energy_passes(
         stiffness=np.zeros((0, 3)) if tissue.uniform else np.ascontiguousarray(tissue.factors),
         families=lay_out_fibres(tissue.fibres, lanes.nodes),
     )
-    tables = (lanes, smooth_lanes, back_lanes)
-    longest = int(max(*(np.diff(table.start).max() for table in tables), 4 * np.diff(transposed.start).max()))
     branches = len(body.relaxation.times)
     threads, form = numba.config.NUMBA_NUM_THREADS, material.volumetric
-    allocate = partial(energy_work, len(cloud), len(lanes.nodes), longest, threads, branches, form)
+    allocate = partial(energy_work, len(cloud), len(lanes.nodes), threads, branches, form)
     varied = EVERYWHERE if regions is None else len(material.coefficients)
     formulation = solid_energy(material.law, form, fibre_points(tissue.fibres), varied)
     return CompiledForm(formulation, body, allocate, lanes), smoothing

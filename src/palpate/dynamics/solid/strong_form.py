@@ -110,7 +110,7 @@ def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
     if direct:
         _write_direct(body.lanes, work.shear, force)
     else:
-        smooth_field(body.smoothing, body.value, body.own, work.fields, work.derivatives, work.pressure, work.smooth)
+        smooth_field(body.smoothing, body.value, body.own, work.derivatives, work.pressure, work.smooth)
         _add_pressure(body.lanes, body.first, body.boundary, work.fields, work.derivatives, work.cofactor,
                       work.shear, work.smooth, force)  # fmt: skip
 
