@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from llvmlite import ir
 from numba import prange, types
+from numba.core.cgutils import get_or_insert_function
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -23,6 +24,7 @@ __all__ = ["Rows", "aligned_zeros", "difference_sums", "gather_fluxes", "row_tab
 
 CHAINS = 2  # independent sums of a node, as an addition takes some cycles
 ALIGNMENT = 64  # bytes of a cache line
+PREFETCH = 4096  # bytes by which weights are loaded in advance: some three nodes
 WIDTHS = (4, 8)  # numbers of a row of weights, and of the fluxes of a component
 
 
@@ -185,6 +187,14 @@ class _Emitter:
         place = self.builder.add(address, ir.Constant(self.i64, offset)) if offset else address
         self.builder.store(value, self.builder.inttoptr(place, value.type.as_pointer()), align=8)
 
+    def prefetch(self, address: Any, offset: int) -> None:
+        """Load the cache line at an address plus an offset [bytes] in advance; it need not exist."""
+        pointer, i32 = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [pointer, i32, i32, i32])
+        function = get_or_insert_function(self.builder.module, kind, "llvm.prefetch.p0")
+        place = self.builder.inttoptr(self.builder.add(address, ir.Constant(self.i64, offset)), pointer)
+        self.builder.call(function, [place, i32(0), i32(3), i32(1)])
+
     def broadcast(self, value: Any) -> Any:
         """Return a vector of equal numbers."""
         undefined = ir.Constant(self.vector, ir.Undefined)
@@ -224,6 +234,7 @@ class _Emitter:
         k.add_incoming(ir.Constant(self.i64, 0), entry)
         totals = [[builder.phi(self.vector) for _ in range(3)] for _ in range(CHAINS)]
         index, weight = self.at(row.neighbours, k, 1, size=4), self.at(row.weights, k, self.width)
+        self.prefetch(weight, PREFETCH)
         for chain in range(CHAINS):
             j = builder.sext(self.load(ir.IntType(32), index, 4 * chain, align=4), self.i64)
             factor = self.load(self.vector, weight, 8 * self.width * chain)
