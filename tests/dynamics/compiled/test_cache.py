@@ -75,7 +75,7 @@ import palpate as pt
 law = pt.materials.NeoHookean(C1=10e3, density=1000, poisson=0.4)
 cloud = pt.box((0.02, 0.02, 0.02), 0.005)
 for pressure in sys.argv[1:]:
-    model = pt.Solid(cloud, law, stiffness_damping=0.0, pressure=pressure)
+    model = pt.Solid(cloud, law, form="strong", stiffness_damping=0.0, pressure=pressure)
     print(repr(float(np.abs(model.force(0.01 * np.sin(200 * cloud.points))).sum())))
 """
 
