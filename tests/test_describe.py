@@ -57,6 +57,7 @@ def described(still, energy_form, system, run, tmp_path):
     surface = pt.Surface(*_tetrahedron(), name="piece")
     state = still.state(still.prepare([]))
     return [
+        (pt.equilibrium(energy_form, [pt.Gravity()]), ["largest displacement", "m, 112 nodes", "iterations", "N"]),
         (still.cloud, ["112 nodes", "spacing=5 mm", "size=(30, 15, 15) mm", "volume=6.75 cm^3"]),
         (membrane.cloud, ["91 nodes", "spacing=20 mm", "area=314 cm^2"]),
         (surface, ["name=piece", "4 vertices", "size=(30, 30, 30) mm", "volume=4.5 cm^3"]),

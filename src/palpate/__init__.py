@@ -55,6 +55,7 @@ _HOME = {
     "moving_least_squares": "meshfree.stencils",
     "Solid": "dynamics.solid.model",
     "Membrane": "dynamics.membrane.model",
+    "equilibrium": "dynamics.nodal.equilibrium",
     "Foundation": "dynamics.loads.foundation",
     "Gravity": "dynamics.loads.body_force",
     "PrescribedMotion": "dynamics.loads.prescribed_motion",

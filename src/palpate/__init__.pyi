@@ -8,6 +8,7 @@ from palpate.dynamics.loads.foundation import Foundation as Foundation
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion as PrescribedMotion
 from palpate.dynamics.loads.surface_force import SurfaceForce as SurfaceForce
 from palpate.dynamics.membrane.model import Membrane as Membrane
+from palpate.dynamics.nodal.equilibrium import equilibrium as equilibrium
 from palpate.dynamics.run.model import State as State
 from palpate.dynamics.run.rollout import rollout as rollout
 from palpate.dynamics.run.trajectory import Trajectory as Trajectory

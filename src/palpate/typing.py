@@ -8,6 +8,7 @@ from palpate.dynamics.contact.tools import Motion, Tool
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.prepared import Load, LoadHistory, PreparedLoads
 from palpate.dynamics.material.tissue import Tissue
+from palpate.dynamics.nodal.equilibrium import Equilibrium
 from palpate.dynamics.nodal.model import NodalModel, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport
 from palpate.dynamics.run.model import ContactState, Evaluation, Model, Outputs, StepReport
@@ -25,6 +26,7 @@ __all__ = [
     "DeadLoad",
     "DeviceLog",
     "Distribution",
+    "Equilibrium",
     "Evaluation",
     "ForcePattern",
     "Formulation",

@@ -1,0 +1,179 @@
+"""A preconditioner of the tangent stiffness of a body: its nodes one by one, plus a coarse grid.
+
+The inverse of the tangent is approximated by the sum of two inverses (a two-level additive Schwarz
+method: Smith, Bjorstad and Gropp, Domain Decomposition, Cambridge 1996, section 2.1). The blocks of
+the nodes resist short waves. Long waves are multilinear functions on a grid that is a few spacings
+wide. The stiffness of the grid is an energy summed over the nodes, with their tangent moduli. The
+volume's share is averaged over a cell, so that nearly incompressible tissue does not lock (Hughes,
+The Finite Element Method, Dover 2000, section 4.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from palpate.arrays import Floats, Ints
+from palpate.dynamics.nodal.model import NodalModel
+
+__all__ = ["stress_free_points", "two_level_preconditioner"]
+
+CELL_SPACINGS = (2.0, 2.5, 3.0, 4.0, 6.0)  # widths of a cell in spacings; the first with few enough nodes is used
+MAX_GRID_NODES = 1500
+NODE_STIFFNESS = 0.3  # stiffness of one node alone, over its moduli times volume / spacing^2
+CLAMP_FACTOR = 10.0  # stiffness by which the grid is clamped at a node, over that of the node alone
+SHIFT = 1e-8  # of the largest stiffness of the grid, for its nodes with little tissue
+MIN_MODULUS = 1e-4  # smallest modulus of a node alone, over the shear modulus
+
+
+class _Moduli(NamedTuple):
+    """Moduli with positive energies; rows and columns d c + k of F_ck.
+
+    Parameters
+    ----------
+    shear : (n, 3 d, 3 d) array [Pa]
+        Without the volume's share.
+    bulk : (n,) array [Pa]
+        Coefficient of the volume's share, bulk (cof F) x (cof F).
+    cofactor : (n, 3 d) array
+    """
+
+    shear: Floats
+    bulk: Floats
+    cofactor: Floats
+
+
+def two_level_preconditioner(
+    model: NodalModel, F: Floats, moduli: Floats, constrained: NDArray[np.bool_], springs: Floats
+) -> Callable[[Floats], Floats]:
+    """Return an approximate inverse of a body's tangent stiffness, as a function of nodal forces.
+
+    Parameters
+    ----------
+    model : NodalModel
+    F : (n, 3, d) array
+        Deformation gradients of the state.
+    moduli : (n, 3 d, 3 d) array [Pa]
+        Tangent moduli dP_ck / dF_em at the nodes, rows d c + k and columns d e + m.
+    constrained : (n,) bool array
+        Nodes that do not move.
+    springs : (n,) array [N/m]
+        Springs of foundations at the nodes.
+
+    Returns
+    -------
+    function
+        Takes forces (n, 3) [N] and returns displacements (n, 3) [m], zero at constrained nodes. It is
+        linear, symmetric and, on the other nodes, positive definite.
+    """
+    positive, spring = _positive_moduli(F, moduli), springs[:, None, None] * np.eye(3)
+    blocks = _node_blocks(model, positive) + spring
+    inverse = np.linalg.inv(blocks)
+    inverse[constrained] = 0.0
+    corners, cell, value, slope = _multilinear(stress_free_points(model), model.cloud.spacing)
+    n, count = len(value), int(corners.max()) + 1
+    values = sparse.csr_array((value.ravel(), (np.repeat(np.arange(n), value.shape[1]), corners.ravel())), (n, count))
+    clamp = CLAMP_FACTOR * np.where(constrained, np.trace(blocks, axis1=1, axis2=2) / 3, 0.0)
+    stiffness = _grid_stiffness(positive, model.weights, corners, cell, slope)
+    supports = (values.T @ sparse.diags_array(clamp + springs) @ values).tocsr()
+    stiffness = stiffness + sparse.kron(supports, sparse.eye_array(3), format="csr")
+    stiffness = stiffness + SHIFT * stiffness.diagonal().max() * sparse.eye_array(3 * count)
+    symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    factor = splu(sparse.csc_matrix(stiffness), **symmetric)
+    moving = sparse.diags_array((~constrained).astype(float)) @ values
+    gather = moving.T.tocsr()
+
+    def precondition(forces: Floats) -> Floats:
+        coarse = factor.solve((gather @ forces).ravel()).reshape(-1, 3)
+        return np.asarray((inverse @ forces[:, :, None])[:, :, 0] + moving @ coarse)
+
+    return precondition
+
+
+def _positive_moduli(F: Floats, moduli: Floats) -> _Moduli:
+    """Split the volume's share from moduli, and set negative energies of the rest to zero."""
+    n, size = moduli.shape[:2]
+    rest = np.nan_to_num((moduli + moduli.transpose(0, 2, 1)) / 2, posinf=0.0, neginf=0.0)
+    bulk, cofactor = np.zeros(n), np.zeros((n, size))
+    if size == 9:
+        cofactor = np.cross(np.roll(F, -1, axis=1), np.roll(F, -2, axis=1)).reshape(n, 9)
+        square = np.sum(cofactor**2, axis=1)
+        along = np.einsum("ni,nij,nj->n", cofactor, rest, cofactor, optimize=True) / square
+        # at rest the other eigenvalues are five times 2 mu and three zeros; 2 mu remain along cof F
+        typical = (np.trace(rest, axis1=1, axis2=2) - along) / 5
+        bulk = np.maximum(along - np.maximum(typical, 0.0), 0.0) / square
+        rest = rest - bulk[:, None, None] * cofactor[:, :, None] * cofactor[:, None, :]
+    values, vectors = np.linalg.eigh(rest)
+    shear = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    return _Moduli(shear, bulk, cofactor)
+
+
+def _node_blocks(model: NodalModel, moduli: _Moduli) -> Floats:
+    """Return the stiffness (n, 3, 3) [N/m] of every node alone."""
+    n, size = moduli.cofactor.shape
+    whole = moduli.shear + moduli.bulk[:, None, None] * moduli.cofactor[:, :, None] * moduli.cofactor[:, None, :]
+    summed = np.einsum("nckek->nce", whole.reshape(n, 3, size // 3, 3, size // 3))
+    summed = summed + MIN_MODULUS * model.material.shear_modulus * np.eye(3)
+    return np.asarray(NODE_STIFFNESS / model.cloud.spacing**2 * model.weights[:, None, None] * summed)
+
+
+def _grid_stiffness(moduli: _Moduli, weights: Floats, corners: Ints, cell: Ints, slope: Floats) -> sparse.csr_array:
+    """Return the stiffness of the grid, sparse, rows 3 g + c of grid node g."""
+    n, size = moduli.cofactor.shape
+    per_node, d = slope.shape[1:]
+    width = 3 * (int(corners.max()) + 1)
+    columns = 3 * corners[:, None, :] + np.arange(3)[:, None]  # (n, c, corner)
+    columns = np.broadcast_to(columns[:, :, None], (n, 3, d, per_node))
+    entries = np.broadcast_to(slope.transpose(0, 2, 1)[:, None], columns.shape)
+    starts = per_node * np.arange(size * n + 1)
+    strain = sparse.csr_array((entries.ravel(), columns.ravel(), starts), shape=(size * n, width))
+    shear = sparse.bsr_array((weights[:, None, None] * moduli.shear, np.arange(n), np.arange(n + 1)))
+    stiffness = strain.T @ (shear.tocsr() @ strain)
+    if moduli.bulk.any():
+        total = np.bincount(cell, weights)
+        share = (weights / total[cell])[:, None] * moduli.cofactor
+        places = np.repeat(cell, size), np.arange(size * n)
+        mean = sparse.csr_array((share.ravel(), places), shape=(len(total), size * n)) @ strain
+        stiffness = stiffness + mean.T @ sparse.diags_array(np.bincount(cell, weights * moduli.bulk)) @ mean
+    return sparse.csr_array(stiffness)
+
+
+def _multilinear(points: Floats, spacing: float) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return multilinear functions on a grid at points (n, d).
+
+    Returns
+    -------
+    corners : (n, 2^d) array
+        Grid nodes of every point's cell.
+    cell : (n,) array
+    value, slope : (n, 2^d), (n, 2^d, d) arrays
+        Values and derivatives [1/m] of the functions of the corners.
+    """
+    n, d = points.shape
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    steps = np.array(list(product((0, 1), repeat=d)))
+    for width in CELL_SPACINGS:
+        cells = np.maximum(np.round(extent / (width * spacing)), 1).astype(np.int64)
+        place = (points - low) / (extent / cells)
+        index = np.minimum(place.astype(np.int64), cells - 1)
+        corners = np.ravel_multi_index(tuple(np.moveaxis(index[:, None] + steps, -1, 0)), tuple(cells + 1))
+        used, corners = np.unique(corners, return_inverse=True)
+        if len(used) <= MAX_GRID_NODES:
+            break
+    cell = np.unique(np.ravel_multi_index(tuple(index.T), tuple(cells)), return_inverse=True)[1]
+    share = (place - index)[:, None, :]
+    factors = np.where(steps, share, 1 - share)  # (n, 2^d, d)
+    signs = np.where(steps, 1.0, -1.0) * (cells / extent)
+    slope = np.stack([signs[:, k] * np.delete(factors, k, axis=2).prod(axis=2) for k in range(d)], axis=2)
+    return corners.reshape(n, 2**d), cell, factors.prod(axis=2), slope
+
+
+def stress_free_points(model: NodalModel) -> Floats:
+    """Return the coordinates (n, d) [m] by which F is a derivative."""
+    return np.asarray(model.cloud.points / float(getattr(model, "prestretch", 1.0)))

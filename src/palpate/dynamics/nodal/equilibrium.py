@@ -1,0 +1,136 @@
+"""Static equilibrium of a full model: displacements at which internal forces and loads balance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.describe import Described, Fact
+from palpate.dynamics.contact.tools import Grasp
+from palpate.dynamics.loads.body_force import Gravity
+from palpate.dynamics.loads.dead_load import DeadLoad
+from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.loads.prepared import Load, check_kinds, listed
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.nodal.mixed_newton import MixedNewton
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.nodal.static_balance import StaticBalance
+from palpate.dynamics.run.model import State, initial_field
+from palpate.dynamics.run.reactions import partition
+from palpate.faults import InputError, brief, integer_in_range, number_in_range
+
+__all__ = ["Equilibrium", "equilibrium"]
+
+MIN_TOLERANCE, MAX_TOLERANCE = 1e-10, 1e-2
+KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Foundation)
+
+
+@dataclass(frozen=True)
+class Equilibrium(Described):
+    """A static equilibrium.
+
+    Parameters
+    ----------
+    displacements : (n, 3) array [m]
+        Start of a run from equilibrium, ``rollout(displacement=...)``.
+    residual : float
+        Norm of the unbalanced nodal forces, over that of the loads and the forces on constrained nodes.
+    iterations : int
+        Steps of Newton's method.
+    strain_energy : float [J]
+    reactions : mapping of group name to (3,) array [N]
+        Force of every support and prescribed group on the body.
+    """
+
+    displacements: Floats
+    residual: float
+    iterations: int
+    strain_energy: float
+    reactions: dict[str, Floats]
+
+    def _facts(self) -> list[Fact]:
+        return [
+            ("largest displacement", float(np.linalg.norm(self.displacements, axis=1).max(initial=0.0)), "m"),
+            ("nodes", len(self.displacements), ""),
+            ("residual", float(self.residual), ""),
+            ("iterations", self.iterations, ""),
+            ("strain energy", float(self.strain_energy), "J"),
+            *((f"force of {name!r}", force, "N") for name, force in self.reactions.items()),
+        ]
+
+
+def equilibrium(
+    model: NodalModel,
+    loads: Sequence[Load] = (),
+    *,
+    time: float = 0.0,
+    displacement: Floats | None = None,
+    tolerance: float = 1e-6,
+    max_iterations: int = 200,
+) -> Equilibrium:
+    """Find displacements of a full model at which its internal forces and the loads balance.
+
+    Fixed nodes do not move, and prescribed ones are at their displacements of the given time. Relaxing
+    tissue is fully relaxed. A body may have several equilibria; the one found depends on `displacement`.
+
+    Parameters
+    ----------
+    model : NodalModel
+        `Solid` or `Membrane`.
+    loads : sequence of loads
+        All but `Contact`. The dashpots of a `Foundation` have no force at rest.
+    time : float [s]
+        Time at which the loads are taken.
+    displacement : (n, 3) array, optional [m]
+        Displacements to start from, such as those of a smaller load; zero by default.
+    tolerance : float
+        Largest residual, relative to the forces of loads and constraints.
+    max_iterations : int
+        Largest number of steps of Newton's method, of all increments of the load.
+
+    Returns
+    -------
+    Equilibrium
+
+    Raises
+    ------
+    DivergenceError
+        No equilibrium was found. The message says how much of the load was in equilibrium.
+    InputError
+        The model is not a full model, a load is a `Contact`, nothing supports the body, or another
+        argument is out of range.
+    """
+    if not isinstance(cast(object, model), NodalModel):
+        raise InputError(f"model must be a Solid or a Membrane, got {brief(model)}; use rollout for reduced models")
+    time = number_in_range("time", time, unit="s")
+    number_in_range("tolerance", tolerance, MIN_TOLERANCE, MAX_TOLERANCE)
+    integer_in_range("max_iterations", max_iterations, 1)
+    loads = listed(loads)
+    check_kinds(loads, KINDS, "loads of equilibrium")
+    start = initial_field("displacement", displacement, len(model.cloud))
+    with np.errstate(all="ignore"):  # trial states may have no energy
+        balance = StaticBalance(model, model.prepare(loads), time, start)
+        newton = MixedNewton(balance, tolerance, max_iterations)
+        u = newton.run()
+        balance.internal(u)  # updates the history of relaxing tissue
+        return Equilibrium(u, newton.residual, newton.iterations, model.strain_energy(u), _reactions(balance, u))
+
+
+def _reactions(balance: StaticBalance, u: Floats) -> dict[str, Floats]:
+    """Return the force (3,) [N] of every active support on the body, as `palpate.dynamics.run.reactions` at rest."""
+    model, prepared = balance.model, balance.prepared
+    supports = prepared.active_supports(balance.time)
+    if not supports:
+        return {}
+    phi = partition(model.cloud.points, supports)
+    forces = -phi @ model.external_force(State(u, np.zeros_like(u), balance.time), prepared)
+    if model.conservative:
+        forces -= (phi * model.volumes) @ balance.internal(u)
+    elif len(phi) > 1:
+        slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
+        forces += np.einsum("n,nil,ngl->gi", model.volumes, balance.stress(u), slopes)
+    return dict(zip(supports, forces, strict=True))

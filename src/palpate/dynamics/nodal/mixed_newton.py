@@ -1,0 +1,243 @@
+"""Newton's method for the static equilibrium of a full model, without a matrix.
+
+The tangent acts on a direction by a difference of two forces, and preconditioned iterations solve every
+step inexactly (Knoll and Keyes, J. Comput. Phys. 193, 2004): conjugate gradients where the forces derive
+from an energy, otherwise GMRES. The stresses of the tangent are those of the mixed Newton method
+(`palpate.dynamics.nodal.mixed_stress`). Steps have their full length.
+
+With r(u) the unbalanced nodal forces, r(u) = (1 - s) r(u0) has the given displacements u0 as a solution
+at s = 0, and equilibrium at s = 1 (a Newton homotopy: Allgower and Georg, Introduction to Numerical
+Continuation Methods, SIAM 2003, section 1.1). The method takes s = 1 first, and smaller increments of
+s where it fails. Prescribed displacements increase with s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from scipy.sparse.linalg import LinearOperator, gmres
+
+from palpate.arrays import Floats
+from palpate.dynamics.nodal.coarse_grid import two_level_preconditioner
+from palpate.dynamics.nodal.mixed_stress import (
+    SplitStress,
+    added_moduli,
+    extrapolated_stress,
+    split_stress,
+    tangent_moduli,
+)
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.nodal.static_balance import StaticBalance
+from palpate.faults import DivergenceError
+
+__all__ = ["MixedNewton", "Tangent", "conjugate_gradients"]
+
+DIFFERENCE = 1e-6  # largest displacement of a difference of forces, in spacings
+FORCING = 1e-3  # relative error of the linear solution of a step
+MAX_LINEAR_ITERATIONS = 500  # of conjugate gradients
+RESTART, MAX_CYCLES = 150, 4  # of GMRES
+MAX_STEPS = 20  # of Newton's method in one increment
+PATIENCE = 6  # steps after which the residual must decrease
+INCREMENT_TOLERANCE = 1e-2  # of the residual between two increments, over the increment
+MIN_INCREMENT = 1 / 256  # of the load
+MAX_VOLUME_CHANGE = 4.0  # largest ratio of a node's volumes before and after a step
+MIN_EXCESS = 1e-2  # smallest excess of stresses that counts in the tangent, over the shear modulus
+MAX_STRAIN_CHANGE = 0.02  # largest change of F for which a preconditioner is used again
+
+
+class MixedNewton:
+    """Newton's method with increments of the load.
+
+    Parameters
+    ----------
+    balance : StaticBalance
+    tolerance : float
+        Largest residual, over `StaticBalance.scale`.
+    max_iterations : int
+
+    Attributes
+    ----------
+    residual : float
+        That of the last displacements.
+    iterations : int
+        Steps taken.
+    """
+
+    def __init__(self, balance: StaticBalance, tolerance: float, max_iterations: int) -> None:
+        self.balance, self.tolerance, self.max_iterations = balance, tolerance, max_iterations
+        self.iterations, self.residual = 0, np.inf
+        self._tangent = Tangent(balance)
+
+    def run(self) -> Floats:
+        """Return displacements (n, 3) [m] in equilibrium; raise `DivergenceError` if none are found."""
+        u, share, increment = self.balance.start, 0.0, 1.0
+        self._offset = self.balance.residual(u)
+        while share < 1.0:
+            target = min(share + increment, 1.0)
+            found = self._increase(u, share, target)
+            if found is not None:
+                u, share, increment = found, target, 2 * increment
+                continue
+            increment /= 2
+            if increment < MIN_INCREMENT or self.iterations >= self.max_iterations:
+                raise DivergenceError(
+                    f"no equilibrium was found: Newton's method converged up to {share:.1%} of the load, and not at "
+                    f"{target:.1%} after {self.iterations} steps in all; use a smaller load, another displacement to "
+                    "start from, or rollout"
+                )
+        return u
+
+    def _increase(self, u: Floats, share: float, target: float) -> Floats | None:
+        """Return displacements in equilibrium at a share of the load from those at a smaller one; None on failure."""
+        balance = self.balance
+        tolerance = self.tolerance if target == 1.0 else max(self.tolerance, INCREMENT_TOLERANCE * (target - share))
+        jump = (target - share) * balance.jump
+        given = present = split_stress(balance, u)
+        volumes, least = balance.volume_ratios(u), np.inf
+        for step in range(MAX_STEPS):
+            unbalanced = balance.residual(u) - (1 - target) * self._offset
+            self.residual = float(np.linalg.norm(unbalanced)) / balance.scale(u)
+            if not jump.any() and self.residual <= tolerance:
+                return u
+            stuck = step > PATIENCE and self.residual > least
+            if not np.isfinite(self.residual) or stuck or self.iterations >= self.max_iterations:
+                return None
+            least = min(least, self.residual) if step else np.inf  # prescribed nodes have not moved before
+            direction = self._tangent.solve(u, unbalanced, jump, present, given)
+            self.iterations += 1
+            if direction is None:
+                return None
+            given = extrapolated_stress(balance, u, present, direction)
+            u, jump = u + direction, np.zeros_like(u)
+            before, volumes = volumes, balance.volume_ratios(u)
+            if not np.all((volumes > before / MAX_VOLUME_CHANGE) & (volumes < before * MAX_VOLUME_CHANGE)):
+                return None
+            present = split_stress(balance, u)
+        return None
+
+
+class Tangent:
+    """The tangent stiffness of a body and its loads, with its preconditioner."""
+
+    def __init__(self, balance: StaticBalance) -> None:
+        self.balance = balance
+        self.gradient, self.transposed = _gradient_operator(balance.model)
+        self._built_at: Floats | None = None
+        self._precondition: Callable[[Floats], Floats] = np.copy
+
+    def solve(
+        self, u: Floats, residual: Floats, jump: Floats, present: SplitStress, given: SplitStress
+    ) -> Floats | None:
+        """Return Newton's step (n, 3) [m] from displacements u, or None if the linear iterations fail.
+
+        Parameters
+        ----------
+        u, residual : (n, 3) arrays [m], [N]
+        jump : (n, 3) array [m]
+            Displacements of prescribed nodes in this step.
+        present, given : SplitStress
+            Stresses of the law, and those of the tangent.
+        """
+        balance, model = self.balance, self.balance.model
+        F, added = model.deformation_gradient(u), None
+        modulus = model.material.shear_modulus
+        excess = max(float(np.abs(now - own).max()) for own, now in zip(present, given, strict=True))
+        if excess > MIN_EXCESS * modulus:
+            added = added_moduli(F, present, given)
+        if self._built_at is None or np.abs(F - self._built_at).max() > MAX_STRAIN_CHANGE:
+            moduli = tangent_moduli(balance, u)
+            if added is not None:
+                moduli += added
+            self._precondition = two_level_preconditioner(model, F, moduli, balance.constrained, balance.springs)
+            self._built_at = F if added is None else None
+        before, spacing = balance.residual(u), model.cloud.spacing
+
+        def apply(direction: Floats) -> Floats:
+            scale = DIFFERENCE * spacing / max(float(np.abs(direction).max()), 1e-300)
+            image = (before - balance.residual(u + scale * direction)) / scale
+            if added is not None:
+                image += self._added_force(added, direction)
+            return image
+
+        if jump.any():
+            residual = residual - apply(jump)
+        solver = conjugate_gradients if balance.symmetric else gmres_solution
+        found = solver(apply, self._precondition, residual)
+        return None if found is None else jump + found
+
+    def _added_force(self, moduli: Floats, direction: Floats) -> Floats:
+        """Return the nodal forces (n, 3) [N] of additional moduli, zero at constrained nodes."""
+        n, d = len(direction), moduli.shape[1] // 3
+        slopes = (self.gradient @ direction).reshape(d, n, 3).transpose(1, 2, 0)
+        stress = self.balance.weights[:, :, None] * (moduli @ slopes.reshape(n, 3 * d, 1)).reshape(n, 3, d)
+        force = self.transposed @ stress.transpose(2, 0, 1).reshape(d * n, 3)
+        force[self.balance.constrained] = 0.0
+        return np.asarray(force)
+
+
+def _gradient_operator(model: NodalModel) -> tuple[Any, Any]:
+    """Return the derivatives along all axes, one after the other, as a sparse (d n, n) array, and its transpose."""
+    stencils, n = model.stencils, len(model.cloud)
+    nodes = np.concatenate([np.arange(n)[:, None], stencils.neighbours], axis=1)
+    weights = np.concatenate([stencils.own_first[stencils.row][:, None], stencils.first[stencils.row]], axis=1)
+    starts = nodes.shape[1] * np.arange(n + 1)
+    parts = [
+        sparse.csr_array((weights[:, :, k].ravel(), nodes.ravel(), starts), shape=(n, n))
+        for k in range(weights.shape[2])
+    ]
+    whole = sparse.vstack(parts, format="csr")
+    return whole, whole.T.tocsr()
+
+
+def conjugate_gradients(
+    tangent: Callable[[Floats], Floats], precondition: Callable[[Floats], Floats], forces: Floats
+) -> Floats | None:
+    """Return an approximate solution of K d = f for a symmetric K by conjugate gradients, or None.
+
+    A direction of negative curvature does not end the iterations, since the solution of the linear
+    equations is Newton's step nevertheless.
+
+    Parameters
+    ----------
+    tangent, precondition : functions
+        K d of displacements (n, 3), and an approximate inverse of K.
+    forces : (n, 3) array [N]
+    """
+    found, left = np.zeros_like(forces), forces.copy()
+    scaled = precondition(left)
+    direction, product = scaled, float(np.vdot(left, scaled))
+    goal = FORCING**2 * product
+    if product == 0.0:
+        return found
+    for _ in range(MAX_LINEAR_ITERATIONS):
+        image = tangent(direction)
+        curvature = float(np.vdot(direction, image))
+        if not abs(curvature) > 0:  # no stiffness, or NaN
+            return None
+        length = product / curvature
+        found += length * direction
+        left -= length * image
+        scaled = precondition(left)
+        product, before = float(np.vdot(left, scaled)), product
+        if product <= goal or not np.isfinite(product):
+            break
+        direction = scaled + (product / before) * direction
+    return found if np.isfinite(product) else None
+
+
+def gmres_solution(
+    tangent: Callable[[Floats], Floats], precondition: Callable[[Floats], Floats], forces: Floats
+) -> Floats | None:
+    """Return an approximate solution of K d = f for any K, or None; parameters as `conjugate_gradients`."""
+    shape, size = forces.shape, forces.size
+
+    def operator(function: Callable[[Floats], Floats]) -> Any:
+        return LinearOperator((size, size), lambda x: function(x.reshape(shape)).ravel(), dtype=float)
+
+    found, _ = gmres(
+        operator(tangent), forces.ravel(), rtol=FORCING, restart=RESTART, maxiter=MAX_CYCLES, M=operator(precondition)
+    )
+    return None if not np.isfinite(found).all() else np.asarray(found).reshape(shape)

@@ -1,0 +1,115 @@
+"""Nodal forces of a full model and its loads at rest, at one time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.arrays import Floats
+from palpate.dynamics.loads.prepared import FIXED, PreparedLoads
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.faults import InputError
+
+__all__ = ["StaticBalance"]
+
+LEAST_STRAIN = 1e-8  # smallest strain whose forces are resolved by the largest residual
+
+
+class StaticBalance:
+    """Unbalanced nodal forces of a body at rest as a function of its displacements.
+
+    Relaxing tissue is fully relaxed at all displacements.
+
+    Parameters
+    ----------
+    model : NodalModel
+    prepared : PreparedLoads
+    time : float [s]
+    start : (n, 3) array [m]
+        Displacements before the load.
+
+    Attributes
+    ----------
+    start, jump : (n, 3) arrays [m]
+        Displacements before the load, zero at fixed nodes; further displacements of prescribed nodes.
+    constrained : (n,) bool array
+        Fixed and prescribed nodes.
+    weights : (n, 1) array [m^3]
+    springs : (n,) array [N/m]
+        Springs of foundations.
+    symmetric : bool
+        True if the forces are the derivative of an energy.
+
+    Raises
+    ------
+    InputError
+        Nothing supports the body.
+    """
+
+    def __init__(self, model: NodalModel, prepared: PreparedLoads, time: float, start: Floats) -> None:
+        self.model, self.prepared, self.time = model, prepared, time
+        self._schedule, sites = prepared.schedule(np.array([time])), prepared.sites
+        self.constrained: NDArray[np.bool_] = prepared.constraint_mask(time)
+        self.weights: Floats = model.weights[:, None]
+        springs = np.bincount(sites.foundation_node, sites.foundation_spring, minlength=len(start))
+        self.springs: Floats = model.half_cell * springs * model.weights / model.volumes
+        if not self.constrained.any() and not self.springs.any():
+            raise InputError(
+                "model must be supported for an equilibrium, got no fixed or prescribed nodes and no Foundation; "
+                "use fixed= or add a PrescribedMotion"
+            )
+        self._follows = bool(len(sites.pressure_node))
+        self._relaxes = model.material.prony is not None
+        self.symmetric = model.conservative and not self._follows
+        self.start, self.jump = start.copy(), np.zeros_like(start)
+        self.start[sites.kind == FIXED] = 0.0
+        active = self._schedule.constrained[0]
+        nodes = sites.prescribed[active]
+        self.jump[nodes] = self._schedule.motion[0, active] - self.start[nodes]
+        model.force(self.start)
+        self._dead: Floats = self._load_density()
+
+    def _load_density(self) -> Floats:
+        """Return the loads without foundations [N/m^3]; pressures act on the body as last evaluated."""
+        surface = self.model.tractions(self.prepared, self._schedule)
+        return self.model.half_cell * surface + self.model.material.density * self._schedule.gravity[0]
+
+    def _relax(self, u: Floats) -> None:
+        if self._relaxes:
+            self.model._equilibrium_history(u)
+
+    def internal(self, u: Floats) -> Floats:
+        """Return the internal force density (n, 3) [N/m^3]."""
+        self._relax(u)
+        return self.model.force(u)
+
+    def stress(self, u: Floats) -> Floats:
+        """Return the nodal first Piola-Kirchhoff stress (n, 3, d) [Pa]."""
+        self._relax(u)
+        return self.model.stress(u)
+
+    def residual(self, u: Floats) -> Floats:
+        """Return the unbalanced forces (n, 3) [N], zero at constrained nodes."""
+        density = self.internal(u)
+        density += self._load_density() if self._follows else self._dead
+        forces = density * self.weights - self.springs[:, None] * u
+        forces[self.constrained] = 0.0
+        return np.asarray(forces)
+
+    def scale(self, u: Floats) -> float:
+        """Return the norm [N] of the loads on free nodes and of the internal forces on constrained ones.
+
+        It is at least that of a strain of `LEAST_STRAIN`, so that rounding does not count.
+        """
+        internal = self.internal(u) * self.weights
+        loads = (self._load_density() if self._follows else self._dead) * self.weights - self.springs[:, None] * u
+        free = ~self.constrained
+        least = LEAST_STRAIN * self.model.material.shear_modulus / self.model.cloud.spacing * self.weights
+        return float(np.linalg.norm([np.linalg.norm(part) for part in (loads[free], internal[~free], least)]))
+
+    def volume_ratios(self, u: Floats) -> Floats:
+        """Return det F (n,) of a solid, or the ratios of areas of a sheet."""
+        F = self.model.deformation_gradient(u)
+        if F.shape[2] == 3:
+            return np.asarray(np.linalg.det(F))
+        return np.asarray(np.linalg.norm(np.cross(F[:, :, 0], F[:, :, 1]), axis=1))
