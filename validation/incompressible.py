@@ -23,7 +23,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from equilibrium import relax
 from scipy.interpolate import LinearNDInterpolator
 
 import palpate as pt
@@ -168,9 +167,8 @@ def pressure_errors(cloud: pt.Cloud, fields: list[np.ndarray], target: dict) -> 
 
 
 def settled(model: pt.Solid, motion) -> np.ndarray:
-    """Displacements with the end moved within 0.1 s, after 0.35 s more."""
-    follow = pt.PrescribedMotion("x+", lambda X, t: motion(X, np.sin(np.pi / 2 * min(max(t / 0.1, 0), 1)) ** 2))
-    return relax(model, [follow], np.zeros_like(model.cloud.points), 0.45, 150.0)
+    """Displacements in equilibrium with the end moved."""
+    return pt.equilibrium(model, [pt.PrescribedMotion("x+", motion)], time=1.0).displacements
 
 
 def settled_panel(model: pt.Solid, seconds: float = 0.6, damping: float = 60.0) -> tuple[np.ndarray, int]:

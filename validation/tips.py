@@ -14,7 +14,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from equilibrium import relax
 from scipy.interpolate import RegularGridInterpolator
 
 import palpate as pt
@@ -37,16 +36,12 @@ def body(spacing: float, poisson: float, form: str, pressure: str, half_cell: fl
 def tips(model: pt.Solid, kind: str, forces: list[float], starts: list[np.ndarray] | None) -> list[np.ndarray]:
     """Displacements (n, 3) [m] under load after load; from given states, the coarser body's, if there are any."""
     direction = np.array([0.0, 0.0, 1.0] if kind == "sideways" else [1.0, 0.0, 0.0])
-    settle, damping = (1.2, 13.0) if kind == "sideways" else (0.3, 60.0)  # about critical for the first mode
-    u, found, last = np.zeros_like(model.cloud.points), [], 0.0
+    found = [np.zeros_like(model.cloud.points)]
     for k, force in enumerate(forces):
-        if starts:
-            u, last, settle = starts[k], force, 0.6 if kind == "sideways" else 0.15
-        load = pt.SurfaceForce("x+", force=lambda t, a=last, b=force: (a + (b - a) * min(t / 0.1, 1.0)) * direction)
-        u = relax(model, [load], u, settle, damping)
-        found.append(u)
-        last = force
-    return found
+        start = starts[k] if starts else found[-1]
+        load = pt.SurfaceForce("x+", force=force * direction)
+        found.append(pt.equilibrium(model, [load], displacement=start).displacements)
+    return found[1:]
 
 
 def refined(coarse: pt.Cloud, states: list[np.ndarray], fine: pt.Cloud) -> list[np.ndarray]:

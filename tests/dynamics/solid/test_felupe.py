@@ -80,13 +80,7 @@ def test_a_block_of_stiffening_tissue_bends_far_as_in_finite_elements(form, erro
     expected = finite_elements(material, (4, 2, 2), force)
     cloud = pt.box(SIZE, spacing=0.003)
     model = pt.Solid(cloud, material, fixed="x-", form=form, stiffness_damping=0.0)
-    last = np.zeros_like(cloud.points)
-    for share in (*np.linspace(0.125, 1.0, 8), *np.ones(5)):  # Newton's steps; the last ones end at rest
-        prepared = model.prepare([pt.SurfaceForce("x+", force=(0, 0, share * force))])
-        state = model.state(prepared, last)
-        push = model.acceleration(state, prepared)[~model.fixed_mask]
-        last[~model.fixed_mask] += np.linalg.solve(stiffness(model, last), push.ravel()).reshape(-1, 3)
-    assert np.abs(push).max() < 1e-3  # [m/s^2]
+    last = pt.equilibrium(model, [pt.SurfaceForce("x+", force=(0, 0, force))]).displacements
     shares = np.linalg.norm(cloud.area_vectors("x+"), axis=1)
     tip = shares / shares.sum() @ last[cloud.group("x+")]
     assert expected[2] > SIZE[0] / 4
