@@ -121,7 +121,7 @@ class Membrane(NodalModel):
             ),
             body.lanes,
         )
-        self._history_at_rest = self._equilibrium_history(np.zeros((len(cloud), 3)))
+        self._history_at_rest = self.equilibrium_history(np.zeros((len(cloud), 3)))
         self._taut = resting_frequency(self, TAUT_STRAIN * self._in_space(cloud.points))
         chosen = DAMPING[form] / self._taut if stiffness_damping is None else stiffness_damping
         used = number_in_range("stiffness_damping", chosen, 0.0, unit="s")

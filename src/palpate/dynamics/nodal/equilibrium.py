@@ -116,8 +116,8 @@ def equilibrium(
         balance = StaticBalance(model, model.prepare(loads), time, start)
         newton = MixedNewton(balance, tolerance, max_iterations)
         u = newton.run()
-        balance.internal(u)  # updates the history of relaxing tissue
-        return Equilibrium(u, newton.residual, newton.iterations, model.strain_energy(u), _reactions(balance, u))
+        energy = model.strain_energy(u, balance.history(u))
+        return Equilibrium(u, newton.residual, newton.iterations, energy, _reactions(balance, u))
 
 
 def _reactions(balance: StaticBalance, u: Floats) -> dict[str, Floats]:

@@ -16,7 +16,8 @@ from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.loads.prepared import FIXED, FREE, LoadHistory, PreparedLoads
 from palpate.dynamics.material.fibres import always_taut
-from palpate.dynamics.material.relaxation import equilibrium_history, restore_history, saved_history
+from palpate.dynamics.material.relaxation import equilibrium_history as evaluate_equilibrium
+from palpate.dynamics.material.relaxation import restore_history, saved_history
 from palpate.dynamics.nodal.central_difference import (
     Damping,
     NodalData,
@@ -221,15 +222,15 @@ class NodalModel(Model):
         if prepared.tools or bonded:
             contact_state = initial_contact_state(len(prepared.tools), len(self.cloud), time, prescribed=bonded)
         return State(
-            fields[0], fields[1], time, history=self._equilibrium_history(fields[0]), contact_state=contact_state
+            fields[0], fields[1], time, history=self.equilibrium_history(fields[0]), contact_state=contact_state
         )
 
-    def _equilibrium_history(self, displacements: Floats) -> History:
+    def equilibrium_history(self, displacements: Floats) -> History:
         """Return the history variables at equilibrium; empty without relaxation."""
         if self.material.prony is None:
             return ()
         work = self.workspace()
-        return equilibrium_history(work.passes.history, lambda: self._force(displacements, self.body, work))
+        return evaluate_equilibrium(work.passes.history, lambda: self._force(displacements, self.body, work))
 
     def history_after(
         self, displacements: Floats, history: History, interval: float, work: NodalWork | None = None

@@ -59,34 +59,32 @@ class StaticBalance:
                 "use fixed= or add a PrescribedMotion"
             )
         self._follows = bool(len(sites.pressure_node))
-        self._relaxes = model.material.prony is not None
         self.symmetric = model.conservative and not self._follows
         self.start, self.jump = start.copy(), np.zeros_like(start)
         self.start[sites.kind == FIXED] = 0.0
         active = self._schedule.constrained[0]
         nodes = sites.prescribed[active]
         self.jump[nodes] = self._schedule.motion[0, active] - self.start[nodes]
-        model.force(self.start)
+        self._work = model.workspace()
+        self.internal(self.start)
         self._dead: Floats = self._load_density()
 
     def _load_density(self) -> Floats:
         """Return the loads without foundations [N/m^3]; pressures act on the body as last evaluated."""
-        surface = self.model.tractions(self.prepared, self._schedule)
+        surface = self.model.tractions(self.prepared, self._schedule, self._work.passes.cofactor)
         return self.model.half_cell * surface + self.model.material.density * self._schedule.gravity[0]
 
-    def _relax(self, u: Floats) -> None:
-        if self._relaxes:
-            self.model._equilibrium_history(u)
+    def history(self, u: Floats) -> tuple[Floats, ...]:
+        """Return the history variables of fully relaxed tissue; empty without relaxation."""
+        return self.model.equilibrium_history(u)
 
     def internal(self, u: Floats) -> Floats:
         """Return the internal force density (n, 3) [N/m^3]."""
-        self._relax(u)
-        return self.model.force(u)
+        return self.model.force(u, self.history(u), self._work)
 
     def stress(self, u: Floats) -> Floats:
         """Return the nodal first Piola-Kirchhoff stress (n, 3, d) [Pa]."""
-        self._relax(u)
-        return self.model.stress(u)
+        return self.model.stress(u, self.history(u), self._work)
 
     def residual(self, u: Floats) -> Floats:
         """Return the unbalanced forces (n, 3) [N], zero at constrained nodes."""
