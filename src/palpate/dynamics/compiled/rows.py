@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from llvmlite import ir
 from numba import prange, types
-from numba.core.cgutils import get_or_insert_function
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -191,9 +190,10 @@ class _Emitter:
         """Load the cache line at an address plus an offset [bytes] in advance; it need not exist."""
         pointer, i32 = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [pointer, i32, i32, i32])
-        function = get_or_insert_function(self.builder.module, kind, "llvm.prefetch.p0")
+        function = self.builder.module.declare_intrinsic("llvm.prefetch", [pointer], kind)
         place = self.builder.inttoptr(self.builder.add(address, ir.Constant(self.i64, offset)), pointer)
-        self.builder.call(function, [place, i32(0), i32(3), i32(1)])
+        read, keep, data = i32(0), i32(3), i32(1)  # for reading, into the nearest cache, of numbers
+        self.builder.call(function, [place, read, keep, data])
 
     def broadcast(self, value: Any) -> Any:
         """Return a vector of equal numbers."""

@@ -48,7 +48,7 @@ __all__ = ["EnergyBody", "EnergyWork", "energy_work", "make_stress", "solid_ener
 
 NUMBERS = 12  # per node: du_c/dX_d as 3 c + d, then the residuals e_c
 WIDTH = 4  # weights per neighbour
-# first rows of a block's scratch array (ROWS * LANES,); rows at fixed distances let the compiler vectorise the law
+# first rows in the scratch array of a block's response, (ROWS * LANES,)
 STRESS, COFACTOR, DILATATION, ROWS = NUMBERS, 2 * NUMBERS, 2 * NUMBERS + 9, 2 * NUMBERS + 10
 
 
@@ -138,7 +138,10 @@ def _differentiate(modes, body, work, table):  # type: ignore[no-untyped-def]
 
 @kernel_njit(inner=True, parallel=True, fastmath={"contract"})
 def _add_pressure(lanes, value, own, lame, theta, slope, cofactor, sums, pressure, flux):  # type: ignore[no-untyped-def]
-    """Compute p, g' times the transposed smoothing of theta; add lame p cof(F) to the stresses."""
+    """Compute p, g' times the transposed smoothing of theta; add lame p cof(F) to the stresses.
+
+    Blocks of the smoothing have all nodes in order, as those of the cofactors.
+    """
     for b in prange(lanes.nodes.shape[0]):
         total = sums[get_thread_id()]
         begin, end = lanes.start[b], lanes.start[b + 1]

@@ -14,6 +14,7 @@ import scipy.sparse as sparse
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.lanes import Lanes
+from palpate.dynamics.compiled.rows import Rows
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.reduction.basis.linear_modes import rest_stiffness
@@ -74,17 +75,17 @@ def coupling(model: NodalModel) -> Any:
     pattern = sparse.identity(n, dtype=np.int32, format="csr")
     for name in names:
         family = getattr(body, name, None)
-        if isinstance(family, Lanes):
+        if isinstance(family, Lanes | Rows):
             pattern = pattern @ _neighbours(family, n)
             pattern.data[:] = 1
     return pattern.tocsc()
 
 
-def _neighbours(lanes: Lanes, n: int) -> Any:
+def _neighbours(family: Lanes | Rows, n: int) -> Any:
     """Return the nodes of a family of stencils, the centre included, sparse (n, n)."""
-    counts = np.diff(lanes.start)
-    nodes = np.repeat(lanes.nodes, counts, axis=0).ravel()
-    pattern = sparse.csr_matrix((np.ones(nodes.size, dtype=np.int32), (nodes, lanes.neighbours.ravel())), (n, n))
+    counts = np.diff(family.start)
+    nodes = np.repeat(family.nodes if isinstance(family, Lanes) else np.arange(n), counts, axis=0).ravel()
+    pattern = sparse.csr_matrix((np.ones(nodes.size, dtype=np.int32), (nodes, family.neighbours.ravel())), (n, n))
     return (pattern + sparse.identity(n, dtype=np.int32, format="csr")).astype(bool).astype(np.int32)
 
 
