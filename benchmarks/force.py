@@ -1,10 +1,11 @@
 """One force evaluation of the full model over the time of reading its stencil weights once from memory.
 
-    python benchmarks/force.py [--nodes 20000 100000] [--jitter 0 0.2]
+    python benchmarks/force.py [--nodes 20000 100000] [--jitter 0 0.2] [--energy]
 
 Each case runs in a process of its own, so that its peak memory can be told. The weights are what an unshared table
 holds: 9 derivative weights of 8 bytes for every neighbour of every node; reading them is a sum over that many bytes
-with all threads. On a lattice the model reads far fewer, because nodes share their stencils.
+with all threads. On a lattice the model reads far fewer, because nodes share their stencils. With --energy the energy
+form takes turns with the strong form, and the last column is the ratio of their times.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ import json
 import resource
 import subprocess
 import sys
+from functools import partial
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 
-def case(nodes: int, jitter: float) -> dict[str, float]:
+def case(nodes: int, jitter: float, energy: bool) -> dict[str, float]:
     """Measure one cloud."""
     import palpate as pt
     from palpate.app.bench.timing import median_seconds, read_seconds
@@ -37,18 +40,25 @@ def case(nodes: int, jitter: float) -> dict[str, float]:
     model = pt.Solid(cloud, law, "x-", form="strong", stiffness_damping=5e-5)
     prepare = perf_counter() - start
     u = 1e-4 * np.random.default_rng(0).standard_normal(cloud.points.shape)
-    result = np.zeros_like(u)
-    passes = model.workspace().passes
-    (force,) = median_seconds(lambda: model._internal_force(u, model.body, passes, result))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    models = [model, pt.Solid(cloud, law, "x-", form="energy")] if energy else [model]
+    calls = [partial(_evaluate, each, each.workspace().passes, u, np.zeros_like(u)) for each in models]
+    force, *others = median_seconds(*calls)
     weights = np.ones(neighbours * 9)
     reading = read_seconds(weights, parallel=True)
-    return {
+    row = {
         "nodes": len(cloud), "jitter": jitter, "neighbours": neighbours / len(cloud), "stencils_s": build,
         "model_s": prepare, "force_ns_per_node": force / len(cloud) * 1e9,
         "read_ns_per_node": reading / len(cloud) * 1e9,
         "read_GB_per_s": weights.nbytes / reading / 1e9, "ratio": force / reading, "peak_GB": memory,
     }  # fmt: skip
+    for other in others:
+        row |= {"energy_form_ns_per_node": other / len(cloud) * 1e9, "energy_form_over_strong": other / force}
+    return row
+
+
+def _evaluate(model: Any, passes: Any, u: Any, force: Any) -> None:
+    model._internal_force(u, model.body, passes, force)
 
 
 def main() -> None:
@@ -56,14 +66,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--nodes", type=int, nargs="+", default=[20_000, 100_000])
     parser.add_argument("--jitter", type=float, nargs="+", default=[0.0, 0.2])
+    parser.add_argument("--energy", action="store_true", help="measure the energy form too")
     parser.add_argument("--case", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.case:
-        print(json.dumps(case(args.nodes[0], args.jitter[0])))
+        print(json.dumps(case(args.nodes[0], args.jitter[0], args.energy)))
         return
     for nodes in args.nodes:
         for jitter in args.jitter:
             command = [sys.executable, __file__, "--case", "--nodes", str(nodes), "--jitter", str(jitter)]
+            command += ["--energy"] * args.energy
             row = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
             print("  ".join(f"{k} {v:.4g}" for k, v in row.items()), flush=True)
 
