@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
+from palpate.dynamics.compiled.rows import Rows
 from palpate.dynamics.contact.tools import surface_nodes
 from palpate.dynamics.loads.prepared import FIXED, FREE, LoadHistory, PreparedLoads
 from palpate.dynamics.material.fibres import always_taut
@@ -86,7 +87,7 @@ class NodalModel(Model):
     wave_speed: float
     fibres: FibreLaw | None = None
 
-    def _compile(self, formulation: Formulation, body: Any, allocate: Callable[[], Any], lanes: Lanes) -> None:
+    def _compile(self, formulation: Formulation, body: Any, allocate: Callable[[], Any], lanes: Lanes | Rows) -> None:
         """Set the compiled passes and their constants; requires the cloud, the volumes and the supports."""
         self.formulation, self.body, self._allocate = formulation, body, allocate
         self._always_taut = body if self.fibres is None else body._replace(families=always_taut(body.families))

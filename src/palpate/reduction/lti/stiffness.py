@@ -69,13 +69,13 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
 def coupling(model: NodalModel) -> Any:
     """Return the sparsity pattern of nodal forces (rows) by nodal displacements, sparse (n, n) of ones."""
     body, n = model.body, len(model.cloud)
-    names = ["carriers", "transposed", "transposed_smoothing", "smoothing", "lanes"]
+    names = ["transposed", "transposed_smoothing", "smoothing", "lanes"]
     if not model.conservative:  # the smoothed pressure is differentiated at the node itself
         names = ["lanes", "smoothing", "lanes"]
     pattern = sparse.identity(n, dtype=np.int32, format="csr")
     for name in names:
         family = getattr(body, name, None)
-        if isinstance(family, Lanes | Rows):
+        if family is not None:  # a sheet has no smoothing
             pattern = pattern @ _neighbours(family, n)
             pattern.data[:] = 1
     return pattern.tocsc()
