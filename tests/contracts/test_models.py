@@ -160,6 +160,16 @@ def test_equal_states_take_equal_steps(model, prepared, state, step):
     assert bits(model.advance(state, prepared, step, STEPS)[0]) == bits(first)
 
 
+def test_a_run_may_begin_with_displacements_and_velocities(model, loads, state):
+    """Those that the model can make are those of the state."""
+    prepared = model.prepare([load for load in loads if not isinstance(load, pt.tools.Contact)])
+    bare = replace(state, contact_state=None)
+    u, v = model.displacement(bare, prepared), model.velocity(bare, prepared)
+    begun = model.state(prepared, u, v, state.time)
+    np.testing.assert_allclose(model.displacement(begun, prepared), u, atol=1e-9 * np.abs(u).max())
+    np.testing.assert_allclose(model.velocity(begun, prepared), v, atol=1e-3 * np.abs(v).max())
+
+
 def test_steps_may_be_taken_in_parts(model, prepared, state, step):
     """A run that ends and goes on is the run: halves of a kick make the whole one."""
     whole, half = model.advance(state, prepared, step, STEPS)[0], model.advance(state, prepared, step, STEPS // 2)[0]
