@@ -36,10 +36,10 @@ def stop_after(monkeypatch):
     """A function that makes runs raise an error at the first snapshot after a time [s]."""
 
     def stop(time, error):
-        def late(model, state, prepared):
+        def late(model, state, prepared, work=None):
             if state.time > time:
                 raise error
-            return evaluate(model, state, prepared)
+            return evaluate(model, state, prepared, work)
 
         monkeypatch.setattr("palpate.dynamics.nodal.model.evaluate", late)
 

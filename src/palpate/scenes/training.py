@@ -110,7 +110,7 @@ def scene_function(name: str) -> Callable[..., Any]:
         return cast(Callable[..., Any], getattr(import_module(f"palpate.scenes.{file}"), function))
     module, _, function = name.partition(":")
     if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-        raise InputError(f"scene must be {KNOWN}, got {brief(name)}")
+        raise InputError(f"scene must be {KNOWN}, got {brief(name)}; correct its name")
     found = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
     if not callable(found):
         raise InputError(f"scene must be {KNOWN}, got {name!r}: module {module!r} has no function {function!r}")

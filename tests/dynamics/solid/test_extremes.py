@@ -49,7 +49,7 @@ def test_forces_that_no_body_bears_end_runs_of_every_model(newton, held, energet
 
 def test_a_run_that_needs_ever_shorter_steps_is_ended_and_says_so(energetic, monkeypatch):
     steps, stable = iter([1e-4, *[1e-9] * 10**6]), 1e-4
-    monkeypatch.setattr(energetic, "stable_step", lambda state, prepared: next(steps))
+    monkeypatch.setattr(energetic, "stable_step", lambda state, prepared, work: (next(steps), state))
     monkeypatch.setattr(rollout_module, "STEPS_PER_ESTIMATE", 2)
     with pytest.raises(
         pt.DivergenceError, match=r"became too small: \d+ steps, 100 times those of the first"
@@ -61,12 +61,12 @@ def test_a_run_that_needs_ever_shorter_steps_is_ended_and_says_so(energetic, mon
 def test_a_divergence_names_the_first_node_that_is_not_finite(energetic, monkeypatch):
     advance = type(energetic).advance
 
-    def broken(model, state, prepared, step, steps):
-        after = advance(model, state, prepared, step, steps)
+    def broken(model, *arguments):
+        after, report = advance(model, *arguments)
         after.coordinates[[7, 9]] = np.nan
-        return after
+        return after, report
 
-    monkeypatch.setattr(pt.Solid, "advance", broken)
+    monkeypatch.setattr(type(energetic), "advance", broken)
     with pytest.raises(pt.DivergenceError, match="first non-finite node 7 at"):
         pt.rollout(energetic, [], step=1e-5, **SHORT)
 
@@ -75,14 +75,14 @@ def test_a_divergence_names_the_first_node_that_is_not_finite(energetic, monkeyp
 def test_no_snapshot_that_is_not_finite_is_kept_or_written(name, energetic, monkeypatch, tmp_path):
     outputs = type(energetic).outputs
 
-    def spoilt(model, state, prepared) -> Outputs:
-        found = outputs(model, state, prepared)
+    def spoilt(model, state, prepared, work=None) -> Outputs:
+        found = outputs(model, state, prepared, work)
         if state.time < 4e-4:
             return found
         value = {"x-": np.full(3, np.inf)} if name == "reactions" else getattr(found, name) * np.inf + np.inf
         return replace(found, **{name: value})
 
-    monkeypatch.setattr(pt.Solid, "outputs", spoilt)
+    monkeypatch.setattr(type(energetic), "outputs", spoilt)
     file = tmp_path / "run.h5"
     with pytest.raises(pt.DivergenceError, match="became non-finite") as caught:
         pt.rollout(energetic, pull(0.1), file=file, **SHORT)
