@@ -150,12 +150,12 @@ MUTATIONS = (
     # states
     Mutation(
         "history not restored", "dynamics/material/relaxation.py",
-        "array[:] = values", "array[:] = array", contract("equal_states_take_equal_steps", "solid, relaxing"),
+        "array[:] = values", "array[:] = array", contract("a_workspace_leaves_no_trace", "solid, relaxing"),
     ),
     Mutation(
         "history shared by two states", "dynamics/material/relaxation.py",
         "tuple(array.copy() for array in _persistent(variables))", "tuple(array for array in _persistent(variables))",
-        contract("equal_states_take_equal_steps", "solid, relaxing"),
+        contract("a_workspace_leaves_no_trace", "solid, relaxing"),
     ),
     Mutation(
         "loads of one run act in the next", "dynamics/nodal/model.py",

@@ -167,7 +167,8 @@ def test_a_run_may_begin_with_displacements_and_velocities(model, loads, state):
     u, v = model.displacement(bare, prepared), model.velocity(bare, prepared)
     begun = model.state(prepared, u, v, state.time)
     np.testing.assert_allclose(model.displacement(begun, prepared), u, atol=1e-9 * np.abs(u).max())
-    np.testing.assert_allclose(model.velocity(begun, prepared), v, atol=1e-3 * np.abs(v).max())
+    if not prepared.motions:  # a tool's velocity is that of its motion
+        np.testing.assert_allclose(model.velocity(begun, prepared), v, atol=1e-9 * np.abs(v).max())
 
 
 def test_steps_may_be_taken_in_parts(model, prepared, state, step):
@@ -259,6 +260,10 @@ def test_a_workspace_leaves_no_trace(model, prepared, state, step):
         assert bits(model.advance(at, loads, step, STEPS, work)) == bits(model.advance(at, loads, step, STEPS))
         assert bits(model.stable_step(at, loads, work)) == bits(model.stable_step(at, loads))
         assert bits(model.outputs(at, loads, work)) == bits(model.outputs(at, loads))
+    after = model.advance(state, prepared, step, STEPS, work)
+    kept = bits(after)
+    model.advance(begun, few, step, 3, work)
+    assert bits(after) == kept  # a state shares no array with a workspace
 
 
 def test_a_run_repeats_itself(model, loads):
