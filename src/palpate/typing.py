@@ -7,6 +7,7 @@ from palpate.dynamics.compiled.passes import Formulation
 from palpate.dynamics.contact.tools import Motion, Tool
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.prepared import Load, LoadHistory, PreparedLoads
+from palpate.dynamics.loads.supports import Clamp, Support, SupportedNodes
 from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.nodal.equilibrium import Equilibrium
 from palpate.dynamics.nodal.model import NodalModel, NodalWork
@@ -22,6 +23,7 @@ from palpate.reduction.lti.realtime import LinearRealtime
 from palpate.reduction.realtime.model import RealtimeModel
 
 __all__ = [
+    "Clamp",
     "ContactState",
     "DeadLoad",
     "DeviceLog",
@@ -47,6 +49,8 @@ __all__ = [
     "ReducedWork",
     "StabilityReport",
     "StepReport",
+    "Support",
+    "SupportedNodes",
     "Tissue",
     "Tool",
 ]

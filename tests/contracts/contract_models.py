@@ -74,6 +74,50 @@ def solid(form: str, material: pt.materials.Material = SOFT, fibres: Any = None)
 
 
 @cache
+def sliding(form: str) -> pt.Solid:
+    """Return a full model of the block on three rollers, two of them oblique to its faces."""
+    normals = {"x-": (0.8, 0.6, 0.0), "y-": (-0.6, 0.8, 0.0), "z-": None}
+    fixed = [pt.Roller(group, normal) for group, normal in normals.items()]
+    return pt.Solid(block(), SOFT, fixed, form=form, stiffness_damping=6e-5)
+
+
+@cache
+def sliding_galerkin() -> pt.GalerkinModel:
+    """Return the paper's reduction of the block on rollers."""
+    full = sliding("strong")
+    return pt.galerkin(full, run(full, [pull()]), modes=MODES)
+
+
+@cache
+def sliding_hyper() -> pt.ReducedModel:
+    """Return a hyper-reduced block on rollers."""
+    full = sliding("energy")
+    return pt.hyper_reduce(full, run(full, [pull()]), modes=MODES)
+
+
+@cache
+def sliding_linear() -> pt.lti.LinearModel:
+    """Return a linear model of the block on rollers."""
+    return pt.lti.reduce_linear(pt.lti.linearise(sliding("energy"), (pull(),), ["x+"]), "modal", MODES)
+
+
+@cache
+def sliding_sheet() -> pt.Membrane:
+    """Return a quarter of a stretched sheet: rollers along two edges, the others clamped."""
+    law = pt.materials.NeoHookean(C1=10e3, density=1000.0, poisson=0.5)
+    corners = 0.02 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    cloud = pt.sheet(corners, SPACING)
+    x, y = cloud.points.T
+    groups = {
+        "left": np.flatnonzero(x < 1e-6), "lower": np.flatnonzero(y < 1e-6),
+        "outer": np.flatnonzero((x > 0.02 - 1e-6) | (y > 0.02 - 1e-6)),
+    }  # fmt: skip
+    cloud = replace(cloud, groups={**cloud.groups, **groups})
+    fixed = ["outer", pt.Roller("left", (1, 0, 0)), pt.Roller("lower", (0, 1, 0))]
+    return pt.Membrane(cloud, law, 1e-3, fixed, prestretch=1.1, stiffness_damping=1e-5)
+
+
+@cache
 def membrane(form: str) -> pt.Membrane:
     """Return a stretched sheet, clamped at its rim."""
     law = pt.materials.NeoHookean(C1=10e3, density=1000.0, poisson=0.5)
@@ -154,6 +198,7 @@ class Kind:
     loads: Callable[[], list[Any]]
     balance: float  # of the largest external work: what the energy balance may miss
     momentum: float = 0.02  # of the impulse of all forces: what the balance of momentum may miss
+    lost: float = 1e-4  # of the dissipated energy: what errors of the steps may give back
     still: float = 1e-9  # of what the loads do: what may move without any, by rounding
 
 
@@ -164,6 +209,13 @@ KINDS = {
     "solid, fibres": Kind(fibrous, lambda: [pull()], 0.01),
     "solid, touched": Kind(lambda: solid("energy"), lambda: [press(friction=0.3)], 0.01),
     "solid, tool": Kind(lambda: solid("energy"), lambda: [lift()], 0.03),
+    "solid, rollers": Kind(lambda: sliding("energy"), lambda: [pull()], 0.01),
+    "solid, strong, rollers": Kind(lambda: sliding("strong"), lambda: [pull()], 0.15),
+    "solid, touched, rollers": Kind(lambda: sliding("energy"), lambda: [press(friction=0.3)], 0.01, lost=0.2),
+    "membrane, rollers": Kind(sliding_sheet, lambda: [lean()], 0.01, still=1e-6),
+    "Galerkin, rollers": Kind(sliding_galerkin, lambda: [pull()], 0.08),
+    "hyper-reduced, rollers": Kind(sliding_hyper, lambda: [pull()], 0.01),
+    "linear, rollers": Kind(sliding_linear, lambda: [pull()], 0.005),
     "membrane, energy": Kind(lambda: membrane("energy"), lambda: [lean()], 0.01, still=1e-6),
     "membrane, strong": Kind(lambda: membrane("strong"), lambda: [lean()], 0.06, still=1e-6),
     "Galerkin": Kind(galerkin, lambda: [pull()], 0.08),
@@ -182,5 +234,5 @@ KINDS = {
 }
 QUICK = [  # kinds of the quick set; the others compile kernels of their own
     "solid, strong", "solid, energy", "solid, touched", "membrane, energy", "Galerkin", "hyper-reduced",
-    "hyper-reduced, touched", "linear",
+    "hyper-reduced, touched", "linear", "solid, rollers", "hyper-reduced, rollers",
 ]  # fmt: skip

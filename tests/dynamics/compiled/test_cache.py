@@ -16,7 +16,7 @@ import pytest
 import palpate
 import palpate as pt
 from palpate.dynamics.compiled.cache import KeyedFile, kernel_sources, law_digest
-from palpate.dynamics.loads.prepared import FIXED
+from palpate.dynamics.loads.supports import FIXED
 
 pytestmark = pytest.mark.slow
 

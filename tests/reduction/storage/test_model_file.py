@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 from dataclasses import fields, replace
 
@@ -324,6 +325,10 @@ def attribute(name, value):
     return change
 
 
+def supports(*groups):
+    return attribute("supports", json.dumps([{"kind": "Clamp", "group": group} for group in groups]))
+
+
 def parameters(old, new):
     def change(header, arrays):
         header["parameters"] = header["parameters"].replace(old, new)
@@ -351,7 +356,7 @@ CASES = {
     "gradients of fewer samples": (put("gradients", lambda a: a[1:]), "array gradients has shape"),
     "a text for names": (attribute("prescribed", "tip"), "header prescribed must be of type list"),
     "numbers for names": (attribute("prescribed", [1]), "header prescribed must be a list of different names"),
-    "a name twice": (attribute("fixed", ["x-", "x-"]), "header fixed must be a list of different names"),
+    "a name twice": (supports("x-", "x-"), "fixed must name each group once, got 'x-' 2 times"),
     "an attribute too many": (attribute("colour", "red"), "header colour is not one of a model"),
     "an array too many": (lambda header, arrays: arrays.update(colour=np.zeros(3)), "array colour is not one of"),
     "numbers beyond all sizes": (entry("basis_vectors", (0, 0, 0), 3e38), "basis_vectors holds numbers beyond"),
@@ -387,7 +392,14 @@ CASES = {
     "triangles out of range": (entry("cloud/triangles", (0, 1), 10**9), "triangles names nodes outside"),
     "groups that overlap": (entry("cloud/group_sizes", 0, 1), "group_sizes does not share out"),
     "an empty group": (put("cloud/group_sizes", lambda a: [0, a[0] + a[1], *a[2:]]), "group_sizes does not share out"),
-    "a support that is no group": (attribute("fixed", ["w-"]), "group must be one of .*, got 'w-'"),
+    "a support of no kind": (attribute("supports", '[{"kind": "Wheel", "group": "x-"}]'), "support must be one of"),
+    "a support without a group": (attribute("supports", '[{"kind": "Clamp", "group": 3}]'), "support must be one of"),
+    "a roller without a normal": (
+        attribute("supports", '[{"kind": "Roller", "group": "x-", "normal": [0, 0, 0]}]'),
+        "normal of Roller on 'x-' must be three finite numbers",
+    ),
+    "supports that are no list": (attribute("supports", "{}"), "header supports is not a list of mappings"),
+    "a support that is no group": (supports("w-"), "group must be one of .*, got 'w-'"),
     "fibres of an unknown law": (attribute("fibres", '{"law": "Hair"}'), "unknown law of fibres 'Hair'"),
     "fibres that are code": (attribute("fibres", "exit()"), "header fibres: this is not valid JSON"),
     "fibres without a parameter": (attribute("fibres", '{"law": "Fibres", "k1": 1.0}'), "fibres of Fibres have"),

@@ -43,7 +43,7 @@ def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Conso
     """Measure the paper's pull of the beam [m]: forms of the full model, and the hyper-reduced one."""
     scene = beam(spacing=spacing)
     strong = cast(Solid, scene.model)
-    bodies = {"strong": strong, "energy": Solid(strong.cloud, strong.material, strong.fixed, form="energy")}
+    bodies = {"strong": strong, "energy": Solid(strong.cloud, strong.material, strong.supports, form="energy")}
     seconds: dict[str, list[float]] = {form: [] for form in (*forms, "reduced")}
     steps: dict[str, int] = {}
 

@@ -124,7 +124,7 @@ def _scene(spacing: float, load: float, poisson: float, energy: bool) -> Scene:
     if not energy:
         return scene
     body = scene.model
-    return replace(scene, model=Solid(body.cloud, body.material, body.fixed, form="energy"))
+    return replace(scene, model=Solid(body.cloud, body.material, body.supports, form="energy"))
 
 
 def _report(scene: Scene, runs: dict[str, Trajectory], model: ReducedModel | None) -> dict[str, Any]:

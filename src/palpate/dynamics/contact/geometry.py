@@ -29,6 +29,7 @@ __all__ = [
     "gap",
     "material_velocity",
     "patch",
+    "project",
     "rotation",
     "signed_distance",
 ]
@@ -61,6 +62,10 @@ class Contacts(NamedTuple):
         Nodes of the patches and their weights.
     prescribed_until : (n,) array [s]
         Time until which a node is constrained.
+    slide_of : (n,) array
+        Index in `slide` of a node that slides on a support; -1 for others.
+    slide : (r, 3, 3) array
+        Projections on the directions in which sliding nodes are free.
     contact_gap : float [m]
         Gap below which a patch is in contact at the end of a call.
     search_gap : float [m]
@@ -98,6 +103,8 @@ class Contacts(NamedTuple):
     patch_nodes: NDArray[np.int64]
     patch_weights: Floats
     prescribed_until: Floats
+    slide_of: NDArray[np.int64]
+    slide: Floats
     contact_gap: float
     search_gap: float
     patch_radius: float
@@ -122,6 +129,18 @@ SCRATCH = (
 def with_scratch(contacts: Contacts) -> Contacts:
     """Return the same tools and patches with new scratch arrays."""
     return contacts._replace(**{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH})
+
+
+@kernel_njit(forceinline=True)
+def project(slide, k, x, y, z):  # type: ignore[no-untyped-def]
+    """Return a vector projected on the free directions of sliding node k; for k = -1 the vector itself."""
+    if k < 0:
+        return x, y, z
+    return (
+        slide[k, 0, 0] * x + slide[k, 0, 1] * y + slide[k, 0, 2] * z,
+        slide[k, 1, 0] * x + slide[k, 1, 1] * y + slide[k, 1, 2] * z,
+        slide[k, 2, 0] * x + slide[k, 2, 1] * y + slide[k, 2, 2] * z,
+    )
 
 
 @kernel_njit()
@@ -251,7 +270,11 @@ def compute_gaps(kind, sizes, pose, positions, result):  # type: ignore[no-untyp
 
 
 def contacts(
-    loads: Sequence[Contact], cloud: Cloud, prescribed_until: Floats, patches: sparse.csr_array | None = None
+    loads: Sequence[Contact],
+    cloud: Cloud,
+    prescribed_until: Floats,
+    sliding: tuple[NDArray[np.int64], Floats],
+    patches: sparse.csr_array | None = None,
 ) -> Contacts:
     """Prepare rigid tools for a cloud.
 
@@ -261,6 +284,8 @@ def contacts(
     cloud : Cloud
     prescribed_until : (n,) array [s]
         Time until which a node is constrained.
+    sliding : pair of arrays
+        `slide_of` (n,) and `slide` (r, 3, 3).
     patches : csr_array, optional
         (n, n) weights of the nodal displacements in those of the contact patches; by default the
         patches are the nodes.
@@ -288,6 +313,8 @@ def contacts(
         patch_nodes=table.indices.astype(np.int64),
         patch_weights=np.asarray(table.data, dtype=float),
         prescribed_until=prescribed_until,
+        slide_of=sliding[0],
+        slide=sliding[1],
         contact_gap=CONTACT_GAP["nodes" if patches is None else "patches"] * cloud.spacing,
         search_gap=SEARCH_GAP * cloud.spacing,
         patch_radius=0.0 if patches is None else PATCH_RADIUS * cloud.spacing,

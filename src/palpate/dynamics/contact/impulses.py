@@ -23,11 +23,12 @@ not move into the tool with their half kick; the same law holds for velocities.
 from __future__ import annotations
 
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity, patch, rotation
+from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity, patch, project, rotation
 
 __all__ = ["apply_contact_impulses"]
 
 MAX_SWEEPS = 30
+LEAST_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
 SWEEP_TOLERANCE = 3e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
 
 
@@ -40,9 +41,10 @@ def _apply_to_patch(contacts, i, x, y, z, velocity):  # type: ignore[no-untyped-
         impulse[j, 0] += w * x
         impulse[j, 1] += w * y
         impulse[j, 2] += w * z
-        velocity[j, 0] += w * inverse_mass[j] * x
-        velocity[j, 1] += w * inverse_mass[j] * y
-        velocity[j, 2] += w * inverse_mass[j] * z
+        free_x, free_y, free_z = project(contacts.slide, contacts.slide_of[j], x, y, z)
+        velocity[j, 0] += w * inverse_mass[j] * free_x
+        velocity[j, 1] += w * inverse_mass[j] * free_y
+        velocity[j, 2] += w * inverse_mass[j] * free_z
 
 
 @kernel_njit(inner=True)
@@ -69,7 +71,11 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
             )
             if found:  # after the cheaper test of its node
                 x, y, z, _, _, _ = patch(points, start, near, weights, i, ahead, u, velocity)
-                found = gap(kind, sizes, frame, x, y, z)[0] < search
+                distance, nx, ny, nz = gap(kind, sizes, frame, x, y, z)
+                found = distance < search
+                if found and contacts.slide_of[i] >= 0:
+                    nx, ny, nz = project(contacts.slide, contacts.slide_of[i], nx, ny, nz)
+                    found = nx * nx + ny * ny + nz * nz > LEAST_FREEDOM
             if not found:
                 if impulses[k, 3] != 0.0:
                     impulses[k] = 0.0
@@ -85,6 +91,20 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
             active[count] = k
             count += 1
     contacts.active_count[0] = count
+
+
+@kernel_njit(inner=True)
+def _velocity_change(contacts, i, response, x, y, z):  # type: ignore[no-untyped-def]
+    """Return the change of a patch's velocity by an impulse on it; `response` is that of a patch without supports."""
+    if contacts.slide.shape[0] == 0:
+        return response * x, response * y, response * z
+    change_x, change_y, change_z = 0.0, 0.0, 0.0
+    for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
+        j = contacts.patch_nodes[c]
+        share = contacts.patch_weights[c] ** 2 * contacts.inverse_mass[j]
+        free_x, free_y, free_z = project(contacts.slide, contacts.slide_of[j], x, y, z)
+        change_x, change_y, change_z = change_x + share * free_x, change_y + share * free_y, change_z + share * free_z
+    return change_x, change_y, change_z
 
 
 @kernel_njit(inner=True)
@@ -105,12 +125,16 @@ def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
         if not ends:  # the nearest point of the surface
             x, y, z = x - g * nx, y - g * ny, z - g * nz
         tx, ty, tz = material_velocity(frames[t, 0], frames[t, 1], step, x, y, z)
+        own_x, own_y, own_z = _velocity_change(contacts, i, response, ox, oy, oz)
+        if contacts.slide.shape[0] > 0:
+            rx, ry, rz = _velocity_change(contacts, i, response, nx, ny, nz)
+            response = rx * nx + ry * ny + rz * nz
         # relative to the tool, without the present impulse
-        wx, wy, wz = vx - tx - response * ox, vy - ty - response * oy, vz - tz - response * oz
+        wx, wy, wz = vx - tx - own_x, vy - ty - own_y, vz - tz - own_z
         if ends:
             normal = -(wx * nx + wy * ny + wz * nz) if g < tolerance else 0.0
         else:
-            normal = response * (ox * nx + oy * ny + oz * nz) - g / step
+            normal = own_x * nx + own_y * ny + own_z * nz - g / step
         px, py, pz = 0.0, 0.0, 0.0
         if normal > 0.0:
             px, py, pz = coulomb(normal, friction[t], wx, wy, wz, nx, ny, nz)
@@ -145,18 +169,25 @@ def _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, data):  # ty
         contacts.tool_impulses[t, 3 + d] += (position[a] - origin[a]) * push[b] - (position[b] - origin[b]) * push[a]
         tools += push[d] * speed[d]
     for c in range(contacts.patch_start[i], contacts.patch_start[i + 1]):
-        j = contacts.patch_nodes[c]
+        j, sliding = contacts.patch_nodes[c], contacts.slide_of[contacts.patch_nodes[c]]
+        # the part of the impulse that a support leaves to the node
+        free = project(contacts.slide, sliding, push[0], push[1], push[2])
         for d in range(3):
-            share, mean = contacts.patch_weights[c] * push[d], velocity[j, d]
+            share, moved, mean = (
+                contacts.patch_weights[c] * push[d],
+                contacts.patch_weights[c] * free[d],
+                velocity[j, d],
+            )
             contacts.nodal_impulses[j, d] += share
             if inverse_mass[j] > 0.0:
                 surface = scratch.surface[j, d]
                 kicked = kick * ((scratch.force[j, d] + nodes.half_cell * surface) / density + gravity[d])
                 mean -= 0.5 * (kicked + contacts.step_impulses[j, d] * inverse_mass[j])
-                loads += 0.5 * kick * nodes.volumes[j] * (surface + density * gravity[d]) * share * inverse_mass[j]
+                loads += 0.5 * kick * nodes.volumes[j] * (surface + density * gravity[d]) * moved * inverse_mass[j]
+                on_nodes += moved * mean
             else:  # the constraint takes the impulse
                 loads -= share * mean
-            on_nodes += share * mean
+                on_nodes += share * mean
     return tools, tools - on_nodes, loads
 
 

@@ -19,15 +19,22 @@ from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.foundation import Foundation, foundation_areas
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.supports import (
+    FIXED,
+    FREE,
+    PRESCRIBED,
+    SLIDING,
+    Support,
+    SupportedNodes,
+    constrained_directions,
+    supported_nodes,
+)
 from palpate.dynamics.loads.surface_force import SurfaceForce
 from palpate.dynamics.loads.values import arrays_at, scalars_at, vectors_at
 from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
 
 __all__ = [
-    "FIXED",
-    "FREE",
-    "PRESCRIBED",
     "Load",
     "LoadHistory",
     "LoadSites",
@@ -38,7 +45,7 @@ __all__ = [
     "prepare_loads",
 ]
 
-FREE, FIXED, PRESCRIBED = 0, 1, 2
+SUPPORT_TOLERANCE = 1e-9  # largest prescribed displacement across a support, relative to the largest one
 Load = DeadLoad | Gravity | PrescribedMotion | Grasp | Contact | Foundation
 
 
@@ -80,7 +87,13 @@ class LoadSites(NamedTuple):
     Parameters
     ----------
     kind : (n,) array
-        FREE, FIXED or PRESCRIBED.
+        FREE, FIXED, PRESCRIBED or SLIDING.
+    sliding : (r,) array
+        Nodes that slide on a support, also those that are prescribed.
+    slide : (r, 3, 3) array
+        Projections on the directions in which they are free.
+    slide_of : (n,) array
+        Index of a node in `sliding`; -1 for others.
     dead_start : (dead loads + 1,) array
         First entry of every dead load, and the number of entries.
     dead_node : (k,) array
@@ -100,6 +113,9 @@ class LoadSites(NamedTuple):
     """
 
     kind: NDArray[np.uint8]
+    sliding: NDArray[np.int64]
+    slide: Floats
+    slide_of: NDArray[np.int64]
     dead_start: NDArray[np.int64]
     dead_node: NDArray[np.int64]
     dead_pattern: Floats
@@ -122,13 +138,15 @@ class PreparedLoads(Described):
     loads : tuple of loads
     sites : LoadSites
     supports : mapping of group name to nodes
-        Fixed groups and groups of prescribed motion, whose reaction forces are reported.
+        Groups of supports and of prescribed motion, whose reaction forces are reported.
     points : (n, d) array [m]
     contacts : Contacts
     motions : tuple of pairs
         Prescribed motions, with their slices of `sites.prescribed`.
     grasps : tuple of str
         Names of the prescribed groups of a `Grasp`.
+    directions : dict
+        Constrained directions (k, 3) of the supports that leave their groups free in others.
     partitions : dict
         Partitions of unity by groups, computed on first use.
     derived : dict
@@ -142,7 +160,8 @@ class PreparedLoads(Described):
     contacts: Contacts
     motions: tuple[tuple[PrescribedMotion, slice], ...] = field(default=())
     grasps: tuple[str, ...] = ()
-    partitions: dict[tuple[str, ...], Floats] = field(default_factory=dict, repr=False, compare=False)
+    directions: dict[str, Floats] = field(default_factory=dict, repr=False, compare=False)
+    partitions: dict[tuple[str, ...], Any] = field(default_factory=dict, repr=False, compare=False)
     derived: dict[int, tuple[object, object]] = field(default_factory=dict, repr=False, compare=False)
 
     def with_scratch(self) -> tuple[LoadSites, Contacts]:
@@ -206,7 +225,23 @@ class PreparedLoads(Described):
                 motion[:, where] = arrays_at(values, (3,), times, name)[:, None]
             else:
                 motion[:, where] = arrays_at(values, (len(points), 3), times, name)
+            self._check_sliding(prescribed, where, motion[:, where])
         return motion, constrained
+
+    def _check_sliding(self, prescribed: PrescribedMotion, where: slice, motion: Floats) -> None:
+        """Raise `InputError` if prescribed nodes (s, p, 3) leave the plane or line of their support."""
+        sites, nodes = self.sites, self.sites.prescribed[where]
+        on_support = np.flatnonzero(sites.slide_of[nodes] >= 0)
+        if not on_support.size:
+            return
+        own = motion[:, on_support]
+        error = own - np.einsum("pcd,spd->spc", sites.slide[sites.slide_of[nodes[on_support]]], own)
+        largest = np.abs(error).max()
+        if largest > SUPPORT_TOLERANCE * np.abs(motion).max(initial=0.0):
+            raise InputError(
+                f"displacement of PrescribedMotion of {prescribed.group!r} must stay on the supports of its nodes, got "
+                f"{largest:.3g} m across them; move the group along its supports, or leave those nodes out"
+            )
 
     @cached_property
     def dead_loads(self) -> tuple[DeadLoad, ...]:
@@ -228,8 +263,8 @@ class PreparedLoads(Described):
         return {motion.group: where for motion, where in self.motions if motion.group in self.grasps}
 
     def constraint_mask(self, time: float) -> NDArray[np.bool_]:
-        """Return True for the nodes that are fixed or prescribed at a time [s], shape (n,)."""
-        mask = self.sites.kind != FREE
+        """Return True for the nodes that are fixed or prescribed in all directions at a time [s], shape (n,)."""
+        mask = (self.sites.kind == FIXED) | (self.sites.kind == PRESCRIBED)
         for load, where in self.motions:
             if not load.is_active(np.array(time)):
                 mask[self.sites.prescribed[where]] = False
@@ -252,9 +287,10 @@ class PreparedLoads(Described):
 
 
 class _Constraints(NamedTuple):
-    """Fixed nodes and prescribed motions."""
+    """Supported nodes and prescribed motions."""
 
-    kind: NDArray[np.uint8]  # (n,) FREE, FIXED or PRESCRIBED
+    kind: NDArray[np.uint8]  # (n,) FREE, FIXED, PRESCRIBED or SLIDING
+    nodes: SupportedNodes
     supports: dict[str, NDArray[np.int64]]
     prescribed: NDArray[np.int64]  # (p,) nodes
     motions: tuple[tuple[PrescribedMotion, slice], ...]
@@ -308,17 +344,17 @@ def check_kinds(loads: Sequence[Load], allowed: tuple[type, ...], what: str) -> 
 
 def prepare_loads(
     cloud: Cloud,
-    fixed: Sequence[str],
+    held: Sequence[Support],
     loads: Sequence[Load],
     areas_of: Callable[[DeadLoad], Floats] | None = None,
     patches: sparse.csr_array | None = None,
 ) -> PreparedLoads:
-    """Prepare loads for a cloud with fixed groups.
+    """Prepare loads for a cloud with supports.
 
     Parameters
     ----------
     cloud : Cloud
-    fixed : sequence of str
+    held : sequence of Support
     loads : sequence of loads
     areas_of : function, optional
         Returns the area vectors (g, 3) [m^2] of a load's group; by default those of the cloud's faces.
@@ -340,7 +376,7 @@ def prepare_loads(
         PrescribedMotion(load.name, load.displacement, load.until) if isinstance(load, Grasp) else load
         for load in loads
     )
-    constraints = _constraints(cloud, fixed, loads)
+    constraints = _constraints(cloud, held, loads)
     sites = _load_sites(cloud, loads, constraints, areas_of)
     _check_free_nodes(cloud, loads, constraints)
     tools = [load for load in loads if isinstance(load, Contact)]
@@ -354,25 +390,24 @@ def prepare_loads(
         sites=sites,
         supports=constraints.supports,
         points=cloud.points,
-        contacts=contacts(tools, cloud, constraints.until, patches),
+        contacts=contacts(tools, cloud, constraints.until, (sites.slide_of, sites.slide), patches),
         motions=constraints.motions,
         grasps=grasps,
+        directions=constrained_directions(cloud, held),
     )
 
 
-def _constraints(cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load]) -> _Constraints:
-    """Return the constraints of fixed groups and prescribed motions; raise `InputError` for overlaps."""
-    kind, supports = np.full(len(cloud), FREE, dtype=np.uint8), {}
-    for name in fixed:
-        supports[name] = cloud.group(name)
-        kind[supports[name]] = FIXED
+def _constraints(cloud: Cloud, held: Sequence[Support], loads: Sequence[Load]) -> _Constraints:
+    """Return the constraints of supports and prescribed motions; raise `InputError` for overlaps."""
+    supports, own = {support.group: cloud.group(support.group) for support in held}, supported_nodes(cloud, held)
+    kind = own.kind.copy()
     until = np.where(kind == FIXED, np.inf, -np.inf)
     prescribed, motions, count = [np.zeros(0, dtype=np.int64)], [], 0
     for load in loads:
         if not isinstance(load, PrescribedMotion):
             continue
         nodes = cloud.group(load.group)
-        taken = nodes[kind[nodes] != FREE]
+        taken = nodes[(kind[nodes] == FIXED) | (kind[nodes] == PRESCRIBED)]
         if taken.size:
             raise InputError(
                 f"group of PrescribedMotion must have free nodes only, got {load.group!r}, whose nodes "
@@ -384,7 +419,7 @@ def _constraints(cloud: Cloud, fixed: Sequence[str], loads: Sequence[Load]) -> _
         prescribed.append(nodes)
         motions.append((load, slice(count, count + len(nodes))))
         count += len(nodes)
-    return _Constraints(kind, supports, np.concatenate(prescribed), tuple(motions), until)
+    return _Constraints(kind, own, supports, np.concatenate(prescribed), tuple(motions), until)
 
 
 def _load_sites(
@@ -409,8 +444,13 @@ def _load_sites(
             foundations.append((nodes, load.stiffness * shares, load.damping * shares))
     no_nodes = np.zeros(0, dtype=np.int64)
     amplitudes = max((own.forces.shape[1] for own in dead), default=0)
+    slide_of = np.full(len(cloud), -1, dtype=np.int64)
+    slide_of[constraints.nodes.sliding] = np.arange(len(constraints.nodes.sliding))
     return LoadSites(
         kind=constraints.kind,
+        sliding=constraints.nodes.sliding,
+        slide=constraints.nodes.slide,
+        slide_of=slide_of,
         dead_start=np.cumsum([0, *(len(own.nodes) for own in dead)]),
         dead_node=np.concatenate([no_nodes, *(own.nodes for own in dead)]),
         dead_pattern=np.concatenate([np.zeros((0, amplitudes, 3)), *(_pad(own.forces, amplitudes) for own in dead)]),
@@ -433,12 +473,13 @@ def _pad(forces: Floats, amplitudes: int) -> Floats:
 def _check_free_nodes(cloud: Cloud, loads: Sequence[Load], constraints: _Constraints) -> None:
     """Raise `InputError` for a load on constrained nodes only, and for a body without free nodes."""
     kind = constraints.kind
+    free = (kind == FREE) | (kind == SLIDING)
     for load in loads:
-        if isinstance(load, DeadLoad) and np.all(kind[cloud.group(load.group)] != FREE):
+        if isinstance(load, DeadLoad) and not free[cloud.group(load.group)].any():
             raise InputError(
                 f"group of {type(load).__name__} must have free nodes, got {load.group!r}, which is all fixed or "
                 "prescribed; load another group"
             )
-    if np.all(kind != FREE):
+    if not free.any():
         names = ", ".join(map(repr, constraints.supports))
         raise InputError(f"the body must have free nodes, got all {len(cloud)} nodes fixed or prescribed by {names}")

@@ -15,6 +15,7 @@ from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.rows import Rows, row_table
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, prepare_loads
+from palpate.dynamics.loads.supports import Support, supports_of
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, additional_stress
@@ -49,8 +50,8 @@ class Membrane(NodalModel):
         Incompressible, ``poisson=0.5``.
     thickness : float [m]
         Thickness of the stress-free sheet.
-    fixed : str or sequence of str
-        Clamped groups; none for a free sheet.
+    fixed : str, Support, or sequence of these
+        Clamped groups, and supports such as `Roller`; none for a free sheet.
     prestretch : float
         Stretch of the mounted sheet in both directions, at least 1.
     relaxed : bool
@@ -85,7 +86,7 @@ class Membrane(NodalModel):
         cloud: Cloud,
         material: Material,
         thickness: float,
-        fixed: str | Sequence[str] = (),
+        fixed: str | Support | Sequence[str | Support] = (),
         *,
         prestretch: float = 1.0,
         relaxed: bool = True,
@@ -98,7 +99,7 @@ class Membrane(NodalModel):
         self.cloud, self.material = cloud, material
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
         self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
-        self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
+        self.supports = supports_of(fixed)
         self.relaxed, self.form, self.conservative = bool(relaxed), form, form == "energy"
         # the mounted boundary vectors have c = 2, which the energy form includes by itself
         self.half_cell = 1.0
@@ -243,7 +244,7 @@ class Membrane(NodalModel):
         return np.stack(nominal, axis=-1)
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        return prepare_loads(self.cloud, self.fixed, loads, partial(load_areas, self.cloud, self.prestretch))
+        return prepare_loads(self.cloud, self.supports, loads, partial(load_areas, self.cloud, self.prestretch))
 
     def _step(self, frequency: float, prepared: PreparedLoads) -> float:
         # a slack region can become taut before the next estimate

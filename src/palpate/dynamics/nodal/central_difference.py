@@ -20,8 +20,9 @@ from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit, law_njit
 from palpate.dynamics.compiled.lanes import LANES
 from palpate.dynamics.compiled.passes import Formulation, internal_force
+from palpate.dynamics.contact.geometry import project
 from palpate.dynamics.contact.impulses import apply_contact_impulses
-from palpate.dynamics.loads.prepared import FIXED, FREE
+from palpate.dynamics.loads.supports import FIXED, FREE, SLIDING
 
 __all__ = ["Damping", "NodalData", "StepScratch", "foundation_force", "full_step", "step_scratch", "surface_force"]
 
@@ -136,16 +137,40 @@ def _kick_node(i, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-u
 
 
 @kernel_njit()
+def _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
+    work, density, k, half_cell = 0.0, nodes.density, sites.slide_of[i], nodes.half_cell
+    rate = project(
+        sites.slide,
+        k,
+        (scratch.force[i, 0] + half_cell * scratch.surface[i, 0]) / density + gravity[0],
+        (scratch.force[i, 1] + half_cell * scratch.surface[i, 1]) / density + gravity[1],
+        (scratch.force[i, 2] + half_cell * scratch.surface[i, 2]) / density + gravity[2],
+    )
+    for c in range(3):
+        before = velocity[i, c]
+        after = before + kick * rate[c]
+        work += nodes.volumes[i] * (scratch.surface[i, c] + density * gravity[c]) * 0.5 * (before + after)
+        velocity[i, c] = after
+    return work
+
+
+@kernel_njit()
 def _kick(sites, constrained, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
-    """Accelerate the free nodes over the time `kick`; return the work [J] of surface loads and gravity."""
+    """Accelerate the nodes that can move over the time `kick`; return the work [J] of surface loads and gravity."""
     work = 0.0
     for i in range(sites.kind.shape[0]):
         if sites.kind[i] == FREE:
             work += _kick_node(i, nodes, scratch, gravity, kick, velocity)
+    for i in sites.sliding:
+        if sites.kind[i] == SLIDING:
+            work += _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity)
     for k in range(sites.prescribed.shape[0]):
         if not constrained[k]:
             i = sites.prescribed[k]
-            work += _kick_node(i, nodes, scratch, gravity, kick, velocity)
+            if sites.slide_of[i] < 0:
+                work += _kick_node(i, nodes, scratch, gravity, kick, velocity)
+            else:
+                work += _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity)
     return work * kick
 
 

@@ -70,28 +70,35 @@ def two_level_preconditioner(
     -------
     function
         Takes forces (n, 3) [N] and returns displacements (n, 3) [m], zero at constrained nodes. It is
-        linear, symmetric and, on the other nodes, positive definite.
+        linear, symmetric and, on the other nodes, positive definite. Across the supports of sliding nodes
+        forces must be zero, and displacements are.
     """
+    supported = model.supported
     positive, spring = _positive_moduli(F, moduli), springs[:, None, None] * np.eye(3)
     blocks = _node_blocks(model, positive) + spring
     inverse = np.linalg.inv(blocks)
     inverse[constrained] = 0.0
+    inverse[supported.sliding] = supported.slide @ inverse[supported.sliding] @ supported.slide
     corners, cell, value, slope = _multilinear(stress_free_points(model), model.cloud.spacing)
     n, count = len(value), int(corners.max()) + 1
     values = sparse.csr_array((value.ravel(), (np.repeat(np.arange(n), value.shape[1]), corners.ravel())), (n, count))
-    clamp = CLAMP_FACTOR * np.where(constrained, np.trace(blocks, axis1=1, axis2=2) / 3, 0.0)
+    stiff = CLAMP_FACTOR * np.trace(blocks, axis1=1, axis2=2) / 3
+    clamp = np.where(constrained, stiff, 0.0)
     stiffness = _grid_stiffness(positive, model.weights, corners, cell, slope)
     supports = (values.T @ sparse.diags_array(clamp + springs) @ values).tocsr()
     stiffness = stiffness + sparse.kron(supports, sparse.eye_array(3), format="csr")
+    if len(supported.sliding):
+        across = stiff[supported.sliding, None, None] * (np.eye(3) - supported.slide)
+        own = sparse.kron(values[supported.sliding], sparse.eye_array(3), format="csr")
+        stiffness = stiffness + own.T @ sparse.block_diag(list(across), format="csr") @ own
     stiffness = stiffness + SHIFT * stiffness.diagonal().max() * sparse.eye_array(3 * count)
     symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     factor = splu(sparse.csc_matrix(stiffness), **symmetric)
-    moving = sparse.diags_array((~constrained).astype(float)) @ values
-    gather = moving.T.tocsr()
+    gather, constrain = values.T.tocsr(), model.constrain(constrained)
 
     def precondition(forces: Floats) -> Floats:
-        coarse = factor.solve((gather @ forces).ravel()).reshape(-1, 3)
-        return np.asarray((inverse @ forces[:, :, None])[:, :, 0] + moving @ coarse)
+        coarse = factor.solve((gather @ constrain(forces.copy())).ravel()).reshape(-1, 3)
+        return np.asarray((inverse @ forces[:, :, None])[:, :, 0] + constrain(values @ coarse))
 
     return precondition
 

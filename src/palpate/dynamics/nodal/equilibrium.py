@@ -20,7 +20,8 @@ from palpate.dynamics.nodal.mixed_newton import MixedNewton
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.static_balance import StaticBalance
 from palpate.dynamics.run.model import State, initial_field
-from palpate.dynamics.run.reactions import partition
+from palpate.dynamics.run.partition import active_partitions
+from palpate.dynamics.run.reactions import group_forces
 from palpate.faults import InputError, brief, integer_in_range, number_in_range
 
 __all__ = ["Equilibrium", "equilibrium"]
@@ -123,14 +124,12 @@ def equilibrium(
 def _reactions(balance: StaticBalance, u: Floats) -> dict[str, Floats]:
     """Return the force (3,) [N] of every active support on the body, as `palpate.dynamics.run.reactions` at rest."""
     model, prepared = balance.model, balance.prepared
-    supports = prepared.active_supports(balance.time)
+    supports, parts = active_partitions(model.cloud.points, prepared, balance.time)
     if not supports:
         return {}
-    phi = partition(model.cloud.points, supports)
-    forces = -phi @ model.external_force(State(u, np.zeros_like(u), balance.time), prepared)
+    nodal, stress = -model.external_force(State(u, np.zeros_like(u), balance.time), prepared), None
     if model.conservative:
-        forces -= (phi * model.volumes) @ balance.internal(u)
-    elif len(phi) > 1:
-        slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
-        forces += np.einsum("n,nil,ngl->gi", model.volumes, balance.stress(u), slopes)
-    return dict(zip(supports, forces, strict=True))
+        nodal -= model.volumes[:, None] * balance.internal(u)
+    else:
+        stress = balance.stress(u)
+    return dict(zip(supports, group_forces(model, parts, nodal, stress), strict=True))

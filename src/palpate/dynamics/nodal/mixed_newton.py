@@ -169,13 +169,12 @@ class Tangent:
         return None if found is None else jump + found
 
     def _added_force(self, moduli: Floats, direction: Floats) -> Floats:
-        """Return the nodal forces (n, 3) [N] of additional moduli, zero at constrained nodes."""
+        """Return the nodal forces (n, 3) [N] of additional moduli, without constrained parts."""
         n, d = len(direction), moduli.shape[1] // 3
         slopes = (self.gradient @ direction).reshape(d, n, 3).transpose(1, 2, 0)
         stress = self.balance.weights[:, :, None] * (moduli @ slopes.reshape(n, 3 * d, 1)).reshape(n, 3, d)
         force = self.transposed @ stress.transpose(2, 0, 1).reshape(d * n, 3)
-        force[self.balance.constrained] = 0.0
-        return np.asarray(force)
+        return self.balance.constrain(np.asarray(force))
 
 
 def _gradient_operator(model: NodalModel) -> tuple[Any, Any]:

@@ -15,7 +15,8 @@ from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.rows import Rows
 from palpate.dynamics.contact.tools import surface_nodes
-from palpate.dynamics.loads.prepared import FIXED, FREE, LoadHistory, PreparedLoads
+from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads
+from palpate.dynamics.loads.supports import FIXED, SupportedNodes, free_directions, supported_nodes
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.material.relaxation import equilibrium_history as evaluate_equilibrium
 from palpate.dynamics.material.relaxation import restore_history, saved_history
@@ -71,7 +72,9 @@ class NodalModel(Model):
     half_cell : float
         Half the c of the half-cell balance at the boundary.
     fixed_mask : (n,) bool array
-        True for the nodes of the fixed groups.
+        True for the nodes that cannot move in any direction.
+    supported : SupportedNodes
+        Constraints of the nodes by the supports.
     stability : StabilityReport
     wave_speed : float [m/s]
         Estimate of the fastest wave speed, and limit of prescribed velocities in the damping forces.
@@ -83,6 +86,7 @@ class NodalModel(Model):
     formulation: Formulation
     half_cell: float
     fixed_mask: NDArray[np.bool_]
+    supported: SupportedNodes
     stability: StabilityReport
     wave_speed: float
     fibres: FibreLaw | None = None
@@ -94,7 +98,9 @@ class NodalModel(Model):
         self._internal_force, self._advance = internal_force(formulation), full_step(formulation)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
-        self.fixed_mask = self.prepare(()).sites.kind != FREE
+        self.prepare(())  # refuses a body without free nodes
+        self.supported = supported_nodes(self.cloud, self.supports)
+        self.fixed_mask = self.supported.kind == FIXED
         self.wave_speed = np.inf
         self._history_at_rest: History = ()
 
@@ -189,12 +195,27 @@ class NodalModel(Model):
         return highest_frequency(
             lambda u: self._force(u, self._always_taut, scratch),
             displacements,
-            constrained,
+            self.constrain(constrained),
             self._noise,
             start,
             amplitude=1e-6 * self.cloud.spacing,
             density=self.material.density,
         )
+
+    def constrain(self, constrained: NDArray[np.bool_]) -> Callable[[Floats], Floats]:
+        """Return a function that removes parts of fields (..., n, 3) in place: at nodes (n,) and across supports."""
+
+        def project(field: Floats) -> Floats:
+            field = self.supported.project(field)
+            field[..., constrained, :] = 0.0
+            return field
+
+        return project
+
+    @cached_property
+    def free_directions(self) -> Any:
+        """Orthonormal basis (3 n, f), sparse, of the displacements that the supports allow; rows 3 i + c of node i."""
+        return free_directions(self.supported)[0]
 
     @cached_property
     def _noise(self) -> Floats:
@@ -212,8 +233,7 @@ class NodalModel(Model):
         fields: list[Floats] = []
         for name, given in (("displacement", displacement), ("velocity", velocity)):
             array = initial_field(name, given, len(self.cloud))
-            array[self.fixed_mask] = 0.0
-            fields.append(array)
+            fields.append(self.supported.project(array))
         schedule = prepared.schedule(np.array([time]))
         constrained = schedule.constrained[0]
         fields[0][prepared.sites.prescribed[constrained]] = schedule.motion[0, constrained]
@@ -362,7 +382,7 @@ class NodalModel(Model):
         force = self.force(state.coordinates + self.stiffness_damping * state.velocities, state.history, work)
         force += self.half_cell * self.tractions(prepared, schedule, work.passes.cofactor, state)
         acceleration = force / self.material.density + schedule.gravity[0]
-        acceleration[prepared.sites.kind == FIXED] = 0.0
+        self.supported.project(acceleration)
         constrained, prescribed = schedule.constrained[0], prepared.sites.prescribed
         if constrained.any():
             rates = prepared.rates(lambda t: prepared.schedule(t).motion, state.time)[1]

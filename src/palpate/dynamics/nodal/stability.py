@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
+from palpate.dynamics.loads.supports import SupportedNodes
 from palpate.dynamics.run.model import State, StepReport
 from palpate.faults import CloudError, InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
@@ -63,6 +64,10 @@ class ElasticBody(Protocol):
     def material(self) -> Material: ...
     @property
     def fixed_mask(self) -> NDArray[np.bool_]: ...
+    @property
+    def supported(self) -> SupportedNodes: ...
+    @property
+    def free_directions(self) -> Any: ...
     def workspace(self) -> Any: ...
     def force(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> Floats: ...
     def highest_frequency(
@@ -175,17 +180,20 @@ def resting_frequency(model: ElasticBody, displacements: Floats | None = None) -
 def stiffness(model: ElasticBody, displacements: Floats | None = None) -> Floats:
     """Return the dense tangent -d(acceleration)/du of the free nodes [1/s^2], by central differences."""
     u = np.zeros((len(model.cloud), 3)) if displacements is None else displacements.copy()
-    free = np.flatnonzero(np.repeat(~model.fixed_mask, 3))
-    flat, step = u.reshape(-1), 1e-5 * model.cloud.spacing
-    columns, work = np.empty((len(free), len(free))), model.workspace()
-    for column, k in enumerate(free):
-        flat[k] += step
-        ahead = model.force(u, work=work).reshape(-1)[free]
-        flat[k] -= 2 * step
-        behind = model.force(u, work=work).reshape(-1)[free]
-        flat[k] += step
-        columns[:, column] = (behind - ahead) / (2 * step * model.material.density)
-    return columns
+    basis, step = model.free_directions, 1e-5 * model.cloud.spacing
+    flat, size = u.reshape(-1), basis.shape[1]
+    tangent, work = np.empty((size, size)), model.workspace()
+    for k in range(size):
+        entries = slice(basis.indptr[k], basis.indptr[k + 1])
+        places, direction = basis.indices[entries], step * basis.data[entries]
+        before = flat[places]
+        flat[places] = before + direction
+        ahead = model.force(u, work=work).reshape(-1)
+        flat[places] = before - direction
+        behind = model.force(u, work=work).reshape(-1)
+        flat[places] = before
+        tangent[:, k] = basis.T @ (behind - ahead) / (2 * step * model.material.density)
+    return tangent
 
 
 def spectrum(model: ElasticBody, displacements: Floats | None = None) -> NDArray[np.complex128]:
@@ -203,7 +211,7 @@ def needed_stiffness_damping(eigenvalues: NDArray[np.complex128]) -> float:
 def highest_frequency(
     force: Callable[[Floats], Floats],
     displacements: Floats,
-    constrained: NDArray[np.bool_],
+    constrain: Callable[[Floats], Floats],
     noise: Floats,
     start: Floats | None,
     *,
@@ -217,8 +225,8 @@ def highest_frequency(
     force : function
         Internal force density (n, 3) [N/m^3] of displacements (n, 3) [m].
     displacements : (n, 3) array [m]
-    constrained : (n,) bool array
-        Nodes that do not move.
+    constrain : function
+        Removes the constrained parts of a field (n, 3) in place, and returns it.
     noise : (n, 3) array
         Start vector of a first estimate, and addition to later ones. It lets another mode grow when the
         fastest part of the body changes.
@@ -238,10 +246,9 @@ def highest_frequency(
     rest, ratio = force(displacements), 0.0
     vector = vector / np.abs(vector).max() + NOISE * noise
     for _ in range(iterations):
-        vector = np.where(constrained[:, None], 0.0, vector)
+        vector = constrain(vector.copy())
         vector *= amplitude / np.abs(vector).max()
-        image = (rest - force(displacements + vector)) / density
-        image[constrained] = 0.0
+        image = constrain((rest - force(displacements + vector)) / density)
         if not image.any():  # no stiffness, as in a slack sheet
             return 0.0, None
         ratio = float(np.linalg.norm(image) / np.linalg.norm(vector))
@@ -281,10 +288,8 @@ def _undamped_mode_error(
     model: ElasticBody, neighbours: int, eigen: tuple[NDArray[np.complex128], NDArray[np.complex128]]
 ) -> CloudError:
     values, vectors = eigen
-    shape = np.abs(vectors[:, np.argmin(values.real)]).reshape(-1, 3)
-    return _cloud_error(
-        model, neighbours, int(np.flatnonzero(~model.fixed_mask)[np.argmax(np.linalg.norm(shape, axis=1))])
-    )
+    shape = (model.free_directions @ vectors[:, np.argmin(values.real)]).reshape(-1, 3)
+    return _cloud_error(model, neighbours, int(np.argmax(np.linalg.norm(np.abs(shape), axis=1))))
 
 
 def _cloud_error(model: ElasticBody, neighbours: int, node: int) -> CloudError:
@@ -301,7 +306,7 @@ def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> 
         model.stiffness_damping = needed
         step = stable_step(frequency, needed)
         tiny = 1e-9 * model.cloud.spacing * np.random.default_rng(1).standard_normal((len(model.cloud), 3))
-        tiny[model.fixed_mask] = 0.0
+        model.supported.project(tiny)
         state, logs = State(tiny, np.zeros_like(tiny)), []
         size = np.linalg.norm(model.force(state.coordinates))
         for _ in range(WINDOWS):

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.loads.prepared import FIXED, PreparedLoads
+from palpate.dynamics.loads.prepared import PreparedLoads
+from palpate.dynamics.loads.supports import free_rigid_motions
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.faults import InputError
 
@@ -34,6 +35,8 @@ class StaticBalance:
         Displacements before the load, zero at fixed nodes; further displacements of prescribed nodes.
     constrained : (n,) bool array
         Fixed and prescribed nodes.
+    constrain : function
+        Removes the parts of a field (n, 3) that supports and prescribed motions constrain, in place.
     weights : (n, 1) array [m^3]
     springs : (n,) array [N/m]
         Springs of foundations.
@@ -53,15 +56,17 @@ class StaticBalance:
         self.weights: Floats = model.weights[:, None]
         springs = np.bincount(sites.foundation_node, sites.foundation_spring, minlength=len(start))
         self.springs: Floats = model.half_cell * springs * model.weights / model.volumes
-        if not self.constrained.any() and not self.springs.any():
+        self.constrain = model.constrain(self.constrained)
+        moving = 0 if self.springs.any() else free_rigid_motions(model.cloud.points, self.constrain)
+        if moving:
             raise InputError(
-                "model must be supported for an equilibrium, got no fixed or prescribed nodes and no Foundation; "
-                "use fixed= or add a PrescribedMotion"
+                f"model must be supported for an equilibrium, got a body with {moving} free rigid motions and no "
+                "Foundation; use fixed= or add a PrescribedMotion"
             )
         self._follows = bool(len(sites.pressure_node))
         self.symmetric = model.conservative and not self._follows
         self.start, self.jump = start.copy(), np.zeros_like(start)
-        self.start[sites.kind == FIXED] = 0.0
+        model.supported.project(self.start)
         active = self._schedule.constrained[0]
         nodes = sites.prescribed[active]
         self.jump[nodes] = self._schedule.motion[0, active] - self.start[nodes]
@@ -87,23 +92,22 @@ class StaticBalance:
         return self.model.stress(u, self.history(u), self._work)
 
     def residual(self, u: Floats) -> Floats:
-        """Return the unbalanced forces (n, 3) [N], zero at constrained nodes."""
+        """Return the unbalanced forces (n, 3) [N], without constrained parts."""
         density = self.internal(u)
         density += self._load_density() if self._follows else self._dead
         forces = density * self.weights - self.springs[:, None] * u
-        forces[self.constrained] = 0.0
-        return np.asarray(forces)
+        return self.constrain(forces)
 
     def scale(self, u: Floats) -> float:
-        """Return the norm [N] of the loads on free nodes and of the internal forces on constrained ones.
+        """Return the norm [N] of the loads without constrained parts, and of the constrained internal forces.
 
         It is at least that of a strain of `LEAST_STRAIN`, so that rounding does not count.
         """
         internal = self.internal(u) * self.weights
         loads = (self._load_density() if self._follows else self._dead) * self.weights - self.springs[:, None] * u
-        free = ~self.constrained
+        blocked = internal - self.constrain(internal.copy())
         least = LEAST_STRAIN * self.model.material.shear_modulus / self.model.cloud.spacing * self.weights
-        return float(np.linalg.norm([np.linalg.norm(part) for part in (loads[free], internal[~free], least)]))
+        return float(np.linalg.norm([np.linalg.norm(part) for part in (self.constrain(loads), blocked, least)]))
 
     def volume_ratios(self, u: Floats) -> Floats:
         """Return det F (n,) of a solid, or the ratios of areas of a sheet."""

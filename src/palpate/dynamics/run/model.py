@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
+from palpate.dynamics.loads.supports import Support
 from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
@@ -223,8 +224,7 @@ class Model(Described, ABC):
     ----------
     cloud : Cloud
     material : Material
-    fixed : tuple of str
-        Clamped groups.
+    supports : tuple of Support
     stencils : Stencils
         Stencils for derivatives of nodal fields.
     stiffness_damping : float [s]
@@ -244,7 +244,7 @@ class Model(Described, ABC):
     cloud: Cloud
     material: Material
     stencils: Stencils
-    fixed: tuple[str, ...]
+    supports: tuple[Support, ...]
     stiffness_damping: float
     volumes: Floats
     name: str
@@ -260,7 +260,7 @@ class Model(Described, ABC):
             ("law", type(material).__name__, ""),
             ("shear modulus", float(material.shear_modulus), "Pa"),
             ("poisson", f"{material.poisson:.4g}", ""),
-            ("fixed", self.fixed, ""),
+            ("fixed", [support.label for support in self.supports], ""),
             ("stiffness_damping", float(self.stiffness_damping), "s"),
             ("density", float(material.density), "kg/m^3"),
         ]
@@ -321,6 +321,11 @@ class Model(Described, ABC):
     def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the velocities [m/s] of some nodes."""
         return self.outputs(state, prepared).velocities[nodes]
+
+    @property
+    def fixed(self) -> tuple[str, ...]:
+        """Groups of the supports."""
+        return tuple(support.group for support in self.supports)
 
     @property
     def masses(self) -> Floats:

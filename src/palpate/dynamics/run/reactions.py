@@ -13,19 +13,27 @@ an energy, the virtual work of the stresses is - V phi f, and R is the exact res
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import Nodes, Outputs, State
+from palpate.dynamics.run.partition import Partition, active_partitions
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 
-__all__ = ["NodalFields", "contact_outputs", "evaluate", "partition", "reactions", "tool_power"]
+__all__ = [
+    "NodalFields",
+    "contact_outputs",
+    "evaluate",
+    "group_forces",
+    "reactions",
+    "tool_power",
+]
 
 
 class NodalFields(Protocol):
@@ -49,35 +57,43 @@ class NodalFields(Protocol):
     def strain_energy(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> float: ...
 
 
-def partition(points: Floats, supports: dict[str, NDArray[np.int64]]) -> Floats:
-    """Return Shepard's partition of unity (groups, n): 1 on the own group and 0 on the others."""
-    if len(supports) == 1:
-        return np.ones((1, len(points)))
-    distance = np.stack([cKDTree(points[nodes]).query(points)[0] for nodes in supports.values()])
-    inverse = np.stack([np.prod(np.delete(distance, g, axis=0) ** 2, axis=0) for g in range(len(distance))])
-    return np.asarray(inverse / inverse.sum(axis=0))
-
-
 def reactions(model: NodalFields, state: State, prepared: PreparedLoads, work: Any = None) -> dict[str, Floats]:
     """Return the force (3,) [N] of every support and tool on the body; zero after a tool's release."""
     zero = {name: np.zeros(3) for name in prepared.supports}
-    supports = prepared.active_supports(state.time)
+    supports, parts = active_partitions(model.cloud.points, prepared, state.time)
     if not supports:
         return zero
-    names = tuple(supports)
-    if names not in prepared.partitions:
-        prepared.partitions[names] = partition(model.cloud.points, supports)
-    phi = prepared.partitions[names]
-    inertia = model.masses[:, None] * model.acceleration(state, prepared, work)
-    forces = phi @ (inertia - model.external_force(state, prepared, work))
-    if model.conservative:
+    nodal = model.masses[:, None] * model.acceleration(state, prepared, work)
+    nodal = nodal - model.external_force(state, prepared, work)
+    stress = None
+    if model.conservative or any(np.count_nonzero(part.phi.any(axis=1)) > 1 for part in parts):
         moved = model.displacement(state, prepared) + model.stiffness_damping * model.velocity(state, prepared)
-        forces = forces - (phi * model.volumes) @ model.nodal_force(moved, state.history, work)
-    elif len(phi) > 1:
-        moved = model.displacement(state, prepared) + model.stiffness_damping * model.velocity(state, prepared)
-        slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
-        forces = forces + np.einsum("n,nil,ngl->gi", model.volumes, model.stress(moved, state.history, work), slopes)
-    return zero | dict(zip(supports, forces, strict=True))
+        if model.conservative:
+            nodal -= model.volumes[:, None] * model.nodal_force(moved, state.history, work)
+        else:
+            stress = model.stress(moved, state.history, work)
+    return zero | dict(zip(supports, group_forces(model, parts, nodal, stress), strict=True))
+
+
+def group_forces(model: NodalFields, parts: Sequence[Partition], nodal: Floats, stress: Floats | None = None) -> Floats:
+    """Return the forces (groups, 3) [N] of nodal forces and a stress on groups.
+
+    Parameters
+    ----------
+    model : NodalFields
+    parts : sequence of Partition
+    nodal : (n, 3) array [N]
+        Forces that a group must exert on its nodes.
+    stress : (n, 3, d) array, optional [Pa]
+    """
+    forces = np.zeros((len(parts[0].phi), 3))
+    for directions, phi in parts:
+        own = phi @ nodal
+        if stress is not None:
+            slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
+            own = own + np.einsum("n,nil,ngl->gi", model.volumes, stress, slopes)
+        forces += own @ directions
+    return forces
 
 
 def tool_power(model: NodalFields, state: State, prepared: PreparedLoads, work: Any = None) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
+from palpate.dynamics.loads.supports import Support, supports_of
 from palpate.dynamics.material.tissue import Tissue, tissue_of
 from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.faults import InputError, integer_in_range
@@ -49,8 +50,8 @@ class Solid(NodalModel):
         One material for the body. The energy form supports materials of one law with different
         parameters by group (``""`` for all other nodes) or by node. A node's share of the volume has
         the node's material, so interfaces are midway between nodes.
-    fixed : str or sequence of str
-        Clamped groups (equation 5); none for a free body.
+    fixed : str, Support, or sequence of these
+        Clamped groups (equation 5), and supports such as `Roller`; none for a free body.
     stiffness_damping : float, optional [s]
         Rayleigh stiffness damping beta of C = beta K in (29). By default 0.1 over the highest frequency;
         in the strong form what the spectrum of the linearised body requires
@@ -108,7 +109,7 @@ class Solid(NodalModel):
         self,
         cloud: Cloud,
         material: Material | Mapping[str, Material] | Sequence[Material],
-        fixed: str | Sequence[str] = (),
+        fixed: str | Support | Sequence[str | Support] = (),
         *,
         form: str = "energy",
         stiffness_damping: float | None = None,
@@ -123,7 +124,7 @@ class Solid(NodalModel):
             raise InputError("cloud of Solid must be in space (d = 3), got a plane cloud; use Membrane")
         self.cloud, self.tissue = cloud, tissue_of(cloud, material, stiffness, fibres, self.form)
         self.material, self.fibres = self.tissue.material, self.tissue.fibres
-        self.fixed = (fixed,) if isinstance(fixed, str) else tuple(fixed)
+        self.supports = supports_of(fixed)
         if self.material.prony is not None and self.material.variables == "small strain":
             raise InputError("prony of the material must be None; relaxation requires form='energy' and finite strain")
         integer_in_range("smoothing", smoothing, 5)
@@ -135,7 +136,7 @@ class Solid(NodalModel):
         raise NotImplementedError
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        return prepare_loads(self.cloud, self.fixed, listed(loads))
+        return prepare_loads(self.cloud, self.supports, listed(loads))
 
     def _own_facts(self) -> list[Fact]:
         report = self.stability

@@ -145,7 +145,7 @@ class EnergySolid(Solid):
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         loads = listed(loads)
         in_contact = any(isinstance(load, Contact) for load in loads)
-        return prepare_loads(self.cloud, self.fixed, loads, patches=self.patches if in_contact else None)
+        return prepare_loads(self.cloud, self.supports, loads, patches=self.patches if in_contact else None)
 
     @cached_property
     def patches(self) -> sparse.csr_array:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
+from palpate.dynamics.loads.supports import constrained_directions
 from palpate.dynamics.membrane.model import Membrane
-from palpate.dynamics.run.reactions import partition
+from palpate.dynamics.run.partition import partitions, spread
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.basis.linear_modes import tool_responses
@@ -30,28 +31,42 @@ def lifting_vectors(body: EnergySolid | Membrane, tools: Sequence[str]) -> Float
         return np.zeros((0, len(body.cloud), 3))
     points = body.cloud.points
     groups = {name: body.cloud.group(name) for name in (*tools, *body.fixed)}
-    sheet, columns = isinstance(body, Membrane), []
-    shapes = partition(points, groups) if not sheet else [np.isin(np.arange(len(points)), groups[n]) for n in tools]
+    columns: list[Floats] = []
+    parts = partitions(points, groups, constrained_directions(body.cloud, body.supports))
     for g, name in enumerate(tools):
         nodes, own = groups[name], []
         arms = points - points[nodes].mean(axis=0)
         for factor in (np.ones(len(points)), *arms.T):
-            field = shapes[g] * factor
-            if np.abs(field[nodes]).max() > 1e-9 * body.cloud.spacing:
-                own.append(field / np.abs(field[nodes]).max())
-        columns += [field[:, None] * np.eye(3)[c] for field in own for c in range(3)]
+            if np.abs(factor[nodes]).max() > 1e-9 * body.cloud.spacing:
+                own.append(factor[:, None] / np.abs(factor[nodes]).max())
+        if isinstance(body, Membrane):
+            shapes = [np.isin(np.arange(len(points)), nodes)[:, None] * axis for axis in np.eye(3)]
+        else:
+            shapes = [spread(parts, g, axis) for axis in np.eye(3)]
+        columns += [factor * shape for factor in own for shape in shapes]
     if isinstance(body, Membrane) or len(points) > MAX_NODES:
-        return np.array(columns)
+        return _on_supports(body, np.array(columns), np.unique(np.concatenate([groups[name] for name in tools])))
     return tool_responses(body, np.array(columns), tools)
 
 
 def support_fields(body: EnergySolid | Membrane, tools: Sequence[str]) -> Floats:
-    """Return test fields (3 g, n, 3) for support forces: 1 at one support, 0 at others and at tools."""
+    """Return test fields (3 g, n, 3) for support forces: 1 at one support, 0 at others and at tools.
+
+    Those of a support that leaves its group free in some directions are along the constrained ones.
+    """
     groups = {name: body.cloud.group(name) for name in (*body.fixed, *tools)}
     if not body.fixed:
         return np.zeros((0, len(body.cloud), 3))
-    shapes = partition(body.cloud.points, groups)[: len(body.fixed)]
-    return np.concatenate([shape[:, None] * np.eye(3)[:, None, :] for shape in shapes])
+    parts = partitions(body.cloud.points, groups, constrained_directions(body.cloud, body.supports))
+    return np.array([spread(parts, g, axis) for g in range(len(body.fixed)) for axis in np.eye(3)])
+
+
+def _on_supports(body: EnergySolid | Membrane, fields: Floats, tools: Ints) -> Floats:
+    """Return fields (l, n, 3) that stay on the supports, except at the nodes of tools."""
+    moved = fields[:, tools].copy()
+    body.supported.project(fields)
+    fields[:, tools] = moved
+    return fields
 
 
 class RemoveToolMotion:

@@ -19,10 +19,12 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from palpate.arrays import Floats
+from palpate.dynamics.loads.supports import free_directions, free_rigid_motions
 from palpate.dynamics.solid.model import EnergySolid, Solid
 from palpate.faults import InputError, integer_in_range
 
 __all__ = [
+    "check_supported",
     "interpolated_modes",
     "modal_derivatives",
     "rest_stiffness",
@@ -103,33 +105,42 @@ def _operator(near: NDArray[np.int32], weights: Floats) -> Any:
     return (matrix - sparse.diags(np.asarray(matrix.sum(axis=1)).ravel())).tocsr()
 
 
-def _free(body: Solid, groups: Sequence[str]) -> NDArray[np.int64]:
-    """Return the degrees of freedom without those of supports and some groups."""
-    held = body.fixed_mask.copy()
-    for name in groups:
-        held[body.cloud.group(name)] = True
-    if not held.any():
-        raise InputError("body must have supports for a static response, got none; give it fixed= or a tool")
-    return np.flatnonzero(np.repeat(~held, 3))
+def _free(body: Solid, groups: Sequence[str]) -> tuple[Any, NDArray[np.int64]]:
+    """Return the basis of displacements that supports and some groups, which do not move, leave free."""
+    held = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(body.cloud.group(name) for name in groups)]))
+    check_supported(body, held)
+    return free_directions(body.supported, held)
+
+
+def check_supported(body: Solid, held: NDArray[np.int64] | None = None) -> None:
+    """Raise `InputError` for a body that supports and some nodes leave free to move rigidly."""
+    mask = np.zeros(len(body.cloud), dtype=bool)
+    mask[np.zeros(0, dtype=np.int64) if held is None else held] = True
+    moving = free_rigid_motions(body.cloud.points, body.constrain(mask))
+    if moving:
+        raise InputError(
+            f"body must have supports for a static response, got {moving} free rigid motions; give it fixed= or a tool"
+        )
 
 
 class _Statics(NamedTuple):
-    """Stiffness of a body at rest, its block of the free nodes, and a solver for that block."""
+    """Stiffness of a body at rest, the free directions and their block, and a solver for that block."""
 
     whole: Any
-    free: NDArray[np.int64]
+    free: Any
+    numbers: NDArray[np.int64]
     stiffness: Any
     solve: Callable[[Floats], Floats]
 
 
 def _statics(body: Solid, held: Sequence[str]) -> _Statics:
-    free, whole = _free(body, held), rest_stiffness(body)
-    stiffness = whole[free][:, free].tocsc()
-    if stiffness.nnz < DENSE_SHARE * len(free) ** 2:
+    (free, numbers), whole = _free(body, held), rest_stiffness(body)
+    stiffness = (free.T @ whole @ free).tocsc()
+    if stiffness.nnz < DENSE_SHARE * len(numbers) ** 2:
         symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-        return _Statics(whole, free, stiffness, splu(stiffness, **symmetric).solve)
+        return _Statics(whole, free, numbers, stiffness, splu(stiffness, **symmetric).solve)
     factor = cho_factor(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
-    return _Statics(whole, free, stiffness, lambda forces: cho_solve(factor, forces, check_finite=False))
+    return _Statics(whole, free, numbers, stiffness, lambda forces: cho_solve(factor, forces, check_finite=False))
 
 
 def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[Floats, Floats]:
@@ -155,20 +166,18 @@ def vibration_modes(body: Solid, count: int, held: Sequence[str] = ()) -> tuple[
     InputError
         The body has the strong form or no supports, or the count is out of range.
     """
-    integer_in_range("count", count, 1, len(_free(body, held)) - 2)
+    integer_in_range("count", count, 1, len(_free(body, held)[1]) - 2)
     return _vibrations(body, _statics(body, held), count)
 
 
 def _vibrations(body: Solid, statics: _Statics, count: int) -> tuple[Floats, Floats]:
-    _, free, stiffness, solve = statics
+    _, free, numbers, stiffness, solve = statics
     inverse = LinearOperator(stiffness.shape, matvec=solve)
-    masses = sparse.diags(np.repeat(body.masses, 3)[free])
-    start = np.random.default_rng(0).standard_normal(len(free))
+    masses = sparse.diags(np.repeat(body.masses, 3)[numbers])
+    start = np.random.default_rng(0).standard_normal(len(numbers))
     values, vectors = eigsh(stiffness, k=count, M=masses, sigma=0.0, OPinv=inverse, v0=start)
     order = np.argsort(values)
-    modes = np.zeros((count, 3 * len(body.cloud)))
-    modes[:, free] = vectors[:, order].T
-    fields = modes.reshape(count, -1, 3)
+    fields = np.ascontiguousarray((free @ vectors[:, order]).T).reshape(count, -1, 3)
     fields /= np.linalg.norm(fields, axis=2).max(axis=1)[:, None, None]
     return fields, np.sqrt(values[order])
 
@@ -187,7 +196,7 @@ def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
     """
     bent = int((np.sqrt(8 * DERIVATIVE_SHARE * count + 1) - 1) / 2)
     slowest = count - bent * (bent + 1) // 2
-    integer_in_range("count", slowest, 1, len(_free(coarse, ())) - 2)
+    integer_in_range("count", slowest, 1, len(_free(coarse, ())[1]) - 2)
     statics = _statics(coarse, ())
     shapes = _vibrations(coarse, statics, slowest)[0]
     if bent:
@@ -198,9 +207,7 @@ def interpolated_modes(coarse: Solid, body: Solid, count: int) -> Floats:
     near = min(INTERPOLATION_NODES, len(coarse.cloud))
     fields = RBFInterpolator(coarse.cloud.points, flat, neighbors=near)(body.cloud.points)
     fields = fields.reshape(len(body.cloud), count, 3).transpose(1, 0, 2)
-    for group in body.fixed:
-        fields[:, body.cloud.group(group)] = 0.0
-    return np.ascontiguousarray(fields)
+    return np.ascontiguousarray(body.supported.project(np.array(fields)))
 
 
 def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
@@ -214,11 +221,11 @@ def tool_responses(body: Solid, fields: Floats, held: Sequence[str]) -> Floats:
         Only the values at the groups' nodes are used.
     held : sequence of str
     """
-    whole, free, _, solve = _statics(body, held)
+    whole, free, _, _, solve = _statics(body, held)
     given = np.zeros((len(fields), 3 * len(body.cloud)))
     nodes = np.unique(np.concatenate([body.cloud.group(name) for name in held]))
     given.reshape(len(fields), -1, 3)[:, nodes] = fields[:, nodes]
-    given[:, free] = -solve(whole[free] @ given.T).T
+    given -= (free @ solve(free.T @ (whole @ given.T))).T
     return given.reshape(len(fields), -1, 3)
 
 
@@ -237,7 +244,8 @@ def _derivatives(body: Solid, statics: _Statics, modes: Floats) -> Floats:
     for i, one in enumerate(shapes):
         for two in shapes[i:]:
             second_difference = force(one + two) - force(one - two) - force(two - one) + force(-one - two)
-            field = np.zeros(3 * len(body.cloud))
-            field[statics.free] = statics.solve((second_difference * body.volumes[:, None]).reshape(-1)[statics.free])
+            field = statics.free @ statics.solve(
+                statics.free.T @ (second_difference * body.volumes[:, None]).reshape(-1)
+            )
             pairs.append(field.reshape(-1, 3) / np.linalg.norm(field.reshape(-1, 3), axis=1).max())
     return np.array(pairs)

@@ -87,6 +87,7 @@ class _Piece:
 
     def __init__(self, body: EnergySolid) -> None:
         self.tree, self.free = cKDTree(body.cloud.points), ~body.fixed_mask
+        self.supported = body.supported
         self.blocks = stiffness_blocks(body, np.float32)
 
     def compliance(self, middle: Floats, radius: float, moved: Ints, pushed: Ints) -> Floats:
@@ -102,6 +103,7 @@ class _Piece:
             own = block[ball][:, ball].toarray()
             stiffness[:, c, :, e] = own
             stiffness[:, e, :, c] = own.T
+        self._constrain(stiffness, ball)
         # symmetric: its transpose is the same, and LAPACK need not copy it
         factor = cho_factor(stiffness.reshape(3 * size, -1).T, lower=True, overwrite_a=True, check_finite=False)
         result = np.zeros((len(moved), 3, len(pushed), 3))
@@ -116,6 +118,16 @@ class _Piece:
             here.sum(), 3, there.sum(), 3
         )
         return result
+
+    def _constrain(self, stiffness: NDArray[np.float32], ball: Ints) -> None:
+        """Restrict a stiffness (k, 3, k, 3) to the free directions of sliding nodes, with a stiffness across them."""
+        for node, free in zip(self.supported.sliding, self.supported.slide, strict=True):
+            k = int(np.searchsorted(ball, node))
+            if k < len(ball) and ball[k] == node:
+                scale = np.trace(stiffness[k, :, k]) / 3
+                stiffness[k] = np.einsum("cd,dje->cje", free, stiffness[k])
+                stiffness[:, :, k] = np.einsum("jcd,de->jce", stiffness[:, :, k], free)
+                stiffness[k, :, k] += scale * (np.eye(3) - free)
 
 
 def _cores(tree: Any, size: float) -> list[tuple[int, Ints]]:

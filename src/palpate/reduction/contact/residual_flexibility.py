@@ -18,10 +18,11 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
+from palpate.dynamics.loads.supports import free_directions
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.meshfree.cloud import Cloud
-from palpate.reduction.basis.linear_modes import rest_stiffness
+from palpate.reduction.basis.linear_modes import check_supported, rest_stiffness
 
 __all__ = ["MAX_NODES", "carriers", "residual_flexibility"]
 
@@ -67,16 +68,17 @@ def residual_flexibility(
             f"body must have at most {MAX_NODES} nodes for statics, got {count}; "
             "give hyper_reduce a coarser model of the same body with coarse="
         )
-    if not body.fixed_mask.any():
-        raise InputError("body must have supports for a static response, got none; give it fixed=")
+    check_supported(body)
     if points is not body.cloud.points:
         flat = columns.transpose(1, 0, 2).reshape(len(points), -1)
         flat = RBFInterpolator(points, flat, neighbors=min(INTERPOLATION_NODES, len(points)))(body.cloud.points)
         columns = flat.reshape(count, -1, 3).transpose(1, 0, 2)
-    interior = np.setdiff1d(np.flatnonzero(~body.fixed_mask), nodes)
-    free = (3 * np.concatenate([interior, nodes])[:, None] + np.arange(3)).ravel()
-    stiffness = rest_stiffness(body)[free][:, free]
-    modes = columns.reshape(len(columns), -1)[:, free]
+    basis, numbers = free_directions(body.supported)
+    surface = np.searchsorted(numbers, (3 * nodes[:, None] + np.arange(3)).ravel())
+    interior = np.setdiff1d(np.arange(len(numbers)), surface)
+    free = basis[:, np.concatenate([interior, surface])]
+    stiffness = free.T @ rest_stiffness(body) @ free
+    modes = columns.reshape(len(columns), -1) @ free
     modal = modes @ (stiffness @ modes.T)
     factor = cholesky(stiffness.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
     last = np.ascontiguousarray(factor[-3 * len(nodes) :, -3 * len(nodes) :])
@@ -87,9 +89,9 @@ def residual_flexibility(
     if interior_nodes is None or not len(interior_nodes):
         return np.asarray(rest)
     # with a factor's first rows L and the last rows B below them, the interior depends on the surface by -L^-T B^T
-    first = slice(3 * len(interior))
-    follow = solve_triangular(factor[first, first], factor[3 * len(interior) :, first].T @ whole, lower=True, trans="T")
-    rows = (3 * np.searchsorted(interior, interior_nodes)[:, None] + np.arange(3)).ravel()
+    first = slice(len(interior))
+    follow = solve_triangular(factor[first, first], factor[len(interior) :, first].T @ whole, lower=True, trans="T")
+    rows = np.searchsorted(numbers[interior], (3 * interior_nodes[:, None] + np.arange(3)).ravel())
     return np.concatenate([rest, -follow[rows] - modes[:, rows].T @ np.linalg.solve(modal, own)])
 
 

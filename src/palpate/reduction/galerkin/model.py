@@ -13,8 +13,9 @@ from palpate.describe import Fact
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, check_kinds
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport
@@ -63,7 +64,7 @@ class GalerkinModel(Model):
                 f"basis must have the {len(full.cloud)} nodes of full, got {basis.modes.shape[1]}; use its snapshots"
             )
         self.full, self.basis = full, basis
-        self.cloud, self.material, self.fixed = full.cloud, full.material, full.fixed
+        self.cloud, self.material, self.supports = full.cloud, full.material, full.supports
         self.conservative, self.volumes = full.conservative, full.volumes
         self.stiffness_damping, self.stencils = full.stiffness_damping, full.stencils
         n, count = len(full.cloud), len(basis)

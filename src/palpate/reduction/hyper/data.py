@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.describe import Described
+from palpate.dynamics.loads.supports import Support
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance
@@ -32,7 +33,7 @@ class ReducedData(Described):
     ----------
     cloud : Cloud
     material : Material
-    fixed : tuple of str
+    supports : tuple of Support
     prescribed : tuple of str
         Groups that rigid tools move.
     volumes : (n,) array [m^3]
@@ -82,7 +83,7 @@ class ReducedData(Described):
 
     cloud: Cloud
     material: Material
-    fixed: tuple[str, ...]
+    supports: tuple[Support, ...]
     prescribed: tuple[str, ...]
     volumes: Floats
     stiffness: Floats

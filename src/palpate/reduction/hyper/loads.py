@@ -12,8 +12,9 @@ from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.dynamics.loads.prepared import PRESCRIBED, Load, PreparedLoads, check_kinds, listed, prepare_loads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, listed, prepare_loads
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.membrane.model import load_areas
 from palpate.faults import InputError
 from palpate.reduction.hyper.data import ReducedData
@@ -40,7 +41,7 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
         for load in listed(loads)
     ]
     areas = partial(load_areas, data.cloud, kinematics.prestretch) if kinematics.sheet else None
-    ready = prepare_loads(data.cloud, data.fixed, loads, areas)
+    ready = prepare_loads(data.cloud, data.supports, loads, areas)
     if len(ready.sites.pressure_node):
         raise InputError(
             "loads must hold no follower pressures for a reduced model, got a pressure; use palpate.galerkin"
@@ -75,7 +76,9 @@ def _forceps(data: ReducedData, grasp: Grasp) -> Contact:
         raise InputError(
             f"name of a Grasp must differ from the groups of the body, got {grasp.name!r}; give it another name"
         )
-    fixed_nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(data.cloud.group(name) for name in data.fixed)])
+    fixed_nodes = np.concatenate(
+        [np.zeros(0, dtype=np.int64), *(data.cloud.group(support.group) for support in data.supports)]
+    )
     nodes = grasp.with_group(data.cloud).group(grasp.name)
     if np.isin(nodes, fixed_nodes).any():
         raise InputError(

@@ -97,7 +97,7 @@ class ReducedModel(Model):
                 "step must be None for tissue that relaxes (prony), which is stepped explicitly; leave it out"
             )
         self.data, self.step, self.single, self.volumes = data, step, single, data.volumes
-        self.cloud, self.material, self.fixed = data.cloud, data.material, data.fixed
+        self.cloud, self.material, self.supports = data.cloud, data.material, data.supports
         self.stiffness_damping, self.report = data.stiffness_damping, data.report
         self.min_steps_per_frame = 20 if step is None else 1  # the implicit step is the user's choice
         self.count = count = data.modes + data.lifting_count

@@ -41,6 +41,7 @@ def save_matlab(system: LinearSystem, path: str | Path) -> None:
     content |= {
         "node": (system.dofs // 3 + 1).astype(float)[:, None],
         "component": (system.dofs % 3 + 1).astype(float)[:, None],
+        "directions": system.directions,
         "points": system.model.cloud.points,
         "inputs": np.array(system.inputs, dtype=object)[:, None],
         "outputs": np.array(system.outputs, dtype=object)[:, None],

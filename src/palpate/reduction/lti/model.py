@@ -20,7 +20,7 @@ from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, check_kinds, is_pressure
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, is_pressure
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport
 from palpate.dynamics.run.reactions import evaluate
@@ -87,7 +87,7 @@ class LinearModel(Model):
             raise InputError("system must be linearised at rest, got another state; linearise without state")
         self.system, self.reduced, self.report = system, reduced, dict(report or {})
         full = system.model
-        self.full, self.cloud, self.material, self.fixed = full, full.cloud, full.material, full.fixed
+        self.full, self.cloud, self.material, self.supports = full, full.cloud, full.material, full.supports
         self.conservative, self.stiffness_damping, self.stencils = (
             full.conservative,
             full.stiffness_damping,
@@ -216,7 +216,7 @@ class LinearModel(Model):
         else:
             begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
             begun -= np.stack([tools, rates]) @ self.system.lifts
-            begun[:, np.repeat(prepared.sites.kind != FREE, 3)] = 0.0
+            self.full.constrain(prepared.constraint_mask(time))(begun.reshape(2, -1, 3))
             flat = self.reduced.fields.reshape(self.count, -1)
             weighted = flat * np.repeat(self.full.weights * self.material.density, 3)
             own = np.asarray(np.linalg.solve(weighted @ flat.T, weighted @ begun.T).T, dtype=float)

@@ -198,4 +198,4 @@ def _orthonormal(system: LinearSystem, block: Any, basis: Any) -> Any:
 def proper(system: LinearSystem, snapshots: Floats, modes: int) -> SecondOrder:
     """Return the system projected on POD modes of displacements (t, n, 3) [m] without the tools' fields."""
     basis = pod(snapshots, system.model.weights, modes=modes)
-    return project(system, np.ascontiguousarray(basis.modes.reshape(len(basis), -1)[:, system.dofs].T))
+    return project(system, np.ascontiguousarray((basis.modes.reshape(len(basis), -1) @ system.directions).T))

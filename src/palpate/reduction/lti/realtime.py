@@ -12,7 +12,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.loads.prepared import PRESCRIBED
+from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel

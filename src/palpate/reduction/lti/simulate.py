@@ -67,7 +67,7 @@ def linear_run(
     g = guide.tool_coordinates(prepared, times)
     kicks = (g[2:] - 2 * g[1:-1] + g[:-2]) / step
     pushed = f @ system.input.toarray()[:, : system.forces].T
-    lift = system.lifts[:, system.dofs]
+    lift = system.lifts @ system.directions
     solver = splu((system.mass + 0.5 * step * system.damping + 0.25 * step**2 * system.stiffness).tocsc())
     w, v = np.zeros(system.order), np.zeros(system.order)
     kept = [w.copy()]

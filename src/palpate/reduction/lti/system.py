@@ -1,7 +1,8 @@
 """Linearisation of a body: M u'' + D u' + K u = B f with chosen inputs and outputs.
 
 The unknowns are the displacements of the free nodes, in the model's ordering: component c of node i
-is number 3 i + c of the body, and `LinearSystem.dofs` are the numbers of the unknowns. Rows are
+is number 3 i + c of the body, and `LinearSystem.dofs` are the numbers of the unknowns. A node that slides on
+a support has unknowns along its free directions (`LinearSystem.directions`). Rows are
 multiplied by the nodes' weights in the inner product (`NodalModel.weights`). So M is the lumped
 mass, a diagonal, and B holds the shares of the nodes in the total forces. D = beta K is the
 stiffness damping of (29).
@@ -36,8 +37,9 @@ from palpate.describe import Described, Fact
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import FREE, Load, PreparedLoads, is_pressure, listed
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, listed
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.supports import constrained_directions, free_directions
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import State
 from palpate.faults import InputError
@@ -62,7 +64,9 @@ class LinearSystem(Described):
     at : (n, 3) array [m]
         Displacements of the state.
     dofs : (d,) int array
-        Numbers 3 i + c of the unknowns.
+        Numbers 3 i + c of the unknowns; c counts the free directions of a node that slides on a support.
+    directions : sparse (3 n, d) array
+        Displacement fields of the unknowns, orthonormal.
     mass, damping, stiffness : sparse (d, d) arrays [kg], [N s/m], [N/m]
         The mass is diagonal.
     input : sparse (d, p) array
@@ -87,6 +91,7 @@ class LinearSystem(Described):
     loads: tuple[Load, ...]
     at: Floats
     dofs: NDArray[np.int64]
+    directions: Any
     mass: Any
     damping: Any
     stiffness: Any
@@ -134,9 +139,7 @@ class LinearSystem(Described):
 
     def fields(self, columns: Any) -> Floats:
         """Return nodal fields (k, n, 3) of unknowns (d, k), zero at nodes that are not free."""
-        columns = np.asarray(columns)
-        result = np.zeros((columns.shape[1], 3 * len(self.model.cloud)))
-        result[:, self.dofs] = columns.T
+        result = np.ascontiguousarray((self.directions @ np.asarray(columns)).T)
         return result.reshape(len(result), -1, 3)
 
     def pencil(self, s: complex) -> Any:
@@ -201,15 +204,15 @@ def linearise(
         raise InputError(f"state must be finite displacements of shape {(len(model.cloud), 3)}, got shape {at.shape}")
     prepared = model.prepare(loads)
     whole = nodal_stiffness(model, at if at.any() else None)
-    free = np.flatnonzero(np.repeat(prepared.sites.kind == FREE, 3))
+    free, dofs = free_directions(model.supported, prepared.sites.prescribed)
     weight = np.repeat(model.weights * model.material.density, 3)
-    stiffness = whole[free][:, free].tocsc()
+    stiffness = (free.T @ whole @ free).tocsc()
     rigid, tools = _rigid_motions(model, prepared)
     lifting = _continued(whole, free, stiffness, rigid)
     forces, names = force_inputs(model, prepared, weight)
-    pushed = np.concatenate([forces[:, free], -weight[free] * lifting[:, free]]).T
+    pushed = np.concatenate([forces @ free, -(weight * lifting) @ free]).T
     system = LinearSystem(
-        model, loads, at, free, sparse.diags(weight[free]).tocsc(),
+        model, loads, at, dofs, free, sparse.diags(weight[dofs]).tocsc(),
         (model.stiffness_damping * stiffness).tocsc(), stiffness,
         sparse.csc_matrix(pushed), *_outputs(model, prepared, outputs, whole, free, (forces, rigid, lifting), weight),
         (*names, *(f"acceleration of {tool}" for tool in tools)), _output_names(model, outputs, tools),
@@ -256,12 +259,12 @@ def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, 
     return np.array(columns).reshape(-1, 3 * len(points)), names
 
 
-def _continued(whole: Any, free: NDArray[np.int64], stiffness: Any, rigid: Floats) -> Floats:
+def _continued(whole: Any, free: Any, stiffness: Any, rigid: Floats) -> Floats:
     """Return the static continuation (l, 3 n) of the tools' motions, without forces at free nodes."""
     fields = rigid.copy()
     if len(rigid):
         try:
-            fields[:, free] = -splu(stiffness).solve(whole[free] @ rigid.T).T
+            fields -= (free @ splu(stiffness).solve(free.T @ (whole @ rigid.T))).T
         except RuntimeError as error:
             raise InputError("stiffness of the body at this state must be non-singular; fix a group") from error
     return fields
@@ -302,7 +305,7 @@ def _rows(model: NodalModel, prepared: PreparedLoads, group: str) -> Any:
 
 
 def _outputs(
-    model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], whole: Any, free: NDArray[np.int64],
+    model: NodalModel, prepared: PreparedLoads, outputs: Sequence[str], whole: Any, free: Any,
     inputs: tuple[Floats, Floats, Floats], weight: Floats,
 ) -> tuple[Any, Any, Floats]:  # fmt: skip
     """Return Cp, Cv (q, d) and Df (q, p)."""
@@ -311,8 +314,8 @@ def _outputs(
     positions, rates, through = [], [], []
     for group in outputs:
         if group not in model.fixed:
-            positions.append(_rows(model, prepared, group)[:, free])
-            rates.append(sparse.csr_matrix((3, len(free))))
+            positions.append(_rows(model, prepared, group) @ free)
+            rates.append(sparse.csr_matrix((3, free.shape[1])))
             through.append(np.zeros((3, width)))
             continue
         own, direct = _support_force(model, group, whole, free, forces, bool(len(rigid)))
@@ -320,7 +323,7 @@ def _outputs(
         rates.append(beta * own)
         through.append(np.hstack([direct, np.zeros((3, len(lifting)))]))
     if len(rigid):
-        own = sparse.csr_matrix(rigid) @ whole[:, free]
+        own = sparse.csr_matrix(rigid) @ whole @ free
         positions.append(own)
         rates.append(beta * own)
         # a tool carries the loads on its nodes, and accelerates their mass
@@ -335,24 +338,31 @@ def _outputs(
 
 
 def _support_force(
-    model: NodalModel, group: str, whole: Any, free: NDArray[np.int64], forces: Floats, tools: bool
+    model: NodalModel, group: str, whole: Any, free: Any, forces: Floats, tools: bool
 ) -> tuple[Any, Floats]:
     """Return the maps from displacements (3, d) and inputs (3, forces) to the total force of a support on the body."""
     n = len(model.cloud)
     total = sparse.csr_matrix(np.tile(np.eye(3), n))
     if model.conservative:
         nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
-        own = total[:, nodes] @ whole.tocsr()[nodes]
-        return own[:, free], -(total[:, nodes] @ forces.T[nodes])
+        along = sparse.csr_matrix(_constrained_part(model, group))
+        own = along @ total[:, nodes] @ whole.tocsr()[nodes]
+        return own @ free, -(along @ total[:, nodes] @ forces.T[nodes])
     if len(model.fixed) > 1 or tools:
         raise InputError(
             f"support {group!r} must be the only one, without tools, for its force to be an output of the strong form; "
             "use form='energy'"
         )
     # balance of momentum of the whole body: the collocated rows weighted by volumes, not by `weights`
-    share = np.repeat(model.volumes / model.weights, 3)[free]
-    rows = total[:, free] @ sparse.diags(share)
-    return -(rows @ whole[free][:, free]), np.asarray(rows @ forces.T[free] - total @ forces.T)
+    along = sparse.csr_matrix(_constrained_part(model, group))
+    rows = along @ total @ sparse.diags(np.repeat(model.volumes / model.weights, 3)) @ free
+    return -(rows @ (free.T @ whole @ free)), np.asarray(rows @ (free.T @ forces.T) - along @ total @ forces.T)
+
+
+def _constrained_part(model: NodalModel, group: str) -> Floats:
+    """Return the projection (3, 3) of a force on the directions that a support constrains."""
+    axes = constrained_directions(model.cloud, model.supports).get(group, np.eye(3))
+    return np.asarray(axes.T @ axes)
 
 
 def _statics(
@@ -364,7 +374,7 @@ def _statics(
     for group in outputs:
         if group in model.fixed:
             nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
-            total = sparse.csr_matrix(np.tile(np.eye(3), len(model.cloud)))[:, nodes]
+            total = sparse.csr_matrix(_constrained_part(model, group) @ np.tile(np.eye(3), len(model.cloud)))[:, nodes]
             statics.append(np.asarray(total @ (whole.tocsr()[nodes] @ lifting.T)))
             rates.append(model.stiffness_damping * statics[-1])
         else:

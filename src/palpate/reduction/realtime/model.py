@@ -177,5 +177,5 @@ def _springs(model: ReducedModel, foundations: Sequence[Foundation]) -> Springs:
     for load in foundations:
         if not isinstance(load, Foundation):
             raise InputError(f"foundations must be Foundation objects, got {load!r}; leave out all other loads")
-    sites = prepare_loads(model.cloud, model.fixed, foundations).sites
+    sites = prepare_loads(model.cloud, model.supports, foundations).sites
     return project_springs(sites, model.data.basis_vectors, model.mass)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from palpate.dynamics.loads.supports import Support, support_from, supports_of
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import json_of, plain, shortened
 from palpate.meshfree.cloud import Cloud
@@ -37,7 +38,7 @@ __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_r
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION = "palpate reduced model", 9
+FORMAT, VERSION = "palpate reduced model", 10
 REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
 MAX_NUMBER = 1e30  # in a file, in SI units
@@ -85,7 +86,7 @@ NODES = (
 )
 ATTRIBUTES = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
-    "groups": list, "spacing": float, "fixed": list, "prescribed": list,
+    "groups": list, "spacing": float, "supports": str, "prescribed": list,
     "stiffness_damping": float, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
     "distance_scale": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
@@ -156,7 +157,7 @@ def _header(data: ReducedData) -> Header:
         "regions": describe_regions(data.regions),
         "groups": list(data.cloud.groups),
         "spacing": float(data.cloud.spacing),
-        "fixed": list(data.fixed),
+        "supports": json.dumps([support.values() for support in data.supports]),
         "prescribed": list(data.prescribed),
         "stiffness_damping": float(data.stiffness_damping),
         "wave_speed": float(data.wave_speed),
@@ -243,7 +244,7 @@ def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
         "groups": len(header["groups"]),
         "coordinates": coordinates,
         "basis_vectors": coordinates
-        + 3 * len(header["fixed"])
+        + 3 * len(_supports(header))
         + integer_in_range("residual_fields", header["residual_fields"], 0),
     }
     for name, (dtype, shape) in _layout(header, "interior/nodes" in arrays).items():
@@ -270,7 +271,8 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         own["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), own["cloud/triangles"],
         number_in_range("spacing", header["spacing"], 0.0, open_low=True, unit="m"),
     )  # fmt: skip
-    for name in (*header["fixed"], *header["prescribed"]):
+    supports = _supports(header)
+    for name in (*(support.group for support in supports), *header["prescribed"]):
         cloud.group(name)
     residual = number_in_range("residual", header["residual"], 0.0)
     material = material_of(
@@ -284,7 +286,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         cloud=cloud,
         material=material,
         regions=regions,
-        fixed=tuple(header["fixed"]),
+        supports=supports,
         prescribed=tuple(header["prescribed"]),
         volumes=own["volumes"],
         stiffness=own["stiffness"],
@@ -349,6 +351,13 @@ def _check_values(arrays: Arrays) -> None:
     sizes, members = arrays["cloud/group_sizes"], len(arrays["cloud/group_nodes"])
     if np.any(sizes < 1) or sizes.sum() != members:
         raise InputError(f"array cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")
+
+
+def _supports(header: Header) -> tuple[Support, ...]:
+    listed = _json("supports", header["supports"])
+    if not isinstance(listed, list) or not all(isinstance(values, dict) for values in listed):
+        raise InputError("header supports is not a list of mappings")
+    return supports_of(support_from(values) for values in listed)
 
 
 def _json(name: str, text: str) -> Any:

@@ -183,13 +183,13 @@ def _energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
         if full.conservative:
             return full
         return Membrane(
-            full.cloud, full.material, full.thickness, full.fixed,
+            full.cloud, full.material, full.thickness, full.supports,
             prestretch=full.prestretch, relaxed=full.relaxed, stiffness_damping=full.stiffness_damping,
         )  # fmt: skip
     return EnergySolid(
         full.cloud,
         full.material,
-        full.fixed,
+        full.supports,
         stiffness_damping=full.stiffness_damping,
         neighbours=full.neighbours,
     )
@@ -297,7 +297,7 @@ def _data(
     data = ReducedData(
         cloud=body.cloud,
         material=body.material,
-        fixed=body.fixed,
+        supports=body.supports,
         prescribed=options.tools,
         volumes=body.volumes,
         stiffness=_stiffness(body),

@@ -106,7 +106,7 @@ def _run_energy_form(study: Study, console: Console) -> None:
     scene = study.scene
     try:
         with console.status("making the energy form of the model ready"):
-            model = Solid(scene.model.cloud, scene.model.material, scene.model.fixed, form="energy")
+            model = Solid(scene.model.cloud, scene.model.material, scene.model.supports, form="energy")
             step = model.stability.step
             rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
         console.say(f"full model, energy form: {scene.duration:g} s ...")
