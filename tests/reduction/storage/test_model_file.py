@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.loads.supports import supports_of
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 from palpate.reduction.hyper.cubature import Cubature
@@ -52,7 +53,7 @@ def made_up(cloud, material, *, modes, samples=5, fixed=(), prescribed=(), lifti
     nodes = np.sort(np.random.default_rng(8).choice(len(cloud), samples, replace=False))
     rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
     return ReducedData(
-        cloud, material, fixed, prescribed, cloud.volumes, np.ones(len(cloud)), 1e-4, 20.0, columns, modes,
+        cloud, material, supports_of(fixed), prescribed, cloud.volumes, np.ones(len(cloud)), 1e-4, 20.0, columns, modes,
         lifting_count, rule, draw(size=(samples, count, 9)), np.eye(count), draw(size=(240, modes + lifting_count)),
         1e-3,
     )  # fmt: skip
@@ -246,7 +247,7 @@ def test_a_file_is_as_large_as_the_columns_in_single_precision_and_the_other_arr
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (9, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (10, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["basis_vectors"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.data.cubature.weights)
@@ -286,8 +287,8 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_another_version_is_refused_whatever_follows(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 9", b"version 8", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 8, and version 9 is the one that is"):
+    path.write_bytes(saved.read_bytes().replace(b"version 10", b"version 9", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 9, and version 10 is the one that is"):
         pt.load(path)
 
 
