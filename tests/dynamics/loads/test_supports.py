@@ -74,7 +74,7 @@ def test_rollers_on_all_sides_leave_waves_along_the_bar():
     assert np.all(np.abs(errors[1]) < 0.4 * np.abs(errors[0]))
     shape = np.sin(np.pi / 2 * cloud.points[:, 0] / length)
     np.testing.assert_allclose(np.abs(modes[0, :, 0]), shape, atol=0.03)
-    np.testing.assert_allclose(modes[0, :, 1:], 0.0, atol=0.01)
+    np.testing.assert_allclose(modes[0, :, 1:], 0.0, atol=0.02)
 
 
 def test_a_linear_model_has_the_static_response_of_the_full_one():
@@ -163,6 +163,26 @@ def test_the_compliance_of_the_surface_knows_rollers():
     piece = _Piece(model).compliance(cloud.points[nodes[0]], 1.0, nodes[:5], nodes)
     expected = whole.reshape(len(nodes), 3, len(nodes), 3)[:5]
     np.testing.assert_allclose(piece, expected, atol=1e-4 * np.abs(whole).max())
+
+
+def test_a_rail_is_two_rollers():
+    """Its nodes move along the line only, with the forces of the rollers across it."""
+    cloud, axis = bar(), np.array([1.0, 2.0, 2.0]) / 3
+    load = pt.SurfaceForce("x+", force=lambda t: 0.02 * np.sin(60.0 * t) * np.array([1.0, 0.5, 0.2]))
+    across = [(2.0, -1.0, 0.0), (0.0, 1.0, -1.0)]
+    both = replace(cloud, groups={**cloud.groups, "again": cloud.group("x+")})
+    runs = [
+        pt.rollout(pt.Solid(both, SOFT, fixed), [load], duration=0.02, every=0.005, step=1e-4, progress=False)
+        for fixed in (["x-", pt.Rail("x+", axis)], ["x-", pt.Roller("x+", across[0]), pt.Roller("again", across[1])])
+    ]
+    size = np.abs(runs[0].displacements).max()
+    np.testing.assert_allclose(runs[1].displacements, runs[0].displacements, atol=1e-12 * size)
+    moved = runs[0].displacements[-1, cloud.group("x+")]
+    np.testing.assert_allclose(moved, np.outer(moved @ axis, axis), atol=1e-12 * size)
+    assert np.abs(moved).max() > 0.1 * size
+    np.testing.assert_allclose(runs[1].reactions["x+"], runs[0].reactions["x+"], atol=1e-9)
+    with pytest.raises(pt.InputError, match=r"axis of Rail on .x\+. must be three finite numbers"):
+        pt.Rail("x+", "x")
 
 
 def test_wrong_supports_are_refused():

@@ -21,7 +21,7 @@ from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 
 __all__ = [
-    "FIXED", "FREE", "PRESCRIBED", "SLIDING", "Clamp", "Roller", "Support", "SupportedNodes",
+    "FIXED", "FREE", "PRESCRIBED", "SLIDING", "Clamp", "Rail", "Roller", "Support", "SupportedNodes",
     "constrained_directions", "free_directions", "free_rigid_motions", "support_from", "supported_nodes", "supports_of",
 ]  # fmt: skip
 
@@ -110,6 +110,34 @@ class Roller(Support):
 
     def _facts(self) -> list[Fact]:
         return [("group", self.group, ""), ("normal", self.normal, "")]
+
+
+@dataclass(frozen=True)
+class Rail(Support):
+    """A group that slides freely along a line.
+
+    Parameters
+    ----------
+    group : str
+    axis : (3,) sequence
+        Direction of the line, of any length.
+
+    Raises
+    ------
+    InputError
+        The axis is zero or not finite.
+    """
+
+    axis: Sequence[float]
+
+    def __post_init__(self) -> None:
+        _keep_direction(self, "axis")
+
+    def directions(self, cloud: Cloud) -> Floats:
+        return np.asarray(np.linalg.svd(np.array(self.axis)[None])[2][1:])
+
+    def _facts(self) -> list[Fact]:
+        return [("group", self.group, ""), ("axis", self.axis, "")]
 
 
 def _keep_direction(support: Support, name: str) -> None:
