@@ -20,7 +20,7 @@ from palpate.dynamics.compiled.cache import kernel_njit
 __all__ = ["damping_work", "drift", "kick_coordinates", "prescribe", "prescribed_work", "trial_coordinates"]
 
 
-@kernel_njit(forceinline=True, fastmath={"contract"})
+@kernel_njit(inline="always", fastmath={"contract"})
 def prescribe(a, v, lifting, s, step):  # type: ignore[no-untyped-def]
     """Set the prescribed coordinates of step s, and their mean velocities in the step before."""
     first = a.shape[0] - lifting.shape[1]
@@ -29,7 +29,7 @@ def prescribe(a, v, lifting, s, step):  # type: ignore[no-untyped-def]
         v[j] = (lifting[s + 1, j - first] - lifting[s, j - first]) / step
 
 
-@kernel_njit(forceinline=True, fastmath={"contract"})
+@kernel_njit(inline="always", fastmath={"contract"})
 def trial_coordinates(a, v, beta, wave_speed, prescribed, at):  # type: ignore[no-untyped-def]
     """Write a + beta v, at which the forces are evaluated.
 
@@ -44,7 +44,7 @@ def trial_coordinates(a, v, beta, wave_speed, prescribed, at):  # type: ignore[n
                 at[j] = a[j] + beta * np.sign(v[j]) * wave_speed[j - first]
 
 
-@kernel_njit(forceinline=True, fastmath={"contract"})
+@kernel_njit(inline="always", fastmath={"contract"})
 def damping_work(at, a, force, previous):  # type: ignore[no-untyped-def]
     """Return the energy beta v . (previous - force) that damping dissipates in a step, and copy the force."""
     work = 0.0
@@ -54,7 +54,7 @@ def damping_work(at, a, force, previous):  # type: ignore[no-untyped-def]
     return work
 
 
-@kernel_njit(forceinline=True, fastmath={"contract"})
+@kernel_njit(inline="always", fastmath={"contract"})
 def kick_coordinates(v, rate, loads, lifting, s, step, kick, prescribed, mass, response):  # type: ignore[no-untyped-def]
     """Accelerate the coordinates that obey the equations of motion over a time `kick`; return the loads' work.
 
@@ -80,7 +80,7 @@ def kick_coordinates(v, rate, loads, lifting, s, step, kick, prescribed, mass, r
     return work
 
 
-@kernel_njit(forceinline=True, fastmath={"contract"})
+@kernel_njit(inline="always", fastmath={"contract"})
 def prescribed_work(rate, loads, lifting, s, step, kick, scale):  # type: ignore[no-untyped-def]
     """Return the work of loads on prescribed coordinates over a time `kick`, and of their tools over a step.
 
@@ -94,7 +94,7 @@ def prescribed_work(rate, loads, lifting, s, step, kick, scale):  # type: ignore
     return work, tools
 
 
-@kernel_njit(forceinline=True, fastmath={"contract"})
+@kernel_njit(inline="always", fastmath={"contract"})
 def drift(a, v, moving, step):  # type: ignore[no-untyped-def]
     """Advance the first coordinates by a step."""
     for m in range(moving):

@@ -35,7 +35,7 @@ from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, s
 __all__ = ["ContactData", "ExplicitData", "explicit_step"]
 
 
-TRIAL, FORCE, PREVIOUS, RATE = range(4)  # rows of `ExplicitData.work`
+TRIAL, FORCE, PREVIOUS, RATE, LOAD = range(5)  # rows of `ExplicitData.work`
 
 
 class ExplicitData(NamedTuple):
@@ -49,7 +49,7 @@ class ExplicitData(NamedTuple):
     integration_points: IntegrationPoints
     scratch: Scratch
     springs: Springs  # on the coordinates
-    work: Floats  # (4 or more, m + l)
+    work: Floats  # (5 or more, m + l)
 
 
 class ContactData(NamedTuple):
@@ -92,25 +92,37 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
         """
         count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
         total, lost, tool_work = 0.0, 0.0, 0.0
-        at, result, previous, rate = data.work[TRIAL], data.work[FORCE], data.work[PREVIOUS], data.work[RATE]
-        mass, scratch, tools = data.mass, data.scratch, contact.tools
+        at, result, previous = data.work[TRIAL], data.work[FORCE], data.work[PREVIOUS]
+        rate, load = data.work[RATE], data.work[LOAD]
+        # taken out of the loop: a member that is read in it costs two atomic operations for each of its arrays
+        mass, scratch, tools, points, springs = (
+            data.mass,
+            data.scratch,
+            contact.tools,
+            data.integration_points,
+            data.springs,
+        )
+        beta, wave_speed, interval = data.stiffness_damping, data.wave_speed, data.scratch.history.interval
+        constrained_inverse, inverse = data.constrained_inverse_mass, data.inverse_mass
         for s in range(steps + 1):
             if holds[s]:
                 prescribe(a, v, lifting, s, step)
-            trial_coordinates(a, v, data.stiffness_damping, data.wave_speed, holds[s], at)
-            scratch.history.interval[0] = step if s > 0 else 0.0
-            force(at, data.integration_points, scratch, result)
-            add_spring_forces(data.springs, a, v, loads[s])
+            trial_coordinates(a, v, beta, wave_speed, holds[s], at)
+            interval[0] = step if s > 0 else 0.0
+            force(at, points, scratch, result)
+            for m in range(count):
+                load[m] = loads[s, m]
+            add_spring_forces(springs, a, v, load)
             change = damping_work(at, a, result, previous)
             if s > 0:
                 lost += change
             for m in range(count):
-                rate[m] = result[m] + loads[s, m]
+                rate[m] = result[m] + load[m]
             kick = 0.5 * step if s in (0, steps) else step
             prescribed = holds[min(s + 1, steps)]
             moving = first if prescribed else count
-            response = data.constrained_inverse_mass if prescribed else data.inverse_mass
-            total += kick_coordinates(v, rate, loads[s], lifting, s, step, kick, prescribed, mass, response)
+            response = constrained_inverse if prescribed else inverse
+            total += kick_coordinates(v, rate, load, lifting, s, step, kick, prescribed, mass, response)
             if s < steps and tools.kind.shape[0] > 0:
                 for t in range(tools.kind.shape[0]):
                     rotation(contact.poses[s, t], tools.frames[t, 0])
@@ -124,17 +136,17 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
                     for k in range(moving):
                         value += step * response[m, k] * tools.load[k]
                     v[m] += value
-                    total += 0.5 * kick * loads[s, m] * value  # loads work at the mean velocity
+                    total += 0.5 * kick * load[m] * value  # loads work at the mean velocity
                 for j in range(moving, count):
                     rate[j] += tools.load[j]
             if prescribed:
-                works = prescribed_work(rate, loads[s], lifting, s, step, kick, 1.0)
+                works = prescribed_work(rate, load, lifting, s, step, kick, 1.0)
                 total += works[0]
                 if s < steps:  # the next call evaluates the last time
                     tool_work += works[1]
             if s < steps:
                 drift(a, v, moving, step)
-        scratch.history.interval[0] = 0.0
+        interval[0] = 0.0
         return total, lost, tool_work
 
     return explicit

@@ -186,24 +186,28 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         at, result = data.vectors[WORK], data.vectors[FORCE]
         still = data.path[:3]  # the tools move evenly
         still[:] = 0.0
-        springs = data.body.springs
+        springs, points, scratch, mass = (
+            data.body.springs,
+            data.body.integration_points,
+            data.body.scratch,
+            data.body.mass,
+        )
+        beta, clock, moved = data.body.stiffness_damping, data.body.scratch.history.interval, speeds[modes:]
+        no_load, constrained_inverse = data.no_loads[0], data.constrained_inverse_mass
         frequency = max(data.tracking[REST_FREQUENCY], data.tracking[FREQUENCY])
         frequency = np.sqrt(frequency**2 + springs.highest_squared)
-        z = data.body.stiffness_damping * frequency + springs.decay_rate / frequency
+        z = beta * frequency + springs.decay_rate / frequency
         stable = STEP_SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency
         steps = min(MAX_SUBSTEPS, int(np.ceil(period / stable)))
         step = period / steps
         data.substep[0] = step
         for s in range(steps):
-            trial_coordinates(q, v, data.body.stiffness_damping, speeds[modes:], False, at)
-            clock = data.body.scratch.history.interval
+            trial_coordinates(q, v, beta, moved, False, at)
             clock[0] = clock[1]
-            force(at, data.body.integration_points, data.body.scratch, result)
-            add_spring_forces(data.body.springs, q, v, result)
+            force(at, points, scratch, result)
+            add_spring_forces(springs, q, v, result)
             clock[0], clock[1] = 0.0, step
-            kick_coordinates(
-                v, result, data.no_loads[0], still, 0, step, step, True, data.body.mass, data.constrained_inverse_mass
-            )
+            kick_coordinates(v, result, no_load, still, 0, step, step, True, mass, constrained_inverse)
             for j in range(modes, count):
                 report[FORCES + j - modes] -= result[j] / steps
             if data.tools.kind.shape[0] > 0:
