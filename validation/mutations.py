@@ -128,6 +128,16 @@ MUTATIONS = (
         contract("supports_and_tools_hold_their_nodes", "solid, energy"),
     ),
     Mutation(
+        "rollers let go", "dynamics/nodal/central_difference.py",
+        "after = before + kick * rate[c]", "after = before + kick * scratch.force[i, c] / density",
+        contract("supports_and_tools_hold_their_nodes", "solid, rollers"),
+    ),
+    Mutation(
+        "a roller's statics without its normal", "dynamics/loads/supports.py",
+        "slide.append(np.eye(3) - own.T @ own)", "slide.append(np.eye(3))",
+        ("tests/dynamics/loads/test_supports.py::test_the_compliance_of_the_surface_knows_rollers",),
+    ),
+    Mutation(
         "friction pushes on", "dynamics/contact/geometry.py",
         "share = friction * normal / speed", "share = -friction * normal / speed",
         (f"{CONTACT}::test_friction_sticks_inside_coulombs_cone_and_slides_on_it",),

@@ -103,9 +103,12 @@ def test_a_load_moves_the_model_or_is_refused_by_name(kind, name):
     others = [own for own in base if not isinstance(load, pt.PrescribedMotion) or type(own) is not type(load)]
     if refused(lambda: model.prepare([*others, load]), load, way):
         return
-    without, with_it, again = (
-        run(model, loads, duration=4 * EVERY).displacements for loads in (base, [*others, load], base)
-    )
+    runs = [run(model, base, duration=4 * EVERY).displacements]
+    # a motion across supports is known when its function is called
+    if refused(lambda: runs.append(run(model, [*others, load], duration=4 * EVERY).displacements), load, way):
+        assert len(model.supports) > 1
+        return
+    without, with_it, again = *runs, run(model, base, duration=4 * EVERY).displacements
     assert np.abs(with_it[-1] - without[-1]).max() > 1e-4 * np.abs(without[-1]).max()
     np.testing.assert_array_equal(without, again)  # and it acts in its own run only
 
