@@ -234,5 +234,5 @@ KINDS = {
 }
 QUICK = [  # kinds of the quick set; the others compile kernels of their own
     "solid, strong", "solid, energy", "solid, touched", "membrane, energy", "Galerkin", "hyper-reduced",
-    "hyper-reduced, touched", "linear", "solid, rollers", "hyper-reduced, rollers",
+    "hyper-reduced, touched", "linear", "solid, rollers",
 ]  # fmt: skip

@@ -209,8 +209,8 @@ def test_a_change_of_one_form_leaves_the_other_forms_compiled_code():
 def test_a_constant_of_a_module_without_kernels_counts_by_its_value():
     importlib.import_module("palpate.dynamics.nodal.central_difference")
     sources = kernel_sources("palpate.dynamics.nodal.central_difference")
-    assert sources["palpate.dynamics.loads.prepared:FIXED"] == repr(FIXED)
-    assert "palpate.dynamics.loads.prepared" not in sources
+    assert sources["palpate.dynamics.loads.supports:FIXED"] == repr(FIXED)
+    assert "palpate.dynamics.loads.supports" not in sources
 
 
 def test_functions_that_only_numba_caches_call_compiled_functions_of_their_own_file_alone():
