@@ -88,6 +88,7 @@ def test_stencils_widen_where_a_tip_needs_it():
     assert np.abs(run.balance).max() < 5e-3 * run.strain[0]
 
 
+@pytest.mark.slow
 def test_a_tip_that_no_stencil_carries_is_refused_by_the_node():
     with pytest.raises(pt.CloudError, match=r"near node \d+ at .* spread the points there") as refused:
         pt.Solid(

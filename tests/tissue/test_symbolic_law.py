@@ -120,6 +120,7 @@ def test_what_is_no_energy_is_refused(case):
         Hyperelastic(text, **parameters, **REST)
 
 
+@pytest.mark.slow
 def test_another_process_finds_the_compiled_law_in_the_cache(tmp_path):
     script = """
 import sys, palpate as pt

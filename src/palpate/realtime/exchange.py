@@ -146,7 +146,7 @@ def acquire_fence():  # type: ignore[no-untyped-def]
     _fence_acquire()
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def release_fence():  # type: ignore[no-untyped-def]
     """Release fence."""
     _fence_release()

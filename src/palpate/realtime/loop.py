@@ -181,7 +181,7 @@ class Work(NamedTuple):
         self.length[0] = 1
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
     """Sleep until shortly before the deadline [ns], then poll the clock; return whether to continue."""
     while get_flag(command, 0) == RUNNING:
@@ -194,7 +194,7 @@ def _wait(deadline, spin, command):  # type: ignore[no-untyped-def]
     return False
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _copy_to(values, out, first):  # type: ignore[no-untyped-def]
     """Copy numbers; an assignment of slices would take seconds to compile."""
     for i in range(values.shape[0]):
@@ -218,7 +218,7 @@ def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
     tool_coordinates(work.tool, work.pose, work.target)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _is_beyond(work):  # type: ignore[no-untyped-def]
     """Return whether the requested pose is beyond the last trusted one, in the direction that lost trust."""
     tool_coordinates(work.tool, work.wanted, work.wanted_coordinates)
@@ -246,7 +246,7 @@ def _clamp_tool(work, seconds):  # type: ignore[no-untyped-def]
         work.length[0] += 1
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _retreat(work, seconds):  # type: ignore[no-untyped-def]
     """Move a clamped tool back along its trail if trust does not return."""
     length = work.length[0]
@@ -259,7 +259,7 @@ def _retreat(work, seconds):  # type: ignore[no-untyped-def]
                 tool_coordinates(work.tool, work.trail[work.length[0] - 1], work.last_trusted)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _is_equal(numbers, others):  # type: ignore[no-untyped-def]
     different = 0
     for i in range(numbers.shape[0]):
@@ -267,7 +267,7 @@ def _is_equal(numbers, others):  # type: ignore[no-untyped-def]
     return different == 0
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _thin(trail):  # type: ignore[no-untyped-def]
     """Keep every second pose, including the first; return their number."""
     kept = (trail.shape[0] + 1) // 2
@@ -276,7 +276,7 @@ def _thin(trail):  # type: ignore[no-untyped-def]
     return kept
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _is_finite(array):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(array.size):
@@ -311,7 +311,7 @@ def _write_record(work, settings):  # type: ignore[no-untyped-def]
     return valid
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _write_stiffness(work):  # type: ignore[no-untyped-def]
     """Write the contact stiffness (3, 3) to the record if it is finite."""
     tool, tools = work.tool, work.tool.shape[0]

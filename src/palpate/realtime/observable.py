@@ -209,7 +209,7 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
     """Compile the functions of an observable model."""
     digest = law_digest(__name__, function_key(inner_advance), function_key(inner_stiffness))
 
-    @law_njit(digest)
+    @law_njit(digest, inner=True)
     def move_coupled_tool(coupling, target, values, period):  # type: ignore[no-untyped-def]
         """Advance the coupled tool by a period; write its position to `target` and the device's force."""
         stiffness, damping = coupling.parameters[STIFFNESS], coupling.parameters[DAMPING]
@@ -226,32 +226,33 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
             coupling.device[i] = wanted
             target[i] = coupling.position[i]
 
-    @law_njit(digest)
+    @law_njit(digest, inline="always")
     def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+        moved, coupling, values, modulus_ratio = data.target, data.coupling, data.values, data.modulus_ratio
         for k in range(target.shape[0]):
-            data.target[k] = target[k]
-        coupled = data.coupling.parameters[STIFFNESS] > 0.0
+            moved[k] = target[k]
+        coupled = coupling.parameters[STIFFNESS] > 0.0
         if coupled:
-            move_coupled_tool(data.coupling, data.target, data.values, period)
-        before, most = data.modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
-        ratio = min(max(data.modulus_ratio[TARGET], before / most), before * most)
+            move_coupled_tool(coupling, moved, values, period)
+        before, most = modulus_ratio[PRESENT], np.exp(MAX_RATIO_RATE * period)
+        ratio = min(max(modulus_ratio[TARGET], before / most), before * most)
         if ratio != before:
             for m in range(v.shape[0]):
                 v[m] *= np.sqrt(before / ratio)
-            data.modulus_ratio[PRESENT] = ratio
-        inner_advance(data.inner, q, v, data.target, period * np.sqrt(ratio), report)
+            modulus_ratio[PRESENT] = ratio
+        inner_advance(data.inner, q, v, moved, period * np.sqrt(ratio), report)
         if report[STATUS] != 0.0:
             return
         report[KINETIC] *= ratio
         report[STRAIN] *= ratio
         for k in range(FORCES, report.shape[0]):
             report[k] *= ratio
-        values, contact_state = data.values, data.inner.contact_state
+        contact_state = data.inner.contact_state
         for i in range(3):
-            data.coupling.force[i] = -report[FORCES + i]
-            values[TOOL_POSITION + i] = data.target[i]
+            coupling.force[i] = -report[FORCES + i]
+            values[TOOL_POSITION + i] = moved[i]
             if not coupled:
-                values[DEVICE_FORCE + i] = data.coupling.force[i]
+                values[DEVICE_FORCE + i] = coupling.force[i]
         for m in range(q.shape[0]):
             values[COORDINATES + m] = q[m]
         at = COORDINATES + q.shape[0]
@@ -264,7 +265,7 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
             at += CONTACT_SIZE
         publish(data.slot, values[:at])
 
-    @law_njit(digest)
+    @law_njit(digest, inline="always")
     def stiffness(data, q, out):  # type: ignore[no-untyped-def]
         inner_stiffness(data.inner, q, data.tangent)
         for i in range(out.shape[0]):

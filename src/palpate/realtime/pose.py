@@ -91,7 +91,7 @@ def follow_pose(pose, target, max_distance, max_angle):  # type: ignore[no-untyp
         pose[i] /= np.sqrt(square)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _rotation(pose, i, j):  # type: ignore[no-untyped-def]
     """Return entry (i, j) of the rotation matrix of a pose."""
     w, axis = pose[3], pose[4:]

@@ -137,7 +137,8 @@ class Material(Described, ABC):
             raise InputError(f"volumetric must be {QUADRATIC!r} for small strain, got {brief(self.volumetric)}")
         if check_split(self.split) != COUPLED and self.variables == "small strain":
             raise InputError(f"split must be {COUPLED!r} for small strain, got {brief(self.split)}")
-        number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
+        density = number_in_range("density", self.density, 0.0, open_low=True, unit="kg/m^3")
+        object.__setattr__(self, "density", density)  # a whole number would compile every step a second time
         self._check_parameters()
         if self.poisson is None and self.bulk is None:
             raise InputError("poisson or bulk must be given, got neither; give either poisson or bulk")

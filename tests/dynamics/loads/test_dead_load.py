@@ -35,7 +35,8 @@ class Pinch(DeadLoad):
 @pytest.fixture(scope="module")
 def body():
     cloud = pt.box((0.03, 0.015, 0.015), spacing=0.005)
-    return pt.Solid(cloud, pt.materials.NeoHookean(C1=10e3, density=1000, poisson=0.4), fixed="x-", form="energy")
+    tissue = pt.materials.MooneyRivlin(C1=10e3, C2=0.0, density=1000.0, poisson=0.4)
+    return pt.Solid(cloud, tissue, fixed="x-", form="energy")
 
 
 @pytest.fixture(scope="module")

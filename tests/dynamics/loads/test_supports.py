@@ -14,7 +14,7 @@ from palpate.reduction.contact.near_field import _Piece
 from palpate.reduction.contact.residual_flexibility import residual_flexibility
 
 TURN = Rotation.from_rotvec([0.4, -0.3, 0.7]).as_matrix()
-SOFT = pt.materials.NeoHookean(C1=500.0, density=1000.0, poisson=0.3)
+SOFT = pt.materials.MooneyRivlin(C1=500.0, C2=0.0, density=1000.0, poisson=0.3)
 SIDES = ("y-", "y+", "z-", "z+")
 
 

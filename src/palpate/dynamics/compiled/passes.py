@@ -71,7 +71,7 @@ class Formulation(NamedTuple):
     after: Any = without_history
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(inner=True, forceinline=True)
 def weights_address(weights, lanes, b):  # type: ignore[no-untyped-def]
     """Return the address of the weights of block b."""
     if lanes.shared[b]:
@@ -91,7 +91,7 @@ def differences(b, u, lanes, fields):  # type: ignore[no-untyped-def]
     return end - begin
 
 
-@kernel_njit(fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"})
 def combine(b, columns, table, out):  # type: ignore[no-untyped-def]
     """Compute the derivatives of one block from the coordinates of basis vectors."""
     for q in range(table.shape[2]):
@@ -116,7 +116,7 @@ def smooth_field(lanes, value, own, sums, values, smooth):  # type: ignore[no-un
             smooth[i] = total[0, lane] + own[i] * values[i]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def add_blocks(partial, result):  # type: ignore[no-untyped-def]
     """Sum partial results (b, m) over the blocks, in an order independent of the number of threads."""
     result[:] = 0.0

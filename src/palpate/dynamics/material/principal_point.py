@@ -58,7 +58,7 @@ def make_principal_point(
         _, _, R, _, _, _ = second_of(1.0, 1.0, crushed, coefficients)
         return w1 - w3 * l3 / l1 + S1 * below, w2 - w3 * l3 / l2 + S2 * below, w3 / area + R * below
 
-    @law_njit(digest, cached=False, fastmath={"contract"})
+    @law_njit(digest, inner=True, cached=False, fastmath={"contract"})
     def crushed_stress(d0, d1, d2, d3, d4, d5, d6, d7, d8, coefficients):  # type: ignore[no-untyped-def]
         F = 1.0 + d0, d1, d2, d3, 1.0 + d4, d5, d6, d7, 1.0 + d8
         c = _cofactor(F)
@@ -107,7 +107,7 @@ def make_principal_point(
     return stress, density
 
 
-@kernel_njit(fastmath={"contract"}, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _cofactor(F):  # type: ignore[no-untyped-def]
     """Return cof(F), row by row."""
     return (
@@ -117,7 +117,7 @@ def _cofactor(F):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@kernel_njit(fastmath={"contract"}, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _two_largest(F):  # type: ignore[no-untyped-def]
     """Return the two largest stretches, at least a thousandth, and their directions."""
     x, n = principal(

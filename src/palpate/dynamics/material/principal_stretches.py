@@ -80,7 +80,7 @@ def principal(C00, C11, C22, C01, C02, C12):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@kernel_njit(fastmath={"contract"}, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _quotient(x, y, s, t, slope):  # type: ignore[no-untyped-def]
     """Return (s - t) / (x - y), or its limit `slope` for equal x and y."""
     near = abs(x - y) <= EQUAL_STRETCH_TOLERANCE * (x + y)
@@ -152,7 +152,7 @@ def make_principal_response(digest: str, law_first: Any, law_second: Any, volume
     return respond
 
 
-@kernel_njit(fastmath={"contract"}, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _principal_axes(v, d, axes, squares):  # type: ignore[no-untyped-def]
     """Write the principal axes (9) and squared stretches (3) of a lane."""
     F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]
@@ -233,7 +233,7 @@ def _divergence(b, v, d, boundary, axes, force):  # type: ignore[no-untyped-def]
     force[2, v] += d[6, v] * y0 + d[7, v] * y1 + (1.0 + d[8, v]) * y2
 
 
-@kernel_njit(fastmath={"contract"}, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _in_principal_axes(c, v, d, axes):  # type: ignore[no-untyped-def]
     """Return the second derivatives of component c of a lane in the principal axes, 00 11 22 01 02 12."""
     n00, n01, n02 = axes[0, v], axes[1, v], axes[2, v]
@@ -250,7 +250,7 @@ def _in_principal_axes(c, v, d, axes):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@kernel_njit(fastmath={"contract"}, forceinline=True)
+@kernel_njit(inner=True, fastmath={"contract"}, forceinline=True)
 def _cofactor(v, d, cofactor):  # type: ignore[no-untyped-def]
     """Write cof(F) of a lane, and return its J - 1."""
     F00, F01, F02 = 1.0 + d[0, v], d[1, v], d[2, v]

@@ -200,7 +200,7 @@ def prepare(relaxation, history):  # type: ignore[no-untyped-def]
         factors[2], factors[3], factors[4] = -np.expm1(-ratio), -np.expm1(-2.0 * ratio), ratio
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(inner=True, forceinline=True)
 def _dissipation(a, change, factors):  # type: ignore[no-untyped-def]
     """Return the integral of A^2 / tau for a branch that starts at a and a linear strain change."""
     rate = change / factors[4]
@@ -208,7 +208,7 @@ def _dissipation(a, change, factors):  # type: ignore[no-untyped-def]
     return 0.5 * b * b * factors[3] + 2.0 * b * rate * factors[2] + rate * rate * factors[4]
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(inner=True, forceinline=True)
 def _isochoric(c):  # type: ignore[no-untyped-def]
     """Return F, J, J^(-2/3) and C̄ from cof F (nine numbers, row by row)."""
     det = c[0] * (c[4] * c[8] - c[5] * c[7]) - c[1] * (c[3] * c[8] - c[5] * c[6]) + c[2] * (c[3] * c[7] - c[4] * c[6])
@@ -228,7 +228,7 @@ def _isochoric(c):  # type: ignore[no-untyped-def]
     return F, J, scale, C
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(inner=True, forceinline=True)
 def update_history(relaxation, history, b, v, C):  # type: ignore[no-untyped-def]
     """Update the branches and the strain of one point."""
     for k in range(relaxation.times.shape[0]):
@@ -242,7 +242,7 @@ def update_history(relaxation, history, b, v, C):  # type: ignore[no-untyped-def
         history.strain[b, q, v] = C[q]
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(inner=True, forceinline=True)
 def even_change(history, b, k, q, v, now):  # type: ignore[no-untyped-def]
     """Return component q of a point's branch k after a linear strain change over the interval."""
     return history.factors[k, 0] * history.branches[b, k, q, v] + history.factors[k, 1] * (
@@ -256,7 +256,7 @@ def after(work, interval):  # type: ignore[no-untyped-def]
     work.history.interval[0] = interval
 
 
-@kernel_njit(fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"})
 def _block_overstress(relaxation, history, cofactor, b, interval):  # type: ignore[no-untyped-def]
     """Write the overstress of the points of one block."""
     old, strain, stress = history.branches[b], history.strain[b], history.stress[b]
@@ -294,7 +294,7 @@ def _block_overstress(relaxation, history, cofactor, b, interval):  # type: igno
             stress[3 * i + 2, v] = x * Q4 + y * Q5 + z * Q2 - trace * c[3 * i + 2]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def overstress_alone(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
     """Compute `overstress` on one thread."""
     prepare(relaxation, history)
@@ -315,18 +315,19 @@ def reset_history(history):  # type: ignore[no-untyped-def]
     history.interval[:] = 0.0
 
 
-@kernel_njit(parallel=True)
+@kernel_njit(inner=True, parallel=True)
 def overstress(relaxation, history, cofactor):  # type: ignore[no-untyped-def]
     """Write the overstress of all points into `history.stress`; update the history unless the interval is 0.
 
     `cofactor` is cof F, (b, 9, LANES), row by row.
     """
     prepare(relaxation, history)
-    for b in prange(cofactor.shape[0]):
+    for block in prange(cofactor.shape[0]):
+        b = np.int64(block)
         _block_overstress(relaxation, history, cofactor, b, history.interval[0])
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
     """Write volumetric measures (v,) plus their branches into `history.effective`."""
     interval = history.interval[0]

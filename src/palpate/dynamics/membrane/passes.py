@@ -89,7 +89,7 @@ _lift, _differentiate = lift_passes("sheet", lane_sums_3x2, lane_sums_3x3, 6)
 _gather_fluxes = gather_fluxes[WIDTH]
 
 
-@kernel_njit(parallel=True, fastmath={"contract"})
+@kernel_njit(inner=True, parallel=True, fastmath={"contract"})
 def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
     """Write minus the work [J] of every block's fluxes on the derivatives of every vector, (b, m)."""
     for b in prange(table.shape[0]):
@@ -114,7 +114,7 @@ def _project(table, body, work, volumes, partial, result):  # type: ignore[no-un
     add_blocks(partial, result)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _copy_force(flux, force):  # type: ignore[no-untyped-def]
     for i in range(force.shape[0]):
         for c in range(3):
@@ -330,7 +330,8 @@ def sheet(
         u, lanes, first, second, boundary, radius, coefficients, prestretch, extras, fields, derivatives,
         cofactor, flux, energy,
     ):  # fmt: skip
-        for b in prange(lanes.nodes.shape[0]):
+        for block in prange(lanes.nodes.shape[0]):
+            b = np.int64(block)
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
             node_response(
@@ -349,7 +350,8 @@ def sheet(
     def each_column(  # type: ignore[no-untyped-def]
         columns, table, lanes, boundary, radius, coefficients, prestretch, extras, derivatives, cofactor, flux, energy,
     ):  # fmt: skip
-        for b in prange(table.shape[0]):
+        for block in prange(table.shape[0]):
+            b = np.int64(block)
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
             node_response(

@@ -143,7 +143,7 @@ def axes(C00, C11, C01):  # type: ignore[no-untyped-def]
     return mean + radius, mean - radius, p / size, q / size
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(inner=True, forceinline=True)
 def _in_principal_axes(c, v, d, prestretch, p, q):  # type: ignore[no-untyped-def]
     """Return component c of F and of the second derivatives 11, 22 and 12 of a lane in the principal axes."""
     F0 = d[2 * c, v] + (prestretch if c == 0 else 0.0)

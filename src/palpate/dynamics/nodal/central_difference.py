@@ -125,7 +125,7 @@ def foundation_force(sites, u, velocity, volumes, surface):  # type: ignore[no-u
             surface[i, c] -= force / volumes[i]
 
 
-@kernel_njit(forceinline=True)
+@kernel_njit(inner=True, forceinline=True)
 def _kick_node(i, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
     work, density = 0.0, nodes.density
     for c in range(3):
@@ -136,7 +136,7 @@ def _kick_node(i, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-u
     return work
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
     work, density, k, half_cell = 0.0, nodes.density, sites.slide_of[i], nodes.half_cell
     rate = project(
@@ -154,7 +154,7 @@ def _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity):  # ty
     return work
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _kick(sites, constrained, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
     """Accelerate the nodes that can move over the time `kick`; return the work [J] of surface loads and gravity."""
     work = 0.0
@@ -174,7 +174,7 @@ def _kick(sites, constrained, nodes, scratch, gravity, kick, velocity):  # type:
     return work * kick
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _damping_work(volumes, u, scratch):  # type: ignore[no-untyped-def]
     """Return sum of V (beta v) . (previous - force) [J], and copy the force to the previous one.
 
@@ -189,7 +189,7 @@ def _damping_work(volumes, u, scratch):  # type: ignore[no-untyped-def]
     return work
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _limit_prescribed_velocity(prescribed, constrained, u, velocity, damping, damped):  # type: ignore[no-untyped-def]
     """Limit prescribed velocities to `wave_speed` in the damping forces.
 
@@ -205,7 +205,7 @@ def _limit_prescribed_velocity(prescribed, constrained, u, velocity, damping, da
                 damped[i, c] = u[i, c] + damping.beta * velocity[i, c] * damping.wave_speed / speed
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, nodes, loads):  # type: ignore[no-untyped-def]
     """Set the velocities that bring prescribed nodes to `target` after a step; return the tools' work [J].
 
@@ -228,7 +228,7 @@ def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, node
     return work * step
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick):  # type: ignore[no-untyped-def]
     """Subtract the impulses of the other forces on constrained nodes over the time `kick`."""
     for k in range(sites.prescribed.shape[0]):
@@ -239,7 +239,7 @@ def _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick):
                 sites.impulses[k, c] -= kick * nodes.volumes[i] * other
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _drift(sites, constrained, target, step, u, velocity):  # type: ignore[no-untyped-def]
     """Advance the displacements by a step; prescribed nodes are at their target exactly."""
     for i in range(u.shape[0]):

@@ -122,7 +122,8 @@ def _lift(b, u, rows, sums, response):  # type: ignore[no-untyped-def]
 
 @kernel_njit(inner=True, parallel=True)
 def _lift_columns(modes, rows, sums, response, table):  # type: ignore[no-untyped-def]
-    for b in prange(rows.nodes.shape[0]):
+    for block in prange(rows.nodes.shape[0]):
+        b = np.int64(block)
         derivatives = response[get_thread_id()]
         for m in range(modes.shape[0]):
             _lift(b, modes[m], rows, sums[get_thread_id()], derivatives)
@@ -142,7 +143,8 @@ def _add_pressure(lanes, value, own, lame, theta, slope, cofactor, sums, pressur
 
     Blocks of the smoothing have all nodes in order, as those of the cofactors.
     """
-    for b in prange(lanes.nodes.shape[0]):
+    for block in prange(lanes.nodes.shape[0]):
+        b = np.int64(block)
         total = sums[get_thread_id()]
         begin, end = lanes.start[b], lanes.start[b + 1]
         lane_gather(weights_address(value, lanes, b), lanes.neighbours, begin, theta, total.ctypes.data, end - begin,
@@ -160,7 +162,7 @@ def _add_pressure(lanes, value, own, lame, theta, slope, cofactor, sums, pressur
                     flux[i, c, d] += lame * p * cofactor[b, 3 * c + d, lane]
 
 
-@kernel_njit(parallel=True)
+@kernel_njit(inner=True, parallel=True)
 def _add_overstress(lanes, stress, stiffness, flux):  # type: ignore[no-untyped-def]
     """Add the overstresses (b, 9, LANES), scaled like the shear modulus, to the stresses."""
     for b in prange(lanes.nodes.shape[0]):
@@ -174,7 +176,7 @@ def _add_overstress(lanes, stress, stiffness, flux):  # type: ignore[no-untyped-
                     flux[i, c, d] += factor * stress[b, 3 * c + d, lane]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _scale_by_stiffness(stiffness, flux, theta, scaled):  # type: ignore[no-untyped-def]
     """Multiply the fluxes and theta of every node by its stiffness factors."""
     for i in range(stiffness.shape[0]):
@@ -185,7 +187,7 @@ def _scale_by_stiffness(stiffness, flux, theta, scaled):  # type: ignore[no-unty
         scaled[i] = stiffness[i, 2] * theta[i]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _update_least(values, least):  # type: ignore[no-untyped-def]
     """Update the least value; NaN counts as -inf."""
     for value in values:
@@ -212,7 +214,7 @@ def _complete(body, work):  # type: ignore[no-untyped-def]
                   work.slope, work.cofactor, work.derivatives, work.pressure, work.flux)  # fmt: skip
 
 
-@kernel_njit(parallel=True, fastmath={"contract"})
+@kernel_njit(inner=True, parallel=True, fastmath={"contract"})
 def _virtual_work(table, nodes, flux, volumes, partial):  # type: ignore[no-untyped-def]
     """Write minus the work [J] of every block's fluxes on the derivatives of every vector, (b, m)."""
     for b in prange(table.shape[0]):
@@ -238,7 +240,7 @@ def _project(table, body, work, volumes, partial, result):  # type: ignore[no-un
     add_blocks(partial, result)
 
 
-@kernel_njit(cached=False, forceinline=True)
+@kernel_njit(inner=True, cached=False, forceinline=True)
 def _store_row_major(values, response, row, v):  # type: ignore[no-untyped-def]
     """Store nine numbers in nine rows of a lane."""
     response[LANES * row + v] = values[0]
@@ -359,7 +361,8 @@ def solid_energy(
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(u, rows, law, hourglass, families, sums, response, cofactor, flux, dilatation, slope):  # type: ignore[no-untyped-def]
-        for b in prange(rows.nodes.shape[0]):
+        for block in prange(rows.nodes.shape[0]):
+            b = np.int64(block)
             out = response[get_thread_id()]
             _lift(b, u, rows, sums[get_thread_id()], out)
             node_response(b, rows.nodes, out, law, hourglass, families, cofactor, flux, dilatation, slope)
@@ -373,7 +376,8 @@ def solid_energy(
     def each_column(  # type: ignore[no-untyped-def]
         columns, table, nodes, law, hourglass, families, derivatives, response, cofactor, flux, dilatation, slope
     ):
-        for b in prange(table.shape[0]):
+        for block in prange(table.shape[0]):
+            b = np.int64(block)
             found, out = derivatives[get_thread_id()], response[get_thread_id()]
             combine(b, columns, table, found)
             for q in range(NUMBERS):

@@ -74,7 +74,7 @@ def workspace(nodes: int, blocks: int, longest: int, threads: int) -> Workspace:
 _lift, _differentiate = lift_passes("solid", lane_sums_3x3, lane_sums_3x6, 9)
 
 
-@kernel_njit(parallel=True, fastmath={"contract"})
+@kernel_njit(inner=True, parallel=True, fastmath={"contract"})
 def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, smooth, force):  # type: ignore[no-untyped-def]
     """Write shear + cof(F) (grad p - p b) with the smoothed pressure p into `force`."""
     for b in prange(lanes.nodes.shape[0]):
@@ -96,7 +96,7 @@ def _add_pressure(lanes, first, boundary, fields, derivatives, cofactor, shear, 
                 force[i, c] = value
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _write_direct(lanes, shear, force):  # type: ignore[no-untyped-def]
     for b in range(lanes.nodes.shape[0]):
         for lane in range(LANES):
@@ -104,7 +104,7 @@ def _write_direct(lanes, shear, force):  # type: ignore[no-untyped-def]
                 force[lanes.nodes[b, lane], c] = shear[b, c, lane]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
     """Smooth the pressure of the deformation pass, and write the force by node."""
     if direct:
@@ -243,7 +243,8 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each(u, lanes, first, second, boundary, coefficients, lame, fields, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
-        for b in prange(lanes.nodes.shape[0]):
+        for block in prange(lanes.nodes.shape[0]):
+            b = np.int64(block)
             out = derivatives[get_thread_id()]
             _lift(b, u, lanes, first, second, fields[get_thread_id()], out)
             node_response(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)
@@ -255,7 +256,8 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
     def each_column(columns, table, lanes, boundary, coefficients, lame, derivatives, cofactor, shear, pressure):  # type: ignore[no-untyped-def]
-        for b in prange(table.shape[0]):
+        for block in prange(table.shape[0]):
+            b = np.int64(block)
             out = derivatives[get_thread_id()]
             combine(b, columns, table, out)
             node_response(b, lanes.nodes, out, boundary, coefficients, lame, cofactor, shear, pressure)

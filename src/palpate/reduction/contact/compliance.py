@@ -231,14 +231,14 @@ def refresh(compliance, active, points, count):  # type: ignore[no-untyped-def]
     return True
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _clear(active):  # type: ignore[no-untyped-def]
     for s in range(active.used[0]):
         active.slot[active.node[s]] = -1
     active.used[0] = 0
 
 
-@kernel_njit(fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"})
 def _row(compliance, i, row, near_row):  # type: ignore[no-untyped-def]
     """Write the compliances (3, 3 c) from all carriers to row i, and its near-field corrections (3, 3 k) [m/N]."""
     row[:] = 0.0
@@ -258,7 +258,7 @@ def _row(compliance, i, row, near_row):  # type: ignore[no-untyped-def]
                     near_row[c, q + d] += w * compliance.near_field[n, k, c, d]
 
 
-@kernel_njit(fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"})
 def _block(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
     """Write the compliance block (3, 3) [m/N] from a force on row j to row i, after `_row` of i."""
     row, near_row = active.row, active.near_row

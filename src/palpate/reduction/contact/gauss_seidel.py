@@ -33,7 +33,7 @@ SWEEP_TOLERANCE = 1e-3  # largest change of a position in the last sweep, as a f
 PATH_START, PATH_END = range(2)  # entries of `RigidTools.path`
 
 
-@kernel_njit(fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"})
 def _modal_displacement(surface, i, coordinates, out):  # type: ignore[no-untyped-def]
     """Write the displacement of a node by the coordinates."""
     x, y, z = 0.0, 0.0, 0.0
@@ -44,7 +44,7 @@ def _modal_displacement(surface, i, coordinates, out):  # type: ignore[no-untype
     out[0], out[1], out[2] = x, y, z
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _list_node(surface, contact, tools, t, i, x, y, z, v, step, count):  # type: ignore[no-untyped-def]
     """List a node at its modal position as a contact pair; return the number of pairs."""
     new, out = True, contact.displacement
@@ -74,7 +74,7 @@ def _bonded_position(surface, tools, t, i):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _list_bonded(surface, contact, tools, t, a, v, step, count):  # type: ignore[no-untyped-def]
     """List the nodes that forceps hold; return the number of pairs and the largest displacement to the tool [m]."""
     origin, radius = tools.origins[t], tools.sizes[t, 0] * (1.0 + 1e-9)
@@ -104,7 +104,7 @@ def _list_bonded(surface, contact, tools, t, a, v, step, count):  # type: ignore
     return count, farthest
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _detect(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def]
     """List the nodes whose modal position is inside a tool; return the deepest penetration [m]."""
     count, deepest, depth, out = 0, 0.0, 0.0, contact.displacement
@@ -221,7 +221,7 @@ def relax(surface, contact, tools, cached, step, e):  # type: ignore[no-untyped-
     return _set_force(surface, contact, cached, e, fx, fy, fz) * max(along, across)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _update_factors(surface, contact, tools):  # type: ignore[no-untyped-def]
     """Update the secant factors of the compliance by the tools' last forces; forceps have the bonded scale."""
     for t in range(contact.factor.shape[0]):
@@ -280,7 +280,7 @@ def settle(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def]
     return _store(surface, contact, tools, step)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _store(surface, contact, tools, step):  # type: ignore[no-untyped-def]
     """Store forces and positions for the next step, and add up the impulses; return the work as `settle`."""
     work, lost = 0.0, 0.0
@@ -303,7 +303,7 @@ def _store(surface, contact, tools, step):  # type: ignore[no-untyped-def]
     return work, lost
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def set_tool_path(tools, home, target, at_rest):  # type: ignore[no-untyped-def]
     """Set the path of a tool during a period to a target pose (12,): displacement and R - I.
 
@@ -324,7 +324,7 @@ def set_tool_path(tools, home, target, at_rest):  # type: ignore[no-untyped-def]
             tools.path[PATH_START, i, j] = tools.frames[0, 1, i, j]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-untyped-def]
     """Advance the tool to a fraction of its path in a period [s], and apply its forces in a step [s].
 
@@ -364,7 +364,7 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
             tool_forces[3 + 3 * k + j] -= half * tools.frames[0, 1, m, j]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def compliance_energy(surface, contact):  # type: ignore[no-untyped-def]
     """Return the energy [J] of the surface compliance."""
     total, stiffening = 0.0, surface.compliance.stiffening

@@ -114,7 +114,7 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
         _write_derivatives(system.gram, system.pull, out)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _write_derivatives(gram, pull, out):  # type: ignore[no-untyped-def]
     """Write the derivatives, with the change of the secant factor as a rank-one update."""
     softened = 1.0
@@ -128,7 +128,7 @@ def _write_derivatives(gram, pull, out):  # type: ignore[no-untyped-def]
             out[i, j] = gram[i, j] - gram[i, 3] * change / softened
 
 
-@kernel_njit(fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"})
 def _eliminate(system, active, table, first, rows):  # type: ignore[no-untyped-def]
     """Eliminate a few unknowns; return False if a pivot is not valid."""
     size, forces, gram = table.shape[0], system.numbers[FORCES], system.gram
@@ -158,7 +158,7 @@ def _eliminate(system, active, table, first, rows):  # type: ignore[no-untyped-d
     return True
 
 
-@kernel_njit(fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"})
 def _add_compliance(system, active, table, k):  # type: ignore[no-untyped-def]
     """Add the surface compliance to a row; return False if it is not stored any more."""
     s, h, direction = active.slot[system.point[k]], system.pull[SECANT], system.direction
@@ -177,7 +177,7 @@ def _add_compliance(system, active, table, k):  # type: ignore[no-untyped-def]
     return True
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _assemble(data):  # type: ignore[no-untyped-def]
     """Set up the equations except the surface compliance; return False if there is no room for them."""
     contact_state, system, modes = data.contact_state, data.system, data.modes
@@ -220,7 +220,7 @@ def _assemble(data):  # type: ignore[no-untyped-def]
     return True
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _add_directions(data, e, rows):  # type: ignore[no-untyped-def]
     """Append the directions along which the force of a contact pair can change; return the number of rows."""
     contact_state, tools, system = data.contact_state, data.tools, data.system
@@ -245,21 +245,21 @@ def _add_directions(data, e, rows):  # type: ignore[no-untyped-def]
     return rows
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _add_axes(contact_state, system, e, rows):  # type: ignore[no-untyped-def]
     rows = _add_row(contact_state, system, e, rows, 1.0, 0.0, 0.0, 0.0)
     rows = _add_row(contact_state, system, e, rows, 0.0, 1.0, 0.0, 0.0)
     return _add_row(contact_state, system, e, rows, 0.0, 0.0, 1.0, 0.0)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _add_row(contact_state, system, e, rows, x, y, z, spring):  # type: ignore[no-untyped-def]
     system.direction[rows, 0], system.direction[rows, 1], system.direction[rows, 2] = x, y, z
     system.entry[rows], system.point[rows], system.spring[rows] = e, contact_state.point[e], spring
     return rows + 1
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _curvatures(kind, sizes, frame, place, nx, ny, nz):  # type: ignore[no-untyped-def]
     """Return a tool's two principal curvatures [1/m] at a point, each with its direction."""
     ax, ay, az = (0.0, -nz, ny) if abs(nx) < 0.6 else (nz, 0.0, -nx)  # across the normal and an axis
@@ -280,7 +280,7 @@ def _curvatures(kind, sizes, frame, place, nx, ny, nz):  # type: ignore[no-untyp
     )
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _normal_derivative(kind, sizes, frame, place, x, y, z, distance):  # type: ignore[no-untyped-def]
     """Return the derivative of a tool's normal along a direction (3) [1/m]."""
     x, y, z = distance * x, distance * y, distance * z

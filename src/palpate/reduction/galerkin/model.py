@@ -163,7 +163,7 @@ class GalerkinModel(Model):
                 f"displacement of a prescribed group must be as in training, got an error of {error:.3g} m "
                 f"at t = {times[0]:.4g} s; train with such a motion"
             )
-        return np.asarray(coordinates.T)
+        return np.ascontiguousarray(coordinates.T)  # another order would compile the step a second time
 
     def state(
         self,

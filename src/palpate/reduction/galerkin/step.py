@@ -73,7 +73,7 @@ def _project(test, force, result):  # type: ignore[no-untyped-def]
         result[m] = total
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _add_surface_forces(sites, body, basis, work):  # type: ignore[no-untyped-def]
     """Add the surface forces to the projected force, and their power on each coordinate to `work.power`."""
     surface, power, result, vectors, test = work.surface, work.power, work.result, basis.vectors, basis.test

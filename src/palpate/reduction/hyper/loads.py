@@ -101,11 +101,11 @@ def lifting_coordinates(data: ReducedData, ready: PreparedLoads, times: Floats) 
     motion = ready.schedule(times).motion[:, order].reshape(len(times), -1)
     nodes = np.flatnonzero(ready.sites.kind == PRESCRIBED)
     span = data.basis_vectors[data.modes : data.modes + data.lifting_count, nodes].reshape(data.lifting_count, -1)
-    coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
+    coordinates = np.ascontiguousarray(np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T)
     error = np.abs(coordinates @ span - motion).max()
     if error > RIGID_TOLERANCE * max(float(np.abs(motion).max()), 1e-3 * data.cloud.spacing):
         raise InputError(
             f"displacement of a prescribed group must be rigid, got an error of {error:.3g} m at t = {times[0]:.4g} s; "
             "translate and rotate the group as a rigid tool"
         )
-    return np.asarray(coordinates)
+    return coordinates

@@ -139,7 +139,7 @@ def scratch(of: IntegrationPoints, saved_history: HistoryVariables | None = None
     )  # fmt: skip
 
 
-@kernel_njit(fastmath={"contract", "reassoc"})
+@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
     for k in range(pressure.shape[1]):
         total = 0.0
@@ -149,7 +149,7 @@ def _moments(pressure, dilatation, moments):  # type: ignore[no-untyped-def]
         moments[k] = total
 
 
-@kernel_njit(fastmath={"contract", "reassoc"})
+@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def _add_pressure(integration_points, moments, scratch, curved):  # type: ignore[no-untyped-def]
     """Multiply the stresses by their weights and add the pressure times its volume."""
     weights, pressure, stress = integration_points.weights, integration_points.pressure, scratch.stress
@@ -167,7 +167,7 @@ def _add_pressure(integration_points, moments, scratch, curved):  # type: ignore
                 stress[b, q, lane] = weights[b, lane] * stress[b, q, lane] + dilatation[b, lane] * cofactor[b, q, lane]
 
 
-@kernel_njit(fastmath={"contract", "reassoc"})
+@kernel_njit(inner=True, fastmath={"contract", "reassoc"})
 def _collect(partial, constant, columns, force):  # type: ignore[no-untyped-def]
     for m in range(partial.shape[0]):
         total = 0.0
@@ -183,7 +183,7 @@ def shear_weights(of: IntegrationPoints) -> Floats:
     return of.weights if isinstance(of.coefficients, tuple) else of.weights * of.coefficients[:, -1]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _branch_energy(weights, history):  # type: ignore[no-untyped-def]
     """Return the energy [J] stored in the branches of relaxing tissue at the last evaluation."""
     total = 0.0

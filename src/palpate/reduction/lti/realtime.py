@@ -174,7 +174,7 @@ def linear_range(model: LinearModel) -> Floats:
     return np.array(found, dtype=float)
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _exponential(data, period):  # type: ignore[no-untyped-def]
     """Compute exp(A T) in place by scaling and squaring of its series."""
     n, scaled = data.matrix.shape[0], data.scratch[0]
@@ -208,7 +208,7 @@ def _exponential(data, period):  # type: ignore[no-untyped-def]
     data.asked[0] = period
 
 
-@kernel_njit(fastmath={"contract"})
+@kernel_njit(inner=True, fastmath={"contract"})
 def _multiply(a, b, result):  # type: ignore[no-untyped-def]
     n = a.shape[0]
     for i in range(n):

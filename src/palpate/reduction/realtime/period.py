@@ -135,7 +135,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     force, energy = sampled_energy(law, single)
     average, _ = implicit_step(law, single)
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def update_tangent(data, q):  # type: ignore[no-untyped-def]
         """Do one power iteration for the highest frequency, and update one column of the tangent."""
         modes, count = data.modes, q.shape[0]
@@ -179,7 +179,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             if data.body.springs.stiffness.shape[0] > 0:
                 data.tangent[m, column] += data.body.springs.stiffness[m, column]
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def substeps(data, q, v, speeds, period, report):  # type: ignore[no-untyped-def]
         """Take explicit steps over a period; return their number."""
         modes, count = data.modes, q.shape[0]
@@ -217,7 +217,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 q[j] += step * speeds[j]
         return steps
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def implicit(data, q, v, period, report, lifting, holds, loads):  # type: ignore[no-untyped-def]
         """Take implicit steps over a period; return their number, or -1 if one did not converge."""
         steps, count = loads.shape[0], q.shape[0]
@@ -238,7 +238,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 report[FORCES + j - data.modes] += value / steps
         return steps
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def distance(data, q):  # type: ignore[no-untyped-def]
         """Return the distance to the nearest training state, divided by its scale."""
         place, count, nearest = data.vectors[WORK], q.shape[0], np.inf
@@ -255,7 +255,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             nearest = min(nearest, square)
         return np.sqrt(nearest) / data.indicator.distance_scale
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inner=True, fastmath={"contract"})
     def residual_norm(data, q, v):  # type: ignore[no-untyped-def]
         """Return the norm of the unbalanced forces on the residual fields, divided by its scale."""
         at, result, rate = data.indicator.vectors[0], data.indicator.vectors[1], data.vectors[WORK]
@@ -276,21 +276,21 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             total += unbalanced * unbalanced
         return np.sqrt(total) / data.indicator.residual_scale
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inline="always", fastmath={"contract"})
     def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
-        modes, count = data.modes, q.shape[0]
-        saved_q, saved_v = data.vectors[SAVED_COORDINATES], data.vectors[SAVED_VELOCITIES]
-        speeds = data.vectors[TOOL_RATES]
+        modes, count, vectors, mass = data.modes, q.shape[0], data.vectors, data.body.mass
+        saved_q, saved_v, speeds = vectors[SAVED_COORDINATES], vectors[SAVED_VELOCITIES], vectors[TOOL_RATES]
+        constrained_inverse = data.constrained_inverse_mass
         report[:] = 0.0
-        saved_q[:] = q
-        saved_v[:] = v
+        for m in range(count):
+            saved_q[m], saved_v[m] = q[m], v[m]
         at_rest = not q.any() and not v.any()
         if at_rest:  # the start of a run, or a reset
             reset_history(data.body.scratch.history)
             data.contact_state.force[:] = 0.0
             data.system.numbers[:] = 0
         update_tangent(data, q)
-        change = data.vectors[VELOCITY_CHANGE]  # of the velocities, at the start of the period
+        change = vectors[VELOCITY_CHANGE]  # of the velocities, at the start of the period
         for j in range(modes, count):
             speeds[j] = (target[j - modes] - q[j]) / period
             change[j] = speeds[j] - v[j]
@@ -298,13 +298,13 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             value = 0.0
             for k in range(modes):
                 for j in range(modes, count):
-                    value -= data.constrained_inverse_mass[m, k] * data.body.mass[k, j] * change[j]
+                    value -= constrained_inverse[m, k] * mass[k, j] * change[j]
             change[m] = value
         for m in range(count):
             v[m] += change[m]
         for j in range(modes, count):
             for k in range(count):
-                report[FORCES + j - modes] += data.body.mass[j, k] * change[k] / period
+                report[FORCES + j - modes] += mass[j, k] * change[k] / period
         set_tool_path(data.tools, data.home, target, at_rest)
         if data.step > 0.0:
             steps = max(1, int(np.round(period / data.step)))
@@ -317,8 +317,8 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         for m in range(count):
             good = good and np.isfinite(q[m]) and np.isfinite(v[m])
         if not good:
-            q[:] = saved_q
-            v[:] = saved_v
+            for m in range(count):
+                q[m], v[m] = saved_q[m], saved_v[m]
             report[STATUS] = 1.0
             return
         for j in range(modes, count):  # remove rounding errors
@@ -327,32 +327,32 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         report[TRUST], report[STEPS] = max(distance(data, q), residual_norm(data, q, v)), taken
         for m in range(count):
             for k in range(count):
-                report[KINETIC] += 0.5 * v[m] * data.body.mass[m, k] * v[k]
+                report[KINETIC] += 0.5 * v[m] * mass[m, k] * v[k]
         report[STRAIN] = energy(q, data.body.integration_points, data.body.scratch) + compliance_energy(
             data.contact_surface, data.contact_state
         )
         if not np.isfinite(report[STRAIN]):
-            q[:] = saved_q
-            v[:] = saved_v
+            for m in range(count):
+                q[m], v[m] = saved_q[m], saved_v[m]
             report[STATUS] = 1.0
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, inline="always", fastmath={"contract"})
     def stiffness(data, q, out):  # type: ignore[no-untyped-def]
         modes, count = data.modes, q.shape[0]
+        tangent, condensed, column = data.tangent, data.condensed, data.vectors[WORK]
         for m in range(count):
             for k in range(count):
-                data.condensed[m, k] = 0.5 * (data.tangent[m, k] + data.tangent[k, m])
-        definite = cholesky_factor(data.condensed, modes)
-        column = data.vectors[WORK]
+                condensed[m, k] = 0.5 * (tangent[m, k] + tangent[k, m])
+        definite = cholesky_factor(condensed, modes)
         for j in range(count - modes):
             for m in range(modes):
-                column[m] = 0.5 * (data.tangent[m, modes + j] + data.tangent[modes + j, m]) if definite else 0.0
+                column[m] = 0.5 * (tangent[m, modes + j] + tangent[modes + j, m]) if definite else 0.0
             if definite:
-                cholesky_solve(data.condensed, modes, column)
+                cholesky_solve(condensed, modes, column)
             for i in range(count - modes):
-                value = 0.5 * (data.tangent[modes + i, modes + j] + data.tangent[modes + j, modes + i])
+                value = 0.5 * (tangent[modes + i, modes + j] + tangent[modes + j, modes + i])
                 for m in range(modes):
-                    value -= 0.5 * (data.tangent[modes + i, m] + data.tangent[m, modes + i]) * column[m]
+                    value -= 0.5 * (tangent[modes + i, m] + tangent[m, modes + i]) * column[m]
                 out[i, j] = value
 
     return advance, stiffness

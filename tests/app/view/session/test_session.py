@@ -196,6 +196,7 @@ def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, unti
     np.testing.assert_allclose(moment.device_force[2], moment.force[2], rtol=0.05)
 
 
+@pytest.mark.slow  # the periods are called from Python, which compiles them for one test
 def test_a_coupling_makes_no_energy(model):
     """The example's books, in periods of 1 ms without a clock."""
     path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
