@@ -24,6 +24,9 @@ __all__ = ["ContactState", "Evaluation", "Model", "Nodes", "Outputs", "State", "
 Nodes = NDArray[np.int64] | slice
 
 
+RESOLVED_STEP = 2.5e-4  # [s]: resolves motions of tools and loads that a 1 kHz device can feel
+
+
 class ContactState(NamedTuple):
     """The forces and impulses of tools on a body.
 
@@ -234,8 +237,7 @@ class Model(Described, ABC):
     name : str
         ``"full"``, ``"reduced"`` ...
     min_steps_per_frame : int
-        Least number of steps between two snapshots of a run. The stable step of a model with few
-        modes is too long to be accurate.
+        Least number of steps between two snapshots of a run that are far apart (`longest_step`).
     conservative : bool
         True if the nodal forces are the derivative of an energy of the nodal displacements. Their
         virtual work is then that of the stresses.
@@ -299,6 +301,14 @@ class Model(Described, ABC):
     @abstractmethod
     def outputs(self, state: State, prepared: PreparedLoads, work: Any = None) -> Outputs:
         """Return displacements, reactions and energies of a state."""
+
+    def longest_step(self, every: float) -> float:
+        """Return the longest step [s] of a run with snapshots at intervals of `every` [s].
+
+        The stable step of a model with few modes can be too long to be accurate. Between two snapshots
+        are at least `min_steps_per_frame` steps, but steps need not be shorter than `RESOLVED_STEP`.
+        """
+        return max(every / self.min_steps_per_frame, min(every, RESOLVED_STEP))
 
     def workspace(self) -> Any:
         """Allocate the scratch arrays of evaluations and steps, for one thread at a time.

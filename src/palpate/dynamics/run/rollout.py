@@ -99,7 +99,7 @@ def rollout(
         outputs = _initial_outputs(model, state, prepared)
     path = None if file is None else Path(file)
     recorder = Recorder(path, model.name, model.cloud.points, model.stiffness_damping, label)
-    control = _StepControl(step, every / model.min_steps_per_frame)
+    control = _StepControl(step, model.longest_step(every))
     began, steps = perf_counter(), 0
     try:
         bar = nullcontext(progress) if callable(progress) else progress_bar(model.name, duration, progress)

@@ -268,7 +268,7 @@ def _follow_run(model: ReducedModel, run: Any) -> Floats:
         forces = np.einsum("mkc,kc->m", columns[:, contact_forces[:, 1].astype(int)], contact_forces[:, 2:])
         interval = float(run.times[frame] - state.time)
         stable, state = model.stable_step(state, prepared, work)
-        required = interval / max(min(stable, interval / model.min_steps_per_frame), 1e-300)
+        required = interval / max(min(stable, model.longest_step(interval)), 1e-300)
         if (
             not 0
             < required

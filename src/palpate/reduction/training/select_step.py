@@ -20,7 +20,7 @@ __all__ = ["select_time_step"]
 
 
 STEPS = (None, 1e-3, 0.5e-3, 0.25e-3)  # explicit; implicit, [s]
-REFERENCE_REFINEMENT = 10  # steps of the reference per explicit step
+REFERENCE_REFINEMENT = 20  # steps of the reference per explicit step
 DEFAULT_FRAMES = 100  # of the motion
 
 
