@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
 import palpate as pt
 from palpate.dynamics.contact.geometry import gap
@@ -15,6 +16,7 @@ from palpate.reduction.contact.gauss_seidel import settle
 from palpate.reduction.contact.surface import RigidTools, contact_scratch, contact_surface
 
 SPACING, RADIUS = 0.002, 0.008
+HELD = np.zeros((3, 3))  # an inverse mass matrix of modes that do not respond
 SIZE, BALL = (0.06, 0.06, 0.03), 0.015
 
 
@@ -41,8 +43,8 @@ def ball(of, friction=0.0, tools=1):
     frames[:, :, :, :3] = np.eye(3)
     return RigidTools(
         np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction),
-        np.zeros((tools, 3)), frames, np.zeros(3), np.zeros((tools, 6)),
-        np.zeros((len(of.nodes), 3)), np.zeros((2, 3, 4)),
+        np.zeros((tools, 3)), frames, np.zeros(3), np.zeros(3), np.zeros((tools, 6)),
+        np.zeros((len(of.nodes), 3)), np.zeros((3, 3, 4)),
     )  # fmt: skip
 
 
@@ -64,7 +66,7 @@ def test_no_node_stays_inside_and_no_force_pulls():
     of = flat_skin()
     contact_state, tools = contact_scratch(of, 1), ball(of)
     moved(tools, (0, 0, RADIUS), (0.0005, 0, RADIUS - 0.002))
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3)
+    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
     found, forces = gaps(contact_state, tools), contact_state.push[: contact_state.numbers[0]]
     assert contact_state.numbers[0] > 20
     assert found[:, 0].min() > -2e-3 * 0.002
@@ -81,7 +83,7 @@ def test_what_the_tool_gets_is_what_the_nodes_and_coordinates_get():
     contact_state, tools = contact_scratch(of, 1), ball(of, friction=0.4)
     moved(tools, (0, 0, RADIUS), (0.001, 0.0004, RADIUS - 0.002))
     step = 1e-3
-    work, lost = settle(of, contact_state, tools, np.zeros(3), np.zeros(3), step)
+    work, lost = settle(of, contact_state, tools, np.zeros(3), np.zeros(3), step, HELD, 3)
     forces, places = contact_state.force[0], contact_state.place[0]
     np.testing.assert_allclose(tools.impulses[0, :3], step * forces.sum(axis=0), rtol=1e-12)
     on = forces.any(axis=1)
@@ -100,7 +102,7 @@ def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
     place = np.array([0.0, 0.0, RADIUS])
     for way in [np.array([0, 0, -0.00025])] * 8 + [np.array([0.0002, 0, 0])] * 30:
         moved(tools, place, place + way)
-        settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3)
+        settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
         place = place + way
         found, forces = gaps(contact_state, tools), contact_state.push[: contact_state.numbers[0]]
         along = np.sum(forces * found[:, 1:], axis=1)
@@ -114,10 +116,10 @@ def test_two_tools_and_none():
     contact_state, tools = contact_scratch(of, 2), ball(of, tools=2)
     for t, x in enumerate((-0.006, 0.006)):
         tools.frames[t, :, :, 3] = (x, 0, RADIUS - 0.001)
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3)
+    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
     np.testing.assert_allclose(tools.impulses[0, 2], tools.impulses[1, 2], rtol=2e-3)  # alike
     tools.frames[:, :, 2, 3] += 1.0
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3)
+    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
     assert not contact_state.force.any()
     assert not tools.load.any()
 
@@ -297,6 +299,47 @@ def test_the_engine_feels_what_a_run_feels(pressed):
     # of G on R = 1 the moment is the sum over j of R_j x G_j
     last = np.mean([np.cross(np.eye(3), g.T).sum(axis=0) for g in moments[-10:]], axis=0)
     np.testing.assert_allclose(last, run.moments["tool"][-1], atol=0.03 * peak * BALL)
+
+
+def test_the_engine_turns_a_tool_from_its_pose_at_the_start(pressed):
+    """A capsule that lies across the block and is turned further, in periods of the engine and in `rollout`."""
+    _, _, model = pressed
+    shape, above = pt.tools.Capsule(0.008, 0.03), SIZE[2] + 0.009
+    lying = Rotation.from_euler("y", 90, degrees=True)
+    down = lambda time: -0.004 * min(time / 0.1, 1.0)  # noqa: E731
+    turn = lambda time: Rotation.from_rotvec([0.0, 0.0, 0.6 * min(time / 0.1, 1.0)])  # noqa: E731
+
+    def motion(time):
+        return (0.024, 0.038, above + down(time)), (turn(time) * lying).as_quat(scalar_first=True)
+
+    run = pt.rollout(model, [pt.tools.Contact(shape, motion)], duration=0.2, every=0.01)
+    ready = pt.realtime_model(model, contact=pt.tools.Contact(shape, motion))
+    q, v, report, felt = ready.rest.copy(), np.zeros_like(ready.rest), np.zeros(20), []
+    for k in range(200):
+        time = (k + 1) / 1000
+        target = np.concatenate([(0.0, 0.0, down(time)), (turn(time).as_matrix() - np.eye(3)).ravel()])
+        ready.advance(ready.data, q, v, ready.tool @ target, 1e-3, report)
+        assert report[0] == 0.0
+        felt.append(report[8:11].copy())
+    means = np.array(felt).reshape(20, 10, 3).mean(axis=1)
+    peak = np.abs(run.reactions["tool"]).max()
+    assert peak > 0.1
+    np.testing.assert_allclose(means, run.reactions["tool"][1:], atol=0.05 * peak)
+
+
+def test_a_stiffening_surface_makes_no_energy():
+    """A model of one press, whose surface stiffens fifty times: its force must not lag behind its depth."""
+    tissue = pt.materials.MooneyRivlin(C1=1e3, C2=0.0, density=1000.0, poisson=0.45)
+    body = pt.Solid(pt.box((0.06, 0.06, 0.03), spacing=0.006), tissue, "z-", form="energy", stiffness_damping=1e-4)
+    height = lambda time: 0.046 - 0.006 * np.sin(np.pi * min(time / 0.1, 1.0))  # noqa: E731
+    press = [pt.tools.Contact(pt.tools.Sphere(0.015), lambda time: (0.03, 0.03, height(time)))]
+    run = pt.rollout(body, press, duration=0.1, every=0.005)
+    model = pt.hyper_reduce(body, [run], modes=12)
+    assert model.data.compliance.stiffening[0] > 0.5
+    for step in (2.5e-4, 1e-4, 5e-5):
+        own = pt.rollout(model, press, duration=0.1, every=0.001, step=step)
+        assert np.abs(own.balance).max() < 0.1 * own.external.max()
+        assert np.abs(own.displacements).max() < 0.006
 
 
 def grasped(lift=0.003, until=np.inf):

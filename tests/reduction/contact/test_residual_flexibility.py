@@ -18,6 +18,7 @@ from palpate.reduction.contact.compliance import (
     pair,
     refresh,
     secant_factor,
+    stiffened_force,
 )
 from palpate.reduction.contact.residual_flexibility import carriers, residual_flexibility
 from palpate.reduction.training.fit_compliance import fit_stiffening
@@ -151,3 +152,14 @@ def test_hardening_is_found_again_and_its_energy_is_the_work():
     work = 3.0 * depth(3.0) - quad(depth, 0.0, 3.0)[0]
     assert energy_factor(stiffening, 3.0) * 0.5 * 3.0 * depth(3.0) == pytest.approx(work, rel=1e-9)
     assert energy_factor(np.array([0.0, 1.0]), 3.0) == 1.0
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.3, 0.8])
+def test_the_force_of_a_stiffening_compliance_is_found(exponent):
+    stiffening = np.array([exponent, 0.02])
+    for force in (0.0, 1e-9, 1e-3, 0.02, 1.0, 1e4):
+        factor = secant_factor(stiffening, force)
+        assert stiffened_force(stiffening, factor * force, 0.0) == (pytest.approx(factor, rel=1e-11), 1.0)
+        slope = factor * (1.0 - exponent * force / (force + 0.02))  # d(h f)/df
+        share = stiffened_force(stiffening, factor * force, 10.0)[1]
+        assert share == pytest.approx(slope / 10.0, rel=1e-9)  # an explicit step follows no stiffer surface

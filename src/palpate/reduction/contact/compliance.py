@@ -37,9 +37,11 @@ __all__ = [
     "refresh",
     "secant_factor",
     "static_displacements",
+    "stiffened_force",
 ]
 
 
+MAX_NEWTON_STEPS = 50  # for the force of a stiffened compliance
 MAX_ACTIVE = 256  # patches in contact up to which their mutual compliance is stored
 
 
@@ -276,6 +278,36 @@ def _block(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
 def secant_factor(stiffening, force):  # type: ignore[no-untyped-def]
     """Return the secant factor h under a tool's force [N]."""
     return (1.0 + force / stiffening[1]) ** -stiffening[0]
+
+
+@kernel_njit()
+def stiffened_force(stiffening, product, inertia):  # type: ignore[no-untyped-def]
+    """Return the secant factor h of a tool's force f, and its share of the force that h f = product asks for.
+
+    Parameters
+    ----------
+    stiffening : (2,) array
+        Exponent and force [N] of the secant factor.
+    product : float [N]
+        Force at the secant factor 1.
+    inertia : float
+        Displacement of the modes by a force within the step, over that of the compliance at h = 1.
+
+    An explicit step is stable while `inertia` is below four times the derivative of h f. The share is 1
+    up to once the derivative. For a stiffer surface it is as much less as the inertia is more.
+    """
+    gamma, wanted = stiffening[0], product / stiffening[1]
+    force = wanted  # at most the root, and h f is concave in f: so Newton's method rises to the root
+    for _ in range(MAX_NEWTON_STEPS):
+        factor = (1.0 + force) ** -gamma
+        slope = factor * (1.0 - gamma * force / (1.0 + force))
+        change = (wanted - force * factor) / slope
+        force += change
+        if not change > 1e-13 * force:
+            break
+    factor = (1.0 + force) ** -gamma
+    slope = factor * (1.0 - gamma * force / (1.0 + force))
+    return factor, min(1.0, slope / inertia) if inertia > 0.0 else 1.0
 
 
 @kernel_njit()

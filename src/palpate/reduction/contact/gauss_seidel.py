@@ -22,15 +22,15 @@ import numpy as np
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap, material_velocity
 from palpate.dynamics.contact.tools import BONDED
-from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor
+from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor, stiffened_force
 from palpate.reduction.contact.surface import PAIRS, SWEEPS, UNCONVERGED
 
-__all__ = ["compliance_energy", "press", "relax", "set_tool_path", "settle"]
+__all__ = ["compliance_energy", "place_frame", "press", "relax", "set_tool_path", "settle"]
 
 CLUSTER_STRETCH = 1.5  # largest extent of a cluster over that at rest
 MAX_SWEEPS = 60
 SWEEP_TOLERANCE = 1e-3  # largest change of a position in the last sweep, as a fraction of the deepest penetration
-PATH_START, PATH_END = range(2)  # entries of `RigidTools.path`
+PATH_START, PATH_END, PATH_NOW = range(3)  # entries of `RigidTools.path`
 
 
 @kernel_njit(inner=True, fastmath={"contract"})
@@ -222,21 +222,62 @@ def relax(surface, contact, tools, cached, step, e):  # type: ignore[no-untyped-
 
 
 @kernel_njit(inner=True)
-def _update_factors(surface, contact, tools):  # type: ignore[no-untyped-def]
-    """Update the secant factors of the compliance by the tools' last forces; forceps have the bonded scale."""
+def _tool_force(contact, t):  # type: ignore[no-untyped-def]
+    """Return the size [N] of the sum of a tool's forces on the nodes."""
+    x, y, z = 0.0, 0.0, 0.0
+    for e in range(contact.numbers[PAIRS]):
+        if contact.tool[e] == t:
+            x, y, z = x + contact.push[e, 0], y + contact.push[e, 1], z + contact.push[e, 2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@kernel_njit(inner=True)
+def _start_factors(surface, contact, tools):  # type: ignore[no-untyped-def]
+    """Set the secant factors of the compliance by the tools' last forces; forceps have the bonded scale."""
     for t in range(contact.factor.shape[0]):
         if tools.kind[t] == BONDED:
             contact.factor[t] = surface.compliance.bonded_scale
-            continue
-        x, y, z = 0.0, 0.0, 0.0
+        else:
+            contact.factor[t] = secant_factor(surface.compliance.stiffening, _tool_force(contact, t))
+
+
+@kernel_njit(inner=True)
+def _scale_forces(surface, contact, tools, step, response, moving):  # type: ignore[no-untyped-def]
+    """Scale the forces of every tool by `stiffened_force`, and add up their forces on the coordinates.
+
+    The sweeps solve for the product of forces and secant factor, on which the positions depend. A factor
+    of the last step's force would lag behind the force, and add energy.
+    """
+    tools.load[:] = 0.0
+    for t in range(contact.factor.shape[0]):
+        load, factor, scale, compliant, moved = tools.own_load, contact.factor[t], 1.0, 0.0, 0.0
+        load[:] = 0.0
         for e in range(contact.numbers[PAIRS]):
             if contact.tool[e] == t:
-                x, y, z = x + contact.push[e, 0], y + contact.push[e, 1], z + contact.push[e, 2]
-        contact.factor[t] = secant_factor(surface.compliance.stiffening, np.sqrt(x * x + y * y + z * z))
+                for d in range(3):
+                    push = contact.push[e, d]
+                    compliant += push * (contact.now[e, d] - contact.modal[e, d])
+                    for m in range(load.shape[0] if push != 0.0 else 0):
+                        load[m] += surface.columns[contact.node[e], d, m] * push
+        if tools.kind[t] != BONDED and compliant > 0.0:
+            for m in range(moving):
+                value = 0.0
+                for k in range(moving):
+                    value += response[m, k] * load[k]
+                moved += load[m] * value
+            size, inertia = _tool_force(contact, t), factor * step * step * moved / compliant
+            contact.factor[t], left = stiffened_force(surface.compliance.stiffening, factor * size, inertia)
+            scale = left * factor / contact.factor[t]
+            for e in range(contact.numbers[PAIRS]):
+                if contact.tool[e] == t:
+                    for d in range(3):
+                        contact.push[e, d] *= scale
+        for m in range(load.shape[0]):
+            tools.load[m] += scale * load[m]
 
 
 @kernel_njit()
-def settle(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def]
+def settle(surface, contact, tools, a, v, step, response, moving):  # type: ignore[no-untyped-def]
     """Solve for the forces of the tools at the end of a step.
 
     Parameters
@@ -246,6 +287,10 @@ def settle(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def]
     a, v : (m,) arrays
         Coordinates and velocities without the forces of this step.
     step : float [s]
+    response : (m, m) array [1/kg]
+        Inverse mass matrix of the coordinates that are not prescribed.
+    moving : int
+        Number of those coordinates, which come first.
 
     Returns
     -------
@@ -259,7 +304,7 @@ def settle(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def]
     if count == 0:
         return 0.0, 0.0
     cached = refresh(surface.compliance, contact.active, contact.point, count)
-    _update_factors(surface, contact, tools)
+    _start_factors(surface, contact, tools)
     for e in range(count):
         for d in range(3):
             contact.now[e, d] = contact.modal[e, d]
@@ -277,6 +322,7 @@ def settle(surface, contact, tools, a, v, step):  # type: ignore[no-untyped-def]
             break
     if largest >= SWEEP_TOLERANCE * deepest:
         contact.numbers[UNCONVERGED] += 1
+    _scale_forces(surface, contact, tools, step, response, moving)
     return _store(surface, contact, tools, step)
 
 
@@ -297,15 +343,12 @@ def _store(surface, contact, tools, step):  # type: ignore[no-untyped-def]
             tools.nodal_impulses[i, d] += step * push[d]
             work += step * push[d] * speed[d]
             lost += push[d] * (step * speed[d] - (place[d] - contact.before[e, d]))
-            if push[d] != 0.0:
-                for m in range(tools.load.shape[0]):
-                    tools.load[m] += surface.columns[i, d, m] * push[d]
     return work, lost
 
 
 @kernel_njit(inner=True)
 def set_tool_path(tools, home, target, at_rest):  # type: ignore[no-untyped-def]
-    """Set the path of a tool during a period to a target pose (12,): displacement and R - I.
+    """Set the path of a tool during a period to a target pose (12,): displacement and R - I, from home.
 
     The path starts at the target if body and target are at rest, at the start of a run.
     """
@@ -315,13 +358,25 @@ def set_tool_path(tools, home, target, at_rest):  # type: ignore[no-untyped-def]
     for i in range(12):
         target_at_rest = target_at_rest and target[i] == 0.0
     for i in range(3):
+        for j in range(4):
+            tools.path[PATH_START, i, j] = tools.path[PATH_END, i, j]
         for j in range(3):
             tools.path[PATH_END, i, j] = target[3 + 3 * i + j] + (1.0 if i == j else 0.0)
-        tools.path[PATH_END, i, 3] = home[i] + target[i]
-        for j in range(4):
-            if at_rest and target_at_rest:
-                tools.frames[0, 1, i, j] = tools.path[PATH_END, i, j]
-            tools.path[PATH_START, i, j] = tools.frames[0, 1, i, j]
+        tools.path[PATH_END, i, 3] = home[i, 3] + target[i]
+    if at_rest and target_at_rest:
+        for i in range(3):
+            for j in range(4):
+                tools.path[PATH_START, i, j] = tools.path[PATH_END, i, j]
+        place_frame(tools.path[PATH_END], home, tools.frames[0, 1])
+
+
+@kernel_njit(inline="always")
+def place_frame(turned, home, frame):  # type: ignore[no-untyped-def]
+    """Write the frame (3, 4) of a tool at home that is turned and then placed by another."""
+    for i in range(3):
+        for j in range(3):
+            frame[i, j] = turned[i, 0] * home[0, j] + turned[i, 1] * home[1, j] + turned[i, 2] * home[2, j]
+        frame[i, 3] = turned[i, 3]
 
 
 @kernel_njit(inner=True)
@@ -340,18 +395,20 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
         Fraction of the path at the end of the step.
     tool_forces : (12,) array
         Receives the means of the forces that are conjugate to the tool's displacement and to the
-        entries of its rotation R. For the latter they are G = S R, with S the moment's cross product.
+        entries of its rotation R from home. For the latter they are G = S R, with S the moment's cross
+        product.
     """
     tools, response = data.tools, data.constrained_inverse_mass
-    start, end = tools.path[PATH_START], tools.path[PATH_END]
+    start, end, turned = tools.path[PATH_START], tools.path[PATH_END], tools.path[PATH_NOW]
     for i in range(3):
         for j in range(4):
             tools.frames[0, 0, i, j] = tools.frames[0, 1, i, j]
-            tools.frames[0, 1, i, j] = start[i, j] + share * (end[i, j] - start[i, j])
+            turned[i, j] = start[i, j] + share * (end[i, j] - start[i, j])
+    place_frame(turned, data.home, tools.frames[0, 1])
     for m in range(q.shape[0]):
         at[m] = q[m] + step * v[m]
     tools.impulses[:] = 0.0
-    settle(data.contact_surface, data.contact_state, tools, at, v, step)
+    settle(data.contact_surface, data.contact_state, tools, at, v, step, response, q.shape[0])
     for m in range(q.shape[0]):
         for k in range(q.shape[0]):
             v[m] += step * response[m, k] * tools.load[k]
@@ -360,8 +417,8 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
         tool_forces[i] += tools.impulses[0, i] / period
         half = 0.5 * tools.impulses[0, 3 + i] / period
         for j in range(3):
-            tool_forces[3 + 3 * m + j] += half * tools.frames[0, 1, k, j]
-            tool_forces[3 + 3 * k + j] -= half * tools.frames[0, 1, m, j]
+            tool_forces[3 + 3 * m + j] += half * turned[k, j]
+            tool_forces[3 + 3 * k + j] -= half * turned[m, j]
 
 
 @kernel_njit(inner=True)

@@ -57,9 +57,10 @@ class RigidTools(NamedTuple):
     origins: Floats  # (t, 3) origin of forceps on the body at rest [m]
     frames: Floats  # (t, 2, 3, 4) rotations and positions [m] before and after a step
     load: Floats  # (m,) forces on the coordinates
+    own_load: Floats  # (m,) scratch: those of one tool
     impulses: Floats  # (t, 6) sums of impulses [N s] and moments about the origins [N m s] on the body
     nodal_impulses: Floats  # (k, 3) sums of impulses [N s] on the nodes
-    path: Floats  # (2, 3, 4) in real time: frames of a tool before and after a period
+    path: Floats  # (3, 3, 4) in real time: rotation from home and position before and after a period, and now
 
 
 class ContactScratch(NamedTuple):
@@ -134,9 +135,10 @@ def rigid_tools(prepared: PreparedLoads | None, of: ContactSurface) -> RigidTool
         origins=origins,
         frames=np.zeros((len(kind), 2, 3, 4)),
         load=np.zeros(of.columns.shape[2]),
+        own_load=np.zeros(of.columns.shape[2]),
         impulses=np.zeros((len(kind), 6)),
         nodal_impulses=np.zeros((len(of.nodes), 3)),
-        path=np.zeros((2, 3, 4)),
+        path=np.tile(np.eye(3, 4), (3, 1, 1)),
     )
 
 

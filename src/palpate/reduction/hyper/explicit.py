@@ -129,7 +129,7 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
                     rotation(contact.poses[s + 1, t], tools.frames[t, 1])
                 for m in range(count):
                     at[m] = a[m] + step * v[m] if m < moving else lifting[s + 2, m - first]
-                works = settle(contact.surface, contact.scratch, tools, at, v, step)
+                works = settle(contact.surface, contact.scratch, tools, at, v, step, response, moving)
                 total, lost = total + works[0], lost + works[1]
                 for m in range(moving):
                     value = 0.0

@@ -28,7 +28,8 @@ def change_tool(model: RealtimeModel, tool: Tool | None, pose: Floats, friction:
     tool : Sphere, Capsule, Plane, Punch, Forceps or None
         None for a tool without contact.
     pose : (7,) array
-        Pose of the tool: a position [m] and a unit quaternion. Later displacements are relative to it.
+        Pose of the tool: a position [m] and a unit quaternion. Later displacements and rotations
+        are relative to it.
     friction : float
         Coulomb's coefficient.
     """
@@ -41,6 +42,8 @@ def change_tool(model: RealtimeModel, tool: Tool | None, pose: Floats, friction:
         tools.origins[0] = tool.point
     contact_state.force[:], contact_state.place[:], contact_state.busy[:] = 0.0, 0.0, True
     contact_state.numbers[PAIRS] = 0
-    data.home[:] = pose[:3]
+    rotation(pose, data.home)
+    tools.path[:] = np.eye(3, 4)
+    tools.path[:, :, 3] = data.home[:, 3]
     for frame in tools.frames[0]:
         rotation(pose, frame)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 
 from palpate.arrays import Floats, Ints
+from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
@@ -77,7 +78,8 @@ def realtime_model(
     longest : float [s]
         Longest period that the engine may request.
     contact : Contact or Grasp, optional
-        The tool in contact, from its pose at time 0. The trust number is then the distance from the
+        The tool in contact. The engine's poses are displacements and rotations from its pose at time 0,
+        the rotations about its position. The trust number is then the distance from the
         training states only.
     foundations : sequence of Foundation
         Springs between the body and the ground. Other loads are not supported in real time.
@@ -104,13 +106,14 @@ def realtime_model(
             f"model must have one prescribed group for the engine, got {len(reduced.prescribed)}; "
             "train it with prescribed='GROUP', or give a tool with contact="
         )
-    surface, home = model._contact_surface, np.zeros(3)
+    surface, home = model._contact_surface, np.eye(3, 4)
     tools, contact_state = rigid_tools(None, surface), contact_scratch(surface, 0)
     if contact is not None:
         contact_tools = ContactTools(surface, model.prepare([contact]))
         contact_tools.initial_state(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
-        home = contact_tools.prepared.schedule(np.zeros(1)).poses[0, 0, :3]
         tools, contact_state = contact_tools.tools, contact_tools.contact_state
+        rotation(contact_tools.prepared.schedule(np.zeros(1)).poses[0, 0], home)
+        tools.path[:, :, 3] = home[:, 3]
     number_in_range("step", model.step or longest, longest / MAX_SUBSTEPS, unit="s")
     steps = int(np.ceil(longest / (model.step or longest)))
     which = np.r_[:count, len(reduced.basis_vectors) - reduced.residual_fields : len(reduced.basis_vectors)]

@@ -92,8 +92,8 @@ class PeriodData(NamedTuple):
         Path of the tool during the implicit steps of a period, that it is prescribed, and zero loads.
     contact_surface, contact_state, tools : tuples
         Of a tool in contact (`palpate.reduction.contact.gauss_seidel`); empty for a prescribed group.
-    home : (3,) array [m]
-        Position of that tool at zero displacement.
+    home : (3, 4) array [-], [m]
+        Rotation and position of that tool at zero displacement.
     system : ContactSystem
         Of the contact stiffness (`palpate.reduction.contact.tangent`).
     """

@@ -50,8 +50,8 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
             raise InputError(
                 f"array compliance/{name} names rows outside the {len(compliance.nodes)} of compliance/nodes"
             )
-    if not (compliance.stiffening[0] >= 0 and compliance.stiffening[1] > 0):
-        raise InputError("array compliance/stiffening holds no exponent of at least 0 and positive force")
+    if not (0 <= compliance.stiffening[0] < 1 and compliance.stiffening[1] > 0):
+        raise InputError("array compliance/stiffening must hold an exponent in [0, 1) and a positive force")
     interior = _interior(arrays, compliance) if "interior/nodes" in arrays else None
     single = {name: getattr(compliance, name).astype(np.float32) for name in ("flexibility", "near_field")}
     return compliance._replace(**single, interior=interior)

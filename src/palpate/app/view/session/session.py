@@ -400,9 +400,8 @@ class Session:
         change_tool(self._realtime_model, tool.shape, np.concatenate([position, rotation]), tool.friction)
         self._observable.set_coupling(tool.stiffness)
         self._observable.set_state(self.engine.read().coordinates, np.zeros(3))
-        self.engine.place_tool(np.zeros(3), rotation, sequence)
-        self.tool, self._tool_origin = tool, np.array(position)
-        self._tool_rotation = quaternion if grasps else NO_ROTATION
+        self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence)
+        self.tool, self._tool_origin, self._tool_rotation = tool, np.array(position), np.array(quaternion)
 
 
 def _create_file(folder: Path) -> Path:
