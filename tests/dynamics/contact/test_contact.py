@@ -120,7 +120,7 @@ def test_the_tools_moment_is_the_angular_momentum_that_a_free_body_gains(loose):
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_the_energy_balance_closes_with_the_tools_work_and_what_friction_takes(cube, friction):
     slide = lambda t: press(0.002)(t) + np.array([0.1 * max(t - 0.02, 0.0), 0.0, 0.0])  # noqa: E731
-    trajectory = run(cube, pt.tools.Contact(BALL, slide, friction=friction), duration=0.06)
+    trajectory = run(cube, pt.tools.Contact(BALL, slide, friction=friction), duration=0.06, step=5e-5)
     assert np.abs(trajectory.balance).max() < 2e-3 * trajectory.external.max()
     # the tool's work from its own forces and its own motion
     forces, way = trajectory.reactions["tool"][1:], np.diff([slide(t) for t in trajectory.times], axis=0)
@@ -130,7 +130,7 @@ def test_the_energy_balance_closes_with_the_tools_work_and_what_friction_takes(c
 @pytest.mark.parametrize("until", [np.inf, 0.015])
 def test_the_energy_balance_closes_where_a_tool_presses_beside_forceps(cube, until):
     grasp = pt.tools.Grasp((0.0, 0.0, SIDE), 0.006, lambda t: np.array([-0.05 * t, 0.0, SIDE + 0.05 * t]), until=until)
-    trajectory = run(cube, pt.tools.Contact(BALL, press(0.003), friction=0.3), grasp)
+    trajectory = run(cube, pt.tools.Contact(BALL, press(0.003), friction=0.3), grasp, step=5e-5)
     held = cube.cloud.within("near", (0.0, 0.0, SIDE), 0.006).group("near")
     contact_forces, borne = trajectory.contact_forces, -trajectory.reactions["grasp"]
     on_held = contact_forces[np.isin(contact_forces[:, 1], held)]

@@ -24,7 +24,7 @@ __all__ = ["ContactState", "Evaluation", "Model", "Nodes", "Outputs", "State", "
 Nodes = NDArray[np.int64] | slice
 
 
-RESOLVED_STEP = 2.5e-4  # [s]: resolves motions of tools and loads that a 1 kHz device can feel
+RESOLVED_STEP = 1e-4  # [s]: resolves motions of tools and loads at ten steps a period of 1 kHz
 
 
 class ContactState(NamedTuple):

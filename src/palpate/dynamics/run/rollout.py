@@ -23,6 +23,7 @@ from palpate.faults import DivergenceError, InputError, number_in_range
 __all__ = ["machine_memory", "rollout"]
 
 
+MAX_OVERSTEP = 1.2  # longest step that is accepted, over the stable step after it
 STEPS_PER_ESTIMATE = 50  # steps between two estimates of the stable step
 MIN_RETRY_STEP = 1 / 256  # smallest retry step, as a fraction of the stable step
 MAX_DISPLACEMENT = 100.0  # largest displacement, in body sizes
@@ -126,20 +127,21 @@ def rollout(
 
 @dataclass
 class _StepControl:
-    """Step lengths [s]: a fixed step, or the longest allowed and the first stable one."""
+    """Step lengths [s]: a fixed step, or the longest allowed, and the first and the last stable one."""
 
     fixed: float | None
     longest: float
     first: float = 0.0
+    last: float = 0.0
 
-    def step(self, model: Model, state: State, prepared: PreparedLoads, share: float, work: Any) -> tuple[float, State]:
-        """Return the fixed step [s], or a share of the stable one, and the state with its estimate."""
+    def stable_step(self, model: Model, state: State, prepared: PreparedLoads, work: Any) -> tuple[float, State]:
+        """Return the fixed step [s], or the stable one, and the state with its estimate."""
         if self.fixed is not None:
             return self.fixed, state
         stable, state = model.stable_step(state, prepared, work)
         stable = min(stable, self.longest)
-        self.first = self.first or stable
-        return share * stable, state
+        self.first, self.last = self.first or stable, stable
+        return stable, state
 
     def max_steps(self, interval: float) -> float:
         """Return the largest number of steps allowed in an interval [s]."""
@@ -186,8 +188,11 @@ def _advance_to(
 ) -> tuple[State, int, float]:
     """Advance to a time [s]; return the state, the number of steps and the last step [s]."""
     taken, used, share, interval = 0, control.longest, 1.0, time - state.time
+    stable = control.last  # of the state after the last steps
+    if not stable:
+        stable, state = control.stable_step(model, state, prepared, work)
     while time - state.time > 1e-12 * abs(time):
-        target, state = control.step(model, state, prepared, share, work)
+        target = share * stable
         if not target > 0 or (time - state.time) / target > MAX_STEPS_PER_FRAME:
             raise _divergence(model, state, prepared, "no step is stable", target)
         if target < MIN_STEP_ULPS * np.spacing(abs(time)):
@@ -204,12 +209,17 @@ def _advance_to(
         step = (time - state.time) / left
         count = min(left, STEPS_PER_ESTIMATE)
         new, report = model.advance(state, prepared, step, count, work)
-        if control.fixed is None and share > MIN_RETRY_STEP and not model.accept_step(state, new, report, work):
+        checked, after = control.fixed is None and share > MIN_RETRY_STEP, stable
+        accepted = not checked or model.accept_step(state, new, report, work)
+        if accepted and np.isfinite(new.coordinates).all():
+            after, new = control.stable_step(model, new, prepared, work)
+            accepted = not checked or step <= MAX_OVERSTEP * after
+        if not accepted:
             share /= 2  # the body is stiffer than at the estimate
             continue
         if not np.isfinite(new.coordinates).all():
             raise _divergence(model, state, prepared, "the state became non-finite", step, new)
-        state, taken, used, share = new, taken + count, step, min(1.0, 2 * share)
+        state, stable, taken, used, share = new, after, taken + count, step, min(1.0, 2 * share)
     return state, taken, used
 
 
