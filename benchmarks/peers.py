@@ -1,4 +1,4 @@
-"""Explicit steps of a beam under its weight, beside other programs with as many nodes, on one thread.
+"""Computing time of a beam under its weight in palpate and in MuJoCo, with the same nodes, on one thread.
 
     python benchmarks/peers.py [--cells 8] [--duration 0.1] [--rounds 3] [--json FILE]
 
