@@ -91,7 +91,10 @@ def test_every_reduced_model_is_reported_once_in_order(study):
             assert set(phase["errors"]) == {"displacement", "velocity", "energy", "reaction"}
             assert phase["projection_error"] <= 1.1 * phase["errors"]["displacement"]
             assert phase["ratio"] == pytest.approx(phase["wall_seconds"] / report["full"][name]["wall_seconds"])
-            assert phase["steps"] == 1000 if sampled or name == "after" else 250
+            if sampled and name == "after":  # some steps are repeated where the tool jumps back
+                assert 1000 <= phase["steps"] < 1500
+            else:
+                assert phase["steps"] == (1000 if sampled or name == "after" else 250)
             assert phase["nodes"] < 6 * 217 if sampled else phase["nodes"] == 217
         # the mean over all snapshots is that of the phases' means
         halves = [phase["errors"]["displacement"] for phase in entry["phases"].values()]

@@ -122,7 +122,7 @@ def grasped(beam):
 @pytest.mark.parametrize("step", [None, 1e-4])
 def test_a_tool_feels_the_springs(grasped, step):
     loads, full, rom = grasped
-    own, bare = (rollout(rom.with_step(step), some) for some in (loads, loads[:1]))
+    own, bare = (rollout(rom.with_step(step), some, step=None if step else 5e-5) for some in (loads, loads[:1]))
     peak = np.abs(full.reactions["x+"]).max()
     assert np.abs(own.reactions["x+"] - full.reactions["x+"]).max() < 0.05 * peak
     assert np.abs(bare.reactions["x+"] - full.reactions["x+"]).max() > 0.2 * peak

@@ -127,7 +127,7 @@ def test_a_reduced_model_in_another_form_repeats_the_full_one_and_is_kept(tmp_pa
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric="mixed"))
     run = rollout(body)
     model = pt.hyper_reduce(body, run, modes=12)
-    assert pt.relative_errors(run, rollout(model)).displacement < 0.03
+    assert pt.relative_errors(run, rollout(model)).displacement < 0.035
     pt.save(model, tmp_path / "mixed.rom")
     loaded = pt.load(tmp_path / "mixed.rom")
     assert loaded.material == body.material

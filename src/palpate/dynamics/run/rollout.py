@@ -212,14 +212,16 @@ def _advance_to(
         checked, after = control.fixed is None and share > MIN_RETRY_STEP, stable
         accepted = not checked or model.accept_step(state, new, report, work)
         if accepted and np.isfinite(new.coordinates).all():
-            after, new = control.stable_step(model, new, prepared, work)
-            accepted = not checked or step <= MAX_OVERSTEP * after
+            reached = replace(new, time=new.time - 0.5 * step)  # with the constraints of these steps
+            after, reached = control.stable_step(model, reached, prepared, work)
+            new, accepted = replace(reached, time=new.time), not checked or step <= MAX_OVERSTEP * after
         if not accepted:
             share /= 2  # the body is stiffer than at the estimate
             continue
         if not np.isfinite(new.coordinates).all():
             raise _divergence(model, state, prepared, "the state became non-finite", step, new)
-        state, stable, taken, used, share = new, after, taken + count, step, min(1.0, 2 * share)
+        share = 1.0 if after < stable else min(1.0, 2 * share)  # a smaller estimate has taken account of it
+        state, stable, taken, used = new, after, taken + count, step
     return state, taken, used
 
 

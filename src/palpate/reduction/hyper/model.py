@@ -41,7 +41,7 @@ __all__ = ["ReducedData", "ReducedModel"]
 
 REFRESH_DISPLACEMENT = 0.1  # displacement after which the stable step is updated, as a fraction of the largest so far
 NEWTON_TOLERANCE = 1e-7  # largest displacement of the last Newton update, in spacings
-MAX_ENERGY_ERROR = 0.05  # largest error of the energy balance of accepted steps, relative to the energy
+MAX_ENERGY_ERROR = 0.05  # largest gain of energy in accepted steps, relative to the energy
 DIFFERENCE_STEP = 1e-5  # displacements for difference quotients of the tangent, in spacings
 STENCIL_NEIGHBOURS = {2: 14, 3: 42}  # by dimension of the cloud: a sheet, a solid
 
@@ -388,7 +388,7 @@ class ReducedModel(Model):
         return new, StepReport(done + tool_work, lost, tool_impulses=contact.tools.impulses.copy())
 
     def accept_step(self, before: State, after: State, report: StepReport, work: ReducedWork | None = None) -> bool:
-        """Return True to accept the last steps, False if the energy balance of explicit steps has an error.
+        """Return True to accept the last steps, False if explicit steps gained energy.
 
         Coordinates outside training can stiffen so fast that a step, stable at its estimate, becomes
         unstable. The balance is not checked while tools touch the body.
@@ -403,7 +403,7 @@ class ReducedModel(Model):
         with np.errstate(all="ignore"):  # an unstable body
             first, last = (self._total_energy(state, work) for state in (before, after))
         error = last - first - (report.external_work - report.dissipated)
-        return bool(abs(error) <= MAX_ENERGY_ERROR * max(first, last))  # False for NaN
+        return bool(error <= MAX_ENERGY_ERROR * max(first, last))  # False for NaN
 
     def _total_energy(self, state: State, work: ReducedWork | None) -> float:
         """Return the kinetic and strain energy [J] of a state."""
