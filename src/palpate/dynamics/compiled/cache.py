@@ -208,6 +208,9 @@ def law_njit(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Compile with `numba.njit` under a unique name, by default cached under a digest.
 
+    Kernels call others with the index of a parallel loop as ``np.int64``: as it is, unsigned in one of the
+    two passes over the loop, it would compile them twice.
+
     Parameters
     ----------
     digest : str

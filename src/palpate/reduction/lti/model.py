@@ -223,7 +223,7 @@ class LinearModel(Model):
         return State(np.concatenate([own[0], tools]), np.concatenate([own[1], rates]), time)
 
     def stable_step(self, state: State, prepared: PreparedLoads, work: None = None) -> tuple[float, State]:
-        """Return infinity: the step is exact, and a run takes `min_steps_per_frame` steps between snapshots."""
+        """Return infinity: the step is exact, and a run takes the steps of `longest_step`."""
         return np.inf, state
 
     def _propagator(self, step: float) -> tuple[Floats, ...]:
