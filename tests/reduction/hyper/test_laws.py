@@ -125,9 +125,9 @@ def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_n
 @pytest.mark.slow
 def test_a_reduced_model_in_another_form_repeats_the_full_one_and_is_kept(tmp_path):
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric="mixed"))
-    run = rollout(body)
+    run = rollout(body, step=2.5e-5)
     model = pt.hyper_reduce(body, run, modes=12)
-    assert pt.relative_errors(run, rollout(model)).displacement < 0.035
+    assert pt.relative_errors(run, rollout(model, step=2.5e-5)).displacement < 0.03
     pt.save(model, tmp_path / "mixed.rom")
     loaded = pt.load(tmp_path / "mixed.rom")
     assert loaded.material == body.material
