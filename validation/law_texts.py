@@ -73,7 +73,7 @@ def compiling(data: Any, text: str, split: str) -> tuple[float, float]:
     law_of.__globals__["_law"].cache_clear()
     material = unchecked(law_of(text), split)
     made = perf_counter()
-    model = pt.ReducedModel(replace(data, material=material))
+    model = pt.ReducedModel(replace(data, tissue=replace(data.tissue, material=material)))
     for compiled in (model.force, model.energy):
         with suppress(ZeroDivisionError):
             compiled(np.zeros(model.count))

@@ -18,7 +18,6 @@ from equilibrium import relax
 from scipy.special import jn_zeros
 
 import palpate as pt
-from palpate.dynamics.run.reactions import reactions
 from palpate.scenes.membrane import membrane
 
 OUTPUT = Path(__file__).parent.parent / "docs" / "validation" / "membranes.json"
@@ -50,7 +49,7 @@ def poked(spacing, layout, jitter, tool_radius, prestretch=1.0, form="energy"):
     u, change = settled(model, [tool], start)
     prepared = model.prepare([tool])
     still = pt.State(u, np.zeros_like(u))
-    force = reactions(model, still, prepared)["tool"][2]
+    force = model.outputs(still, prepared).reactions["tool"][2]
     mean = np.sum(cloud.volumes * u[:, 2]) / cloud.volumes.sum()
     return force, float(mean), model.strain_energy(u), change
 

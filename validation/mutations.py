@@ -196,8 +196,8 @@ MUTATIONS = (
         "inertia - scratch.force[i, c]", "inertia + scratch.force[i, c]", contract("energy_is_kept", "solid, tool"),
     ),
     Mutation(
-        "loads counted twice in reactions", "dynamics/run/reactions.py",
-        "- model.external_force(state, prepared, work)", "- 2.0 * model.external_force(state, prepared, work)",
+        "loads counted twice in reactions", "dynamics/nodal/model.py",
+        "unbalanced -= external_force", "unbalanced -= 2.0 * external_force",
         contract("supports_bear_the_loads", "solid, strong"),
     ),
     Mutation(

@@ -13,12 +13,13 @@ from palpate.dynamics.nodal.equilibrium import Equilibrium
 from palpate.dynamics.nodal.model import NodalModel, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport
 from palpate.dynamics.run.model import ContactState, Evaluation, Model, Outputs, StepReport
+from palpate.dynamics.run.reactions import NodalFields
 from palpate.realtime.device import DeviceLog
 from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Distribution, Histograms
 from palpate.reduction.galerkin.step import GalerkinWork
+from palpate.reduction.hyper.body import ReducedBody, ReducedWork
 from palpate.reduction.hyper.data import ReducedData
-from palpate.reduction.hyper.model import ReducedWork
 from palpate.reduction.lti.realtime import LinearRealtime
 from palpate.reduction.realtime.model import RealtimeModel
 
@@ -39,12 +40,14 @@ __all__ = [
     "LoadHistory",
     "Model",
     "Motion",
+    "NodalFields",
     "NodalModel",
     "NodalWork",
     "Outputs",
     "PreparedLoads",
     "Reading",
     "RealtimeModel",
+    "ReducedBody",
     "ReducedData",
     "ReducedWork",
     "StabilityReport",

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from palpate.app.cli import main
-from palpate.dynamics.run.reactions import evaluate
+from palpate.dynamics.run.reactions import nodal_outputs
 
 
 @pytest.fixture
@@ -36,12 +36,12 @@ def stop_after(monkeypatch):
     """A function that makes runs raise an error at the first snapshot after a time [s]."""
 
     def stop(time, error):
-        def late(model, state, prepared, work=None):
+        def late(model, fields, state, *others):
             if state.time > time:
                 raise error
-            return evaluate(model, state, prepared, work)
+            return nodal_outputs(model, fields, state, *others)
 
-        monkeypatch.setattr("palpate.dynamics.nodal.model.evaluate", late)
+        monkeypatch.setattr("palpate.dynamics.nodal.model.nodal_outputs", late)
 
     return stop
 

@@ -95,6 +95,12 @@ def evaluations(model):
     return [getattr(model, name) for name in names if hasattr(model, name)]
 
 
+def state_functions(model):
+    """Return the functions of a state that a model has besides its outputs."""
+    names = ("acceleration", "external_force", "trust")
+    return [getattr(model, name) for name in names if hasattr(model, name)]
+
+
 def use(model, prepared, state, step):
     """Evaluate all that a model offers at another state, and run it from there."""
     other, again = bent(model, prepared, state), model.prepare(prepared.loads)
@@ -105,8 +111,8 @@ def use(model, prepared, state, step):
             evaluate(other)
     model.outputs(elsewhere, prepared)
     model.stable_step(elsewhere, prepared)
-    model.acceleration(elsewhere, prepared)
-    model.external_force(elsewhere, prepared)
+    for evaluate in state_functions(model):
+        evaluate(elsewhere, prepared)
     model.accept_step(elsewhere, *model.advance(elsewhere, prepared, step, 3))
     near = replace(state, coordinates=1.001 * state.coordinates)
     model.stable_step(near, prepared)
@@ -183,9 +189,10 @@ def test_steps_may_be_taken_in_parts(model, prepared, state, step):
 
 def test_equal_states_have_equal_outputs(model, prepared, state, step):
     model.state(prepared)
-    first = bits(model.outputs(state, prepared)), bits(model.acceleration(state, prepared))
+    functions = (model.outputs, *state_functions(model))
+    first = [bits(function(state, prepared)) for function in functions]
     use(model, prepared, state, step)
-    assert (bits(model.outputs(state, prepared)), bits(model.acceleration(state, prepared))) == first
+    assert [bits(function(state, prepared)) for function in functions] == first
 
 
 def test_equal_states_have_equal_stable_steps(model, prepared, state, step):
@@ -219,7 +226,8 @@ def test_accepting_a_step_is_a_function_of_its_states_and_report(model, prepared
     for given in (report, replace(report, least_dilatation=-0.9)):
         first = model.accept_step(state, wild, given)
         use(model, prepared, state, step)
-        model.strain_energy(crushed(model))
+        if hasattr(model, "strain_energy"):
+            model.strain_energy(crushed(model))
         assert model.accept_step(state, wild, given) == first
 
 
@@ -327,5 +335,6 @@ def test_a_saved_model_runs_the_same(name, tmp_path):
     same_runs(run(own, loads), run(again, loads))
     assert again.stiffness_damping == own.stiffness_damping
     u = own.displacement(own.state(own.prepare(loads)), own.prepare(loads))
-    with suppress(pt.InputError):
-        np.testing.assert_array_equal(again.stress(u), own.stress(u))
+    for mine, its in zip(evaluations(own), evaluations(again), strict=True):
+        with suppress(pt.InputError):
+            assert bits(its(u)) == bits(mine(u))

@@ -61,7 +61,7 @@ def check_contract(model: Any) -> Realtime:
     if missing:
         raise InputError(
             f"model must have the attributes of palpate.realtime.Realtime, got {type(model).__name__} without "
-            f"{', '.join(missing)}; add them, or pass what ReducedModel.realtime() returns"
+            f"{', '.join(missing)}; add them, or pass what palpate.realtime_model returns"
         )
     for name in ("advance", "stiffness"):
         function = getattr(model, name)

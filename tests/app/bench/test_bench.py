@@ -48,8 +48,8 @@ def test_nodes_in_several_parts_leave_force_and_energy_as_they_are(sampled, coun
     assert len(model.data.cubature.nodes) == count
     coordinates = 0.1 * sampled.data.training_states[-1]
     if count >= own:
-        np.testing.assert_allclose(model.force(coordinates), sampled.force(coordinates), rtol=1e-6)
-        assert model.energy(coordinates) == pytest.approx(sampled.energy(coordinates), rel=1e-6)
+        np.testing.assert_allclose(model.body.force(coordinates), sampled.body.force(coordinates), rtol=1e-6)
+        assert model.body.energy(coordinates) == pytest.approx(sampled.body.energy(coordinates), rel=1e-6)
     else:
         kept = model.data.cubature.weights.sum() / sampled.data.cubature.weights.sum()
         assert count / own < kept < 1  # the heaviest ones

@@ -111,12 +111,12 @@ def test_a_reduced_model_knows_the_parts(tmp_path):
     assert pt.relative_errors(run, again).displacement < 0.08
     assert again.dissipated[-1] == pytest.approx(run.dissipated[-1], rel=0.05)
     pt.save(few, tmp_path / "bar.rom")
-    loaded, a = pt.load(tmp_path / "bar.rom"), 1e-4 * np.ones(6) / few.sizes
-    assert loaded.data.regions.materials == few.data.regions.materials
-    np.testing.assert_array_equal(loaded.data.regions.which, few.data.regions.which)
+    loaded, a = pt.load(tmp_path / "bar.rom"), 1e-4 * np.ones(6) / few.body.sizes
+    assert loaded.data.tissue.regions.materials == few.data.tissue.regions.materials
+    np.testing.assert_array_equal(loaded.data.tissue.regions.which, few.data.tissue.regions.which)
     for each in (few, loaded):  # both at rest
         each.state(each.prepare(loads))
-    np.testing.assert_allclose(loaded.force(a), few.force(a), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(loaded.body.force(a), few.body.force(a), rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -56,16 +56,18 @@ def run(body):
 
 def test_with_all_nodes_fibres_add_their_work_on_the_columns(body, run):
     data = pt.hyper_reduce(body, run[1], modes=6, cubature=0.0).data
-    model, bare = (pt.ReducedModel(p, single=False) for p in (data, replace(data, fibres=None)))
+    model, bare = (
+        pt.ReducedModel(p, single=False) for p in (data, replace(data, tissue=replace(data.tissue, fibres=None)))
+    )
     columns = data.basis_vectors[: model.count]
     slopes = np.stack([body.stencils.gradient(column) for column in columns])
     for a in data.training_states[4::12]:
         F = body.deformation_gradient(np.tensordot(a, columns, 1))
         expected = -np.einsum("n,mnij,nij->m", body.volumes, slopes, body.fibres.stress(F))
-        found = model.force(a) - bare.force(a)
-        np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(model.force(a)).max())
+        found = model.body.force(a) - bare.body.force(a)
+        np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(model.body.force(a)).max())
         energy = float(body.volumes @ body.fibres.energy(F))
-        assert model.energy(a) - bare.energy(a) == pytest.approx(energy, rel=1e-7)
+        assert model.body.energy(a) - bare.body.energy(a) == pytest.approx(energy, rel=1e-7)
 
 
 def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
@@ -81,27 +83,27 @@ def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
     for scale in (1.0, 5.0):
         a = scale * model.data.training_states[20]
         step = 1e-6 * np.abs(a).max() * random.standard_normal(len(a))
-        slope = precise.energy(a + step) - precise.energy(a - step)
-        assert -2 * precise.force(a) @ step == pytest.approx(slope, rel=1e-5, abs=1e-9 * precise.energy(a))
+        slope = precise.body.energy(a + step) - precise.body.energy(a - step)
+        assert -2 * precise.body.force(a) @ step == pytest.approx(slope, rel=1e-5, abs=1e-9 * precise.body.energy(a))
     # a crushed and turned body has a finite energy and force
     wild = 1e3 * np.abs(model.data.training_states).max() * random.standard_normal(12)
-    assert np.isfinite(model.energy(wild))
-    assert np.isfinite(model.force(wild)).all()
+    assert np.isfinite(model.body.energy(wild))
+    assert np.isfinite(model.body.force(wild)).all()
     # the file
     pt.save(model, tmp_path / "fibres.rom")
     loaded = pt.load(tmp_path / "fibres.rom")
-    assert type(loaded.data.fibres) is type(body.fibres)
-    np.testing.assert_array_equal(loaded.data.fibres.directions, body.fibres.directions)
-    np.testing.assert_array_equal(loaded.force(a), model.force(a))
+    assert type(loaded.data.tissue.fibres) is type(body.fibres)
+    np.testing.assert_array_equal(loaded.data.tissue.fibres.directions, body.fibres.directions)
+    np.testing.assert_array_equal(loaded.body.force(a), model.body.force(a))
     u = model.displacement(model.state(model.prepare(loads)), None)
     np.testing.assert_array_equal(loaded.stress(u), model.stress(u))
 
 
 def test_a_model_without_its_fibres_is_another_one(body, run):
     model = pt.hyper_reduce(body, run[1], modes=12)
-    bare = pt.ReducedModel(replace(model.data, fibres=None))
+    bare = pt.ReducedModel(replace(model.data, tissue=replace(model.data.tissue, fibres=None)))
     a = model.data.training_states[20]
-    assert np.linalg.norm(bare.force(a) - model.force(a)) > 0.1 * np.linalg.norm(model.force(a))
+    assert np.linalg.norm(bare.body.force(a) - model.body.force(a)) > 0.1 * np.linalg.norm(model.body.force(a))
 
 
 def test_fibres_of_ones_own_are_not_saved(tmp_path):

@@ -85,7 +85,7 @@ def test_a_model_of_one_press_and_one_grasp_answers_others(body, model, kind, mo
 def test_forces_on_nodes_lead_a_model_through_a_grasp(runs, model):
     """Its modes are where those of the full run are; without these forces they would stay at rest."""
     full = runs[1]
-    expected = model.project(full.displacements)
+    expected = model.body.project(full.displacements)
     led = _follow_run(model, full)
     size = np.linalg.norm(expected)
     assert np.linalg.norm(led - expected) < 0.1 * size

@@ -221,8 +221,8 @@ def test_all_points_with_their_volumes_are_the_galerkin_model(sheet, push, form)
         a = np.linalg.lstsq(columns.reshape(whole.count, -1).T, push.displacements[frame].ravel(), rcond=None)[0]
         u = np.tensordot(a, columns, 1)
         expected = np.einsum("n,mnc,nc->m", tight.volumes, columns, tight.force(u))
-        np.testing.assert_allclose(whole.force(a), expected, atol=1e-9 * np.abs(expected).max())
-        assert whole.energy(a) == pytest.approx(tight.strain_energy(u), rel=1e-9)
+        np.testing.assert_allclose(whole.body.force(a), expected, atol=1e-9 * np.abs(expected).max())
+        assert whole.body.energy(a) == pytest.approx(tight.strain_energy(u), rel=1e-9)
 
 
 def test_a_sampled_sheet_has_few_points_and_repeats_the_push(sheet, push, sampled):
@@ -275,7 +275,7 @@ def test_the_sampled_tool_may_let_go(sheet, freed):
 @pytest.mark.slow
 def test_the_step_of_a_slack_sheet_is_that_of_its_taut_states(sampled):
     prepared = sampled.prepare([PUSH])
-    assert sampled.data.taut_frequency > 1.2 * sampled.frequencies()[-1]
+    assert sampled.data.taut_frequency > 1.2 * sampled.body.frequencies()[-1]
     assert sampled.stable_step(sampled.state(prepared), prepared)[0] < 2 / sampled.data.taut_frequency
 
 
@@ -295,7 +295,7 @@ def test_a_sampled_sheet_is_saved_and_loaded(sampled, tmp_path):
     assert loaded.material == sampled.material
     assert loaded.data.taut_frequency == sampled.data.taut_frequency
     a = 1e-4 * np.random.default_rng(0).standard_normal(sampled.count)
-    np.testing.assert_array_equal(loaded.force(a), sampled.force(a))
+    np.testing.assert_array_equal(loaded.body.force(a), sampled.body.force(a))
 
 
 def test_a_sampled_sheet_refuses_what_it_does_not_know(sampled):

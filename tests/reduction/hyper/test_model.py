@@ -72,7 +72,7 @@ def grasped(body):
 
 
 def random_state(model, rng, size=2e-3):
-    return size * rng.standard_normal(model.count) / model.sizes / np.sqrt(model.count)
+    return size * rng.standard_normal(model.count) / model.body.sizes / np.sqrt(model.count)
 
 
 def test_all_nodes_with_their_volumes_are_the_galerkin_model(body, whole):
@@ -85,8 +85,8 @@ def test_all_nodes_with_their_volumes_are_the_galerkin_model(body, whole):
         expected = np.tensordot(columns, nodal, 2)
         scale = np.abs(expected).max()
         # the pressure modes are those of the runs; what they leave of a random state's pressure is small, not zero
-        np.testing.assert_allclose(precise.force(a), expected, atol=0.02 * scale)
-        np.testing.assert_allclose(precise.energy(a), body.strain_energy(u), rtol=0.02)
+        np.testing.assert_allclose(precise.body.force(a), expected, atol=0.02 * scale)
+        np.testing.assert_allclose(precise.body.energy(a), body.strain_energy(u), rtol=0.02)
 
 
 def test_all_nodes_and_all_pressures_are_the_galerkin_model_exactly(body, whole):
@@ -100,20 +100,20 @@ def test_all_nodes_and_all_pressures_are_the_galerkin_model_exactly(body, whole)
         a = random_state(exact, np.random.default_rng(seed))
         u = np.tensordot(a, columns, 1)
         expected = np.tensordot(columns, body.force(u) * body.volumes[:, None], 2)
-        np.testing.assert_allclose(exact.force(a), expected, atol=1e-9 * np.abs(expected).max())
-        assert exact.energy(a) == pytest.approx(body.strain_energy(u), rel=1e-9)
+        np.testing.assert_allclose(exact.body.force(a), expected, atol=1e-9 * np.abs(expected).max())
+        assert exact.body.energy(a) == pytest.approx(body.strain_energy(u), rel=1e-9)
 
 
 def test_the_force_is_minus_the_slope_of_the_energy(rom):
     rng = np.random.default_rng(1)
     precise = pt.ReducedModel(rom.data, single=False)
     a, d = random_state(rom, rng), 1e-6 * random_state(rom, rng)
-    change = precise.energy(a + d) - precise.energy(a - d)
-    assert change == pytest.approx(-2 * precise.force(a) @ d, rel=1e-5)
+    change = precise.body.energy(a + d) - precise.body.energy(a - d)
+    assert change == pytest.approx(-2 * precise.body.force(a) @ d, rel=1e-5)
 
 
 def test_the_tangent_is_symmetric_and_positive_at_rest(rom):
-    tangent = rom.stiffness(np.zeros(rom.count))
+    tangent = rom.body.stiffness(np.zeros(rom.count))
     np.testing.assert_allclose(tangent, tangent.T, atol=1e-4 * np.abs(tangent).max())
     assert np.linalg.eigvalsh(tangent + tangent.T).min() > 0
 
@@ -122,8 +122,8 @@ def test_single_precision_of_the_table_is_harmless(rom):
     rng, precise = np.random.default_rng(2), pt.ReducedModel(rom.data, single=False)
     for _ in range(5):
         a = random_state(rom, rng)
-        expected = precise.force(a)
-        assert np.linalg.norm(rom.force(a) - expected) < 3e-5 * np.linalg.norm(expected)
+        expected = precise.body.force(a)
+        assert np.linalg.norm(rom.body.force(a) - expected) < 3e-5 * np.linalg.norm(expected)
 
 
 def test_few_nodes_are_chosen_and_weights_are_positive(body, rom):
@@ -263,7 +263,7 @@ def test_held_out_runs_set_trust_and_are_reported(body, runs):
     assert found["mean"]["velocity"] == pytest.approx(pt.relative_errors(full, rollout(rom, loads)).velocity, rel=1e-6)
     prepared = rom.prepare(loads)
     run = rollout(rom, loads)
-    states = zip(rom.project(run.displacements), rom.project(run.velocities), run.times, strict=True)
+    states = zip(rom.body.project(run.displacements), rom.body.project(run.velocities), run.times, strict=True)
     numbers = [rom.trust(pt.State(*state), prepared) for state in states]
     assert np.quantile(numbers, 0.95) == pytest.approx(1.0, rel=0.02)
 

@@ -13,6 +13,7 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.loads.supports import supports_of
+from palpate.dynamics.material.tissue import Tissue
 from palpate.reduction.contact.compliance import SurfaceCompliance
 from palpate.reduction.contact.interior import Interior
 from palpate.reduction.hyper.cubature import Cubature
@@ -25,11 +26,12 @@ from palpate.sealed import open_sealed
 def flat(data):
     """The fields of parts and of what they are made of, by name."""
     result = {}
-    for owner in (data, data.cloud, data.cubature):
+    for owner in (data, data.cloud, data.cubature, data.tissue):
         result |= {f"{type(owner).__name__}.{f.name}": getattr(owner, f.name) for f in fields(owner)}
-    if data.fibres is not None:  # compared by what they are made of
-        result |= {"law": type(data.fibres), "directions": data.fibres.directions, "c": data.fibres.coefficients}
-    inner = (data.cloud, data.cubature, data.fibres)
+    fibres = data.tissue.fibres
+    if fibres is not None:  # compared by what they are made of
+        result |= {"law": type(fibres), "directions": fibres.directions, "c": fibres.coefficients}
+    inner = (data.cloud, data.cubature, data.tissue, fibres)
     return {name: value for name, value in result.items() if value is None or all(value is not each for each in inner)}
 
 
@@ -53,7 +55,8 @@ def made_up(cloud, material, *, modes, samples=5, fixed=(), prescribed=(), lifti
     nodes = np.sort(np.random.default_rng(8).choice(len(cloud), samples, replace=False))
     rule = Cubature(nodes, 1e-8 * (1 + draw(size=samples) ** 2), draw(size=(max(1, modes // 4), samples)), 1e-3)
     return ReducedData(
-        cloud, material, supports_of(fixed), prescribed, cloud.volumes, np.ones(len(cloud)), 1e-4, 20.0, columns, modes,
+        cloud, Tissue(material, None, np.zeros(0), None, len(cloud)), supports_of(fixed), prescribed,
+        cloud.volumes, 1e-4, 20.0, columns, modes,
         lifting_count, rule, draw(size=(samples, count, 9)), np.eye(count), draw(size=(240, modes + lifting_count)),
         1e-3,
     )  # fmt: skip
@@ -181,8 +184,8 @@ def test_single_precision_of_the_columns_changes_no_force_and_no_displacement_on
     loaded = pt.load(saved)
     state, prepared = trained.state(trained.prepare(push), time=0.004), trained.prepare(push)
     for coordinates in trained.data.training_states[::7]:
-        np.testing.assert_array_equal(loaded.force(coordinates), trained.force(coordinates))
-        assert loaded.energy(coordinates) == trained.energy(coordinates)
+        np.testing.assert_array_equal(loaded.body.force(coordinates), trained.body.force(coordinates))
+        assert loaded.body.energy(coordinates) == trained.body.energy(coordinates)
         there = replace(state, coordinates=coordinates)
         expected = trained.displacement(there, prepared)
         np.testing.assert_allclose(loaded.displacement(there, prepared), expected, atol=1e-6 * np.abs(expected).max())

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.reduction.hyper.error_indicator import residual_norm, training_distance
+from palpate.reduction.hyper.reactions import projected_loads
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.training.calibrate_indicator import error_table
 
@@ -53,7 +55,7 @@ def rom(body, runs, held):
 
 
 def states(model, run):
-    coordinates, velocities = model.project(run.displacements), model.project(run.velocities)
+    coordinates, velocities = model.body.project(run.displacements), model.body.project(run.velocities)
     return [pt.State(a, v, float(t)) for a, v, t in zip(coordinates, velocities, run.times, strict=True)]
 
 
@@ -66,17 +68,18 @@ def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, run
         model.data.basis_vectors,
     )
     which = np.r_[:modes, len(columns) - model.data.residual_fields : len(columns)]
-    load = np.einsum("nc,mnc->m", model.external_force(model.state(prepared), prepared), columns[which])
-    samples, stiffness = model.integration_points(which), np.zeros((len(which), len(which)))
+    load = projected_loads(model.body, prepared).at(np.zeros(1))[0, which]
+    samples = model.data.integration_points(which, model.body.coefficients, model.single)
+    stiffness = np.zeros((len(which), len(which)))
     sizes = 1e-8 / np.linalg.norm(columns[which], axis=2).max(axis=1)
-    model._tangent(
+    model.body.tangent(
         np.zeros(len(which)), sizes, samples, scratch(samples), np.zeros((3, len(which))), len(which), stiffness
     )
     kept = np.linalg.solve(stiffness[:modes, :modes], load[:modes])
     both = np.linalg.solve(stiffness, load)
     added = np.tensordot(both - np.r_[kept, np.zeros(len(which) - modes)], columns[which], 1)
     expected = np.sqrt((added**2).sum(axis=1) @ body.volumes / body.volumes.sum())
-    assert model.residual_norm(pt.State(kept, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
+    assert residual_norm(model.body, pt.State(kept, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.slow
@@ -84,7 +87,7 @@ def test_the_samples_measure_the_imbalance_that_all_nodes_measure(body, runs, ro
     every = pt.hyper_reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]
     prepared = rom.prepare(loads)
-    found, expected = (np.array([m.residual_norm(s, prepared) for s in states(rom, full)]) for m in (rom, every))
+    found, expected = (np.array([residual_norm(m.body, s, prepared) for s in states(rom, full)]) for m in (rom, every))
     assert len(rom.data.cubature.nodes) < 0.7 * len(body.cloud)
     assert np.linalg.norm(found - expected) < 0.25 * np.linalg.norm(expected)
 
@@ -100,15 +103,15 @@ def test_witnesses_add_no_nodes_and_change_no_motion(body, rom):
     one, two = rollout(rom, loads), rollout(other, loads)
     np.testing.assert_allclose(one.displacements, two.displacements, atol=1e-12)
     prepared, state = rom.prepare(loads), pt.State(rom.data.training_states[30] * 1.1, np.zeros(count), 0.005)
-    assert other.residual_norm(state, prepared) == 0.0
-    assert other.trust(state, prepared) == rom.distance(state) / rom.data.distance_scale
+    assert residual_norm(other.body, state, prepared) == 0.0
+    assert other.trust(state, prepared) == training_distance(rom.body, state) / rom.data.distance_scale
 
 
 def test_a_load_that_the_modes_cannot_follow_is_not_trusted_however_little_the_body_moves(rom, body):
     """The sides of the beam are pressed together: no training run did that."""
     pinch = [pt.SurfaceForce("z+", force=(0, 0, -30.0)), pt.SurfaceForce("z-", force=(0, 0, 30.0))]
     prepared, state = rom.prepare(pinch), pt.State(np.zeros(rom.count), np.zeros(rom.count))
-    assert rom.distance(state) / rom.data.distance_scale < 0.01
+    assert training_distance(rom.body, state) / rom.data.distance_scale < 0.01
     assert rom.trust(state, prepared) > 1
 
 
@@ -127,7 +130,7 @@ def test_the_engines_report_tells_the_same_number(body):
             assert report[1] == pytest.approx(model.trust(state, prepared), rel=1e-3)
             alone = pt.ReducedModel(replace(model.data, distance_scale=1e9), step=model.step)
             assert alone.trust(state, prepared) == pytest.approx(
-                model.residual_norm(state, prepared) / model.data.residual_scale
+                residual_norm(model.body, state, prepared) / model.data.residual_scale
             )
 
 
@@ -177,4 +180,6 @@ def test_a_basis_that_holds_all_snapshots_leaves_no_witness(body, runs):
     assert model.data.residual_fields == 0
     prepared = model.prepare(pull(1.0, 0.0, 0.0))
     state = pt.State(2 * model.data.training_states[-1], np.zeros(2), 0.001)
-    assert model.trust(state, prepared) == pytest.approx(model.distance(state) / model.data.distance_scale)
+    assert model.trust(state, prepared) == pytest.approx(
+        training_distance(model.body, state) / model.data.distance_scale
+    )

@@ -102,7 +102,7 @@ def large_case(repeats: int, console: Console) -> dict[str, Any]:
         found.append((model, prepared, model.state(prepared)))
     small, rounds = found[0][0], max(repeats, 15)
     force, reading = force_seconds(small, rounds)
-    table = small._integration_points.table.nbytes
+    table = small.body.points.table.nbytes
     from_memory = table * read_seconds(np.ones(LARGE // 8), repeats=rounds) / LARGE
     steps = step_seconds(*found, repeats=rounds)
     chunks = median_seconds(*(_chunk(*each) for each in found), repeats=rounds)

@@ -84,12 +84,12 @@ def read_seconds(table: np.ndarray[Any, Any], *, parallel: bool = False, repeats
 
 def force_seconds(model: ReducedModel, repeats: int = 15) -> tuple[float, float]:
     """Return the median times [s] of a force evaluation and of reading its operator table once, one thread, in turn."""
-    columns = 1e-2 * model.cloud.spacing / model.sizes
-    repeat, read, flat = _repeated_force(), _reader(False), model._integration_points.table.reshape(-1)
+    columns = 1e-2 * model.cloud.spacing / model.body.sizes
+    repeat, read, flat = _repeated_force(), _reader(False), model.body.points.table.reshape(-1)
     result = np.zeros(model.count)
     force, evaluations = _per_count(
         lambda times: repeat(
-            model._force, columns, model._integration_points, model.workspace().coordinates, result, times
+            model.body.sampled_force, columns, model.body.points, model.workspace().coordinates, result, times
         )
     )
     table, readings = _per_count(lambda times: read(flat, times))

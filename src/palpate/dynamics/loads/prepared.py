@@ -164,6 +164,10 @@ class PreparedLoads(Described):
     partitions: dict[tuple[str, ...], Any] = field(default_factory=dict, repr=False, compare=False)
     derived: dict[int, tuple[object, object]] = field(default_factory=dict, repr=False, compare=False)
 
+    def is_prescribed(self, times: Floats) -> NDArray[np.bool_]:
+        """Return whether the motion of groups is prescribed at some times [s], shape (t,); True without such groups."""
+        return self.motions[0][0].is_active(times) if self.motions else np.ones(len(times), dtype=np.bool_)
+
     def with_scratch(self) -> tuple[LoadSites, Contacts]:
         """Return the sites and contacts with new scratch arrays, for one call of a step."""
         return self.sites._replace(impulses=np.zeros_like(self.sites.impulses)), with_scratch(self.contacts)

@@ -1,4 +1,4 @@
-"""The tissue of a solid: its law with the parameters of every node, fibres, relaxation and stiffness factors."""
+"""The tissue of a body: its law with the parameters of every node, fibres, relaxation and stiffness factors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Tissue", "tissue_of"]
 
 @dataclass(frozen=True)
 class Tissue:
-    """The material properties of a solid at all of its nodes.
+    """The material properties of a body at all of its nodes.
 
     Parameters
     ----------
@@ -66,6 +66,13 @@ class Tissue:
         if self.regions is None:
             return np.full(self.nodes, float(getattr(self.material, name)))
         return self.regions.values(name)
+
+    def stress(self, F: Floats, nodes: Any = slice(None)) -> Floats:
+        """Return the first Piola-Kirchhoff stress [Pa] for deformation gradients (k, 3, 3) at nodes."""
+        stress = self.material.stress(F) if self.regions is None else self.regions.at(nodes).stress(F)
+        if self.fibres is not None:
+            stress = stress + self.fibres.of(nodes).stress(F)
+        return np.asarray(self.stiffness[nodes, None, None] * stress if len(self.stiffness) else stress)
 
     def shear_stress(self, F: Floats, nodes: Any = slice(None)) -> Floats:
         """Return the stress [Pa] without the bulk pressure for deformation gradients (k, 3, 3) at nodes."""

@@ -18,6 +18,7 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, pr
 from palpate.dynamics.loads.supports import Support, supports_of
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.relaxation import relaxation
+from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.membrane.additional_stress import NO_ADDITIONAL_STRESS, AdditionalStress, additional_stress
 from palpate.dynamics.membrane.passes import POINTS, RADIUS, SheetBody, sheet, sheet_work
 from palpate.dynamics.nodal.model import History, NodalModel, NodalWork
@@ -95,8 +96,9 @@ class Membrane(NodalModel):
         neighbours: int | None = None,
         fibres: FibreLaw | None = None,
     ) -> None:
-        self.fibres = _validated_fibres(cloud, material, form, relaxed, fibres)
-        self.cloud, self.material = cloud, material
+        own = _validated_fibres(cloud, material, form, relaxed, fibres)
+        self.cloud, self.tissue = cloud, Tissue(material, None, np.zeros(0), own, len(cloud))
+        self.material, self.fibres = material, own
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
         self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
         self.supports = supports_of(fixed)

@@ -38,8 +38,9 @@ from palpate.dynamics.run.contact_state import (
     next_contact_state,
 )
 from palpate.dynamics.run.model import Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
-from palpate.dynamics.run.reactions import evaluate, tool_power
+from palpate.dynamics.run.reactions import NodalFields, nodal_outputs, tool_power
 from palpate.faults import number_in_range
+from palpate.meshfree.stencils import Stencils
 from palpate.tissue.fibres import FibreLaw
 
 __all__ = ["NodalModel", "NodalWork"]
@@ -66,6 +67,8 @@ class NodalModel(Model):
 
     Attributes
     ----------
+    stencils : Stencils
+        Stencils for derivatives of nodal fields.
     body : NamedTuple
         Constants of the compiled passes.
     formulation : Formulation
@@ -82,6 +85,7 @@ class NodalModel(Model):
         Fibres with a direction at every node.
     """
 
+    stencils: Stencils
     body: Any
     formulation: Formulation
     half_cell: float
@@ -301,7 +305,8 @@ class NodalModel(Model):
         schedule = prepared.schedule(times)
         check_tool_step(prepared, schedule, self.cloud.spacing)
         sites, contacts = prepared.with_scratch()
-        power = 0.0 if self.conservative else tool_power(self, state, prepared, work)
+        powered = bool(prepared.motions) and not self.conservative
+        power = tool_power(self, self._fields(state, prepared, work), state, prepared) if powered else 0.0
         self._restore(state.history, work)
         work.step.surface[:] = 0.0  # of another run's loads
         least = self._least_dilatation(work)
@@ -331,8 +336,9 @@ class NodalModel(Model):
             state, coordinates=u, velocities=v, time=float(times[-1]), external_work=state.external_work + done,
             dissipated=state.dissipated + lost, history=history, contact_state=contact_state,
         )  # fmt: skip
-        if not self.conservative:  # trapezium rule for the power of the tools
-            tools = 0.5 * step * steps * (power + tool_power(self, new, prepared, work))
+        if powered:  # trapezium rule for the power of the tools
+            power += tool_power(self, self._fields(new, prepared, work), new, prepared)
+            tools = 0.5 * step * steps * power
         report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.tool_impulses)
         return replace(new, external_work=new.external_work + tools), report
 
@@ -374,7 +380,30 @@ class NodalModel(Model):
         return surface
 
     def outputs(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Outputs:
-        return evaluate(self, state, prepared, work)
+        strain_energy = self.strain_energy(state.coordinates, state.history, work)
+        return nodal_outputs(self, self._fields(state, prepared, work), state, prepared, strain_energy)
+
+    def _fields(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> NodalFields:
+        acceleration = self.acceleration(state, prepared, work)
+        external = self.external_force(state, prepared, work)
+        return self.nodal_fields(state.coordinates, state.velocities, acceleration, external, state.history, work)
+
+    def nodal_fields(
+        self,
+        displacement: Floats,
+        velocity: Floats,
+        acceleration: Floats,
+        external_force: Floats,
+        history: History = (),
+        work: NodalWork | None = None,
+    ) -> NodalFields:
+        """Return the fields of a motion, all (n, 3), from which its reactions follow."""
+        unbalanced, damped = self.masses[:, None] * acceleration, displacement + self.stiffness_damping * velocity
+        unbalanced -= external_force
+        if not self.conservative:
+            return NodalFields(displacement, velocity, unbalanced, lambda: self.stress(damped, history, work))
+        unbalanced -= self.volumes[:, None] * self.nodal_force(damped, history, work)
+        return NodalFields(displacement, velocity, unbalanced, None)
 
     def acceleration(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Floats:
         """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""

@@ -16,7 +16,6 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.loads.supports import Support
 from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
-from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
 __all__ = ["ContactState", "Evaluation", "Model", "Nodes", "Outputs", "State", "StepReport", "initial_field"]
@@ -228,8 +227,6 @@ class Model(Described, ABC):
     cloud : Cloud
     material : Material
     supports : tuple of Support
-    stencils : Stencils
-        Stencils for derivatives of nodal fields.
     stiffness_damping : float [s]
         Rayleigh stiffness damping beta of C = beta K.
     volumes : (n,) array [m^3]
@@ -245,7 +242,6 @@ class Model(Described, ABC):
 
     cloud: Cloud
     material: Material
-    stencils: Stencils
     supports: tuple[Support, ...]
     stiffness_damping: float
     volumes: Floats

@@ -13,34 +13,33 @@ an energy, the virtual work of the stresses is - V phi f, and R is the exact res
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import PreparedLoads
-from palpate.dynamics.run.model import Nodes, Outputs, State
+from palpate.dynamics.run.model import Outputs, State
 from palpate.dynamics.run.partition import Partition, active_partitions
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import Stencils
 
 __all__ = [
+    "NodalBody",
     "NodalFields",
     "contact_outputs",
-    "evaluate",
     "group_forces",
+    "nodal_outputs",
     "reactions",
     "tool_power",
 ]
 
 
-class NodalFields(Protocol):
-    """The interface of a model with accelerations, forces and stresses at every node."""
+class NodalBody(Protocol):
+    """The nodes of a body, with their stress-free volumes and stencils."""
 
-    conservative: bool
-    stiffness_damping: float
     volumes: Floats
     stencils: Stencils
 
@@ -48,39 +47,44 @@ class NodalFields(Protocol):
     def cloud(self) -> Cloud: ...
     @property
     def masses(self) -> Floats: ...
-    def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats: ...
-    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats: ...
-    def acceleration(self, state: State, prepared: PreparedLoads, work: Any = None) -> Floats: ...
-    def external_force(self, state: State, prepared: PreparedLoads, work: Any = None) -> Floats: ...
-    def nodal_force(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> Floats: ...
-    def stress(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> Floats: ...
-    def strain_energy(self, displacements: Floats, history: tuple[Floats, ...] = (), work: Any = None) -> float: ...
 
 
-def reactions(model: NodalFields, state: State, prepared: PreparedLoads, work: Any = None) -> dict[str, Floats]:
+class NodalFields(NamedTuple):
+    """Fields of a state at every node, from which reactions and energies follow.
+
+    Parameters
+    ----------
+    displacement, velocity : (n, 3) arrays [m], [m/s]
+    unbalanced : (n, 3) array [N]
+        Mass times acceleration, minus surface loads and gravity. Of a body with an energy, also minus the
+        internal forces.
+    stress : function or None
+        Returns the first Piola-Kirchhoff stress (n, 3, d) [Pa] of a body without an energy.
+    """
+
+    displacement: Floats
+    velocity: Floats
+    unbalanced: Floats
+    stress: Callable[[], Floats] | None
+
+
+def reactions(body: NodalBody, fields: NodalFields, state: State, prepared: PreparedLoads) -> dict[str, Floats]:
     """Return the force (3,) [N] of every support and tool on the body; zero after a tool's release."""
     zero = {name: np.zeros(3) for name in prepared.supports}
-    supports, parts = active_partitions(model.cloud.points, prepared, state.time)
+    supports, parts = active_partitions(body.cloud.points, prepared, state.time)
     if not supports:
         return zero
-    nodal = model.masses[:, None] * model.acceleration(state, prepared, work)
-    nodal = nodal - model.external_force(state, prepared, work)
-    stress = None
-    if model.conservative or any(np.count_nonzero(part.phi.any(axis=1)) > 1 for part in parts):
-        moved = model.displacement(state, prepared) + model.stiffness_damping * model.velocity(state, prepared)
-        if model.conservative:
-            nodal -= model.volumes[:, None] * model.nodal_force(moved, state.history, work)
-        else:
-            stress = model.stress(moved, state.history, work)
-    return zero | dict(zip(supports, group_forces(model, parts, nodal, stress), strict=True))
+    several = any(np.count_nonzero(part.phi.any(axis=1)) > 1 for part in parts)
+    stress = fields.stress() if fields.stress is not None and several else None
+    return zero | dict(zip(supports, group_forces(body, parts, fields.unbalanced, stress), strict=True))
 
 
-def group_forces(model: NodalFields, parts: Sequence[Partition], nodal: Floats, stress: Floats | None = None) -> Floats:
+def group_forces(body: NodalBody, parts: Sequence[Partition], nodal: Floats, stress: Floats | None = None) -> Floats:
     """Return the forces (groups, 3) [N] of nodal forces and a stress on groups.
 
     Parameters
     ----------
-    model : NodalFields
+    body : NodalBody
     parts : sequence of Partition
     nodal : (n, 3) array [N]
         Forces that a group must exert on its nodes.
@@ -90,19 +94,17 @@ def group_forces(model: NodalFields, parts: Sequence[Partition], nodal: Floats, 
     for directions, phi in parts:
         own = phi @ nodal
         if stress is not None:
-            slopes = model.stencils.gradient(phi.T)  # (n, groups, 3)
-            own = own + np.einsum("n,nil,ngl->gi", model.volumes, stress, slopes)
+            slopes = body.stencils.gradient(phi.T)  # (n, groups, 3)
+            own = own + np.einsum("n,nil,ngl->gi", body.volumes, stress, slopes)
         forces += own @ directions
     return forces
 
 
-def tool_power(model: NodalFields, state: State, prepared: PreparedLoads, work: Any = None) -> float:
+def tool_power(body: NodalBody, fields: NodalFields, state: State, prepared: PreparedLoads) -> float:
     """Return the power [W] of the tools on the body: their forces times the mean velocities of their nodes."""
-    if not prepared.motions:
-        return 0.0
-    forces = reactions(model, state, prepared, work)
+    forces = reactions(body, fields, state, prepared)
     groups = [motion.group for motion, _ in prepared.motions]
-    return float(sum(forces[g] @ model.velocity(state, prepared, prepared.supports[g]).mean(axis=0) for g in groups))
+    return float(sum(forces[g] @ fields.velocity[prepared.supports[g]].mean(axis=0) for g in groups))
 
 
 def contact_outputs(
@@ -140,16 +142,17 @@ def contact_outputs(
     return forces, moments, np.column_stack([nodes, nodal_forces[nodes]]), bonded[nodes]
 
 
-def evaluate(model: NodalFields, state: State, prepared: PreparedLoads, work: Any = None) -> Outputs:
+def nodal_outputs(
+    body: NodalBody, fields: NodalFields, state: State, prepared: PreparedLoads, strain_energy: float
+) -> Outputs:
     """Return displacements, velocities, forces and energies of a state."""
-    u, v = model.displacement(state, prepared), model.velocity(state, prepared)
     forces, moments, contact_forces, bonded = contact_outputs(state, prepared)
     return Outputs(
-        displacements=u,
-        velocities=v,
-        reactions=reactions(model, state, prepared, work) | forces,
-        kinetic=float(0.5 * np.sum(model.masses[:, None] * v**2)),
-        strain=model.strain_energy(u, state.history, work),
+        displacements=fields.displacement,
+        velocities=fields.velocity,
+        reactions=reactions(body, fields, state, prepared) | forces,
+        kinetic=float(0.5 * np.sum(body.masses[:, None] * fields.velocity**2)),
+        strain=strain_energy,
         external=state.external_work,
         dissipated=state.dissipated,
         moments=moments,

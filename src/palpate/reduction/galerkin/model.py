@@ -16,10 +16,10 @@ from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.supports import PRESCRIBED
-from palpate.dynamics.nodal.model import History, NodalModel
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport
-from palpate.dynamics.run.reactions import evaluate, tool_power
+from palpate.dynamics.run.reactions import NodalFields, nodal_outputs, tool_power
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.reduction.basis.pod import Basis, pod
@@ -66,7 +66,7 @@ class GalerkinModel(Model):
         self.full, self.basis = full, basis
         self.cloud, self.material, self.supports = full.cloud, full.material, full.supports
         self.conservative, self.volumes = full.conservative, full.volumes
-        self.stiffness_damping, self.stencils = full.stiffness_damping, full.stencils
+        self.stiffness_damping = full.stiffness_damping
         n, count = len(full.cloud), len(basis)
         self.lifting = np.zeros((0, n, 3)) if lifting is None else np.asarray(lifting, dtype=float)
         self.columns = np.ascontiguousarray(np.concatenate([basis.modes, self.lifting]))
@@ -143,11 +143,6 @@ class GalerkinModel(Model):
                 )
         return prepared
 
-    @staticmethod
-    def _holds(prepared: PreparedLoads, times: Floats) -> NDArray[np.bool_]:
-        """Return whether the tools prescribe the motion at some times, shape (t,)."""
-        return prepared.motions[0][0].is_active(times) if prepared.motions else np.ones(len(times), dtype=np.bool_)
-
     def _lifting_coordinates(self, prepared: PreparedLoads, times: Floats) -> Floats:
         """Return the coordinates (t, l) of the lifting vectors at some times."""
         if not len(self.lifting):
@@ -174,7 +169,7 @@ class GalerkinModel(Model):
     ) -> State:
         nodal = self.full.state(prepared, displacement, velocity, time)
         fields = np.stack([nodal.coordinates, nodal.velocities])
-        if self._holds(prepared, np.array([time]))[0]:
+        if prepared.is_prescribed(np.array([time]))[0]:
             lifted = self._lifting_coordinates(prepared, np.array([time]))[0]
             rates = prepared.rates(lambda times: self._lifting_coordinates(prepared, times), time)[0]
             known = np.stack([lifted, rates])
@@ -187,7 +182,7 @@ class GalerkinModel(Model):
     def stable_step(
         self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None
     ) -> tuple[float, State]:
-        prescribed = bool(self._holds(prepared, np.array([state.time * (1 + 1e-8) + 1e-12]))[0])  # after this time
+        prescribed = bool(prepared.is_prescribed(np.array([state.time * (1 + 1e-8) + 1e-12]))[0])  # after this time
         if self.implicit and prescribed:
             return np.inf, state
         if self.implicit:  # released nodes move too fast for updates of the tangent
@@ -244,8 +239,9 @@ class GalerkinModel(Model):
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         a, v = state.coordinates.copy(), state.velocities.copy()
         work.surface[:] = 0.0  # of another run's loads
-        before = 0.0 if self.conservative else tool_power(self, state, prepared, work)
-        lifting, holds = self._lifting_coordinates(prepared, times), self._holds(prepared, times[1:-1])
+        powered = bool(prepared.motions) and not self.conservative
+        power = tool_power(self.full, self._fields(state, prepared, work), state, prepared) if powered else 0.0
+        lifting, holds = self._lifting_coordinates(prepared, times), prepared.is_prescribed(times[1:-1])
         if self.implicit:
             state = self._with_tangent(state, work)
         loads, responses = (prepared.sites, prepared.schedule(times[1:-1])), self._responses(state, step)
@@ -254,8 +250,9 @@ class GalerkinModel(Model):
             state, coordinates=a, velocities=v, time=float(times[-2]), external_work=state.external_work + done,
             dissipated=state.dissipated + lost,
         )  # fmt: skip
-        if not self.conservative:  # trapezium rule for the power of the tools
-            tools = 0.5 * step * steps * (before + tool_power(self, new, prepared, work))
+        if powered:  # trapezium rule for the power of the tools
+            power += tool_power(self.full, self._fields(new, prepared, work), new, prepared)
+            tools = 0.5 * step * steps * power
         return replace(new, external_work=new.external_work + tools), StepReport(done + tools, lost)
 
     def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
@@ -267,43 +264,26 @@ class GalerkinModel(Model):
         return np.tensordot(state.velocities, self.columns[:, nodes], 1)
 
     def outputs(self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None) -> Outputs:
-        return evaluate(self, state, prepared, work)
-
-    def acceleration(self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None) -> Floats:
-        """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""
-        schedule, count = prepared.schedule(np.array([state.time])), len(self.basis)
         work = self.workspace() if work is None else work
+        fields = self._fields(state, prepared, work)
+        strain_energy = self.full.strain_energy(fields.displacement, work=work.full)
+        return nodal_outputs(self.full, fields, state, prepared, strain_energy)
+
+    def _fields(self, state: State, prepared: PreparedLoads, work: GalerkinWork) -> NodalFields:
+        """Return the nodal fields of a state, from which its reactions follow."""
+        schedule, count = prepared.schedule(np.array([state.time])), len(self.basis)
         rates = self.force(state.coordinates + self.stiffness_damping * state.velocities, work)
         tractions = self.full.tractions(prepared, schedule, work.full.passes.cofactor).reshape(-1)
         rates += self.full.half_cell * (self.test @ tractions) / self.material.density
         rates += self._basis.gravity_test @ schedule.gravity[0]
-        if self._holds(prepared, np.array([state.time]))[0]:
+        if prepared.is_prescribed(np.array([state.time]))[0]:
             curvature = prepared.rates(lambda times: self._lifting_coordinates(prepared, times), state.time)[1]
             rates = np.concatenate([rates[:count] - self.mass[:count, count:] @ curvature, curvature])
         else:
             rates = np.linalg.solve(self.mass, rates)
-        return np.tensordot(rates, self.columns, 1)
-
-    def external_force(self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None) -> Floats:
-        """Return the nodal forces [N] of surface loads and gravity, shape (n, 3)."""
-        nodal = State(self.displacement(state, prepared), state.velocities, state.time)
-        return self.full.external_force(nodal, prepared, None if work is None else work.full)
-
-    def nodal_force(self, displacements: Floats, history: History = (), work: GalerkinWork | None = None) -> Floats:
-        """Return the full model's internal force density [N/m^3], shape (n, 3)."""
-        return self.full.nodal_force(displacements, history, None if work is None else work.full)
-
-    def deformation_gradient(self, displacements: Floats) -> Floats:
-        """Return the full model's deformation gradients, shape (n, 3, d)."""
-        return self.full.deformation_gradient(displacements)
-
-    def stress(self, displacements: Floats, history: History = (), work: GalerkinWork | None = None) -> Floats:
-        """Return the full model's nodal stress [Pa], shape (n, 3, d)."""
-        return self.full.stress(displacements, history, None if work is None else work.full)
-
-    def strain_energy(self, displacements: Floats, history: History = (), work: GalerkinWork | None = None) -> float:
-        """Return the full model's strain energy [J]."""
-        return self.full.strain_energy(displacements, history, None if work is None else work.full)
+        u, v = self.displacement(state, prepared), self.velocity(state, prepared)
+        external = self.full.external_force(State(u, v, state.time), prepared, work.full)
+        return self.full.nodal_fields(u, v, np.tensordot(rates, self.columns, 1), external, work=work.full)
 
 
 def galerkin(

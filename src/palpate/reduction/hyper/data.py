@@ -12,15 +12,13 @@ from palpate.arrays import Floats
 from palpate.describe import Described
 from palpate.dynamics.loads.supports import Support
 from palpate.dynamics.material.relaxation import relaxation
+from palpate.dynamics.material.tissue import Tissue
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, SurfaceCompliance
 from palpate.reduction.contact.surface import ContactSurface, contact_surface
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, integration_points
-from palpate.tissue.fibres import FibreLaw
-from palpate.tissue.materials import Material
-from palpate.tissue.regions import Regions
 
 __all__ = ["ReducedData"]
 
@@ -32,14 +30,13 @@ class ReducedData(Described):
     Parameters
     ----------
     cloud : Cloud
-    material : Material
+    tissue : Tissue
+        The weights of the integration points include its stiffness factors.
     supports : tuple of Support
     prescribed : tuple of str
         Groups that rigid tools move.
     volumes : (n,) array [m^3]
         Nodal volumes of the mass.
-    stiffness : (n,) array
-        Factors on the stiffness of the law, by node. The weights of the integration points include them.
     stiffness_damping : float [s]
         Rayleigh's beta.
     wave_speed : float [m/s]
@@ -73,20 +70,15 @@ class ReducedData(Described):
     taut_frequency : float [rad/s]
         Highest frequency of a membrane in its training states, because a slack region may become taut
         within a few steps. 0 for solids.
-    fibres : FibreLaw, optional
-        With a direction for every node.
     compliance : SurfaceCompliance, optional
         Compliance of the contact surface, fitted to runs with contact.
-    regions : Regions, optional
-        Materials by node, where they are not all `material`.
     """
 
     cloud: Cloud
-    material: Material
+    tissue: Tissue
     supports: tuple[Support, ...]
     prescribed: tuple[str, ...]
     volumes: Floats
-    stiffness: Floats
     stiffness_damping: float
     wave_speed: float
     basis_vectors: Floats
@@ -102,9 +94,7 @@ class ReducedData(Described):
     report: dict[str, Any] = field(default_factory=dict)
     kinematics: Kinematics = field(default_factory=Kinematics)
     taut_frequency: float = 0.0
-    fibres: FibreLaw | None = None
     compliance: SurfaceCompliance | None = None
-    regions: Regions | None = None
 
     @property
     def surface(self) -> ContactSurface:
@@ -117,15 +107,10 @@ class ReducedData(Described):
         self, which: NDArray[np.int64], coefficients: tuple[float, ...], single: bool
     ) -> IntegrationPoints:
         """Return the integration points for a subset of the basis vectors."""
-        rule = self.cubature
-        law = coefficients if self.regions is None else self.regions.at(rule.nodes)
+        rule, tissue = self.cubature, self.tissue
+        law = coefficients if tissue.regions is None else tissue.regions.at(rule.nodes)
         return integration_points(
             np.ascontiguousarray(self.gradients[:, which]), rule.weights, rule.pressure,
             self.constant[np.ix_(which, which)], law, np.float32 if single else np.float64,
-            relaxation(self.material), self.fibres and self.fibres.of(rule.nodes),
+            relaxation(tissue.material), tissue.fibres and tissue.fibres.of(rule.nodes),
         )  # fmt: skip
-
-    def stress(self, F: Floats) -> Floats:
-        """Return the first Piola-Kirchhoff stress [Pa] for deformation gradients (n, 3, 3) at the nodes."""
-        stress = (self.regions or self.material).stress(F) + (0.0 if self.fibres is None else self.fibres.stress(F))
-        return np.asarray(self.stiffness[:, None, None] * stress)

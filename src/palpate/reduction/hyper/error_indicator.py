@@ -1,6 +1,8 @@
-"""The error indicator: distance of a state from the training states, and the error expected there.
+"""The error indicator: distance from training, residual norm, and the error expected at a trust number.
 
-Its value is the trust number of `palpate.hyper_reduce`.
+The trust number of `palpate.hyper_reduce` is the larger of two lengths divided by their scales: the
+distance to the nearest training state, and the residual norm of the forces on test fields
+(`palpate.reduction.training.residual_fields`).
 """
 
 from __future__ import annotations
@@ -10,9 +12,13 @@ from typing import Any
 import numpy as np
 
 from palpate.arrays import Floats
+from palpate.dynamics.loads.prepared import PreparedLoads
+from palpate.dynamics.run.model import State
 from palpate.faults import InputError, number_in_range
+from palpate.reduction.hyper.body import ReducedBody
+from palpate.reduction.hyper.reactions import constraint_forces
 
-__all__ = ["distances_to_nearest", "expected_error"]
+__all__ = ["distances_to_nearest", "expected_error", "residual_norm", "training_distance"]
 
 
 def distances_to_nearest(states: Floats, others: Floats, mass: Floats) -> Floats:
@@ -25,6 +31,22 @@ def distances_to_nearest(states: Floats, others: Floats, mass: Floats) -> Floats
     one, two = states @ root, others @ root
     square = np.sum(one**2, axis=1)[:, None] + np.sum(two**2, axis=1) - 2 * one @ two.T
     return np.sqrt(np.maximum(square.min(axis=1), 0.0))
+
+
+def training_distance(body: ReducedBody, state: State) -> float:
+    """Return the root mean square displacement [m] over the body from a state to the nearest training state."""
+    mass = body.mass / body.masses.sum()
+    return float(distances_to_nearest(state.coordinates[None], body.data.training_states, mass)[0])
+
+
+def residual_norm(body: ReducedBody, state: State, prepared: PreparedLoads) -> float:
+    """Return the root mean square displacement [m] that the unbalanced forces would cause at rest.
+
+    The unbalanced forces act on the residual fields (`palpate.reduction.training.residual_fields`), and
+    the displacement is in their shapes. The norm is 0 without residual fields.
+    """
+    first = len(body.data.basis_vectors) - body.data.residual_fields
+    return float(np.linalg.norm(constraint_forces(body, state, prepared)[first:]))
 
 
 def expected_error(report: dict[str, Any], trust: float) -> tuple[float, float]:

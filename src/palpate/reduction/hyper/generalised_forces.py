@@ -8,10 +8,9 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import LoadSites, PreparedLoads
-from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.foundation import Springs, project_springs
 
-__all__ = ["GeneralisedForces", "generalised_forces", "load_forces", "load_work", "pose_map"]
+__all__ = ["GeneralisedForces", "generalised_forces", "load_work", "pose_map"]
 
 
 class GeneralisedForces(NamedTuple):
@@ -47,23 +46,8 @@ def load_work(sites: LoadSites, basis_vectors: Floats, masses: Floats) -> Floats
     return np.concatenate([*works, np.einsum("n,mnc->cm", masses, basis_vectors)])
 
 
-def load_forces(prepared: PreparedLoads, masses: Floats, basis_vectors: Floats, state: State) -> Floats:
-    """Return the nodal forces (n, 3) [N] of dead loads, gravity and springs in a state of a reduced model."""
-    sites, schedule = prepared.sites, prepared.schedule(np.array([state.time]))
-    result = np.asarray(masses[:, None] * schedule.gravity[0])
-    for g in range(len(sites.dead_start) - 1):
-        own = slice(sites.dead_start[g], sites.dead_start[g + 1])
-        forces = np.einsum("kac,a->kc", sites.dead_pattern[own], schedule.amplitudes[0, g])
-        np.add.at(result, sites.dead_node[own], forces)
-    at = basis_vectors[: len(state.coordinates), sites.foundation_node]
-    displacement, speed = np.tensordot(state.coordinates, at, 1), np.tensordot(state.velocities, at, 1)
-    spring_forces = sites.foundation_spring[:, None] * displacement + sites.foundation_dashpot[:, None] * speed
-    np.subtract.at(result, sites.foundation_node, spring_forces)
-    return result
-
-
 def pose_map(points: Floats, basis_vectors: Floats) -> Floats:
-    """Return the map (l, 12) from a pose to coordinates of lifting vectors (l, k, 3); see `ReducedModel.tool_map`."""
+    """Return the map (l, 12) from a pose to coordinates of lifting vectors (l, k, 3); see `tool_map`."""
     arms, fields = points - points.mean(axis=0), np.zeros((12, len(points), 3))
     for c in range(3):
         fields[c, :, c] = 1.0

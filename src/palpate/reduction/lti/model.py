@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -23,7 +24,7 @@ from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, is_pressure
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport
-from palpate.dynamics.run.reactions import evaluate
+from palpate.dynamics.run.reactions import NodalFields, nodal_outputs
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder, first_order_hold
 from palpate.reduction.lti.system import LinearSystem, force_inputs
@@ -88,11 +89,7 @@ class LinearModel(Model):
         self.system, self.reduced, self.report = system, reduced, dict(report or {})
         full = system.model
         self.full, self.cloud, self.material, self.supports = full, full.cloud, full.material, full.supports
-        self.conservative, self.stiffness_damping, self.stencils = (
-            full.conservative,
-            full.stiffness_damping,
-            full.stencils,
-        )
+        self.conservative, self.stiffness_damping = full.conservative, full.stiffness_damping
         self.volumes = full.volumes
         self.count, self.lifting_count = len(reduced.fields), len(system.lifting)
         self.columns = np.concatenate([reduced.fields, system.lifting])
@@ -317,10 +314,21 @@ class LinearModel(Model):
         return np.tensordot(state.velocities, self.columns[:, nodes], 1)
 
     def outputs(self, state: State, prepared: PreparedLoads, work: None = None) -> Outputs:
-        return evaluate(self, state, prepared)
+        u, v = self.displacement(state, prepared), self.velocity(state, prepared)
+        damped, whole = u + self.stiffness_damping * v, self.system.whole
+        acceleration = np.tensordot(self._accelerations(state, prepared), self.columns, 1)
+        unbalanced = self.masses[:, None] * acceleration
+        unbalanced -= self.full.external_force(State(u, v, state.time), prepared)
+        stress = None
+        if self.conservative:
+            unbalanced += (whole @ damped.ravel()).reshape(-1, 3)
+        else:
+            stress = partial(self.linear_stress, damped)
+        strain_energy = float(0.5 * u.ravel() @ (whole @ u.ravel()))
+        return nodal_outputs(self.full, NodalFields(u, v, unbalanced, stress), state, prepared, strain_energy)
 
-    def acceleration(self, state: State, prepared: PreparedLoads, work: None = None) -> Floats:
-        """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""
+    def _accelerations(self, state: State, prepared: PreparedLoads) -> Floats:
+        """Return the accelerations (k + l,) of the coordinates and of the tools."""
         inputs, forces = self._inputs(prepared), self.system.forces
         bends = self._bends(state, prepared)
         if isinstance(self.reduced, SecondOrder):
@@ -329,35 +337,15 @@ class LinearModel(Model):
         else:
             slope = prepared.rates(lambda times: inputs.at(times, forces), state.time)[0]
             own = self.A @ state.velocities[: self.count] + self.B[:, :forces] @ slope
-        return np.tensordot(np.concatenate([own, bends]), self.columns, 1)
+        return np.concatenate([own, bends])
 
-    def external_force(self, state: State, prepared: PreparedLoads, work: None = None) -> Floats:
-        """Return the nodal forces [N] of surface loads and gravity, shape (n, 3)."""
-        return self.full.external_force(
-            State(self.displacement(state, prepared), state.velocities, state.time), prepared
-        )
-
-    def nodal_force(self, displacements: Floats, history: tuple[Floats, ...] = (), work: None = None) -> Floats:
-        """Return the linear internal force density [N/m^3] of nodal displacements, shape (n, 3)."""
-        pushed = -(self.system.whole @ displacements.ravel()).reshape(-1, 3)
-        return np.asarray(pushed / self.full.weights[:, None])
-
-    def deformation_gradient(self, displacements: Floats) -> Floats:
-        """Return the full model's deformation gradients, shape (n, 3, d)."""
-        return self.full.deformation_gradient(displacements)
-
-    def stress(self, displacements: Floats, history: tuple[Floats, ...] = (), work: None = None) -> Floats:
-        """Return the linearised stress [Pa] of the full model, by central differences."""
+    def linear_stress(self, displacements: Floats) -> Floats:
+        """Return the linearised stress [Pa] of displacements (n, 3) of the full model, by central differences."""
         largest = float(np.abs(displacements).max())
         if largest == 0:
             return self.full.stress(displacements)
         scale = DIFFERENCE_STEP * self.cloud.spacing / largest
         return (self.full.stress(scale * displacements) - self.full.stress(-scale * displacements)) / (2 * scale)
-
-    def strain_energy(self, displacements: Floats, history: tuple[Floats, ...] = (), work: None = None) -> float:
-        """Return the strain energy [J] of nodal displacements, quadratic in them."""
-        flat = displacements.ravel()
-        return float(0.5 * flat @ (self.system.whole @ flat))
 
 
 @kernel_njit(fastmath={"contract", "reassoc"})

@@ -48,13 +48,13 @@ class Surface:
         flat = cloud.points[self.nodes]
         self.rest = np.zeros((len(self.nodes), 3), dtype=np.float32)
         self.rest[:, : flat.shape[1]] = flat
-        columns = data.basis_vectors[: model.count, self.nodes].reshape(model.count, -1)
+        columns = model.body.vectors[:, self.nodes].reshape(model.count, -1)
         self._columns = np.ascontiguousarray(columns.T, dtype=np.float32)
         self._gradients: Singles | None = None
         self._contact_displacements = data.compliance
         if data.compliance is None:
             return
-        contact_surface, compliance = model._contact_surface, data.compliance
+        contact_surface, compliance = model.body.surface, data.compliance
         place = np.full(len(cloud), -1)
         place[compliance.nodes] = np.arange(len(compliance.nodes))
         self._compliance_rows = place[
@@ -160,18 +160,13 @@ class Surface:
         """Return the Cauchy stress (n, 3, 3) [Pa] at the vertices, of a solid."""
         if self._gradients is None:
             self._gradients = self._gradients_at_vertices()
-        data = self.model.data
         F = (self._gradients @ coordinates.astype(np.float32)).reshape(-1, 3, 3) + np.eye(3)
-        law = data.material if data.regions is None else data.regions.at(self.nodes)
-        stress = law.stress(F)
-        if data.fibres is not None:
-            stress = stress + data.fibres.of(self.nodes).stress(F)
-        stress = data.stiffness[self.nodes, None, None] * stress
+        stress = self.model.data.tissue.stress(F, self.nodes)
         return np.asarray(stress @ np.swapaxes(F, 1, 2) / np.linalg.det(F)[:, None, None])
 
     def _gradients_at_vertices(self) -> Singles:
         """Return the derivatives (9 n, m) of the basis vectors at the vertices, from the model's stencils."""
         result = np.empty((9 * len(self.nodes), self.model.count), dtype=np.float32)
         for m in range(self.model.count):
-            result[:, m] = self.model.stencils.gradient(self.model.data.basis_vectors[m])[self.nodes].reshape(-1)
+            result[:, m] = self.model.body.stencils.gradient(self.model.data.basis_vectors[m])[self.nodes].reshape(-1)
         return result

@@ -19,6 +19,7 @@ from palpate.reduction.contact.tools import ContactTools
 from palpate.reduction.hyper.foundation import Springs, project_springs
 from palpate.reduction.hyper.implicit import ImplicitData, newton_scratch
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.hyper.reactions import tool_map
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
@@ -38,7 +39,7 @@ class RealtimeModel(NamedTuple):
     rest : (m,) array
         Coordinates at rest.
     tool : (l, 12) array
-        Map from a rigid pose to the tool coordinates, see `ReducedModel.tool_map`.
+        Map from a rigid pose to the tool coordinates, see `palpate.reduction.hyper.reactions.tool_map`.
     """
 
     advance: Any
@@ -106,7 +107,7 @@ def realtime_model(
             f"model must have one prescribed group for the engine, got {len(reduced.prescribed)}; "
             "train it with prescribed='GROUP', or give a tool with contact="
         )
-    surface, home = model._contact_surface, np.eye(3, 4)
+    surface, home = model.body.surface, np.eye(3, 4)
     tools, contact_state = rigid_tools(None, surface), contact_scratch(surface, 0)
     if contact is not None:
         contact_tools = ContactTools(surface, model.prepare([contact]))
@@ -118,18 +119,22 @@ def realtime_model(
     steps = int(np.ceil(longest / (model.step or longest)))
     which = np.r_[:count, len(reduced.basis_vectors) - reduced.residual_fields : len(reduced.basis_vectors)]
     springs = _springs(model, foundations).of(which)
-    tangent = model.stiffness(np.zeros(count))
+    tangent = model.body.stiffness(np.zeros(count))
     if springs.stiffness.size:
         tangent += springs.stiffness[:count]
-    modes, frequency, vectors = slice(reduced.modes), model._highest_frequency(np.zeros(count)), np.zeros((8, count))
+    modes, frequency, vectors = (
+        slice(reduced.modes),
+        model.body.highest_frequency(np.zeros(count)),
+        np.zeros((8, count)),
+    )
     vectors[POWER_SHAPE, : reduced.modes] = np.random.default_rng(0).standard_normal(reduced.modes)
     body = ImplicitData(
         stiffness_damping=model.stiffness_damping,
-        mass=model.mass,
-        differences=model._differences,
+        mass=model.body.mass,
+        differences=model.body.differences,
         tolerance=model.tolerance,
-        integration_points=model._integration_points,
-        scratch=scratch(model._integration_points),
+        integration_points=model.body.points,
+        scratch=scratch(model.body.points),
         springs=springs,
         newton=newton_scratch(count),
     )
@@ -137,7 +142,7 @@ def realtime_model(
         modes=reduced.modes,
         step=model.step or 0.0,
         body=body,
-        constrained_inverse_mass=model._constrained_inverse_mass,
+        constrained_inverse_mass=model.body.constrained_inverse_mass,
         indicator=_indicator(model, which, body, contact is not None),
         vectors=vectors,
         tangent=tangent,
@@ -151,18 +156,20 @@ def realtime_model(
         contact_state=contact_state,
         tools=tools,
         home=home,
-        system=contact_system(surface.columns[:, :, modes], model.mass[modes, modes], len(contact_state.active.node)),
+        system=contact_system(
+            surface.columns[:, :, modes], model.body.mass[modes, modes], len(contact_state.active.node)
+        ),
     )
-    advance, stiffness = period_functions(model._law, model.single)
+    advance, stiffness = period_functions(model.body.law, model.single)
     if contact is None:
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), model.tool_map(reduced.prescribed[0]))
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), tool_map(model.body, reduced.prescribed[0]))
     return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12))
 
 
 def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bool) -> IndicatorData:
     """Return the data of the error indicator; with a tool in contact the residual norm counts for nothing."""
-    count, points = model.count, model.integration_points(which)
-    root = np.linalg.cholesky(model.mass / model.masses.sum()).T
+    count, points = model.count, model.data.integration_points(which, model.body.coefficients, model.single)
+    root = np.linalg.cholesky(model.body.mass / model.masses.sum()).T
     return IndicatorData(
         training_states=np.ascontiguousarray(model.data.training_states @ root.T),
         mass_root=root,
@@ -170,7 +177,7 @@ def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bo
         residual_scale=np.inf if contact else model.data.residual_scale,
         integration_points=points,
         scratch=scratch(points, body.scratch.history),
-        mass=model._all_mass[np.ix_(which[count:], which[:count])],
+        mass=model.body.all_mass[np.ix_(which[count:], which[:count])],
         vectors=np.zeros((2, len(which))),
     )
 
@@ -181,4 +188,4 @@ def _springs(model: ReducedModel, foundations: Sequence[Foundation]) -> Springs:
         if not isinstance(load, Foundation):
             raise InputError(f"foundations must be Foundation objects, got {load!r}; leave out all other loads")
     sites = prepare_loads(model.cloud, model.supports, foundations).sites
-    return project_springs(sites, model.data.basis_vectors, model.mass)
+    return project_springs(sites, model.data.basis_vectors, model.body.mass)

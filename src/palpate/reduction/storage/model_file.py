@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from palpate.dynamics.loads.supports import Support, support_from, supports_of
+from palpate.dynamics.material.tissue import Tissue
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import json_of, plain, shortened
 from palpate.meshfree.cloud import Cloud
@@ -145,16 +146,16 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
     header, arrays = _header(data) | rule, _arrays(data)
     _check_header(header)
     _step_rule(header)
-    if _data(header, _check_shapes(header, arrays)).material != data.material:
-        raise InputError(f"the file would not give {data.material} back")
+    if _data(header, _check_shapes(header, arrays)).tissue.material != data.tissue.material:
+        raise InputError(f"the file would not give {data.tissue.material} back")
     return header, arrays
 
 
 def _header(data: ReducedData) -> Header:
     return {
-        **describe_material(data.material),
-        "fibres": describe_fibres(data.fibres),
-        "regions": describe_regions(data.regions),
+        **describe_material(data.tissue.material),
+        "fibres": describe_fibres(data.tissue.fibres),
+        "regions": describe_regions(data.tissue.regions),
         "groups": list(data.cloud.groups),
         "spacing": float(data.cloud.spacing),
         "supports": json.dumps([support.values() for support in data.supports]),
@@ -178,15 +179,16 @@ def _header(data: ReducedData) -> Header:
 
 def _arrays(data: ReducedData) -> Arrays:
     groups = list(data.cloud.groups.values())
-    compliance = data.compliance or NO_COMPLIANCE
+    compliance, tissue = data.compliance or NO_COMPLIANCE, data.tissue
     values: dict[str, Any] = {
         "cloud/group_sizes": [len(nodes) for nodes in groups],
         "cloud/group_nodes": [node for nodes in groups for node in nodes],
-        "regions": None if data.regions is None else data.regions.which,
-        "fibres/directions": np.zeros((0, len(data.cloud), 3)) if data.fibres is None else data.fibres.directions,
+        "stiffness": tissue.stiffness if len(tissue.stiffness) else np.ones(tissue.nodes),
+        "regions": None if tissue.regions is None else tissue.regions.which,
+        "fibres/directions": np.zeros((0, tissue.nodes, 3)) if tissue.fibres is None else tissue.fibres.directions,
         **{f"compliance/{name}": getattr(compliance, name) for name in COMPLIANCE},
     }
-    layout = LAYOUT if data.regions is None else LAYOUT | REGIONS
+    layout = LAYOUT if tissue.regions is None else LAYOUT | REGIONS
     if compliance.interior is not None:
         layout = layout | INTERIOR
         values |= {f"interior/{name}": array for name, array in compliance.interior._asdict().items()}
@@ -282,14 +284,14 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         _mapping("prony", header["prony"]),
     )
     regions = regions_of(_json("regions", header["regions"]), own.get("regions", np.zeros(0, dtype=int)), material)
+    factors = own["stiffness"] if np.any(own["stiffness"] != 1.0) else np.zeros(0)
+    fibres = fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"])
     return ReducedData(
         cloud=cloud,
-        material=material,
-        regions=regions,
+        tissue=Tissue(material, regions, factors, fibres, len(cloud)),
         supports=supports,
         prescribed=tuple(header["prescribed"]),
         volumes=own["volumes"],
-        stiffness=own["stiffness"],
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
         basis_vectors=own["basis_vectors"],
@@ -307,7 +309,6 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
         ),
         taut_frequency=number_in_range("taut_frequency", header["taut_frequency"], 0.0, unit="rad/s"),
-        fibres=fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"]),
         compliance=read_compliance(own, number_in_range("bonded_scale", header["bonded_scale"], 0.0, open_low=True)),
     )
 

@@ -13,6 +13,7 @@ from palpate.dynamics.run.model import State
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.contact.compliance import contact_displacements
 from palpate.reduction.contact.tools import contact_at_frame
+from palpate.reduction.hyper.error_indicator import residual_norm, training_distance
 from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["Frames", "calibrate_indicator", "error_table", "indicator_frames"]
@@ -28,7 +29,7 @@ class Frames(NamedTuple):
     Parameters
     ----------
     distances, residual_norms : (f,) arrays [m]
-        See `ReducedModel.distance` and `ReducedModel.residual_norm`.
+        See `palpate.reduction.hyper.error_indicator`.
     errors : (f,) array
         Root mean square displacement error over the body, divided by the largest such displacement of the
         run.
@@ -44,20 +45,22 @@ def indicator_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory
     prepared, mass = model.prepare(loads), model.masses / model.masses.sum()
     contact_forces = [contact_at_frame(own, k, len(model.cloud)) for k in range(len(own.times))]
     compliance = np.array([_contact_displacements(model, own, k) for k in range(len(own.times))])
-    coordinates, velocities = model.project(own.displacements - compliance), model.project(own.velocities)
+    coordinates, velocities = model.body.project(own.displacements - compliance), model.body.project(own.velocities)
     states: list[State] = []
     work = model.workspace()
     for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):
         last = states[-1] if states else None
         history = (
-            model.history_after(a, last.history, time - last.time, work) if last else model.equilibrium_history(a, work)
+            model.body.history_after(a, last.history, time - last.time, work)
+            if last
+            else model.body.equilibrium_history(a, work)
         )
         states.append(State(a, v, time, history=history, contact_state=contact_forces[len(states)]))
     squares = np.einsum("tnc,n->t", full.displacements**2, mass)
     missed = np.sqrt(np.einsum("tnc,n->t", (own.displacements - full.displacements) ** 2, mass))
     return Frames(
-        np.array([model.distance(state) for state in states]),
-        np.array([model.residual_norm(state, prepared) for state in states]),
+        np.array([training_distance(model.body, state) for state in states]),
+        np.array([residual_norm(model.body, state, prepared) for state in states]),
         missed / max(float(np.sqrt(squares.max())), 1e-300),
     )
 

@@ -205,7 +205,9 @@ def _train(
     model = ReducedModel(_data(full, body, snapshots, columns, states, options))
     if isinstance(body, Membrane):
         trained = model.data.training_states
-        taut = max(model._highest_frequency(state) for state in trained[:: max(1, len(trained) // FREQUENCY_STATES)])
+        taut = max(
+            model.body.highest_frequency(state) for state in trained[:: max(1, len(trained) // FREQUENCY_STATES)]
+        )
         model = ReducedModel(replace(model.data, taut_frequency=taut))
     rule = model.data.cubature
     report: dict[str, Any] = {
@@ -219,7 +221,7 @@ def _train(
         "cubature_residual": rule.residual,
         "projection_error": projection_error,
         "modes_error": columns.lost,
-        "highest_frequency": model._highest_frequency(np.zeros(columns.count)),
+        "highest_frequency": model.body.highest_frequency(np.zeros(columns.count)),
         "training_runs": len(snapshots.lengths),
         "snapshots": len(snapshots),
         "seed": options.seed,
@@ -296,11 +298,10 @@ def _data(
     )
     data = ReducedData(
         cloud=body.cloud,
-        material=body.material,
+        tissue=body.tissue,
         supports=body.supports,
         prescribed=options.tools,
         volumes=body.volumes,
-        stiffness=_stiffness(body),
         stiffness_damping=full.stiffness_damping,
         wave_speed=full.wave_speed,
         basis_vectors=fields.columns,
@@ -313,17 +314,11 @@ def _data(
         distance_scale=_distance_scale(chosen, mass / body.masses.sum(), snapshots),
         residual_fields=columns.residual_fields,
         kinematics=_kinematics(body),
-        fibres=body.fibres,
-        regions=body.tissue.regions if isinstance(body, EnergySolid) else None,
     )
     if not columns.residual_fields:
         return data
     some = snapshots.each(snapshots.evenly_spaced(TRAINING_STATES))
     return replace(data, residual_scale=typical_residual(ReducedModel(data), body, some))
-
-
-def _stiffness(body: EnergySolid | Membrane) -> Floats:
-    return np.ones(len(body.cloud)) if isinstance(body, Membrane) else body.elastic_volumes / body.volumes
 
 
 def _kinematics(body: EnergySolid | Membrane) -> Kinematics:

@@ -157,10 +157,10 @@ def typical_residual(model: ReducedModel, body: EnergySolid | Membrane, displace
     """
     residual_fields, found = model.data.basis_vectors[len(model.data.basis_vectors) - model.data.residual_fields :], []
     for u in displacements:
-        state = model.project(u[None])[0]
+        state = model.body.project(u[None])[0]
         whole = np.tensordot(residual_fields, body.force(u) * body.volumes[:, None], 2)
         found.append(
-            np.linalg.norm(whole - model.forces(state)[len(model.data.basis_vectors) - len(residual_fields) :])
+            np.linalg.norm(whole - model.body.all_forces(state)[len(model.data.basis_vectors) - len(residual_fields) :])
         )
     typical = float(np.quantile(found, TYPICAL_SHARE))
     return typical if typical > 0 else 1.0

@@ -181,7 +181,7 @@ def read_recording(file: SealedFile) -> Recording:
         most = MAX_VALUE_OF.get(name, MAX_VALUE)
         if not (np.abs(arrays[name]) <= most).all():
             raise InputError(f"array {name} must be finite and within {most:g}, got other numbers")
-    _check_values(arrays, len(model._contact_surface.nodes))
+    _check_values(arrays, len(model.body.surface.nodes))
     tools = validate_tools(header["tools"], count)
     start, nodes, forces = (arrays[f"contact/{name}"] for name in ("start", "nodes", "forces"))
     parts = [slice(first, last) for first, last in pairwise(start)]

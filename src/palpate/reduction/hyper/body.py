@@ -1,0 +1,251 @@
+"""The body of a reduced model: masses, forces and energy in the coordinates of modes and tools.
+
+It holds constants only. All threads may share it; each requires a workspace of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.material.fibres import always_taut
+from palpate.dynamics.material.relaxation import equilibrium_history, history_after, restore_history
+from palpate.meshfree.stencils import Stencils, moving_least_squares
+from palpate.reduction.contact.surface import ContactSurface
+from palpate.reduction.contact.tools import ContactTools
+from palpate.reduction.hyper.data import ReducedData
+from palpate.reduction.hyper.implicit import NewtonScratch, implicit_step, newton_scratch
+from palpate.reduction.hyper.material_point import MaterialPoint, material_point
+from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy, scratch
+
+__all__ = ["ReducedBody", "ReducedWork", "reduced_body"]
+
+History = tuple[Floats, ...]
+
+DIFFERENCE_STEP = 1e-5  # displacements for difference quotients of the tangent, in spacings
+STENCIL_NEIGHBOURS = {2: 14, 3: 42}  # by dimension of the cloud: a sheet, a solid
+
+
+@dataclass
+class ReducedWork:
+    """Scratch arrays of a reduced model, for one thread at a time.
+
+    Parameters
+    ----------
+    coordinates, all : Scratch
+        Of the forces on the coordinates, and on all basis vectors; they share the history variables.
+    newton : NewtonScratch
+    force, all_forces : arrays [N]
+    tools : ContactTools, optional
+        Rigid tools of the loads that were used last.
+    """
+
+    coordinates: Scratch
+    all: Scratch
+    newton: NewtonScratch
+    force: Floats
+    all_forces: Floats
+    tools: ContactTools | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedBody:
+    """Constants of a reduced model, and the forces and energy that follow from its coordinates.
+
+    Parameters
+    ----------
+    data : ReducedData
+    count : int
+        Number m + l of coordinates: modes and lifting vectors.
+    law : MaterialPoint
+    coefficients : tuple of float
+        Parameters of the law.
+    single : bool
+        Whether the derivatives at the integration points have single precision.
+    masses : (n,) array [kg]
+        Nodal masses.
+    all_mass : (m + l + 3 g + w, m + l + 3 g + w) array [kg]
+        Mass matrix of all basis vectors, test fields included.
+    mass, inverse_mass : (m + l, m + l) arrays [kg], [1/kg]
+        Of the coordinates.
+    constrained_inverse_mass : (m, m) array [1/kg]
+        Inverse of the modes' mass matrix, with the tools fixed.
+    sizes : (m + l,) array [m]
+        Largest displacement of a unit coordinate.
+    differences : (m + l,) array
+        Changes of the coordinates for difference quotients.
+    points, all_points : IntegrationPoints
+        With the derivatives of the coordinates' vectors, and of all basis vectors.
+    taut_points : IntegrationPoints
+        As `points`, with fibres that carry compression, too.
+    surface : ContactSurface
+        Empty for a model without contact.
+    sampled_force, sampled_energy, tangent : functions
+        Compiled, see `palpate.reduction.hyper.sampled_energy` and `palpate.reduction.hyper.implicit`.
+    """
+
+    data: ReducedData
+    count: int
+    law: MaterialPoint
+    coefficients: tuple[float, ...]
+    single: bool
+    masses: Floats
+    all_mass: Floats
+    mass: Floats
+    inverse_mass: Floats
+    constrained_inverse_mass: Floats
+    sizes: Floats
+    differences: Floats
+    points: IntegrationPoints
+    all_points: IntegrationPoints
+    taut_points: IntegrationPoints
+    surface: ContactSurface
+    sampled_force: Any
+    sampled_energy: Any
+    tangent: Any
+
+    @property
+    def vectors(self) -> Floats:
+        """Displacement fields of the coordinates, shape (m + l, n, 3)."""
+        return self.data.basis_vectors[: self.count]
+
+    @cached_property
+    def stencils(self) -> Stencils:
+        """Stencils for derivatives of nodal fields, computed at the first use."""
+        points, stretch = self.data.cloud.points, self.data.kinematics.prestretch
+        return moving_least_squares(points / stretch, order=2, neighbours=STENCIL_NEIGHBOURS[points.shape[1]])
+
+    def workspace(self) -> ReducedWork:
+        """Allocate the scratch arrays of evaluations and steps, for one thread at a time."""
+        own, forces = scratch(self.points), (np.zeros(self.count), np.zeros(len(self.data.basis_vectors)))
+        return ReducedWork(own, scratch(self.all_points, own.history), newton_scratch(self.count), *forces)
+
+    def force(self, coordinates: Floats, history: History = (), work: ReducedWork | None = None) -> Floats:
+        """Return the internal forces on the coordinates, -dE/da, shape (m + l,).
+
+        Relaxing tissue responds to the change since its history variables, by default those at rest, as to
+        an instantaneous one.
+        """
+        work = self.workspace() if work is None else work
+        restore_history(work.coordinates.history, history)
+        return self._instant_force(coordinates, work)
+
+    def _instant_force(self, coordinates: Floats, work: ReducedWork) -> Floats:
+        """Return the forces on the coordinates for the history variables in a workspace."""
+        a = np.ascontiguousarray(coordinates, dtype=float)
+        self.sampled_force(a, self.points, work.coordinates, work.force)
+        return work.force.copy()
+
+    def all_forces(self, coordinates: Floats, history: History = (), work: ReducedWork | None = None) -> Floats:
+        """Return the internal forces on all basis vectors, test fields included, shape (m + l + 3 g + w,)."""
+        work = self.workspace() if work is None else work
+        restore_history(work.all.history, history)
+        padded = np.zeros(len(self.data.basis_vectors))
+        padded[: self.count] = coordinates
+        self.sampled_force(padded, self.all_points, work.all, work.all_forces)
+        return work.all_forces.copy()
+
+    def energy(self, coordinates: Floats, history: History = (), work: ReducedWork | None = None) -> float:
+        """Return the strain energy [J] of coordinates (m + l,)."""
+        work = self.workspace() if work is None else work
+        restore_history(work.coordinates.history, history)
+        a = np.ascontiguousarray(coordinates, dtype=float)
+        return float(self.sampled_energy(a, self.points, work.coordinates))
+
+    def stiffness(
+        self,
+        coordinates: Floats,
+        history: History = (),
+        work: ReducedWork | None = None,
+        points: IntegrationPoints | None = None,
+    ) -> Floats:
+        """Return the tangent -d(force)/d(coordinates), shape (m + l, m + l), by default of `points`."""
+        work = self.workspace() if work is None else work
+        restore_history(work.coordinates.history, history)
+        matrix = np.zeros((self.count, self.count))
+        a, vectors = np.ascontiguousarray(coordinates, dtype=float), np.zeros((3, self.count))
+        own = self.points if points is None else points
+        self.tangent(a, self.differences, own, work.coordinates, vectors, self.count, matrix)
+        return matrix
+
+    def highest_frequency(
+        self,
+        coordinates: Floats,
+        prescribed: bool = True,
+        history: History = (),
+        work: ReducedWork | None = None,
+    ) -> float:
+        """Return the highest frequency [rad/s], with the lifting coordinates prescribed or free."""
+        moving = slice(self.data.modes if prescribed else None)
+        tangent = self.stiffness(coordinates, history, work, self.taut_points)[moving, moving]
+        if not np.isfinite(tangent).all():
+            return np.inf
+        inverse_mass = self.constrained_inverse_mass if prescribed else self.inverse_mass
+        return float(np.sqrt(np.abs(np.linalg.eigvals(inverse_mass @ tangent)).max()))
+
+    def frequencies(self, coordinates: Floats | None = None) -> Floats:
+        """Return the circular frequencies [rad/s] of the modes with the tools fixed, in ascending order.
+
+        They are those at rest by default, and NaN where the body is unstable.
+        """
+        modes = slice(self.data.modes)
+        tangent = self.stiffness(np.zeros(self.count) if coordinates is None else coordinates)[modes, modes]
+        squares = np.sort(np.linalg.eigvals(self.constrained_inverse_mass @ (0.5 * (tangent + tangent.T))).real)
+        return np.sqrt(np.where(squares >= 0, squares, np.nan))
+
+    def project(self, fields: Floats) -> Floats:
+        """Return the coordinates (t, m + l) of the best approximations of fields (t, n, 3), in the mass norm."""
+        flat = self.vectors.reshape(self.count, -1) * np.repeat(self.masses, 3)
+        return np.asarray((fields.reshape(len(fields), -1) @ flat.T) @ self.inverse_mass)
+
+    def history_after(
+        self, coordinates: Floats, history: History, interval: float, work: ReducedWork | None = None
+    ) -> History:
+        """Return the history variables after a linear change over an interval [s] to coordinates (m + l,)."""
+        work = self.workspace() if work is None else work
+        variables = work.coordinates.history
+        return history_after(variables, history, interval, lambda: self._instant_force(coordinates, work))
+
+    def equilibrium_history(self, coordinates: Floats, work: ReducedWork | None = None) -> History:
+        """Return the history variables at equilibrium; empty without relaxation."""
+        work = self.workspace() if work is None else work
+        return equilibrium_history(work.coordinates.history, lambda: self._instant_force(coordinates, work))
+
+
+def reduced_body(data: ReducedData, single: bool = True) -> ReducedBody:
+    """Return the body of a reduced model from its data."""
+    count = data.modes + data.lifting_count
+    law, coefficients = material_point(
+        data.tissue.material, data.kinematics, data.tissue.fibres, data.tissue.regions is not None
+    )
+    flat, masses = data.basis_vectors.reshape(len(data.basis_vectors), -1), data.volumes * data.tissue.material.density
+    all_mass = (flat * np.repeat(masses, 3)) @ flat.T
+    mass = np.ascontiguousarray(all_mass[:count, :count])
+    all_points, points = (data.integration_points(np.arange(size), coefficients, single) for size in (len(flat), count))
+    force, energy = sampled_energy(law, single)
+    sizes = np.linalg.norm(data.basis_vectors[:count], axis=2).max(axis=1)
+    return ReducedBody(
+        data=data,
+        count=count,
+        law=law,
+        coefficients=coefficients,
+        single=single,
+        masses=masses,
+        all_mass=all_mass,
+        mass=mass,
+        inverse_mass=np.asarray(np.linalg.inv(mass), dtype=float),
+        constrained_inverse_mass=np.asarray(np.linalg.inv(mass[: data.modes, : data.modes]), dtype=float),
+        sizes=sizes,
+        differences=DIFFERENCE_STEP * data.cloud.spacing / sizes,
+        points=points,
+        all_points=all_points,
+        taut_points=points._replace(families=always_taut(points.families)),
+        surface=data.surface,
+        sampled_force=force,
+        sampled_energy=energy,
+        tangent=implicit_step(law, single)[1],
+    )

@@ -1,0 +1,79 @@
+"""Accelerations of a reduced model, and the constraint forces of its supports and tools.
+
+Test fields that the coordinates do not contain measure the constraint forces: they are the inertial
+forces minus internal forces and loads.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.loads.prepared import PreparedLoads
+from palpate.dynamics.run.model import State
+from palpate.reduction.hyper.body import ReducedBody, ReducedWork
+from palpate.reduction.hyper.foundation import add_spring_forces
+from palpate.reduction.hyper.generalised_forces import GeneralisedForces, generalised_forces, pose_map
+from palpate.reduction.hyper.loads import lifting_coordinates
+
+__all__ = ["accelerations", "constraint_forces", "projected_loads", "reactions", "tool_map"]
+
+
+def projected_loads(body: ReducedBody, prepared: PreparedLoads) -> GeneralisedForces:
+    """Return loads projected on all basis vectors, computed at the first use."""
+    known = prepared.derived.get(id(body))
+    if known is None:  # it keeps the body, whose id no other object has then
+        projected = generalised_forces(prepared, body.data.basis_vectors, body.masses, body.mass)
+        prepared.derived[id(body)] = known = (body, projected)
+    return cast(GeneralisedForces, known[1])
+
+
+def accelerations(
+    body: ReducedBody, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
+) -> tuple[Floats, Floats]:
+    """Return the accelerations of the coordinates, and internal forces plus loads on all basis vectors."""
+    data, loads, times = body.data, projected_loads(body, prepared), np.array([state.time])
+    forces = body.all_forces(state.coordinates + data.stiffness_damping * state.velocities, state.history, work)
+    forces += loads.at(times)[0]
+    add_spring_forces(loads.springs, state.coordinates, state.velocities, forces)
+    if state.contact_state is not None:
+        forces += np.tensordot(data.basis_vectors, state.contact_state.forces, 2)
+    modes = slice(data.modes)
+    if prepared.is_prescribed(times)[0]:
+        lifting_rates = prepared.rates(lambda at: lifting_coordinates(data, prepared, at), state.time)[1]
+        free = forces[modes] - body.mass[modes, data.modes :] @ lifting_rates
+        return np.concatenate([body.constrained_inverse_mass @ free, lifting_rates]), forces
+    return body.inverse_mass @ forces[: body.count], forces
+
+
+def constraint_forces(
+    body: ReducedBody, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
+) -> Floats:
+    """Return the constraint forces on all basis vectors, shape (m + l + 3 g + w,)."""
+    rates, forces = accelerations(body, state, prepared, work)
+    return np.asarray(body.all_mass[:, : body.count] @ rates - forces)
+
+
+def reactions(
+    body: ReducedBody, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
+) -> dict[str, Floats]:
+    """Return the force (3,) [N] of every support and tool on the body; zero after a tool's release."""
+    data, first = body.data, body.count
+    forces = constraint_forces(body, state, prepared, work)
+    result = {support.group: forces[first + 3 * g : first + 3 * g + 3] for g, support in enumerate(data.supports)}
+    prescribed, tools = prepared.is_prescribed(np.array([state.time]))[0], forces[data.modes : first]
+    for name in data.prescribed:
+        result[name] = tool_map(body, name)[:, :3].T @ tools if prescribed else np.zeros(3)
+    return result
+
+
+def tool_map(body: ReducedBody, group: str) -> Floats:
+    """Return the map (l, 12) from the pose of a rigid tool to the lifting coordinates.
+
+    The coordinates are the map times the translation (3) and the entries of R - I (9, row by row). R is
+    the rotation about the mean position of the group's nodes.
+    """
+    nodes = body.data.cloud.group(group)
+    return pose_map(body.data.cloud.points[nodes], body.vectors[body.data.modes :, nodes])
