@@ -62,6 +62,7 @@ _HOME = {
     "Rail": "dynamics.loads.supports",
     "Roller": "dynamics.loads.supports",
     "SurfaceForce": "dynamics.loads.surface_force",
+    "SymmetryPlane": "dynamics.loads.supports",
     "State": "dynamics.run.model",
     "Trajectory": "dynamics.run.trajectory",
     "rollout": "dynamics.run.rollout",

@@ -8,6 +8,7 @@ from palpate.dynamics.loads.foundation import Foundation as Foundation
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion as PrescribedMotion
 from palpate.dynamics.loads.supports import Rail as Rail
 from palpate.dynamics.loads.supports import Roller as Roller
+from palpate.dynamics.loads.supports import SymmetryPlane as SymmetryPlane
 from palpate.dynamics.loads.surface_force import SurfaceForce as SurfaceForce
 from palpate.dynamics.membrane.model import Membrane as Membrane
 from palpate.dynamics.nodal.equilibrium import equilibrium as equilibrium

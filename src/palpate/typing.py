@@ -14,6 +14,7 @@ from palpate.dynamics.nodal.model import NodalModel, NodalWork
 from palpate.dynamics.nodal.stability import StabilityReport
 from palpate.dynamics.run.model import ContactState, Evaluation, Model, Outputs, StepReport
 from palpate.dynamics.run.reactions import NodalFields
+from palpate.meshfree.mirror import Mirror, MirrorPlane
 from palpate.realtime.device import DeviceLog
 from palpate.realtime.record import Reading
 from palpate.realtime.statistics import Distribution, Histograms
@@ -38,6 +39,8 @@ __all__ = [
     "LinearRealtime",
     "Load",
     "LoadHistory",
+    "Mirror",
+    "MirrorPlane",
     "Model",
     "Motion",
     "NodalFields",

@@ -102,6 +102,33 @@ def sliding_linear() -> pt.lti.LinearModel:
 
 
 @cache
+def mirrored() -> pt.Solid:
+    """Return a full model of the block as a quarter of a larger one, clamped at one end."""
+    fixed = ["x-", pt.SymmetryPlane("y-"), pt.SymmetryPlane("z-")]
+    return pt.Solid(block(), SOFT, fixed, stiffness_damping=6e-5)
+
+
+@cache
+def mirrored_galerkin() -> pt.GalerkinModel:
+    """Return the paper's reduction of the quarter."""
+    full = mirrored()
+    return pt.galerkin(full, run(full, [pull()]), modes=MODES)
+
+
+@cache
+def mirrored_hyper() -> pt.ReducedModel:
+    """Return a hyper-reduced quarter."""
+    full = mirrored()
+    return pt.hyper_reduce(full, run(full, [pull()]), modes=MODES)
+
+
+@cache
+def mirrored_linear() -> pt.lti.LinearModel:
+    """Return a linear model of the quarter."""
+    return pt.lti.reduce_linear(pt.lti.linearise(mirrored(), (pull(),), ["x+", "y-"]), "modal", MODES)
+
+
+@cache
 def sliding_sheet() -> pt.Membrane:
     """Return a quarter of a stretched sheet: rollers along two edges, the others clamped."""
     law = pt.materials.NeoHookean(C1=10e3, density=1000.0, poisson=0.5)
@@ -216,6 +243,10 @@ KINDS = {
     "Galerkin, rollers": Kind(sliding_galerkin, lambda: [pull()], 0.08),
     "hyper-reduced, rollers": Kind(sliding_hyper, lambda: [pull()], 0.01),
     "linear, rollers": Kind(sliding_linear, lambda: [pull()], 0.005),
+    "solid, mirrored": Kind(mirrored, lambda: [pull()], 0.01),
+    "Galerkin, mirrored": Kind(mirrored_galerkin, lambda: [pull()], 0.01),
+    "hyper-reduced, mirrored": Kind(mirrored_hyper, lambda: [pull()], 0.01),
+    "linear, mirrored": Kind(mirrored_linear, lambda: [pull()], 0.005),
     "membrane, energy": Kind(lambda: membrane("energy"), lambda: [lean()], 0.01, still=1e-6),
     "membrane, strong": Kind(lambda: membrane("strong"), lambda: [lean()], 0.06, still=1e-6),
     "Galerkin": Kind(galerkin, lambda: [pull()], 0.08),
@@ -234,5 +265,5 @@ KINDS = {
 }
 QUICK = [  # kinds of the quick set; the others compile kernels of their own
     "solid, strong", "solid, energy", "solid, touched", "membrane, energy", "Galerkin", "hyper-reduced",
-    "hyper-reduced, touched", "linear", "solid, rollers",
+    "hyper-reduced, touched", "linear", "solid, rollers", "solid, mirrored",
 ]  # fmt: skip

@@ -40,7 +40,8 @@ class Stencils(Described):
     Parameters
     ----------
     neighbours : (n, k) int array
-        Neighbours of every node without itself, padded with the node itself.
+        Neighbours of every node without itself, padded with the node itself. Numbers from n on are those
+        of mirror images (`palpate.meshfree.mirror`); fields then have values for images, too.
     row : (n,) int array
         The node's row in the tables of weights; nodes with the same arrangement of neighbours share
         one.
@@ -86,15 +87,18 @@ class Stencils(Described):
         return self._apply(self.first, self.own_first, field)
 
     def products(self, volumes: Floats) -> Any:
-        """Return the sparse (n, n) matrix A for which u . A v is the sum over the nodes of V_I grad u . grad v."""
-        n = len(self.row)
+        """Return the sparse matrix A for which u . A v is the sum over the nodes of V_I grad u . grad v.
+
+        It is (n, n), or (n + g, n + g) with g images.
+        """
+        n, size = len(self.row), max(len(self.row), int(self.neighbours.max(initial=0)) + 1)
         nodes = np.concatenate([np.arange(n)[:, None], self.neighbours], axis=1)
         weights = np.concatenate([self.own_first[self.row][:, None], self.first[self.row]], axis=1)
         places = nodes.ravel(), np.arange(n + 1) * nodes.shape[1]
         total = 0
         for k in range(weights.shape[2]):
             rooted = (weights[:, :, k] * np.sqrt(volumes)[:, None]).ravel()
-            derivative = csr_array((rooted, *places), shape=(n, n))
+            derivative = csr_array((rooted, *places), shape=(n, size))
             total = total + derivative.T @ derivative
         return total
 
@@ -103,9 +107,9 @@ class Stencils(Described):
         return self._apply(self.second, self.own_second, field)
 
     def _apply(self, weights: Floats, own: Floats, field: Floats) -> Floats:
-        columns = np.ascontiguousarray(field, dtype=float).reshape(len(self.row), -1)
+        columns = np.ascontiguousarray(field, dtype=float).reshape(len(field), -1)
         result = _apply(self.neighbours, self.row, weights, own, columns)
-        return result.reshape(*field.shape, weights.shape[2])
+        return result.reshape(len(self.row), *field.shape[1:], weights.shape[2])
 
 
 @njit(parallel=True, cache=True)

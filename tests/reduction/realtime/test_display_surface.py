@@ -76,7 +76,7 @@ def test_stress_is_that_of_the_law_for_the_gradient_of_the_modes(pressed):
     model, _, state = pressed
     surface = Surface(model)
     u = np.tensordot(state.coordinates, model.body.vectors, 1)
-    F, P = model.body.stencils.gradient(u) + np.eye(3), model.stress(u)[surface.nodes]
+    F, P = model.body.gradient(u) + np.eye(3), model.stress(u)[surface.nodes]
     F = F[surface.nodes]
     cauchy = P @ F.swapaxes(1, 2) / np.linalg.det(F)[:, None, None]
     size = np.abs(cauchy).max()

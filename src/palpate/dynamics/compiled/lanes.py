@@ -24,6 +24,7 @@ __all__ = [
     "Weights",
     "column_sums",
     "column_work",
+    "gather_rows",
     "lane_gather",
     "lane_sums_1x3",
     "lane_sums_3x2",
@@ -115,17 +116,38 @@ def transpose(
     Rows are padded with the node itself. The weights are those of sums weighted by nodal volumes (areas
     of a sheet), per volume of the node.
     """
-    n = len(neighbours)
-    node, position = np.nonzero(neighbours != np.arange(n)[:, None])
-    other = neighbours[node, position]
-    order = np.lexsort((node, other))
-    node, position, other = node[order], position[order], other[order]
-    count = np.bincount(other, minlength=n)
-    column = np.arange(len(other)) - np.repeat(np.cumsum(count) - count, count)
+    node, position = np.nonzero(neighbours != np.arange(len(neighbours))[:, None])
+    return gather_rows(node, neighbours[node, position], weights[node, position], volumes)
+
+
+def gather_rows(
+    node: NDArray[np.integer[Any]],
+    receiver: NDArray[np.integer[Any]],
+    weights: NDArray[np.float64],
+    volumes: NDArray[np.float64],
+    name: NDArray[np.integer[Any]] | None = None,
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return rows of weights (n, t, w) for what nodes receive, and the names of the senders (n, t).
+
+    Parameters
+    ----------
+    node, receiver : (e,) int arrays
+        Of every entry.
+    weights : (e, w) array
+        Weights of sums weighted by the volumes of `node`.
+    volumes : (n,) array
+    name : (e,) int array, optional
+        Name of the sender; by default the node.
+    """
+    n, name = len(volumes), node if name is None else name
+    order = np.lexsort((name, receiver))
+    node, name, receiver = node[order], name[order], receiver[order]
+    count = np.bincount(receiver, minlength=n)
+    column = np.arange(len(receiver)) - np.repeat(np.cumsum(count) - count, count)
     near = np.tile(np.arange(n, dtype=np.int32)[:, None], (1, count.max()))
-    near[other, column] = node
-    back = np.zeros((n, count.max(), weights.shape[2]))
-    back[other, column] = weights[node, position] * (volumes[node] / volumes[other])[:, None]
+    near[receiver, column] = name
+    back = np.zeros((n, count.max(), weights.shape[1]))
+    back[receiver, column] = weights[order] * (volumes[node] / volumes[receiver])[:, None]
     return near, back
 
 

@@ -19,10 +19,12 @@ from palpate.arrays import Floats, Ints
 from palpate.describe import Described, Fact
 from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.mirror import MirrorPlane
 
 __all__ = [
-    "FIXED", "FREE", "PRESCRIBED", "SLIDING", "Clamp", "Rail", "Roller", "Support", "SupportedNodes",
+    "FIXED", "FREE", "PRESCRIBED", "SLIDING", "Clamp", "Rail", "Roller", "Support", "SupportedNodes", "SymmetryPlane",
     "constrained_directions", "free_directions", "free_rigid_motions", "support_from", "supported_nodes", "supports_of",
+    "symmetry_planes",
 ]  # fmt: skip
 
 FREE, FIXED, PRESCRIBED, SLIDING = 0, 1, 2, 3  # kinds of nodes
@@ -110,6 +112,34 @@ class Roller(Support):
 
     def _facts(self) -> list[Fact]:
         return [("group", self.group, ""), ("normal", self.normal, "")]
+
+
+@dataclass(frozen=True)
+class SymmetryPlane(Roller):
+    """A group in a plane of symmetry, in which it slides freely.
+
+    The stencils of the body contain its mirror images, so that the body moves as one part of the whole
+    one. Loads and tools act on this part and, mirrored, on the images. Several planes must be at right
+    angles. Solids take planes of symmetry.
+
+    Parameters
+    ----------
+    group : str
+        All nodes in the plane.
+    normal : (3,) sequence, optional
+        Normal of the plane, of any length; by default the mean normal of the face that the group forms.
+
+    Raises
+    ------
+    InputError
+        The normal is zero or not finite; or none is given, and the group does not form a face.
+    """
+
+
+def symmetry_planes(cloud: Cloud, supports: Sequence[Support]) -> tuple[MirrorPlane, ...]:
+    """Return the planes of symmetry among supports."""
+    found = [support for support in supports if isinstance(support, SymmetryPlane)]
+    return tuple(MirrorPlane(each.group, cloud.group(each.group), each.directions(cloud)[0]) for each in found)
 
 
 @dataclass(frozen=True)

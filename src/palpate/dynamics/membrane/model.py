@@ -15,7 +15,7 @@ from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.rows import Rows, row_table
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, prepare_loads
-from palpate.dynamics.loads.supports import Support, supports_of
+from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.material.tissue import Tissue
@@ -102,6 +102,8 @@ class Membrane(NodalModel):
         self.thickness = number_in_range("thickness", thickness, 0.0, open_low=True, unit="m")
         self.prestretch = number_in_range("prestretch", prestretch, 1.0, 10.0)
         self.supports = supports_of(fixed)
+        if planes := symmetry_planes(cloud, self.supports):
+            raise InputError(f"fixed of Membrane must hold no SymmetryPlane, got {planes[0].name!r}; use Roller")
         self.relaxed, self.form, self.conservative = bool(relaxed), form, form == "energy"
         # the mounted boundary vectors have c = 2, which the energy form includes by itself
         self.half_cell = 1.0

@@ -129,7 +129,7 @@ def _reactions(balance: StaticBalance, u: Floats) -> dict[str, Floats]:
         return {}
     nodal, stress = -model.external_force(State(u, np.zeros_like(u), balance.time), prepared), None
     if model.conservative:
-        nodal -= model.volumes[:, None] * balance.internal(u)
+        nodal -= model.without_images(model.volumes[:, None] * balance.internal(u))
     else:
         stress = balance.stress(u)
     return dict(zip(supports, group_forces(model, parts, nodal, stress), strict=True))

@@ -171,20 +171,20 @@ class Tangent:
     def _added_force(self, moduli: Floats, direction: Floats) -> Floats:
         """Return the nodal forces (n, 3) [N] of additional moduli, without constrained parts."""
         n, d = len(direction), moduli.shape[1] // 3
-        slopes = (self.gradient @ direction).reshape(d, n, 3).transpose(1, 2, 0)
+        slopes = (self.gradient @ self.balance.model.mirror.vectors(direction)).reshape(d, n, 3).transpose(1, 2, 0)
         stress = self.balance.weights[:, :, None] * (moduli @ slopes.reshape(n, 3 * d, 1)).reshape(n, 3, d)
         force = self.transposed @ stress.transpose(2, 0, 1).reshape(d * n, 3)
-        return self.balance.constrain(np.asarray(force))
+        return self.balance.constrain(self.balance.model.mirror.fold(np.asarray(force)))
 
 
 def _gradient_operator(model: NodalModel) -> tuple[Any, Any]:
-    """Return the derivatives along all axes, one after the other, as a sparse (d n, n) array, and its transpose."""
-    stencils, n = model.stencils, len(model.cloud)
+    """Return the derivatives along all axes, one after the other, as a sparse (d n, n + g) array, and its transpose."""
+    stencils, n, images = model.stencils, len(model.cloud), len(model.mirror.source)
     nodes = np.concatenate([np.arange(n)[:, None], stencils.neighbours], axis=1)
     weights = np.concatenate([stencils.own_first[stencils.row][:, None], stencils.first[stencils.row]], axis=1)
     starts = nodes.shape[1] * np.arange(n + 1)
     parts = [
-        sparse.csr_array((weights[:, :, k].ravel(), nodes.ravel(), starts), shape=(n, n))
+        sparse.csr_array((weights[:, :, k].ravel(), nodes.ravel(), starts), shape=(n, n + images))
         for k in range(weights.shape[2])
     ]
     whole = sparse.vstack(parts, format="csr")

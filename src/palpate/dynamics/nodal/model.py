@@ -40,6 +40,7 @@ from palpate.dynamics.run.contact_state import (
 from palpate.dynamics.run.model import Evaluation, Model, Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs, tool_power
 from palpate.faults import number_in_range
+from palpate.meshfree.mirror import NO_MIRROR, Mirror, MirrorPlane
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.fibres import FibreLaw
 
@@ -69,6 +70,10 @@ class NodalModel(Model):
     ----------
     stencils : Stencils
         Stencils for derivatives of nodal fields.
+    mirror : Mirror
+        Images at planes of symmetry that the stencils contain.
+    planes : tuple of MirrorPlane
+        Planes of symmetry.
     body : NamedTuple
         Constants of the compiled passes.
     formulation : Formulation
@@ -86,6 +91,8 @@ class NodalModel(Model):
     """
 
     stencils: Stencils
+    mirror: Mirror = NO_MIRROR
+    planes: tuple[MirrorPlane, ...] = ()
     body: Any
     formulation: Formulation
     half_cell: float
@@ -402,8 +409,19 @@ class NodalModel(Model):
         unbalanced -= external_force
         if not self.conservative:
             return NodalFields(displacement, velocity, unbalanced, lambda: self.stress(damped, history, work))
-        unbalanced -= self.volumes[:, None] * self.nodal_force(damped, history, work)
+        unbalanced -= self.without_images(self.volumes[:, None] * self.nodal_force(damped, history, work))
         return NodalFields(displacement, velocity, unbalanced, None)
+
+    def without_images(self, forces: Floats) -> Floats:
+        """Return internal forces (n, 3) [N] without those that the images exert through planes of symmetry.
+
+        The sum of the forces along a plane's normal is the resultant of the images. It is subtracted at
+        the nodes of the plane, whose support exerts it.
+        """
+        result = forces.copy() if self.planes else forces
+        for plane in self.planes:
+            result[plane.nodes] -= forces.sum(axis=0) @ plane.normal / len(plane.nodes) * plane.normal
+        return result
 
     def acceleration(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Floats:
         """Return the nodal accelerations [m/s^2], shape (n, 3); zero at fixed nodes."""

@@ -24,6 +24,7 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import Outputs, State
 from palpate.dynamics.run.partition import Partition, active_partitions
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.mirror import Mirror
 from palpate.meshfree.stencils import Stencils
 
 __all__ = [
@@ -38,10 +39,11 @@ __all__ = [
 
 
 class NodalBody(Protocol):
-    """The nodes of a body, with their stress-free volumes and stencils."""
+    """The nodes of a body, with their stress-free volumes, stencils and mirror images."""
 
     volumes: Floats
     stencils: Stencils
+    mirror: Mirror
 
     @property
     def cloud(self) -> Cloud: ...
@@ -94,7 +96,7 @@ def group_forces(body: NodalBody, parts: Sequence[Partition], nodal: Floats, str
     for directions, phi in parts:
         own = phi @ nodal
         if stress is not None:
-            slopes = body.stencils.gradient(phi.T)  # (n, groups, 3)
+            slopes = body.stencils.gradient(body.mirror.scalars(phi.T))  # (n, groups, 3)
             own = own + np.einsum("n,nil,ngl->gi", body.volumes, stress, slopes)
         forces += own @ directions
     return forces

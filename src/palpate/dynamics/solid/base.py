@@ -12,11 +12,12 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
-from palpate.dynamics.loads.supports import Support, supports_of
+from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
 from palpate.dynamics.material.tissue import Tissue, tissue_of
 from palpate.dynamics.nodal.model import History, NodalModel
 from palpate.faults import InputError, integer_in_range
 from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.mirror import Images, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
@@ -36,7 +37,8 @@ class Choices:
     pressure: str | None
     half_cell: float | None
     neighbours: int | None
-    smoother: Stencils
+    images: Images
+    smoother: Stencils  # of the body and its images
 
 
 class Solid(NodalModel):
@@ -128,8 +130,10 @@ class Solid(NodalModel):
         if self.material.prony is not None and self.material.variables == "small strain":
             raise InputError("prony of the material must be None; relaxation requires form='energy' and finite strain")
         integer_in_range("smoothing", smoothing, 5)
-        smoother = moving_least_squares(cloud.points, order=1, neighbours=smoothing, interpolating=False)
-        self._build(Choices(stiffness_damping, pressure, half_cell, neighbours, smoother))
+        self.planes = symmetry_planes(cloud, self.supports)
+        images = mirror_images(cloud, self.planes)
+        smoother = moving_least_squares(images.cloud.points, order=1, neighbours=smoothing, interpolating=False)
+        self._build(Choices(stiffness_damping, pressure, half_cell, neighbours, images, smoother))
 
     def _build(self, choices: Choices) -> None:
         """Compute the stencils, compile the passes, and examine the stability."""
@@ -144,7 +148,7 @@ class Solid(NodalModel):
 
     def deformation_gradient(self, displacements: Floats) -> Floats:
         """Return F = dx/dX of nodal displacements at every node, shape (n, 3, 3)."""
-        return self.stencils.gradient(displacements) + np.eye(3)
+        return self.stencils.gradient(self.mirror.vectors(displacements)) + np.eye(3)
 
     def recovered_pressure(self, displacements: Floats, history: History = ()) -> Floats:
         """Return the pressure U'(J) [Pa] for display, shape (n,): a linear fit over about 57 nodes.

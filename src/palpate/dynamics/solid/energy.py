@@ -37,24 +37,27 @@ class EnergySolid(Solid):
     ----------
     volumes : (n,) array [m^3]
         They integrate quadratic fields.
-    smoothing : pair of arrays
-        Neighbours (n, k) and weights (n, k) of the smoothing of the volumetric measure.
+    smoothing : Smoothing
+        Of the volumetric measure.
     """
 
     form: ClassVar[str] = "energy"
     conservative = True
 
     def _build(self, choices: Choices) -> None:
-        cloud = self.cloud
         for name, given in (("pressure", choices.pressure), ("half_cell", choices.half_cell)):
             if given is not None:
                 raise InputError(f"{name} must be left out in the energy form, got {given!r}; use form='strong'")
         # the boundary vectors, which have c = 2, are a part of the energy
         self.half_cell = 1.0
         tried = NEIGHBOURS if choices.neighbours is None else (choices.neighbours,)
-        self.neighbours, self.stencils, self.volumes, self._lattice = consistent_stencils(cloud, tried)
-        compiled, weights = energy_passes(cloud, self.tissue, self.stencils, choices.smoother, self.volumes)
-        self.smoothing = choices.smoother.neighbours, weights
+        images = choices.images
+        self.neighbours, stencils, volumes, self._lattice = consistent_stencils(images.cloud, tried)
+        compiled, self.stencils, self.smoothing = energy_passes(
+            images, self.tissue, stencils, choices.smoother, volumes
+        )
+        self.mirror = compiled.body.mirror
+        self.volumes = volumes[: images.nodes] / images.copies
         self._compile(*compiled)
         self.stiffness_damping = 0.0
         highest, damping = resting_frequency(self), choices.stiffness_damping
@@ -83,12 +86,12 @@ class EnergySolid(Solid):
         force, passes = self.force(displacements, history, work), work.passes
         law, modulus, bulk = self.tissue.factors.T
         shear, lame = self.tissue.shear_energy(self.deformation_gradient(displacements)), self.tissue.lame
-        hourglass = np.sum(passes.flux[:, :, 3] ** 2, axis=1) / (2 * self.body.hourglass * modulus)
+        hourglass = np.sum(passes.flux[: len(force), :, 3] ** 2, axis=1) / (2 * self.body.hourglass * modulus)
         density = np.asarray(law * shear + bulk * lame / 2 * passes.smooth**2 + hourglass)
         if self.material.prony is not None:
             branches = passes.history
             density += modulus * branches.energy.ravel()[self.slot] + bulk * lame * branches.volume_energy
-        stress = np.array(passes.flux[:, :, :3])
+        stress = np.array(passes.flux[: len(force), :, :3])
         return Evaluation(force, stress, lame * passes.pressure, density)
 
     def smooth(self, values: Floats) -> Floats:

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_gather
+from palpate.dynamics.compiled.mirror import fill_fluxes, fill_vectors
 from palpate.dynamics.compiled.passes import Formulation, add_blocks, combine, smooth_field, weights_address
 from palpate.dynamics.compiled.rows import Rows, aligned_zeros, difference_sums, gather_fluxes
 from palpate.dynamics.material.fibres import NO_FIBRES, Families, FibrePoints
@@ -41,6 +42,7 @@ from palpate.dynamics.material.material_fields import EVERYWHERE, parameters_at
 from palpate.dynamics.material.principal_stretches import make_principal_stress
 from palpate.dynamics.material.relaxation import HistoryVariables, Relaxation, after, history, overstress, relax_volume
 from palpate.dynamics.material.small_strain import make_linear_stress
+from palpate.meshfree.mirror import Mirror
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
@@ -68,6 +70,8 @@ class EnergyBody(NamedTuple):
     relaxation: Relaxation
     stiffness: NDArray[np.float64]  # (n, 3) factors of the law, of s and of lame; empty if all are 1
     families: Families  # of fibres
+    mirror: Mirror  # images at planes of symmetry
+    flux_mirror: Mirror  # reflected fluxes, which stencils with images cause
 
 
 class EnergyWork(NamedTuple):
@@ -77,7 +81,7 @@ class EnergyWork(NamedTuple):
     derivatives: NDArray[np.float64]  # (threads, 12, LANES)
     response: NDArray[np.float64]  # (threads, ROWS * LANES) derivatives, fluxes, cof F and J - 1 of a block
     cofactor: NDArray[np.float64]  # (b, 9, LANES)
-    flux: NDArray[np.float64]  # (n, 3, 4): P_cd [Pa] and s e_c
+    flux: NDArray[np.float64]  # (n + h, 3, 4): P_cd [Pa] and s e_c, then h reflected ones
     dilatation: NDArray[np.float64]  # (n,) J - 1, or g(J)
     slope: NDArray[np.float64]  # (n,) g'(J); empty if it is 1
     smooth: NDArray[np.float64]  # (n,) theta
@@ -85,16 +89,19 @@ class EnergyWork(NamedTuple):
     history: HistoryVariables  # of viscoelastic tissue
     scaled: NDArray[np.float64]  # (n,) theta times its stiffness factor
     least: NDArray[np.float64]  # (1,) least dilatation of all evaluations in a call of the step
+    reflected: NDArray[np.float64]  # (n + g, 3) displacements of nodes and images; empty without images
 
 
-def energy_work(nodes: int, blocks: int, threads: int, branches: int, volumetric: str = QUADRATIC) -> EnergyWork:
-    """Allocate scratch arrays for `nodes` in `blocks`."""
+def energy_work(
+    nodes: int, blocks: int, threads: int, branches: int, volumetric: str = QUADRATIC, images: tuple[int, int] = (0, 0)
+) -> EnergyWork:
+    """Allocate scratch arrays for `nodes` in `blocks`, with numbers of images and of reflected fluxes."""
     return EnergyWork(
         aligned_zeros(threads, LANES, 3, 4),
         aligned_zeros(threads, NUMBERS, LANES),
         aligned_zeros(threads, ROWS * LANES),
         aligned_zeros(blocks, 9, LANES),
-        aligned_zeros(nodes, 3, 4),
+        aligned_zeros(nodes + images[1], 3, 4),
         np.zeros(nodes),
         np.zeros(0 if volumetric == QUADRATIC else nodes),
         np.zeros(nodes),
@@ -102,6 +109,7 @@ def energy_work(nodes: int, blocks: int, threads: int, branches: int, volumetric
         history(branches, blocks, nodes),
         np.zeros(nodes),
         np.zeros(1),
+        np.zeros((nodes + images[0] if images[0] else 0, 3)),
     )
 
 
@@ -369,7 +377,11 @@ def solid_energy(
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
-        each(u, body.lanes, body.coefficients, body.hourglass, body.families,
+        field = u
+        if body.mirror.source.shape[0] > 0:
+            fill_vectors(u, body.mirror, work.reflected)
+            field = work.reflected
+        each(field, body.lanes, body.coefficients, body.hourglass, body.families,
              work.sums, work.response, work.cofactor, work.flux, work.dilatation, work.slope)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})
@@ -393,6 +405,7 @@ def solid_energy(
     @law_njit(digest, inner=True)
     def finish(body, work, force):  # type: ignore[no-untyped-def]
         _complete(body, work)
+        fill_fluxes(body.flux_mirror, work.flux)
         _gather_fluxes(body.transposed, work.flux, force)
 
     return Formulation(digest, NUMBERS, respond, respond_to_columns, _differentiate, finish, _project, after)

@@ -8,23 +8,24 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.compiled.lanes import lane_table, transpose
+from palpate.dynamics.compiled.lanes import gather_rows, lane_table, transpose
 from palpate.dynamics.compiled.passes import Formulation
-from palpate.dynamics.compiled.rows import row_table
+from palpate.dynamics.compiled.rows import Rows, row_table
 from palpate.dynamics.material.fibres import fibre_points, lay_out_fibres
 from palpate.dynamics.material.material_fields import EVERYWHERE, spread
 from palpate.dynamics.material.relaxation import relaxation
 from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.solid.energy_form import EnergyBody, energy_work, solid_energy
 from palpate.dynamics.solid.strong_form import Body, solid, workspace
-from palpate.meshfree.cloud import Cloud
+from palpate.meshfree.mirror import Images, Mirror
 from palpate.meshfree.quadrature import conservative_smoothing
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.materials import Material
 
-__all__ = ["CompiledForm", "energy_passes", "strong_passes"]
+__all__ = ["CompiledForm", "Smoothing", "energy_passes", "strong_passes"]
 
 HOURGLASS = 1.0  # modulus of the hourglass residual, in shear moduli over the spacing squared
 
@@ -49,59 +50,121 @@ class CompiledForm(NamedTuple):
 
 
 def strong_passes(
-    cloud: Cloud, material: Material, stencils: Stencils, smoother: Stencils, half_cell: float, direct: bool
+    images: Images, material: Material, stencils: Stencils, smoother: Stencils, half_cell: float, direct: bool
 ) -> CompiledForm:
-    """Lay out the passes of the strong form."""
-    lanes, (first, second) = lane_table(stencils.neighbours, stencils.row, stencils.first, stencils.second)
-    smooth_lanes, (value,) = lane_table(smoother.neighbours, smoother.row, smoother.value)
+    """Lay out the passes of the strong form, for stencils of a cloud with its images."""
+    n, (mirror, own) = images.nodes, images.own(stencils)
+    lanes, (first, second) = lane_table(own.neighbours, own.row, own.first, own.second)
+    boundary = half_cell * images.cloud.boundary_vectors()[:n]
+    if len(mirror.source):
+        near, weights, itself = images.folded(
+            smoother.neighbours, smoother.value[smoother.row], smoother.own[smoother.row]
+        )
+        smooth_lanes, (value,) = lane_table(near, np.arange(n), weights)
+    else:
+        smooth_lanes, (value,) = lane_table(smoother.neighbours, smoother.row, smoother.value)
+        itself = smoother.own[smoother.row]
     body = Body(
         lanes=lanes,
         first=first,
         second=second,
         smoothing=smooth_lanes,
         value=value,
-        own=np.ascontiguousarray(smoother.own[smoother.row]),
-        boundary=np.ascontiguousarray(half_cell * cloud.boundary_vectors()[lanes.nodes].transpose(0, 2, 1)),
+        own=np.ascontiguousarray(itself),
+        boundary=np.ascontiguousarray(boundary[lanes.nodes].transpose(0, 2, 1)),
         coefficients=material.coefficients,
         lame=material.lame,
+        mirror=mirror,
     )
     longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
-    allocate = partial(workspace, len(cloud), len(lanes.nodes), longest, numba.config.NUMBA_NUM_THREADS)
+    threads = numba.config.NUMBA_NUM_THREADS
+    allocate = partial(workspace, n, len(lanes.nodes), longest, threads, len(mirror.source))
     return CompiledForm(solid(material.law, direct, material.volumetric), body, allocate, lanes)
 
 
+class Smoothing(NamedTuple):
+    """Smoothing of nodal scalars: neighbours (n, k), their weights (n, k) and the node's own (n,)."""
+
+    neighbours: NDArray[np.int32]
+    weights: Floats
+    own: Floats
+
+
 def energy_passes(
-    cloud: Cloud, tissue: Tissue, stencils: Stencils, smoother: Stencils, volumes: Floats
-) -> tuple[CompiledForm, Floats]:
-    """Lay out the passes of the energy form; return them and the smoothing weights (n, w)."""
+    images: Images, tissue: Tissue, stencils: Stencils, smoother: Stencils, images_volumes: Floats
+) -> tuple[CompiledForm, Stencils, Smoothing]:
+    """Lay out the passes of the energy form, for stencils and volumes of a cloud with its images.
+
+    Returns
+    -------
+    compiled : CompiledForm
+    stencils : Stencils
+        Those of the part, with the images as `compiled.body.mirror` numbers them.
+    smoothing : Smoothing
+    """
+    volumes = images_volumes[: images.nodes] / images.copies
     material, regions = tissue.material, tissue.regions
-    row, first, residual = stencils.row, stencils.first, stencils.value
-    both, rows = np.concatenate([first, residual[:, :, None]], axis=2), np.arange(len(cloud))
-    lanes = row_table(stencils.neighbours, row, both)
-    near, weights = transpose(stencils.neighbours, both[row], volumes)
-    transposed = row_table(near, rows, weights, -both.sum(axis=1)[row])
-    smoothing, own = conservative_smoothing(smoother, volumes)
-    smooth_lanes, (value,) = lane_table(smoother.neighbours, rows, smoothing)
-    near, weights = transpose(smoother.neighbours, smoothing[:, :, None], volumes)
-    back_lanes, (back_value,) = lane_table(near, rows, weights)
+    mirror, own_stencils = images.own(stencils)
+    n, row, rows = images.nodes, own_stencils.row, np.arange(images.nodes)
+    both = np.concatenate([stencils.first, stencils.value[:, :, None]], axis=2)
+    lanes = row_table(own_stencils.neighbours, row, both)
+    flux_mirror, transposed = _transposed(own_stencils.neighbours, mirror, both[row], volumes)
+    smoothing = Smoothing(*images.folded(smoother.neighbours, *conservative_smoothing(smoother, images_volumes)))
+    smooth_lanes, (value,) = lane_table(smoothing.neighbours, rows, smoothing.weights)
+    back, weights = transpose(smoothing.neighbours, smoothing.weights[:, :, None], volumes)
+    back_lanes, (back_value,) = lane_table(back, rows, weights)
     body = EnergyBody(
         lanes=lanes,
         transposed=transposed,
         smoothing=smooth_lanes,
         value=value,
-        smoothing_own=own,
+        smoothing_own=smoothing.own,
         transposed_smoothing=back_lanes,
         transposed_value=back_value,
         coefficients=material.coefficients if regions is None else spread(regions, lanes.nodes),
         lame=tissue.lame,
-        hourglass=HOURGLASS * material.shear_modulus / cloud.spacing**2,
+        hourglass=HOURGLASS * material.shear_modulus / images.cloud.spacing**2,
         relaxation=relaxation(material),
         stiffness=np.zeros((0, 3)) if tissue.uniform else np.ascontiguousarray(tissue.factors),
         families=lay_out_fibres(tissue.fibres, lanes.nodes),
+        mirror=mirror,
+        flux_mirror=flux_mirror,
     )
     branches = len(body.relaxation.times)
     threads, form = numba.config.NUMBA_NUM_THREADS, material.volumetric
-    allocate = partial(energy_work, len(cloud), len(lanes.nodes), threads, branches, form)
+    allocate = partial(
+        energy_work, n, len(lanes.nodes), threads, branches, form, (len(mirror.source), len(flux_mirror.source))
+    )
     varied = EVERYWHERE if regions is None else len(material.coefficients)
     formulation = solid_energy(material.law, form, fibre_points(tissue.fibres), varied)
-    return CompiledForm(formulation, body, allocate, lanes), smoothing
+    return CompiledForm(formulation, body, allocate, lanes), own_stencils, smoothing
+
+
+def _transposed(near: NDArray[np.int32], mirror: Mirror, weights: Floats, volumes: Floats) -> tuple[Mirror, Rows]:
+    """Return the transposed stencils of nodes: what each receives from the fluxes of nodes and reflected fluxes.
+
+    A stencil that contains the image of a node moves this node by the reflected flux.
+
+    Parameters
+    ----------
+    near : (n, k) int array
+        Neighbours; numbers from n on are images of the mirror.
+    mirror : Mirror
+    weights : (n, k, w) array
+    volumes : (n,) array
+    """
+    n = len(near)
+    node, place = np.nonzero(near != np.arange(n)[:, None])
+    other, given = near[node, place], weights[node, place]
+    if not len(mirror.source):
+        back, values = gather_rows(node, other, given, volumes)
+        return mirror, row_table(back, np.arange(n), values, -weights.sum(axis=1))
+    receiver = np.concatenate([np.arange(n), mirror.source])[other]
+    turns, kind = np.unique(mirror.reflection.reshape(-1, 9), axis=0, return_inverse=True)
+    kind = np.concatenate([np.full(n, -1), kind.ravel()])[other]
+    pairs, number = np.unique(np.stack([kind, node], axis=1)[kind >= 0], axis=0, return_inverse=True)
+    name = node.copy()
+    name[kind >= 0] = n + number.ravel()
+    back, values = gather_rows(node, receiver, given, volumes, name)
+    reflected = Mirror(pairs[:, 1].copy(), np.ascontiguousarray(turns[pairs[:, 0]].reshape(-1, 3, 3)))
+    return reflected, row_table(back, np.arange(n), values, -weights.sum(axis=1))

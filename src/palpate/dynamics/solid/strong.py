@@ -29,6 +29,8 @@ class StrongSolid(Solid):
 
     def _build(self, choices: Choices) -> None:
         cloud, tissue = self.cloud, self.tissue
+        faces = np.unique(choices.images.cloud.face_nodes)
+        self._face_nodes = faces[faces < len(cloud)]
         if self.material.prony is not None:
             raise InputError("prony of the material must be None; relaxation requires form='energy' and finite strain")
         if len(tissue.stiffness):
@@ -42,12 +44,13 @@ class StrongSolid(Solid):
         if self.pressure not in ("split", "direct"):
             raise InputError(f"pressure must be 'split' or 'direct', got {self.pressure!r}")
         self.neighbours = NEIGHBOURS[0] if choices.neighbours is None else choices.neighbours
-        stencils = moving_least_squares(cloud.points, order=2, neighbours=self.neighbours)
+        stencils = moving_least_squares(choices.images.cloud.points, order=2, neighbours=self.neighbours)
         direct = self.pressure == "direct"
-        self._compile(*strong_passes(cloud, self.material, stencils, choices.smoother, self.half_cell, direct))
+        self._compile(*strong_passes(choices.images, self.material, stencils, choices.smoother, self.half_cell, direct))
         # the second derivatives are in the lanes; gradients of nodal fields require the others only
         empty = np.zeros((0, 0))
-        self.stencils = replace(stencils, second=empty[:, :, None], value=empty)
+        self.mirror, own = choices.images.own(stencils)
+        self.stencils = replace(own, second=empty[:, :, None], value=empty)
         self._set_stability(choose_stiffness_damping(self, choices.stiffness_damping, self.neighbours))
 
     @property
@@ -58,14 +61,15 @@ class StrongSolid(Solid):
         instead of the half cell's 2/h.
         """
         weights = self.cloud.volumes.copy()
-        weights[np.unique(self.cloud.face_nodes)] /= self.half_cell
+        weights[self._face_nodes] /= self.half_cell
         return weights
 
     def evaluate(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> Evaluation:
         work = self.workspace() if work is None else work
         force, F = self.force(displacements, history, work), self.deformation_gradient(displacements)
         stress, pressure = self.material.stress(F), work.passes.pressure
+        smooth = work.passes.smooth[: len(force)]
         if self.pressure == "split":
-            stress = stress + (work.passes.smooth - pressure)[:, None, None] * self.material.cofactor(F)
-            pressure = work.passes.smooth
+            stress = stress + (smooth - pressure)[:, None, None] * self.material.cofactor(F)
+            pressure = smooth
         return Evaluation(force, stress, pressure.copy(), self.material.strain_energy(F))

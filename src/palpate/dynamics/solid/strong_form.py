@@ -25,9 +25,11 @@ from numpy.typing import NDArray
 
 from palpate.dynamics.compiled.cache import inline, kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.lanes import LANES, Lanes, Weights, lane_sums_1x3, lane_sums_3x3, lane_sums_3x6
+from palpate.dynamics.compiled.mirror import fill_scalars, fill_vectors
 from palpate.dynamics.compiled.passes import Formulation, combine, lift_passes, smooth_field, weights_address
 from palpate.dynamics.material.principal_stretches import make_principal_response
 from palpate.dynamics.material.small_strain import make_linear_response
+from palpate.meshfree.mirror import Mirror
 from palpate.tissue.materials import Material
 from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 
@@ -46,6 +48,7 @@ class Body(NamedTuple):
     boundary: NDArray[np.float64]  # (b, 3, LANES) boundary vectors [1/m]
     coefficients: tuple[float, ...]
     lame: float
+    mirror: Mirror  # images at planes of symmetry
 
 
 class Workspace(NamedTuple):
@@ -56,18 +59,20 @@ class Workspace(NamedTuple):
     cofactor: NDArray[np.float64]  # (b, 9, LANES)
     shear: NDArray[np.float64]  # (b, 3, LANES) shear force density
     pressure: NDArray[np.float64]  # (n,)
-    smooth: NDArray[np.float64]  # (n,)
+    smooth: NDArray[np.float64]  # (n + g,), then those of g images
+    reflected: NDArray[np.float64]  # (n + g, 3) displacements of nodes and images; empty without images
 
 
-def workspace(nodes: int, blocks: int, longest: int, threads: int) -> Workspace:
-    """Allocate scratch arrays for `nodes` in `blocks` with at most `longest` neighbours."""
+def workspace(nodes: int, blocks: int, longest: int, threads: int, images: int = 0) -> Workspace:
+    """Allocate scratch arrays for `nodes` in `blocks` with at most `longest` neighbours, and for images of some."""
     return Workspace(
         np.zeros((threads, longest, 3, LANES)),
         np.zeros((threads, 39, LANES)),
         np.zeros((blocks, 9, LANES)),
         np.zeros((blocks, 3, LANES)),
         np.zeros(nodes),
-        np.zeros(nodes),
+        np.zeros(nodes + images),
+        np.zeros((nodes + images if images else 0, 3)),
     )
 
 
@@ -111,6 +116,7 @@ def _finish(body, work, direct, force):  # type: ignore[no-untyped-def]
         _write_direct(body.lanes, work.shear, force)
     else:
         smooth_field(body.smoothing, body.value, body.own, work.derivatives, work.pressure, work.smooth)
+        fill_scalars(body.mirror, work.smooth)
         _add_pressure(body.lanes, body.first, body.boundary, work.fields, work.derivatives, work.cofactor,
                       work.shear, work.smooth, force)  # fmt: skip
 
@@ -251,7 +257,11 @@ def solid(law: type[Material], direct: bool, volumetric: str = QUADRATIC) -> For
 
     @law_njit(digest, inner=True)
     def respond(u, body, work):  # type: ignore[no-untyped-def]
-        each(u, body.lanes, body.first, body.second, body.boundary, body.coefficients, body.lame,
+        field = u
+        if body.mirror.source.shape[0] > 0:
+            fill_vectors(u, body.mirror, work.reflected)
+            field = work.reflected
+        each(field, body.lanes, body.first, body.second, body.boundary, body.coefficients, body.lame,
              work.fields, work.derivatives, work.cofactor, work.shear, work.pressure)  # fmt: skip
 
     @law_njit(digest, inner=True, parallel=True, fastmath={"contract"})

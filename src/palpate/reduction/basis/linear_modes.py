@@ -22,6 +22,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.loads.supports import free_directions, free_rigid_motions
 from palpate.dynamics.solid.model import EnergySolid, Solid
 from palpate.faults import InputError, integer_in_range
+from palpate.meshfree.mirror import Mirror
 
 __all__ = [
     "check_supported",
@@ -49,10 +50,14 @@ def rest_stiffness(body: Solid) -> Any:
         The body has the strong form, whose stiffness is not symmetric.
     """
     n = len(body.cloud)
-    parts = stiffness_blocks(body)
-    blocks = [[parts[c, e] if c <= e else parts[e, c].T for e in range(3)] for c in range(3)]
     by_node = np.arange(3 * n).reshape(3, n).T.reshape(-1)
-    return sparse.bmat(blocks, format="csr")[by_node][:, by_node].tocsc()
+    return _assembled(stiffness_blocks(body))[by_node][:, by_node].tocsc()
+
+
+def _assembled(blocks: dict[tuple[int, int], Any]) -> Any:
+    """Return the symmetric sparse array of blocks of components c <= e, component by component."""
+    rows = [[blocks[c, e] if c <= e else blocks[e, c].T for e in range(3)] for c in range(3)]
+    return sparse.bmat(rows, format="csr")
 
 
 def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> dict[tuple[int, int], Any]:
@@ -73,11 +78,11 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
         raise InputError(
             "body must have the energy form for a symmetric stiffness, got the strong form; use form='energy'"
         )
-    n = len(body.cloud)
+    n, images = len(body.cloud), len(body.mirror.source)
     near, row = body.stencils.neighbours, body.stencils.row
-    slopes = [_operator(near, body.stencils.first[row][:, :, d]) for d in range(3)]
-    hourglass_residual = _operator(near, body.stencils.value[row])
-    smooth = _operator(*body.smoothing) + sparse.identity(n)
+    slopes = [_operator(near, body.stencils.first[row][:, :, d], images) for d in range(3)]
+    hourglass_residual = _operator(near, body.stencils.value[row], images)
+    smooth = _operator(body.smoothing.neighbours, body.smoothing.weights) + sparse.identity(n)
     moduli, own = body.tissue.moduli("shear_modulus"), body.elastic_volumes
     shear = sparse.diags(own * moduli)
     second = sparse.diags(own * (body.tissue.moduli("shear_share") - 2 / 3 * moduli))
@@ -94,15 +99,24 @@ def stiffness_blocks(body: Solid, kind: type[np.floating[Any]] = np.float64) -> 
                 block = block + common
                 block = (block + block.T) / 2
             blocks[c, e] = block.tocsr().astype(kind, copy=False)
-    return blocks
+    return _folded(blocks, body.mirror, n) if images else blocks
 
 
-def _operator(near: NDArray[np.int32], weights: Floats) -> Any:
-    """Return the sparse matrix (n, n) of a sum over neighbours' differences from the node."""
+def _folded(blocks: dict[tuple[int, int], Any], mirror: Mirror, n: int) -> dict[tuple[int, int], Any]:
+    """Return the blocks (n, n) of nodes for those (n + g, n + g) of nodes and images, whose displacements follow."""
+    by_component = [np.arange(3 * size).reshape(size, 3).T.reshape(-1) for size in (n + len(mirror.source), n)]
+    reflect = mirror.matrix(n)[by_component[0]][:, by_component[1]].astype(blocks[0, 0].dtype)
+    whole = (reflect.T @ _assembled(blocks) @ reflect).tocsr()
+    return {(c, e): whole[c * n : (c + 1) * n, e * n : (e + 1) * n] for c, e in blocks}
+
+
+def _operator(near: NDArray[np.int32], weights: Floats, images: int = 0) -> Any:
+    """Return the sparse matrix (n, n + g) of a sum over neighbours' differences from the node, with g images."""
     n = len(near)
     node, place = np.nonzero(near != np.arange(n)[:, None])
-    matrix = sparse.csr_matrix((weights[node, place], (node, near[node, place])), (n, n))
-    return (matrix - sparse.diags(np.asarray(matrix.sum(axis=1)).ravel())).tocsr()
+    matrix = sparse.csr_matrix((weights[node, place], (node, near[node, place])), (n, n + images))
+    own = sparse.diags(np.asarray(matrix.sum(axis=1)).ravel(), shape=(n, n + images))
+    return (matrix - own).tocsr()
 
 
 def _free(body: Solid, groups: Sequence[str]) -> tuple[Any, NDArray[np.int64]]:

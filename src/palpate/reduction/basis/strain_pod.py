@@ -71,10 +71,10 @@ def _inner_product(body: EnergySolid | Membrane) -> Callable[[Floats], Floats]:
     """Return A of the inner product u . A v of fields (b, n, 3): of du/dX, or of a membrane's u, over the volume."""
     if isinstance(body, Membrane):
         return lambda fields: fields * body.volumes[:, None]
-    matrix = body.stencils.products(body.volumes)
+    matrix, mirror = body.stencils.products(body.volumes), body.mirror
 
     def image(fields: Floats) -> Floats:
-        return np.stack([matrix @ u for u in fields])
+        return np.stack([mirror.fold(matrix @ mirror.vectors(u)) for u in fields])
 
     return image
 

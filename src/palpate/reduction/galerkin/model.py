@@ -93,7 +93,9 @@ class GalerkinModel(Model):
             gravity_work=np.einsum("n,mnc->mc", full.masses, self.columns),
             wave_speed=full.wave_speed / self._sizes[len(basis) :],
         )
-        full.formulation.differentiate(self.columns, full.body, full.workspace().passes, self._basis.table)
+        full.formulation.differentiate(
+            full.mirror.vectors(self.columns), full.body, full.workspace().passes, self._basis.table
+        )
         self._projected_force, self._advance = reduced_step(full.formulation)
         self.implicit = implicit
 

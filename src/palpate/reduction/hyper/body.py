@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from palpate.arrays import Floats
+from palpate.dynamics.loads.supports import symmetry_planes
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.material.relaxation import equilibrium_history, history_after, restore_history
+from palpate.meshfree.mirror import Mirror, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.reduction.contact.surface import ContactSurface
 from palpate.reduction.contact.tools import ContactTools
@@ -113,11 +115,17 @@ class ReducedBody:
         """Displacement fields of the coordinates, shape (m + l, n, 3)."""
         return self.data.basis_vectors[: self.count]
 
+    def gradient(self, displacements: Floats) -> Floats:
+        """Return the derivatives (n, 3, d) of displacements (n, 3) at the nodes, by a fit of its own."""
+        mirror, stencils = self._stencils
+        return stencils.gradient(mirror.vectors(displacements))
+
     @cached_property
-    def stencils(self) -> Stencils:
-        """Stencils for derivatives of nodal fields, computed at the first use."""
-        points, stretch = self.data.cloud.points, self.data.kinematics.prestretch
-        return moving_least_squares(points / stretch, order=2, neighbours=STENCIL_NEIGHBOURS[points.shape[1]])
+    def _stencils(self) -> tuple[Mirror, Stencils]:
+        cloud, stretch = self.data.cloud, self.data.kinematics.prestretch
+        images = mirror_images(cloud, symmetry_planes(cloud, self.data.supports))
+        count = STENCIL_NEIGHBOURS[cloud.points.shape[1]]
+        return images.own(moving_least_squares(images.cloud.points / stretch, order=2, neighbours=count))
 
     def workspace(self) -> ReducedWork:
         """Allocate the scratch arrays of evaluations and steps, for one thread at a time."""

@@ -371,7 +371,7 @@ class ReducedModel(Model):
             raise InputError(
                 "model must be a full model to return the stress at nodes, got a reduced membrane; use Membrane"
             )
-        return self.data.tissue.stress(self.body.stencils.gradient(displacements) + np.eye(3))
+        return self.data.tissue.stress(self.body.gradient(displacements) + np.eye(3))
 
     def with_step(self, step: float | None) -> ReducedModel:
         """Return this model with the energy-conserving implicit rule of a step [s], or explicit steps (None)."""

@@ -321,7 +321,7 @@ class LinearModel(Model):
         unbalanced -= self.full.external_force(State(u, v, state.time), prepared)
         stress = None
         if self.conservative:
-            unbalanced += (whole @ damped.ravel()).reshape(-1, 3)
+            unbalanced += self.full.without_images((whole @ damped.ravel()).reshape(-1, 3))
         else:
             stress = partial(self.linear_stress, damped)
         strain_energy = float(0.5 * u.ravel() @ (whole @ u.ravel()))

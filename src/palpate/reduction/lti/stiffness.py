@@ -17,6 +17,7 @@ from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.rows import Rows
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.solid.model import EnergySolid
+from palpate.meshfree.mirror import NO_MIRROR
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
 __all__ = ["coupling", "independent_groups", "nodal_stiffness"]
@@ -69,6 +70,8 @@ def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> A
 def coupling(model: NodalModel) -> Any:
     """Return the sparsity pattern of nodal forces (rows) by nodal displacements, sparse (n, n) of ones."""
     body, n = model.body, len(model.cloud)
+    sources = np.concatenate([np.arange(n), model.mirror.source])
+    reflected = np.concatenate([np.arange(n), getattr(body, "flux_mirror", NO_MIRROR).source])
     names = ["transposed", "transposed_smoothing", "smoothing", "lanes"]
     if not model.conservative:  # the smoothed pressure is differentiated at the node itself
         names = ["lanes", "smoothing", "lanes"]
@@ -76,16 +79,19 @@ def coupling(model: NodalModel) -> Any:
     for name in names:
         family = getattr(body, name, None)
         if family is not None:  # a sheet has no smoothing
-            pattern = pattern @ _neighbours(family, n)
+            pattern = pattern @ _neighbours(family, reflected if name == "transposed" else sources)
             pattern.data[:] = 1
     return pattern.tocsc()
 
 
-def _neighbours(family: Lanes | Rows, n: int) -> Any:
-    """Return the nodes of a family of stencils, the centre included, sparse (n, n)."""
+def _neighbours(family: Lanes | Rows, sources: Ints) -> Any:
+    """Return the nodes of a family of stencils, the centre included, sparse (n, n); images count as their sources."""
+    n = int(sources.max()) + 1  # every node is its own source
     counts = np.diff(family.start)
     nodes = np.repeat(family.nodes if isinstance(family, Lanes) else np.arange(n), counts, axis=0).ravel()
-    pattern = sparse.csr_matrix((np.ones(nodes.size, dtype=np.int32), (nodes, family.neighbours.ravel())), (n, n))
+    pattern = sparse.csr_matrix(
+        (np.ones(nodes.size, dtype=np.int32), (nodes, sources[family.neighbours.ravel()])), (n, n)
+    )
     return (pattern + sparse.identity(n, dtype=np.int32, format="csr")).astype(bool).astype(np.int32)
 
 

@@ -345,9 +345,8 @@ def _support_force(
     total = sparse.csr_matrix(np.tile(np.eye(3), n))
     if model.conservative:
         nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
-        along = sparse.csr_matrix(_constrained_part(model, group))
-        own = along @ total[:, nodes] @ whole.tocsr()[nodes]
-        return own @ free, -(along @ total[:, nodes] @ forces.T[nodes])
+        loads = sparse.csr_matrix(_constrained_part(model, group)) @ total[:, nodes] @ forces.T[nodes]
+        return _force_rows(model, group, whole) @ free, -loads
     if len(model.fixed) > 1 or tools:
         raise InputError(
             f"support {group!r} must be the only one, without tools, for its force to be an output of the strong form; "
@@ -357,6 +356,20 @@ def _support_force(
     along = sparse.csr_matrix(_constrained_part(model, group))
     rows = along @ total @ sparse.diags(np.repeat(model.volumes / model.weights, 3)) @ free
     return -(rows @ (free.T @ whole @ free)), np.asarray(rows @ (free.T @ forces.T) - along @ total @ forces.T)
+
+
+def _force_rows(model: NodalModel, group: str, whole: Any) -> Any:
+    """Return the map (3, 3 n) from displacements to the force of a support, in the energy form.
+
+    The internal forces along the normal of a plane of symmetry include those of the images, which the
+    support exerts (`NodalModel.without_images`).
+    """
+    nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
+    total = sparse.csr_matrix(np.tile(np.eye(3), len(model.cloud)))
+    rows = total[:, nodes] @ whole.tocsr()[nodes]
+    if any(plane.name == group for plane in model.planes):
+        rows = rows - total @ whole
+    return sparse.csr_matrix(_constrained_part(model, group)) @ rows
 
 
 def _constrained_part(model: NodalModel, group: str) -> Floats:
@@ -373,9 +386,7 @@ def _statics(
     statics, rates = [], []
     for group in outputs:
         if group in model.fixed:
-            nodes = (3 * model.cloud.group(group)[:, None] + np.arange(3)).ravel()
-            total = sparse.csr_matrix(_constrained_part(model, group) @ np.tile(np.eye(3), len(model.cloud)))[:, nodes]
-            statics.append(np.asarray(total @ (whole.tocsr()[nodes] @ lifting.T)))
+            statics.append(np.asarray(_force_rows(model, group, whole) @ lifting.T))
             rates.append(model.stiffness_damping * statics[-1])
         else:
             statics.append(np.asarray(_rows(model, prepared, group) @ lifting.T))

@@ -31,6 +31,7 @@ REACTION_WEIGHT = 0.1  # of the forces on tools and supports, relative to those 
 MAX_ROWS, MAX_ENTRIES = 12_000, 150_000_000  # of the least-squares problem for the weights; more rows are sketched
 SLOPE_STATES = 60  # training states for the fit of the moments' slopes
 BLOCK = 4096  # nodes per block
+NO_VECTORS = slice(0, 0)
 MIN_SIZE = 1e-3  # of the largest pressure, below which a state has reduced weight
 RIGID_BODY_SHIFT = 1e-12  # least squared frequency, relative to the highest, for bodies without supports
 
@@ -65,14 +66,18 @@ class Fields:
         return Fields(self.columns[which], self.gradients[:, which], constant, self.nodes, self.volumes)
 
 
-def differentiate(body: EnergySolid | Membrane, columns: Floats) -> Fields:
-    """Return basis vectors (m, n, 3) with their derivatives at all points."""
+def differentiate(body: EnergySolid | Membrane, columns: Floats, even: slice = NO_VECTORS) -> Fields:
+    """Return basis vectors (m, n, 3) with their derivatives at all points.
+
+    At planes of symmetry images continue the vectors as reflections. `even` are the test fields of
+    supports, which images continue as they are, so that they do not jump there.
+    """
     if isinstance(body, Membrane):
         return _differentiate_sheet(body, columns)
     n, count = len(body.cloud), len(columns)
     type_ = _precision(n, count)
     gradients, residuals = np.empty((n, count, 9), dtype=type_), np.empty((count, 3 * n), dtype=type_)
-    for m, by_node in enumerate(_by_node(body, columns, 12)):
+    for m, by_node in enumerate(_by_node(body, columns, 12, even)):
         gradients[:, m] = by_node[:, :9]
         residuals[m] = by_node[:, 9:].reshape(-1) * np.repeat(np.sqrt(body.shear_volumes), 3)
     constant = np.asarray(residuals @ residuals.T, dtype=float) * body.body.hourglass
@@ -99,12 +104,14 @@ def _precision(points: int, count: int) -> Any:
     return np.float64 if points * count < 2_000_000 else np.float32
 
 
-def _by_node(body: EnergySolid | Membrane, columns: Floats, numbers: int) -> Iterator[Floats]:
+def _by_node(body: EnergySolid | Membrane, columns: Floats, numbers: int, even: slice = NO_VECTORS) -> Iterator[Floats]:
     """Yield the nodal derivatives (n, numbers) of every basis vector by the formulation."""
     blocks, lanes = body.body.lanes.nodes.shape
     table, passes = np.zeros((blocks, 1, numbers, lanes)), body.workspace().passes
-    for column in columns:
-        body.formulation.differentiate(np.ascontiguousarray(column[None]), body.body, passes, table)
+    jumps = range(len(columns))[even]
+    for m, column in enumerate(columns):
+        extended = body.mirror.scalars(column) if m in jumps else body.mirror.vectors(column)
+        body.formulation.differentiate(np.ascontiguousarray(extended[None]), body.body, passes, table)
         yield table[:, 0].transpose(0, 2, 1).reshape(-1, numbers)[body.slot]
 
 

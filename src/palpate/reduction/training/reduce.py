@@ -264,7 +264,8 @@ def _basis_vectors(body: EnergySolid | Membrane, snapshots: Snapshots, size: int
     count = len(shapes) + len(lifting)
     flat = columns[:count].reshape(count, -1)
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
-    return _BasisVectors(differentiate(body, columns), len(shapes), count, len(residual_fields), mass, lost)
+    fields = differentiate(body, columns, slice(count, count + len(supports)))
+    return _BasisVectors(fields, len(shapes), count, len(residual_fields), mass, lost)
 
 
 def _states(body: EnergySolid | Membrane, columns: _BasisVectors, snapshots: Snapshots) -> tuple[Floats, float]:
