@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import numba
 import numpy as np
@@ -27,7 +28,7 @@ from palpate.dynamics.run.model import Evaluation
 from palpate.faults import InputError, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.consistent import consistent_gradient
-from palpate.meshfree.stencils import moving_least_squares
+from palpate.meshfree.stencils import Stencils, moving_least_squares
 from palpate.tissue.fibres import FibreLaw
 from palpate.tissue.materials import Material
 
@@ -150,15 +151,8 @@ class Membrane(NodalModel):
     def _body(self) -> tuple[SheetBody, int]:
         """Lay out the stencils; return them with the largest number of neighbours in a pass."""
         cloud, stencils = self.cloud, self.stencils
-        row, first, second = stencils.row, stencils.first, stencils.second
-        transposed = Rows.none()
-        if self.form == "energy":
-            edges = cloud.boundary_vectors() * cloud.volumes[:, None] / self.prestretch
-            first = consistent_gradient(stencils, cloud.points / self.prestretch, self._areas, edges)
-            row, second = np.arange(len(cloud), dtype=np.int32), second[row]
-            both = np.concatenate([first, second], axis=2)
-            near, weights = transpose(stencils.neighbours, both, self._areas)
-            transposed = row_table(near, row, weights, -both.sum(axis=1))
+        weights_of = {"energy": _energy_weights, "strong": _strong_weights}[self.form]
+        row, first, second, transposed = weights_of(cloud, stencils, self._areas, self.prestretch)
         lanes, (first_weights, second_weights) = lane_table(stencils.neighbours, row, first, second)
         body = SheetBody(
             lanes=lanes,
@@ -253,6 +247,25 @@ class Membrane(NodalModel):
     def _step(self, frequency: float, prepared: PreparedLoads) -> float:
         # a slack region can become taut before the next estimate
         return super()._step(max(frequency, self._taut), prepared)
+
+
+def _strong_weights(
+    cloud: Cloud, stencils: Stencils, areas: Floats, prestretch: float
+) -> tuple[NDArray[np.integer[Any]], Floats, Floats, Rows]:
+    """Return the rows of the nodes, the weights of first and second derivatives by row, and no transposed stencils."""
+    return stencils.row, stencils.first, stencils.second, Rows.none()
+
+
+def _energy_weights(
+    cloud: Cloud, stencils: Stencils, areas: Floats, prestretch: float
+) -> tuple[NDArray[np.integer[Any]], Floats, Floats, Rows]:
+    """As `_strong_weights`, with consistent first derivatives and the transposed stencils."""
+    edges = cloud.boundary_vectors() * cloud.volumes[:, None] / prestretch
+    first = consistent_gradient(stencils, cloud.points / prestretch, areas, edges)
+    row, second = np.arange(len(cloud), dtype=np.int32), stencils.second[stencils.row]
+    both = np.concatenate([first, second], axis=2)
+    near, weights = transpose(stencils.neighbours, both, areas)
+    return row, first, second, row_table(near, row, weights, -both.sum(axis=1))
 
 
 def _validated_fibres(

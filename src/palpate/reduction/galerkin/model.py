@@ -18,10 +18,11 @@ from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport
+from palpate.dynamics.run.model import Outputs, State, StepReport
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs, tool_power
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
+from palpate.reduction.basis.coordinates import CoordinateModel
 from palpate.reduction.basis.pod import Basis, pod
 from palpate.reduction.galerkin.step import BasisData, BodyData, GalerkinWork, reduced_step
 
@@ -34,7 +35,7 @@ MIN_SIZE = 1e-3  # of the largest snapshot, below which one has reduced weight i
 LIFTING_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
 
 
-class GalerkinModel(Model):
+class GalerkinModel(CoordinateModel):
     """A full model in coordinates of modes, U = Q A (30), and of lifting vectors for tool motions.
 
     The equations are those of the full model at every node, multiplied by Q^T in the inner product of the
@@ -215,7 +216,8 @@ class GalerkinModel(Model):
         matrix, modes = self.mass, slice(len(self.basis))
         if self.implicit:
             matrix = self.mass + step * (0.5 * step + self.stiffness_damping) * state.estimate[0]
-        return np.linalg.inv(matrix[modes, modes]), np.linalg.inv(matrix)
+        constrained, whole = (np.asarray(np.linalg.inv(each), dtype=float) for each in (matrix[modes, modes], matrix))
+        return constrained, whole
 
     def stiffness(self, columns: Floats, work: GalerkinWork | None = None) -> Floats:
         """Return the tangent -d(force)/d(coordinates) [1/s^2], (M + l, M + l), by differences."""
@@ -257,14 +259,6 @@ class GalerkinModel(Model):
             tools = 0.5 * step * steps * power
         return replace(new, external_work=new.external_work + tools), StepReport(done + tools, lost)
 
-    def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
-        """Return the displacements [m] of some nodes."""
-        return np.tensordot(state.coordinates, self.columns[:, nodes], 1)
-
-    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
-        """Return the velocities [m/s] of some nodes."""
-        return np.tensordot(state.velocities, self.columns[:, nodes], 1)
-
     def outputs(self, state: State, prepared: PreparedLoads, work: GalerkinWork | None = None) -> Outputs:
         work = self.workspace() if work is None else work
         fields = self._fields(state, prepared, work)
@@ -282,7 +276,7 @@ class GalerkinModel(Model):
             curvature = prepared.rates(lambda times: self._lifting_coordinates(prepared, times), state.time)[1]
             rates = np.concatenate([rates[:count] - self.mass[:count, count:] @ curvature, curvature])
         else:
-            rates = np.linalg.solve(self.mass, rates)
+            rates = np.asarray(np.linalg.solve(self.mass, rates), dtype=float)
         u, v = self.displacement(state, prepared), self.velocity(state, prepared)
         external = self.full.external_force(State(u, v, state.time), prepared, work.full)
         return self.full.nodal_fields(u, v, np.tensordot(rates, self.columns, 1), external, work=work.full)

@@ -17,9 +17,10 @@ from palpate.describe import Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.material.relaxation import restore_history, saved_history
 from palpate.dynamics.nodal.stability import stable_step
-from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport, initial_field
+from palpate.dynamics.run.model import Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import contact_outputs
 from palpate.faults import InputError
+from palpate.reduction.basis.coordinates import CoordinateModel
 from palpate.reduction.contact.tools import ContactTools, bonded_nodes, tool_displacements
 from palpate.reduction.hyper.body import DIFFERENCE_STEP, ReducedWork, reduced_body
 from palpate.reduction.hyper.data import ReducedData
@@ -38,7 +39,7 @@ NEWTON_TOLERANCE = 1e-7  # largest displacement of the last Newton update, in sp
 MAX_ENERGY_ERROR = 0.05  # largest gain of energy in accepted steps, relative to the energy
 
 
-class ReducedModel(Model):
+class ReducedModel(CoordinateModel):
     """A body in few coordinates, with forces from few integration points.
 
     Parameters
@@ -74,7 +75,7 @@ class ReducedModel(Model):
         self.stiffness_damping, self.report = data.stiffness_damping, data.report
         self.min_steps_per_frame = 20 if step is None else 1  # the implicit step is the user's choice
         self.body = reduced_body(data, single)
-        self.count = self.body.count
+        self.count, self.columns = self.body.count, self.body.vectors
         self._explicit = explicit_step(self.body.law, single)
         self._implicit, _ = implicit_step(self.body.law, single)
 
@@ -291,17 +292,13 @@ class ReducedModel(Model):
 
     def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes."""
-        modal = np.tensordot(state.coordinates, self.body.vectors[:, nodes], 1)
+        modal = super().displacement(state, prepared, nodes)
         return modal if state.contact_state is None else modal + self._tool_displacements(state, prepared)[0][nodes]
 
     def _tool_displacements(self, state: State, prepared: PreparedLoads) -> tuple[Floats, float]:
         """Return displacements (n, 3) [m] and energy [J] of the surface compliance."""
         surface, points = self.body.surface, self.cloud.points
         return tool_displacements(self.data.compliance, points, surface, state.contact_state, prepared)
-
-    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
-        """Return the velocities [m/s] of some nodes."""
-        return np.tensordot(state.velocities, self.body.vectors[:, nodes], 1)
 
     def outputs(self, state: State, prepared: PreparedLoads, work: ReducedWork | None = None) -> Outputs:
         forces, moments, contact_forces, _ = contact_outputs(state, prepared)

@@ -8,9 +8,8 @@ acceleration is an impulse at the times of the steps.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,49 +17,20 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.describe import Fact
 from palpate.dynamics.compiled.cache import kernel_njit
-from palpate.dynamics.contact.tools import Grasp
-from palpate.dynamics.loads.body_force import Gravity
-from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, is_pressure
-from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
-from palpate.dynamics.run.model import Model, Nodes, Outputs, State, StepReport
+from palpate.dynamics.loads.prepared import Load, PreparedLoads
+from palpate.dynamics.run.model import Outputs, State, StepReport
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.lti.state_space import FirstOrder, Reduced, SecondOrder, first_order_hold
+from palpate.reduction.basis.coordinates import CoordinateModel
+from palpate.reduction.lti.inputs import load_inputs, prepare_linear_loads, tool_accelerations, tool_coordinates
+from palpate.reduction.lti.state_space import FirstOrder, Reduced, first_order_hold
+from palpate.reduction.lti.stiffness import linear_stress
 from palpate.reduction.lti.system import LinearSystem, force_inputs
 
 __all__ = ["LinearModel"]
 
 
-KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads that are inputs
-RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations and rotations, relative
-DIFFERENCE_STEP = 1e-4  # displacements for difference quotients of the stress, in spacings
-
-
-@dataclass(frozen=True)
-class _Inputs:
-    """Loads as inputs of the system."""
-
-    prepared: PreparedLoads
-    forces: tuple[tuple[int, slice], ...]  # force groups of the schedule, and their inputs
-    gravity: slice | None
-
-    def at(self, times: Floats, count: int) -> Floats:
-        """Return the inputs (t, count) of loads other than tools at some times [s]."""
-        schedule, values = self.prepared.schedule(times), np.zeros((len(times), count))
-        for group, own in self.forces:
-            values[:, own] += schedule.amplitudes[:, group, : own.stop - own.start]
-        if self.gravity is not None:
-            values[:, self.gravity] += schedule.gravity
-        return values
-
-
-def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
-    """Return kind, group and amplitudes of a load, which identify it as an input."""
-    return type(load).__name__, load.group, load.labels
-
-
-class LinearModel(Model):
+class LinearModel(CoordinateModel):
     """A linear reduction of a body.
 
     Made by `palpate.lti.reduce_linear`. It supports the loads of its system, by kind and group,
@@ -96,7 +66,8 @@ class LinearModel(Model):
         self.A, self.B, self.C, self.D = (np.ascontiguousarray(matrix) for matrix in reduced.state_space())
         flat = self.columns.reshape(len(self.columns), -1)
         self._lost = full.stiffness_damping * (flat @ (system.whole @ flat.T))
-        self._moved = self._force_columns() @ flat.T  # displacements along the forces for unit coordinates
+        forces = force_inputs(full, full.prepare(system.loads), np.repeat(full.masses, 3))[0]
+        self._moved = forces @ flat.T  # displacements along the forces for unit coordinates
         self._steps: dict[float, tuple[Floats, ...]] = {}
 
     def _own_facts(self) -> list[Fact]:
@@ -125,68 +96,7 @@ class LinearModel(Model):
     # loads
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        """Check and prepare loads.
-
-        Raises
-        ------
-        InputError
-            The system does not include one of the loads, or its tools differ.
-        """
-        check_kinds(loads, KINDS, "loads of a linear model")
-        ready = self.full.prepare(loads)
-        known = {_input(load) for load in self.system.loads if isinstance(load, DeadLoad)}
-        weight = any(isinstance(load, Gravity) for load in self.system.loads)
-        for load in ready.loads:
-            if isinstance(load, DeadLoad) and (is_pressure(load) or _input(load) not in known):
-                listed = ", ".join(f"{name} on {group!r}" for name, group, _ in sorted(known)) or "no dead load"
-                raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
-            if isinstance(load, Gravity) and not weight:
-                raise InputError("loads must not include Gravity for a system without it; linearise with Gravity")
-        names = {name: nodes for name, nodes in ready.supports.items() if name not in self.fixed}
-        own = self.full.prepare(self.system.loads)
-        wanted = {name: nodes for name, nodes in own.supports.items() if name not in self.fixed}
-        same = names.keys() == wanted.keys() and all(np.array_equal(names[name], wanted[name]) for name in wanted)
-        if not same or any(motion.until < np.inf for motion, _ in ready.motions):
-            raise InputError(
-                f"loads must prescribe {sorted(wanted) or 'no group'} without release, as in the linear system, "
-                f"got {sorted(names) or 'none'}"
-            )
-        return ready
-
-    def _inputs(self, prepared: PreparedLoads) -> _Inputs:
-        known = prepared.derived.get(id(self))
-        if known is None:  # it keeps the model, whose id no other object has then
-            of, place, gravity = {}, 0, None
-            for load in self.system.loads:
-                if isinstance(load, DeadLoad):
-                    of[_input(load)] = slice(place, place + len(load.labels))
-                    place += len(load.labels)
-                elif isinstance(load, Gravity):
-                    gravity, place = slice(place, place + 3), place + 3
-            inputs = tuple((g, of[_input(load)]) for g, load in enumerate(prepared.dead_loads))
-            prepared.derived[id(self)] = known = (self, _Inputs(prepared, inputs, gravity))
-        return cast(_Inputs, known[1])
-
-    def tool_coordinates(self, prepared: PreparedLoads, times: Floats) -> Floats:
-        """Return the coordinates (t, l) of the tools at some times [s]: translations [m], small rotations [rad].
-
-        Raises
-        ------
-        InputError
-            The motion is not rigid, or its rotation is too large.
-        """
-        if not self.lifting_count:
-            return np.zeros((len(times), 0))
-        prescribed = prepared.sites.prescribed
-        motion = prepared.schedule(times).motion.reshape(len(times), -1)
-        span = self.system.lifting[:, prescribed].reshape(self.lifting_count, -1)
-        coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
-        missed = np.abs(coordinates @ span - motion).max()
-        if missed > RIGID_TOLERANCE * max(float(np.abs(motion).max()), 1e-3 * self.cloud.spacing):
-            raise InputError(
-                f"motion of the tool must be small and rigid, got an error of {missed:.3g} m at t = {times[0]:.4g} s"
-            )
-        return np.asarray(coordinates)
+        return prepare_linear_loads(self.system, loads)
 
     # stepping
 
@@ -199,17 +109,17 @@ class LinearModel(Model):
     ) -> State:
         nodal = self.full.state(prepared, displacement, velocity, time)
         now = np.array([time])
-        tools = self.tool_coordinates(prepared, now)[0]
+        tools = tool_coordinates(self.system, prepared, now)[0]
         rates = tools
         if self.lifting_count:
-            rates = prepared.rates(lambda times: self.tool_coordinates(prepared, times), time)[0]
+            rates = prepared.rates(lambda times: tool_coordinates(self.system, prepared, times), time)[0]
         own: Floats = np.zeros((2, self.count))
         if isinstance(self.reduced, FirstOrder):
             if any(given is not None and np.any(given) for given in (displacement, velocity)):
                 raise InputError(
                     "displacement and velocity must be zero for a first-order linear model, which starts at rest"
                 )
-            own[1] = self.B[:, : self.system.forces] @ self._inputs(prepared).at(now, self.system.forces)[0]
+            own[1] = self.B[:, : self.system.forces] @ load_inputs(self.system, prepared).at(now, self.system.forces)[0]
         else:
             begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
             begun -= np.stack([tools, rates]) @ self.system.lifts
@@ -234,24 +144,18 @@ class LinearModel(Model):
             self._steps[step] = known = tuple(np.ascontiguousarray(m) for m in (*own, self.B[:, forces:]))
         return known
 
-    def _packed(self, state: State) -> Floats:
-        """Return the state x of the first-order equations."""
-        if isinstance(self.reduced, SecondOrder):
-            return np.concatenate([state.coordinates[: self.count], state.velocities[: self.count]])
-        return state.coordinates[: self.count].copy()
-
     def advance(
         self, state: State, prepared: PreparedLoads, step: float, steps: int, work: None = None
     ) -> tuple[State, StepReport]:
         number_in_range("step", step, 0.0, open_low=True, unit="s")
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
-        f = np.ascontiguousarray(self._inputs(prepared).at(times[1:-1], self.system.forces))
-        g = np.ascontiguousarray(self.tool_coordinates(prepared, times))
+        f = np.ascontiguousarray(load_inputs(self.system, prepared).at(times[1:-1], self.system.forces))
+        g = np.ascontiguousarray(tool_coordinates(self.system, prepared, times))
         kicks = np.ascontiguousarray((g[2:] - 2 * g[1:-1] + g[:-2]) / step)
-        x = self._packed(state)
+        x = self.reduced.packed(state.coordinates[: self.count], state.velocities[: self.count])
         history = np.zeros((steps + 1, len(x)))
         propagate(x, *self._propagator(step), f, kicks, history)
-        rates = self._rates(history, f)
+        rates = self.reduced.rates(history, f)
         c, speeds = history[:, : self.count], (g[2:] - g[:-2]) / (2 * step)
         all_c, all_v = np.hstack([c, g[1:-1]]), np.hstack([rates, speeds])
         done = self._work(all_c, f, history, (g[1:-1], speeds, kicks / step))
@@ -261,12 +165,6 @@ class LinearModel(Model):
         new = State(all_c[-1].copy(), all_v[-1].copy(), float(times[-2]), external, dissipated)
         return new, StepReport(done, lost)
 
-    def _rates(self, history: Floats, f: Floats) -> Floats:
-        """Return rates (t, k) of the coordinates for states (t, N) and inputs other than tools."""
-        if isinstance(self.reduced, SecondOrder):
-            return history[:, self.count :]
-        return np.asarray(history @ self.A.T + f @ self.B[:, : self.system.forces].T)
-
     def _work(self, c: Floats, f: Floats, history: Floats, tools: tuple[Floats, Floats, Floats]) -> float:
         """Return the work [J] of loads and tools over some times, by the trapezium rule."""
         done = float(np.sum(0.5 * (f[1:] + f[:-1]) * np.diff(c @ self._moved.T, axis=0)))
@@ -275,11 +173,6 @@ class LinearModel(Model):
             pulled = self._tool_forces(history, f, g, speeds, bends)
             done += float(np.sum(0.5 * (pulled[1:] + pulled[:-1]) * np.diff(g, axis=0)))
         return done
-
-    def _force_columns(self) -> Floats:
-        """Return the nodal forces (forces, 3 n) of the inputs other than tools, including those at fixed nodes."""
-        model = self.full
-        return force_inputs(model, model.prepare(self.system.loads), np.repeat(model.masses, 3))[0]
 
     def _tool_forces(self, x: Floats, f: Floats, g: Floats, speeds: Floats, bends: Floats) -> Floats:
         """Return forces (t, l) [N], [N m] of the tools on the body, conjugate to their coordinates."""
@@ -291,27 +184,14 @@ class LinearModel(Model):
 
     def responses(self, state: State, prepared: PreparedLoads) -> Floats:
         """Return the outputs y (q,) of the system at a state, as `LinearSystem.outputs` names them."""
-        f = self._inputs(prepared).at(np.array([state.time]), self.system.forces)[0]
-        bends = self._bends(state, prepared)
+        f = load_inputs(self.system, prepared).at(np.array([state.time]), self.system.forces)[0]
+        bends = tool_accelerations(self.system, prepared, state.time)
         g, rates = state.coordinates[self.count :], state.velocities[self.count :]
-        y = self.C @ self._packed(state) + self.D @ np.concatenate([f, bends])
+        x = self.reduced.packed(state.coordinates[: self.count], state.velocities[: self.count])
+        y = self.C @ x + self.D @ np.concatenate([f, bends])
         return np.asarray(y + self.system.static @ g + self.system.static_rate @ rates)
 
-    def _bends(self, state: State, prepared: PreparedLoads) -> Floats:
-        """Return the accelerations (l,) of the tools."""
-        if not self.lifting_count:
-            return np.zeros(0)
-        return prepared.rates(lambda times: self.tool_coordinates(prepared, times), state.time)[1]
-
     # results of a state
-
-    def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
-        """Return the displacements [m] of some nodes."""
-        return np.tensordot(state.coordinates, self.columns[:, nodes], 1)
-
-    def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
-        """Return the velocities [m/s] of some nodes."""
-        return np.tensordot(state.velocities, self.columns[:, nodes], 1)
 
     def outputs(self, state: State, prepared: PreparedLoads, work: None = None) -> Outputs:
         u, v = self.displacement(state, prepared), self.velocity(state, prepared)
@@ -323,29 +203,20 @@ class LinearModel(Model):
         if self.conservative:
             unbalanced += self.full.without_images((whole @ damped.ravel()).reshape(-1, 3))
         else:
-            stress = partial(self.linear_stress, damped)
+            stress = partial(linear_stress, self.full, damped)
         strain_energy = float(0.5 * u.ravel() @ (whole @ u.ravel()))
         return nodal_outputs(self.full, NodalFields(u, v, unbalanced, stress), state, prepared, strain_energy)
 
     def _accelerations(self, state: State, prepared: PreparedLoads) -> Floats:
         """Return the accelerations (k + l,) of the coordinates and of the tools."""
-        inputs, forces = self._inputs(prepared), self.system.forces
-        bends = self._bends(state, prepared)
-        if isinstance(self.reduced, SecondOrder):
-            f = np.concatenate([inputs.at(np.array([state.time]), forces)[0], bends])
-            own = (self.A @ self._packed(state) + self.B @ f)[self.count :]
-        else:
+        inputs, forces = load_inputs(self.system, prepared), self.system.forces
+        bends = tool_accelerations(self.system, prepared, state.time)
+        now, slope = inputs.at(np.array([state.time]), forces)[0], np.zeros(forces)
+        if isinstance(self.reduced, FirstOrder):
             slope = prepared.rates(lambda times: inputs.at(times, forces), state.time)[0]
-            own = self.A @ state.velocities[: self.count] + self.B[:, :forces] @ slope
+        motion = state.coordinates[: self.count], state.velocities[: self.count]
+        own = self.reduced.accelerations(*motion, np.concatenate([now, bends]), np.concatenate([slope, 0 * bends]))
         return np.concatenate([own, bends])
-
-    def linear_stress(self, displacements: Floats) -> Floats:
-        """Return the linearised stress [Pa] of displacements (n, 3) of the full model, by central differences."""
-        largest = float(np.abs(displacements).max())
-        if largest == 0:
-            return self.full.stress(displacements)
-        scale = DIFFERENCE_STEP * self.cloud.spacing / largest
-        return (self.full.stress(scale * displacements) - self.full.stress(-scale * displacements)) / (2 * scale)
 
 
 @kernel_njit(fastmath={"contract", "reassoc"})

@@ -10,8 +10,7 @@ from scipy.sparse.linalg import splu
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.lti.model import LinearModel
-from palpate.reduction.lti.projection_methods import project
+from palpate.reduction.lti.inputs import load_inputs, prepare_linear_loads, tool_coordinates
 from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["input_sizes", "linear_run"]
@@ -19,12 +18,11 @@ __all__ = ["input_sizes", "linear_run"]
 
 def input_sizes(system: LinearSystem, loads: Sequence[Load], duration: float, samples: int = 2000) -> Floats:
     """Return the largest absolute value (p,) of each input in a run: forces [N], gravity, accelerations of tools."""
-    guide = LinearModel(system, project(system, np.ones((system.order, 1))))
-    prepared, step = guide.prepare(loads), duration / samples
+    prepared, step = prepare_linear_loads(system, loads), duration / samples
     times: Floats = step * np.arange(-1.0, samples + 2)
-    g = guide.tool_coordinates(prepared, times)
+    g = tool_coordinates(system, prepared, times)
     bends = np.abs(g[2:] - 2 * g[1:-1] + g[:-2]).max(axis=0) / step**2
-    return np.concatenate([np.abs(guide._inputs(prepared).at(times[1:-1], system.forces)).max(axis=0), bends])
+    return np.concatenate([np.abs(load_inputs(system, prepared).at(times[1:-1], system.forces)).max(axis=0), bends])
 
 
 def linear_run(
@@ -58,13 +56,11 @@ def linear_run(
     number_in_range("every", every, 0.0, duration * (1 + 1e-9), open_low=True, unit="s")
     if not loads:
         raise InputError("loads must not be empty for a linear run from rest; give a load")
-    # any reduced model maps loads to inputs; one of a single column is the cheapest
-    guide = LinearModel(system, project(system, np.ones((system.order, 1))))
-    prepared = guide.prepare(loads)
+    prepared = prepare_linear_loads(system, loads)
     frames, step = round(duration / every), every / steps
     times: Floats = step * np.arange(-1.0, frames * steps + 2)
-    f = guide._inputs(prepared).at(times[1:-1], system.forces)
-    g = guide.tool_coordinates(prepared, times)
+    f = load_inputs(system, prepared).at(times[1:-1], system.forces)
+    g = tool_coordinates(system, prepared, times)
     kicks = (g[2:] - 2 * g[1:-1] + g[:-2]) / step
     pushed = f @ system.input.toarray()[:, : system.forces].T
     lift = system.lifts @ system.directions

@@ -59,6 +59,19 @@ class SecondOrder(Described):
             result.append((self.output + s * self.rate_output) @ solved + self.feedthrough)
         return np.array(result)
 
+    def packed(self, coordinates: Floats, velocities: Floats) -> Floats:
+        """Return the state x (2 k,) of the first-order equations."""
+        return np.concatenate([coordinates, velocities])
+
+    def rates(self, states: Floats, inputs: Floats) -> Floats:
+        """Return c' (t, k) of states (t, 2 k)."""
+        return states[:, len(self.mass) :]
+
+    def accelerations(self, coordinates: Floats, velocities: Floats, inputs: Floats, slopes: Floats) -> Floats:
+        """Return c'' (k,) of a motion under inputs (p,)."""
+        a, b, _, _ = self.state_space()
+        return np.asarray((a @ self.packed(coordinates, velocities) + b @ inputs)[len(self.mass) :])
+
     def poles(self) -> Complex:
         """Return the poles (2 k,) [1/s]."""
         return np.asarray(np.linalg.eigvals(self.state_space()[0]), dtype=complex)
@@ -95,6 +108,18 @@ class FirstOrder(Described):
         for s in np.atleast_1d(np.asarray(points, dtype=complex)):
             result.append(self.output @ np.linalg.solve(s * eye - self.state, self.input) + self.feedthrough)
         return np.array(result)
+
+    def packed(self, coordinates: Floats, velocities: Floats) -> Floats:
+        """Return the state (k,)."""
+        return coordinates.copy()
+
+    def rates(self, states: Floats, inputs: Floats) -> Floats:
+        """Return c' (t, k) of states (t, k) under inputs (t, forces), without those of tools."""
+        return np.asarray(states @ self.state.T + inputs @ self.input[:, : inputs.shape[1]].T)
+
+    def accelerations(self, coordinates: Floats, velocities: Floats, inputs: Floats, slopes: Floats) -> Floats:
+        """Return c'' (k,) of a motion under inputs (p,) with some slopes."""
+        return np.asarray(self.state @ velocities + self.input @ slopes)
 
     def poles(self) -> Complex:
         """Return the poles (k,) [1/s]."""

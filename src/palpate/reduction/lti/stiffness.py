@@ -20,11 +20,12 @@ from palpate.dynamics.solid.model import EnergySolid
 from palpate.meshfree.mirror import NO_MIRROR
 from palpate.reduction.basis.linear_modes import rest_stiffness
 
-__all__ = ["coupling", "independent_groups", "nodal_stiffness"]
+__all__ = ["coupling", "independent_groups", "linear_stress", "nodal_stiffness"]
 
 
 STEP = 1e-5  # of the spacing: displacements for central differences, as in `palpate.dynamics.nodal.stability.stiffness`
 NOISE = 1e-10  # of the largest entry: rounding error of differences for entries that are zero
+STRESS_STEP = 1e-4  # displacements for difference quotients of the stress, in spacings
 
 
 def nodal_stiffness(model: NodalModel, displacements: Floats | None = None) -> Any:
@@ -105,3 +106,12 @@ def independent_groups(pattern: Any) -> list[Ints]:
         used[near[(near >= 0) & (near < len(used))]] = True
         colours[column] = int(np.argmin(used))
     return [np.flatnonzero(colours == colour) for colour in range(int(colours.max()) + 1)]
+
+
+def linear_stress(model: NodalModel, displacements: Floats) -> Floats:
+    """Return the linearised stress [Pa] of displacements (n, 3) [m] of a body at rest, by central differences."""
+    largest = float(np.abs(displacements).max())
+    if largest == 0:
+        return model.stress(displacements)
+    scale = STRESS_STEP * model.cloud.spacing / largest
+    return (model.stress(scale * displacements) - model.stress(-scale * displacements)) / (2 * scale)

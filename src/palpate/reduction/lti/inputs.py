@@ -1,0 +1,130 @@
+"""Loads as inputs of a linear system."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.contact.tools import Grasp
+from palpate.dynamics.loads.body_force import Gravity
+from palpate.dynamics.loads.dead_load import DeadLoad
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, is_pressure
+from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.faults import InputError
+from palpate.reduction.lti.system import LinearSystem
+
+__all__ = ["LoadInputs", "load_inputs", "prepare_linear_loads", "tool_accelerations", "tool_coordinates"]
+
+KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads that are inputs
+RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations and rotations, relative
+
+
+@dataclass(frozen=True)
+class LoadInputs:
+    """Loads as inputs of a system.
+
+    Parameters
+    ----------
+    prepared : PreparedLoads
+    forces : tuple of pairs
+        Force groups of the schedule, and their inputs.
+    gravity : slice or None
+    """
+
+    prepared: PreparedLoads
+    forces: tuple[tuple[int, slice], ...]
+    gravity: slice | None
+
+    def at(self, times: Floats, count: int) -> Floats:
+        """Return the inputs (t, count) of loads other than tools at some times [s]."""
+        schedule, values = self.prepared.schedule(times), np.zeros((len(times), count))
+        for group, own in self.forces:
+            values[:, own] += schedule.amplitudes[:, group, : own.stop - own.start]
+        if self.gravity is not None:
+            values[:, self.gravity] += schedule.gravity
+        return values
+
+
+def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
+    """Return kind, group and amplitudes of a load, which identify it as an input."""
+    return type(load).__name__, load.group, load.labels
+
+
+def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> PreparedLoads:
+    """Check loads and prepare them for a linear system.
+
+    Raises
+    ------
+    InputError
+        The system does not include one of the loads, or its tools differ.
+    """
+    check_kinds(loads, KINDS, "loads of a linear model")
+    full = system.model
+    ready = full.prepare(loads)
+    known = {_input(load) for load in system.loads if isinstance(load, DeadLoad)}
+    weight = any(isinstance(load, Gravity) for load in system.loads)
+    for load in ready.loads:
+        if isinstance(load, DeadLoad) and (is_pressure(load) or _input(load) not in known):
+            listed = ", ".join(f"{name} on {group!r}" for name, group, _ in sorted(known)) or "no dead load"
+            raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
+        if isinstance(load, Gravity) and not weight:
+            raise InputError("loads must not include Gravity for a system without it; linearise with Gravity")
+    names = {name: nodes for name, nodes in ready.supports.items() if name not in full.fixed}
+    own = full.prepare(system.loads)
+    wanted = {name: nodes for name, nodes in own.supports.items() if name not in full.fixed}
+    same = names.keys() == wanted.keys() and all(np.array_equal(names[name], wanted[name]) for name in wanted)
+    if not same or any(motion.until < np.inf for motion, _ in ready.motions):
+        raise InputError(
+            f"loads must prescribe {sorted(wanted) or 'no group'} without release, as in the linear system, "
+            f"got {sorted(names) or 'none'}"
+        )
+    return ready
+
+
+def load_inputs(system: LinearSystem, prepared: PreparedLoads) -> LoadInputs:
+    """Return prepared loads as inputs of a system, computed at the first use."""
+    known = prepared.derived.get(id(system))
+    if known is None:  # it keeps the system, whose id no other object has then
+        of, place, gravity = {}, 0, None
+        for load in system.loads:
+            if isinstance(load, DeadLoad):
+                of[_input(load)] = slice(place, place + len(load.labels))
+                place += len(load.labels)
+            elif isinstance(load, Gravity):
+                gravity, place = slice(place, place + 3), place + 3
+        forces = tuple((g, of[_input(load)]) for g, load in enumerate(prepared.dead_loads))
+        prepared.derived[id(system)] = known = (system, LoadInputs(prepared, forces, gravity))
+    return cast(LoadInputs, known[1])
+
+
+def tool_coordinates(system: LinearSystem, prepared: PreparedLoads, times: Floats) -> Floats:
+    """Return the coordinates (t, l) of the tools at some times [s]: translations [m], small rotations [rad].
+
+    Raises
+    ------
+    InputError
+        The motion is not rigid, or its rotation is too large.
+    """
+    if not len(system.lifting):
+        return np.zeros((len(times), 0))
+    prescribed = prepared.sites.prescribed
+    motion = prepared.schedule(times).motion.reshape(len(times), -1)
+    span = system.lifting[:, prescribed].reshape(len(system.lifting), -1)
+    coordinates = np.linalg.lstsq(span.T, motion.T, rcond=None)[0].T
+    missed = np.abs(coordinates @ span - motion).max()
+    if missed > RIGID_TOLERANCE * max(float(np.abs(motion).max()), 1e-3 * system.model.cloud.spacing):
+        raise InputError(
+            f"motion of the tool must be small and rigid, got an error of {missed:.3g} m at t = {times[0]:.4g} s"
+        )
+    return np.asarray(coordinates)
+
+
+def tool_accelerations(system: LinearSystem, prepared: PreparedLoads, time: float) -> Floats:
+    """Return the accelerations (l,) of the tools at a time [s]."""
+    if not len(system.lifting):
+        return np.zeros(0)
+    return prepared.rates(lambda times: tool_coordinates(system, prepared, times), time)[1]
