@@ -250,7 +250,7 @@ def test_a_file_is_as_large_as_the_columns_in_single_precision_and_the_other_arr
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (10, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (11, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["basis_vectors"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.data.cubature.weights)
@@ -290,8 +290,8 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_another_version_is_refused_whatever_follows(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 10", b"version 9", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 9, and version 10 is the one that is"):
+    path.write_bytes(saved.read_bytes().replace(b"version 11", b"version 10", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 10, and version 11 is the one that is"):
         pt.load(path)
 
 
@@ -425,7 +425,8 @@ CASES = {
     **{
         f"{name} out of range": (attribute(name, value), f"{name} must be .*, got .*")
         for name, value in {"distance_scale": 0.0, "spacing": 0.0, "stiffness_damping": -1.0, "wave_speed": -0.1,
-                            "residual": -1.0, "residual_scale": 0.0, "step": -1e-3, "residual_fields": -1}.items()
+                            "residual": -1.0, "residual_scale": 0.0, "load_scale": 0.0, "step": -1e-3,
+                            "residual_fields": -1}.items()
     },
 }  # fmt: skip
 

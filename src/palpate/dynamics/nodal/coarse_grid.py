@@ -20,9 +20,12 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from palpate.arrays import Floats, Ints
+from palpate.dynamics.loads.supports import SupportedNodes
+from palpate.dynamics.material.tissue import Tissue
 from palpate.dynamics.nodal.model import NodalModel
+from palpate.meshfree.cloud import Cloud
 
-__all__ = ["stress_free_points", "two_level_preconditioner"]
+__all__ = ["static_estimate", "stress_free_points", "two_level_preconditioner"]
 
 CELL_SPACINGS = (2.0, 2.5, 3.0, 4.0, 6.0)  # widths of a cell in spacings; the first with few enough nodes is used
 MAX_GRID_NODES = 1500
@@ -79,12 +82,83 @@ def two_level_preconditioner(
     inverse = np.linalg.inv(blocks)
     inverse[constrained] = 0.0
     inverse[supported.sliding] = supported.slide @ inverse[supported.sliding] @ supported.slide
-    corners, cell, value, slope = _multilinear(stress_free_points(model), model.cloud.spacing)
+    stiff = CLAMP_FACTOR * np.trace(blocks, axis1=1, axis2=2) / 3
+    grid = (stress_free_points(model), model.cloud.spacing, model.weights)
+    coarse = _grid_solver(grid, positive, (constrained, stiff, springs), supported)
+    constrain = model.constrain(constrained)
+
+    def precondition(forces: Floats) -> Floats:
+        return np.asarray((inverse @ forces[:, :, None])[:, :, 0] + constrain(coarse(constrain(forces.copy()))))
+
+    return precondition
+
+
+def static_estimate(
+    cloud: Cloud, weights: Floats, tissue: Tissue, supported: SupportedNodes, constrained: NDArray[np.bool_]
+) -> Callable[[Floats], Floats]:
+    """Return the static response of a solid at rest on the coarse grid, as a function of nodal forces.
+
+    Long waves of the response are those of the grid, some spacings wide; shorter ones are missing. It is
+    the mean of two grids: nodes between two cells count to one of them, which bends symmetric bodies.
+
+    Parameters
+    ----------
+    cloud : Cloud
+        In space.
+    weights : (n,) array [m^3]
+        Nodal volumes.
+    tissue : Tissue
+        Fibres are left out.
+    supported : SupportedNodes
+    constrained : (n,) bool array
+        Nodes that do not move.
+
+    Returns
+    -------
+    function
+        Takes forces (n, 3) [N] and returns displacements (n, 3) [m].
+    """
+    n, law = len(cloud), tissue.factors[:, 0]
+    shear, lame = law * tissue.moduli("shear_modulus"), law * tissue.moduli("lame")
+    eye = np.eye(3)
+    deviator = (
+        np.einsum("ce,km->ckem", eye, eye)
+        + np.einsum("cm,ke->ckem", eye, eye)
+        - 2 / 3 * np.einsum("ck,em->ckem", eye, eye)
+    )
+    moduli = _Moduli(
+        shear[:, None, None] * deviator.reshape(9, 9), lame + 2 / 3 * shear, np.tile(eye.reshape(1, 9), (n, 1))
+    )
+    stiff = CLAMP_FACTOR * NODE_STIFFNESS / cloud.spacing**2 * weights * (lame + 2 * shear)
+    held = constrained, stiff, np.zeros(n)
+    grids = [(sign * cloud.points, cloud.spacing, weights) for sign in (1.0, -1.0)]
+    one, two = (_grid_solver(grid, moduli, held, supported) for grid in grids)
+    return lambda forces: 0.5 * (one(forces) + two(forces))
+
+
+def _grid_solver(
+    grid: tuple[Floats, float, Floats],
+    moduli: _Moduli,
+    held: tuple[NDArray[np.bool_], Floats, Floats],
+    supported: SupportedNodes,
+) -> Callable[[Floats], Floats]:
+    """Return the displacements (n, 3) of the grid under nodal forces (n, 3), as a function.
+
+    Parameters
+    ----------
+    grid : tuple
+        Points (n, d), spacing and weights (n,).
+    moduli : _Moduli
+    held : tuple
+        Nodes that do not move (n,), the stiffness [N/m] by which the grid is held there, and springs [N/m].
+    supported : SupportedNodes
+    """
+    (points, spacing, weights), (constrained, stiff, springs) = grid, held
+    corners, cell, value, slope = _multilinear(points, spacing)
     n, count = len(value), int(corners.max()) + 1
     values = sparse.csr_array((value.ravel(), (np.repeat(np.arange(n), value.shape[1]), corners.ravel())), (n, count))
-    stiff = CLAMP_FACTOR * np.trace(blocks, axis1=1, axis2=2) / 3
     clamp = np.where(constrained, stiff, 0.0)
-    stiffness = _grid_stiffness(positive, model.weights, corners, cell, slope)
+    stiffness = _grid_stiffness(moduli, weights, corners, cell, slope)
     supports = (values.T @ sparse.diags_array(clamp + springs) @ values).tocsr()
     stiffness = stiffness + sparse.kron(supports, sparse.eye_array(3), format="csr")
     if len(supported.sliding):
@@ -93,14 +167,8 @@ def two_level_preconditioner(
         stiffness = stiffness + own.T @ sparse.block_diag(list(across), format="csr") @ own
     stiffness = stiffness + SHIFT * stiffness.diagonal().max() * sparse.eye_array(3 * count)
     symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-    factor = splu(sparse.csc_matrix(stiffness), **symmetric)
-    gather, constrain = values.T.tocsr(), model.constrain(constrained)
-
-    def precondition(forces: Floats) -> Floats:
-        coarse = factor.solve((gather @ constrain(forces.copy())).ravel()).reshape(-1, 3)
-        return np.asarray((inverse @ forces[:, :, None])[:, :, 0] + constrain(values @ coarse))
-
-    return precondition
+    factor, gather = splu(sparse.csc_matrix(stiffness), **symmetric), values.T.tocsr()
+    return lambda forces: np.asarray(values @ factor.solve((gather @ forces).ravel()).reshape(-1, 3))
 
 
 def _positive_moduli(F: Floats, moduli: Floats) -> _Moduli:

@@ -63,6 +63,8 @@ class ReducedData(Described):
         Number w of residual fields, the last basis vectors.
     residual_scale : float [m]
         Residual norm at which the trust number is 1.
+    load_scale : float
+        Share of the loads' static response outside the coordinates at which the trust number is 1.
     report : mapping
         Figures measured in training.
     kinematics : Kinematics
@@ -91,6 +93,7 @@ class ReducedData(Described):
     distance_scale: float
     residual_fields: int = 0
     residual_scale: float = 1.0
+    load_scale: float = 0.3
     report: dict[str, Any] = field(default_factory=dict)
     kinematics: Kinematics = field(default_factory=Kinematics)
     taut_frequency: float = 0.0

@@ -7,8 +7,9 @@ on the number of nodes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from palpate.reduction.hyper.data import ReducedData
 from palpate.reduction.hyper.error_indicator import expected_error, residual_norm, training_distance
 from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
 from palpate.reduction.hyper.implicit import FACTOR_STEP, ImplicitData, implicit_step
+from palpate.reduction.hyper.load_share import load_share, static_response
 from palpate.reduction.hyper.loads import lifting_coordinates, prepare_reduced_loads
 from palpate.reduction.hyper.reactions import projected_loads, reactions
 from palpate.reduction.hyper.sampled_energy import shear_weights
@@ -320,16 +322,26 @@ class ReducedModel(CoordinateModel):
     def trust(self, state: State, prepared: PreparedLoads) -> float:
         """Return the trust number of a state: above 1 the state is outside the training data.
 
-        It is the larger of two numbers: the distance to the nearest training state, and the residual norm of
-        the forces on test fields (`palpate.reduction.hyper.error_indicator`). Both are lengths, divided by
-        their scales. The scales make the trust number at most 1 on 95 % of the frames of the held-out runs.
-        Without such runs, they are quantiles of the training data: of the distances between runs, and of the
-        residual norms after projection.
+        It is the largest of three numbers: the distance to the nearest training state, the residual norm of
+        the forces on test fields (`palpate.reduction.hyper.error_indicator`), and the share of the loads'
+        static response that the coordinates cannot represent (`palpate.reduction.hyper.load_share`), each
+        divided by its scale. The scales make the trust number at most 1 on 95 % of the frames of the held-out
+        runs. Without such runs, those of the lengths are quantiles of the training data: of the distances
+        between runs, and of the residual norms after projection.
         """
         return max(
             training_distance(self.body, state) / self.data.distance_scale,
             residual_norm(self.body, state, prepared) / self.data.residual_scale,
+            self.load_share(state, prepared) / self.data.load_scale,
         )
+
+    def load_share(self, state: State, prepared: PreparedLoads) -> float:
+        """Return the share of the loads' static response that the coordinates cannot represent, 0 to 1."""
+        return load_share(self.body, self._static_response, state, prepared)
+
+    @cached_property
+    def _static_response(self) -> Callable[[Floats], Floats] | None:
+        return static_response(self.body)
 
     def expected_error(self, trust: float) -> tuple[float, float]:
         """Return the displacement errors of the held-out runs at a trust number: median and 95th percentile.

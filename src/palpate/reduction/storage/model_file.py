@@ -39,7 +39,7 @@ __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_r
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION = "palpate reduced model", 10
+FORMAT, VERSION = "palpate reduced model", 11
 REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
 MAX_NUMBER = 1e30  # in a file, in SI units
@@ -91,7 +91,8 @@ ATTRIBUTES = {
     "stiffness_damping": float, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
     "distance_scale": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
-    "residual_fields": int, "residual_scale": float, "bonded_scale": float, "step": float, "single": bool,
+    "residual_fields": int, "residual_scale": float, "load_scale": float, "bonded_scale": float,
+    "step": float, "single": bool,
 }  # fmt: skip
 
 
@@ -168,6 +169,7 @@ def _header(data: ReducedData) -> Header:
         "distance_scale": float(data.distance_scale),
         "residual_fields": int(data.residual_fields),
         "residual_scale": float(data.residual_scale),
+        "load_scale": float(data.load_scale),
         "sheet": data.kinematics.sheet,
         "prestretch": float(data.kinematics.prestretch),
         "relaxed": data.kinematics.relaxed,
@@ -304,6 +306,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         distance_scale=number_in_range("distance_scale", header["distance_scale"], 0.0, open_low=True, unit="m"),
         residual_fields=header["residual_fields"],
         residual_scale=number_in_range("residual_scale", header["residual_scale"], 0.0, open_low=True, unit="m"),
+        load_scale=number_in_range("load_scale", header["load_scale"], 0.0, open_low=True),
         report=_report(_mapping("report", header["report"])),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]

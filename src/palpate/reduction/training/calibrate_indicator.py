@@ -14,9 +14,10 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.contact.compliance import contact_displacements
 from palpate.reduction.contact.tools import contact_at_frame
 from palpate.reduction.hyper.error_indicator import residual_norm, training_distance
+from palpate.reduction.hyper.load_share import MAX_LOAD_SHARE
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["Frames", "calibrate_indicator", "error_table", "indicator_frames"]
+__all__ = ["Calibration", "Frames", "calibrate_indicator", "error_table", "indicator_frames"]
 
 
 MAX_ROWS = 12  # of the table
@@ -30,6 +31,8 @@ class Frames(NamedTuple):
     ----------
     distances, residual_norms : (f,) arrays [m]
         See `palpate.reduction.hyper.error_indicator`.
+    load_shares : (f,) array
+        See `palpate.reduction.hyper.load_share`.
     errors : (f,) array
         Root mean square displacement error over the body, divided by the largest such displacement of the
         run.
@@ -37,6 +40,7 @@ class Frames(NamedTuple):
 
     distances: Floats
     residual_norms: Floats
+    load_shares: Floats
     errors: Floats
 
 
@@ -61,6 +65,7 @@ def indicator_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory
     return Frames(
         np.array([training_distance(model.body, state) for state in states]),
         np.array([residual_norm(model.body, state, prepared) for state in states]),
+        np.array([model.load_share(state, prepared) for state in states]),
         missed / max(float(np.sqrt(squares.max())), 1e-300),
     )
 
@@ -76,8 +81,25 @@ def _contact_displacements(model: ReducedModel, own: Trajectory, frame: int) -> 
     return contact_displacements(known, model.cloud.points, pushes[:, known.nodes], [False, True])[0]
 
 
-def calibrate_indicator(runs: Sequence[Frames], share: float) -> tuple[float, float, list[dict[str, float]]]:
-    """Return both scales [m] of the error indicator, and the table of expected errors.
+class Calibration(NamedTuple):
+    """Scales of the error indicator and the table of expected errors.
+
+    Parameters
+    ----------
+    distance_scale, residual_scale : float [m]
+    load_scale : float
+    table : list of mappings
+        See `error_table`.
+    """
+
+    distance_scale: float
+    residual_scale: float
+    load_scale: float
+    table: list[dict[str, float]]
+
+
+def calibrate_indicator(runs: Sequence[Frames], share: float) -> Calibration:
+    """Return the scales of the error indicator, and the table of expected errors.
 
     With these scales the trust number is at most 1 in a given share of all frames.
     """
@@ -85,10 +107,16 @@ def calibrate_indicator(runs: Sequence[Frames], share: float) -> tuple[float, fl
         max(float(np.quantile(np.concatenate(values), share)), 1e-300)
         for values in ([run.distances for run in runs], [run.residual_norms for run in runs])
     )
-    numbers = [np.maximum(run.distances / distance_scale, run.residual_norms / residual_scale) for run in runs]
+    load_scale = max(float(np.quantile(np.concatenate([run.load_shares for run in runs]), share)), MAX_LOAD_SHARE)
+    numbers = [
+        np.max(
+            [run.distances / distance_scale, run.residual_norms / residual_scale, run.load_shares / load_scale], axis=0
+        )
+        for run in runs
+    ]
     wider = max(float(np.quantile(np.concatenate(numbers), share)), 1.0)
     table = error_table([own / wider for own in numbers], [run.errors for run in runs])
-    return wider * distance_scale, wider * residual_scale, table
+    return Calibration(wider * distance_scale, wider * residual_scale, wider * load_scale, table)
 
 
 def error_table(numbers: Sequence[Floats], errors: Sequence[Floats]) -> list[dict[str, float]]:

@@ -348,9 +348,14 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         model.data.report["held_out"]["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
     if not frames:
         return model
-    distance_scale, residual_scale, table = calibrate_indicator(frames, QUANTILE)
+    distance_scale, residual_scale, load_scale, table = calibrate_indicator(frames, QUANTILE)
     model.data.report["held_out"]["trust"] = table
-    return ReducedModel(replace(model.data, distance_scale=distance_scale, residual_scale=residual_scale))
+    scales: dict[str, Any] = {
+        "distance_scale": distance_scale,
+        "residual_scale": residual_scale,
+        "load_scale": load_scale,
+    }
+    return ReducedModel(replace(model.data, **scales))
 
 
 def _contact_errors(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:

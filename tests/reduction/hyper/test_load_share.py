@@ -1,0 +1,130 @@
+"""Loads that the coordinates of a reduced model cannot feel raise its trust number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.dynamics.nodal.coarse_grid import static_estimate
+from palpate.reduction.hyper.load_share import MAX_LOAD_SHARE
+
+SOFT = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
+DURATION, EVERY = 0.1, 0.01
+
+
+def ramp(t: float) -> float:
+    return float(np.sin(0.5 * np.pi * min(t / 0.05, 1.0)) ** 2)
+
+
+def end_force(force, group: str = "x+") -> pt.SurfaceForce:
+    return pt.SurfaceForce(group, force=lambda t: ramp(t) * np.asarray(force, dtype=float))
+
+
+def run(model, loads):
+    return pt.rollout(model, loads, duration=DURATION, every=EVERY, progress=False)
+
+
+def states(model, trajectory):
+    coordinates, velocities = (model.body.project(each) for each in (trajectory.displacements, trajectory.velocities))
+    return [pt.State(*each) for each in zip(coordinates, velocities, trajectory.times, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def beam() -> pt.Solid:
+    return pt.Solid(pt.box((0.1, 0.02, 0.02), 0.005), SOFT, "x-")
+
+
+@pytest.fixture(scope="module")
+def pulled(beam) -> pt.ReducedModel:
+    """A beam trained on its axial pull alone, whose modes share the symmetry of that load."""
+    held_out = [end_force((3.0, 0.0, 0.0))]
+    return pt.hyper_reduce(
+        beam, run(beam, [end_force((5.0, 0.0, 0.0))]), modes=5, held_out=[(held_out, run(beam, held_out))]
+    )
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.49])
+def test_the_static_estimate_is_near_the_equilibrium(poisson):
+    law = pt.materials.NeoHookean(C1=60e3, density=1120.0, poisson=poisson)
+    model = pt.Solid(pt.box((0.1, 0.02, 0.02), 0.005), law, "x-")
+    response = static_estimate(model.cloud, model.volumes, model.tissue, model.supported, model.fixed_mask)
+    cases = {
+        "pull": ([pt.SurfaceForce("x+", force=(1e-3, 0.0, 0.0))], 0.06),
+        "side": ([pt.SurfaceForce("x+", force=(0.0, 1e-4, 0.0))], 0.2),
+        "weight": ([pt.Gravity((0.0, 0.0, -1e-3))], 0.2),
+        "pinch": ([pt.SurfaceForce("y+", force=(0, -1e-3, 0)), pt.SurfaceForce("y-", force=(0, 1e-3, 0))], 0.3),
+    }
+    for name, (loads, share) in cases.items():
+        prepared = model.prepare(loads)
+        found = response(model.external_force(model.state(prepared), prepared))
+        expected = pt.equilibrium(model, loads).displacements
+        assert np.linalg.norm(found - expected) < share * np.linalg.norm(expected), name
+
+
+@pytest.mark.parametrize(
+    "loads",
+    [
+        [end_force((0.0, 1.0, 0.0))],
+        [pt.Gravity((0.0, 0.0, -9.81))],
+        [end_force((0.0, 0.0, 0.3), "y+"), end_force((0.0, 0.0, -0.3), "y-")],
+        [end_force((0.2, 0.2, 0.0))],
+    ],
+    ids=["sideways", "weight", "twist", "oblique"],
+)
+def test_a_load_across_the_symmetry_of_the_training_is_not_trusted(pulled, loads):
+    prepared, own = pulled.prepare(loads), run(pulled, loads)
+    assert all(pulled.trust(state, prepared) > 1 for state in states(pulled, own)[1:])
+
+
+def test_the_trained_load_has_a_small_share(pulled, beam):
+    loads = [end_force((4.0, 0.0, 0.0))]
+    prepared = pulled.prepare(loads)
+    shares = [pulled.load_share(state, prepared) for state in states(pulled, run(pulled, loads))]
+    assert shares[0] == 0.0  # no load
+    assert max(shares) < pulled.data.load_scale
+    assert pulled.data.load_scale >= MAX_LOAD_SHARE
+
+
+def test_a_small_load_next_to_a_trained_one_counts_for_little(pulled):
+    loads = [end_force((4.0, 0.0, 0.0)), pt.SurfaceForce("x+", force=(0.0, 1e-4, 0.0))]
+    prepared, own = pulled.prepare(loads), run(pulled, loads)
+    shares = [pulled.load_share(state, prepared) for state in states(pulled, own)]
+    assert shares[0] > 0.9
+    assert max(shares[2:]) < pulled.data.load_scale
+
+
+def test_sheets_and_free_bodies_have_no_share():
+    corners = 0.02 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    law = pt.materials.NeoHookean(C1=10e3, density=1000.0, poisson=0.5)
+    sheet = pt.Membrane(pt.sheet(corners, 0.004), law, 1e-3, "rim", prestretch=1.1)
+    push = [pt.SurfaceForce("face", force=lambda t: (0.0, 0.0, 0.01 * ramp(t)))]
+    model = pt.hyper_reduce(sheet, run(sheet, push), modes=3)
+    prepared = model.prepare(push)
+    assert model.load_share(pt.State(np.zeros(3), np.zeros(3), 0.05), prepared) == 0.0
+
+
+@pytest.mark.slow
+def test_no_wrong_answer_is_trusted():
+    """Random symmetric bars, each trained on a symmetric load, under random loads outside the span."""
+    random, wrong = np.random.default_rng(0), 0
+    for _ in range(12):
+        size = (0.06 + 0.04 * random.random(), 0.02, 0.02)
+        law = pt.materials.NeoHookean(
+            C1=float(random.uniform(1e3, 1e5)), density=1100.0, poisson=float(random.uniform(0.3, 0.49))
+        )
+        body = pt.Solid(pt.box(size, 0.005), law, "x-")
+        scale = 2 * law.shear_modulus * 4e-4  # [N], about a strain of 1
+        axis = np.eye(3)[random.integers(3)]
+        train = [end_force(0.1 * scale * axis * (1.0 if axis[0] else 0.02))]
+        model = pt.hyper_reduce(body, run(body, train), modes=4)
+        for _ in range(3):
+            direction = random.standard_normal(3)
+            loads = [end_force(scale * direction * (0.02, 2e-3, 2e-3)), pt.Gravity(5.0 * random.standard_normal(3))]
+            full, own, prepared = run(body, loads), run(model, loads), model.prepare(loads)
+            error = np.linalg.norm(own.displacements - full.displacements, axis=(1, 2)).max()
+            error /= np.linalg.norm(full.displacements, axis=(1, 2)).max()
+            trust = max(model.trust(state, prepared) for state in states(model, own))
+            wrong += error > 0.3
+            assert error < 0.3 or trust > 1, (size, law, direction)
+    assert wrong > 10
