@@ -291,7 +291,7 @@ def test_a_trajectory_is_refused(path):
 
 def test_another_version_is_refused_whatever_follows(saved, path):
     path.write_bytes(saved.read_bytes().replace(b"version 11", b"version 10", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 10, and version 11 is the one that is"):
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 10, and version 11 is the one"):
         pt.load(path)
 
 
