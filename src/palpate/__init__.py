@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import Any
 
 # Threads that wait for each other spin only briefly, so that other work on the same cores does not stall them.
-os.environ.setdefault("GOMP_SPINCOUNT", "1000")
+os.environ.setdefault("GOMP_SPINCOUNT", "2500")
 
 
 def _check_cache_folder() -> None:
