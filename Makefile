@@ -12,8 +12,10 @@ BIN := $(VENV)/bin
 # Draw off-screen, without a display.
 export PYVISTA_OFF_SCREEN ?= true
 export MPLBACKEND ?= Agg
-# The tests run side by side already; threads of linear algebra beside them only wait for each other.
+# The tests run side by side already; threads of linear algebra beside them only wait for each other, and
+# threads of one test that spin longer stall those of another.
 test test-all test-slow: export OPENBLAS_NUM_THREADS ?= 1
+test test-all test-slow: export GOMP_SPINCOUNT ?= 1000
 ifeq ($(shell uname -s),Linux)
 export VTK_DEFAULT_OPENGL_WINDOW ?= vtkEGLRenderWindow
 endif
