@@ -7,7 +7,8 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.nodal.coarse_grid import static_estimate
-from palpate.reduction.hyper.load_share import MAX_LOAD_SHARE
+from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE
+from palpate.reduction.training.calibrate_indicator import Frames, calibrate_indicator
 
 SOFT = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
 DURATION, EVERY = 0.1, 0.01
@@ -83,7 +84,17 @@ def test_the_trained_load_has_a_small_share(pulled, beam):
     shares = [pulled.load_share(state, prepared) for state in states(pulled, run(pulled, loads))]
     assert shares[0] == 0.0  # no load
     assert max(shares) < pulled.data.load_scale
-    assert pulled.data.load_scale >= MAX_LOAD_SHARE
+    assert pulled.data.load_scale >= MIN_LOAD_SCALE
+
+
+def test_no_calibration_trusts_a_load_that_the_coordinates_cannot_feel():
+    """Held-out frames with large shares and a wide tail."""
+    random = np.random.default_rng(0)
+    numbers = random.random(200) ** -2.0
+    frames = Frames(numbers, random.permutation(numbers), np.linspace(0.5, 1.0, 200), random.random(200))
+    found = calibrate_indicator([frames], 0.95)
+    assert found.load_scale == MAX_LOAD_SCALE < 1
+    assert found.table[-1]["trust"] >= 1 / MAX_LOAD_SCALE
 
 
 def test_a_small_load_next_to_a_trained_one_counts_for_little(pulled):

@@ -120,19 +120,8 @@ class SymmetryPlane(Roller):
 
     The stencils of the body contain its mirror images, so that the body moves as one part of the whole
     one. Loads and tools act on this part and, mirrored, on the images. Several planes must be at right
-    angles. Solids take planes of symmetry.
-
-    Parameters
-    ----------
-    group : str
-        All nodes in the plane.
-    normal : (3,) sequence, optional
-        Normal of the plane, of any length; by default the mean normal of the face that the group forms.
-
-    Raises
-    ------
-    InputError
-        The normal is zero or not finite; or none is given, and the group does not form a face.
+    angles. Solids take planes of symmetry. Parameters and errors are those of `Roller`; the group holds all
+    nodes in the plane.
     """
 
 

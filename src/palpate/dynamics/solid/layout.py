@@ -51,8 +51,8 @@ class CompiledForm(NamedTuple):
 
 def strong_passes(
     images: Images, material: Material, stencils: Stencils, smoother: Stencils, half_cell: float, direct: bool
-) -> CompiledForm:
-    """Lay out the passes of the strong form, for stencils of a cloud with its images."""
+) -> tuple[CompiledForm, Stencils]:
+    """Lay out the passes of the strong form, for stencils of a cloud with its images; return the part's own, too."""
     n, (mirror, own) = images.nodes, images.own(stencils)
     lanes, (first, second) = lane_table(own.neighbours, own.row, own.first, own.second)
     boundary = half_cell * images.cloud.boundary_vectors()[:n]
@@ -79,7 +79,7 @@ def strong_passes(
     longest = int(max(np.diff(lanes.start).max(), np.diff(smooth_lanes.start).max()))
     threads = numba.config.NUMBA_NUM_THREADS
     allocate = partial(workspace, n, len(lanes.nodes), longest, threads, len(mirror.source))
-    return CompiledForm(solid(material.law, direct, material.volumetric), body, allocate, lanes)
+    return CompiledForm(solid(material.law, direct, material.volumetric), body, allocate, lanes), own
 
 
 class Smoothing(NamedTuple):

@@ -19,9 +19,10 @@ from palpate.dynamics.nodal.coarse_grid import static_estimate
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.body import ReducedBody
 
-__all__ = ["MAX_LOAD_SHARE", "load_share", "static_response"]
+__all__ = ["MAX_LOAD_SCALE", "MIN_LOAD_SCALE", "load_share", "static_response"]
 
-MAX_LOAD_SHARE = 0.3  # least share at which the trust number is 1
+MIN_LOAD_SCALE = 0.3  # least share at which the trust number is 1
+MAX_LOAD_SCALE = 0.9  # largest: a load that the coordinates cannot feel at all has a share of 1
 
 
 def static_response(body: ReducedBody) -> Callable[[Floats], Floats] | None:

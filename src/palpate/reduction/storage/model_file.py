@@ -306,7 +306,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         distance_scale=number_in_range("distance_scale", header["distance_scale"], 0.0, open_low=True, unit="m"),
         residual_fields=header["residual_fields"],
         residual_scale=number_in_range("residual_scale", header["residual_scale"], 0.0, open_low=True, unit="m"),
-        load_scale=number_in_range("load_scale", header["load_scale"], 0.0, open_low=True),
+        load_scale=number_in_range("load_scale", header["load_scale"], 0.0, 1.0, open_low=True),
         report=_report(_mapping("report", header["report"])),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]

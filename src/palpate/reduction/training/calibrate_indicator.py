@@ -14,7 +14,7 @@ from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.contact.compliance import contact_displacements
 from palpate.reduction.contact.tools import contact_at_frame
 from palpate.reduction.hyper.error_indicator import residual_norm, training_distance
-from palpate.reduction.hyper.load_share import MAX_LOAD_SHARE
+from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE
 from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["Calibration", "Frames", "calibrate_indicator", "error_table", "indicator_frames"]
@@ -101,22 +101,29 @@ class Calibration(NamedTuple):
 def calibrate_indicator(runs: Sequence[Frames], share: float) -> Calibration:
     """Return the scales of the error indicator, and the table of expected errors.
 
-    With these scales the trust number is at most 1 in a given share of all frames.
+    With these scales the trust number is at most 1 in a given share of all frames, unless the scale of the
+    load shares would be above `MAX_LOAD_SCALE`.
     """
     distance_scale, residual_scale = (
         max(float(np.quantile(np.concatenate(values), share)), 1e-300)
         for values in ([run.distances for run in runs], [run.residual_norms for run in runs])
     )
-    load_scale = max(float(np.quantile(np.concatenate([run.load_shares for run in runs]), share)), MAX_LOAD_SHARE)
-    numbers = [
+    load_scale = max(float(np.quantile(np.concatenate([run.load_shares for run in runs]), share)), MIN_LOAD_SCALE)
+    wider = max(
+        float(np.quantile(np.concatenate(_numbers(runs, distance_scale, residual_scale, load_scale)), share)), 1.0
+    )
+    scales = wider * distance_scale, wider * residual_scale, min(wider * load_scale, MAX_LOAD_SCALE)
+    return Calibration(*scales, error_table(_numbers(runs, *scales), [run.errors for run in runs]))
+
+
+def _numbers(runs: Sequence[Frames], distance_scale: float, residual_scale: float, load_scale: float) -> list[Floats]:
+    """Return the trust numbers (f,) of the frames of each run."""
+    return [
         np.max(
             [run.distances / distance_scale, run.residual_norms / residual_scale, run.load_shares / load_scale], axis=0
         )
         for run in runs
     ]
-    wider = max(float(np.quantile(np.concatenate(numbers), share)), 1.0)
-    table = error_table([own / wider for own in numbers], [run.errors for run in runs])
-    return Calibration(wider * distance_scale, wider * residual_scale, wider * load_scale, table)
 
 
 def error_table(numbers: Sequence[Floats], errors: Sequence[Floats]) -> list[dict[str, float]]:

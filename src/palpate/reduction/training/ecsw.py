@@ -108,9 +108,9 @@ def _by_node(body: EnergySolid | Membrane, columns: Floats, numbers: int, even: 
     """Yield the nodal derivatives (n, numbers) of every basis vector by the formulation."""
     blocks, lanes = body.body.lanes.nodes.shape
     table, passes = np.zeros((blocks, 1, numbers, lanes)), body.workspace().passes
-    jumps = range(len(columns))[even]
+    unchanged = range(len(columns))[even]
     for m, column in enumerate(columns):
-        extended = body.mirror.scalars(column) if m in jumps else body.mirror.vectors(column)
+        extended = body.mirror.scalars(column) if m in unchanged else body.mirror.vectors(column)
         body.formulation.differentiate(np.ascontiguousarray(extended[None]), body.body, passes, table)
         yield table[:, 0].transpose(0, 2, 1).reshape(-1, numbers)[body.slot]
 
