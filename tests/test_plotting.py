@@ -43,7 +43,7 @@ def test_a_plot_goes_into_axes_that_are_given(run):
 
 
 def test_an_unknown_quantity_is_refused_with_those_that_are_known(run):
-    with pytest.raises(pt.InputError, match="what must be 'displacement', 'force' or 'energy', got 'stress'"):
+    with pytest.raises(pt.InputError, match="what must be 'displacement', 'force', 'energy' or 'trust', got 'stress'"):
         run.plot("stress")
 
 

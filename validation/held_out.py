@@ -30,7 +30,7 @@ from scipy.stats import spearmanr
 
 import palpate as pt
 from palpate.reduction.hyper.cubature import sparse_nnls
-from palpate.reduction.training.calibrate_indicator import Frames, indicator_frames
+from palpate.reduction.training.calibrate_indicator import Frames, Scales, held_out_frames, trust_numbers
 from palpate.reduction.training.reduce import hyper_reduce
 from palpate.scenes.motions import random_motion, training_motions
 
@@ -135,7 +135,8 @@ def study_trust(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[A
             "distance_scale": rom.data.distance_scale,
             "residual_scale": rom.data.residual_scale,
         }
-        entry["table"], others = rom.report["held_out"]["trust"], pairs | {"inside": pairs["inside"][CALIBRATED:]}
+        entry["curves"] = rom.report["held_out"]["expected_error"]
+        others = pairs | {"inside": pairs["inside"][CALIBRATED:]}
         frames = {kind: [_repeated(rom, *pair) for pair in some] for kind, some in others.items()}
         frames["all"] = [f for some in frames.values() for f in some]
         for kind, some in frames.items():
@@ -147,31 +148,32 @@ def study_trust(model: pt.Solid, runs: dict[str, list[pt.Trajectory]]) -> list[A
 
 def _repeated(rom: pt.ReducedModel, loads: Any, full: pt.Trajectory) -> Frames:
     own = pt.rollout(rom, loads, duration=DURATION, every=EVERY, progress=False)
-    return indicator_frames(rom, loads, own, full)
+    return held_out_frames(rom, loads, own, full)
 
 
 def _judged(rom: pt.ReducedModel, some: list[Frames]) -> dict[str, float]:
     """How distance, residual norm and trust rank errors (Spearman), and how well the table foretells them."""
-    errors = np.concatenate([f.errors for f in some])
-    distances, residual_norms = (
-        [f.distances / rom.data.distance_scale for f in some],
-        [f.residual_norms / rom.data.residual_scale for f in some],
-    )
+    least = rom.report["held_out"]["expected_error"]["displacement"]["least_size"]
+    relative = [f.errors["displacement"] / np.maximum(f.sizes["displacement"], least) for f in some]
+    errors, scales = np.concatenate(relative), Scales(*(getattr(rom.data, name) for name in Scales._fields))
     numbers = {
-        "distance": distances,
-        "residual norm": residual_norms,
-        "trust": [np.maximum(*both) for both in zip(distances, residual_norms, strict=True)],
+        "distance": [f.measures.distances / scales.distance_scale for f in some],
+        "residual norm": [f.measures.residual_norms / scales.residual_scale for f in some],
+        "trust": [trust_numbers(f.measures, scales) for f in some],
     }
     found: dict[str, float] = {"frames": len(errors)}
     for name, own in numbers.items():
         found[f"{name}_now"] = float(spearmanr(np.concatenate(own), errors)[0])
         found[f"{name}_so_far"] = float(spearmanr(np.concatenate([np.maximum.accumulate(n) for n in own]), errors)[0])
-        found[f"{name}_of_runs"] = float(spearmanr([n.max() for n in own], [f.errors.max() for f in some])[0])
+        found[f"{name}_of_runs"] = float(spearmanr([n.max() for n in own], [own.max() for own in relative])[0])
     reached = np.concatenate([np.maximum.accumulate(n) for n in numbers["trust"]])
-    bounds = np.array([rom.expected_error(number)[1] for number in reached])
+    bounds = np.array([rom.expected_error(number).bound for number in reached])
     known = np.isfinite(bounds)
     found["above_1"] = float(np.mean(np.concatenate(numbers["trust"]) > 1))
     found |= {"unknown": float(np.mean(~known)), "covered": float(np.mean(errors[known] <= bounds[known]))}
+    ends = np.cumsum([len(own) for own in relative])[:-1]
+    kept = [bool(each.all()) for each in np.split(errors <= bounds, ends)]
+    found["runs_kept"] = float(np.mean(kept))
     for name, where in (("known", known), ("unknown", ~known)):
         if where.any():
             found |= {f"{name}_median": float(np.median(errors[where]))}

@@ -223,6 +223,17 @@ MUTATIONS = (
         ("tests/reduction/hyper/test_load_share.py::test_a_load_across_the_symmetry_of_the_training_is_not_trusted",),
     ),
     Mutation(
+        "energy of the surface compliance not counted", "reduction/realtime/period.py",
+        "np.sqrt(flexible / data.indicator.flexibility_scale)", "0.0 * np.sqrt(flexible)",
+        ("tests/reduction/contact/test_trust_of_tools.py::test_the_engine_counts_the_surface_compliance_as_the_run_does",),
+    ),
+    Mutation(
+        "bounds of frames, not of runs", "reduction/training/calibrate_indicator.py",
+        "result.append(float(np.max(errors[r] / curve.at(worst[r]))))",
+        "result.append(float(np.median(errors[r] / curve.at(worst[r]))))",
+        ("tests/reduction/training/test_calibrate_indicator.py::test_a_bound_keeps_its_level_over_runs",),
+    ),
+    Mutation(
         "weights of the cubature ignored", "reduction/hyper/sampled_energy.py",
         "weights[b, lane] * stress[b, q, lane]", "weights[0, 0] * stress[b, q, lane]",
         contract("energy_is_kept", "hyper-reduced"),

@@ -86,6 +86,7 @@ _HOME = {
     "DivergenceError": "faults",
     "FileFormatError": "faults",
     "InputError": "faults",
+    "TrustWarning": "faults",
     "Statistics": "realtime.statistics",
     "TrainingScene": "scenes.scene",
 }

@@ -20,6 +20,7 @@ from palpate.faults import CloudError as CloudError
 from palpate.faults import DivergenceError as DivergenceError
 from palpate.faults import FileFormatError as FileFormatError
 from palpate.faults import InputError as InputError
+from palpate.faults import TrustWarning as TrustWarning
 from palpate.meshfree.attachment import in_box as in_box
 from palpate.meshfree.attachment import near_plane as near_plane
 from palpate.meshfree.attachment import painted as painted

@@ -19,6 +19,7 @@ __all__ = [
     "DivergenceError",
     "FileFormatError",
     "InputError",
+    "TrustWarning",
     "UnitWarning",
     "brief",
     "check_names",
@@ -52,6 +53,10 @@ class FileFormatError(InputError):
 
 class UnitWarning(UserWarning):
     """A value is far from that of tissue, as one in another unit is."""
+
+
+class TrustWarning(RuntimeWarning):
+    """A trust number is above 1: the reduced model was not trained on such states."""
 
 
 class DivergenceError(RuntimeError):

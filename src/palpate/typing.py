@@ -21,6 +21,7 @@ from palpate.realtime.statistics import Distribution, Histograms
 from palpate.reduction.galerkin.step import GalerkinWork
 from palpate.reduction.hyper.body import ReducedBody, ReducedWork
 from palpate.reduction.hyper.data import ReducedData
+from palpate.reduction.hyper.error_indicator import ExpectedError
 from palpate.reduction.lti.realtime import LinearRealtime
 from palpate.reduction.realtime.model import RealtimeModel
 
@@ -32,6 +33,7 @@ __all__ = [
     "Distribution",
     "Equilibrium",
     "Evaluation",
+    "ExpectedError",
     "ForcePattern",
     "Formulation",
     "GalerkinWork",

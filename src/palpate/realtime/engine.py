@@ -16,7 +16,7 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.faults import InputError, integer_in_range, number_in_range
+from palpate.faults import InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.realtime.black_box import write_black_box
 from palpate.realtime.clock import SUPPORTED
 from palpate.realtime.contract import check_contract
@@ -139,6 +139,7 @@ class Engine(Described):
             raise RuntimeError(
                 "the system must have clock_gettime and nanosleep, got neither; run the engine on Linux or macOS"
             )
+        self._force_bound = getattr(model, "force_bound", None)
         model = check_contract(model)
         if black_box is not None and not Path(black_box).absolute().parent.is_dir():
             raise InputError(
@@ -324,9 +325,10 @@ class Engine(Described):
 
         Warns
         -----
+        TrustWarning
+            Once for a trust number above 1, if `on_distrust` is ``"warn"``.
         RuntimeWarning
-            Once for a trust number above 1, if `on_distrust` is ``"warn"``. Also if the model's step raised an
-            exception, or the black box could not be written.
+            The model's step raised an exception, or the black box could not be written.
         """
         record = snapshot(self._channels.record)
         worst = record[field_offset("worst_trust")]
@@ -334,13 +336,13 @@ class Engine(Described):
             self._warned = True
             warnings.warn(
                 f"the trust number reached {worst:.3g}, above 1: the model was not trained on such states",
-                RuntimeWarning,
+                TrustWarning,
                 stacklevel=2,
             )
         error_text, self._runner.error_text = self._runner.error_text, ""
         if error_text:
             warnings.warn(error_text, RuntimeWarning, stacklevel=2)
-        return Reading.from_record(record, self.state)
+        return Reading.from_record(record, self.state, self._force_bound)
 
     def statistics(self) -> Statistics:
         """Return the deadline statistics since `start`."""

@@ -48,7 +48,7 @@ MODEL_TIME, TIME_SCALE, WAITED = range(3)  # indices in `Work.clock`
 TIME, PERIODS, FAILED, ITERATIONS = (field_offset(name) for name in ("time", "steps", "failed", "iterations"))
 COMPUTING, LATENESS, TRUSTED, WORST_TRUST = (field_offset(n) for n in ("computing", "lateness", "trust", "worst_trust"))
 CLAMPED, LIMITED, ENERGIES, POSE = (field_offset(name) for name in ("clamped", "limited", "kinetic", "position"))
-SEQUENCE = field_offset("sequence")
+SEQUENCE, LARGEST_FORCE = field_offset("sequence"), field_offset("largest_force")
 FORCE, MOMENT, STIFFNESS = (field_offset(name) for name in ("force", "moment", "stiffness"))
 
 
@@ -301,6 +301,7 @@ def _write_record(work, settings):  # type: ignore[no-untyped-def]
     force, moment = record[FORCE : FORCE + 3], record[MOMENT : MOMENT + 3]
     wrench(work.tool, work.pose, report[FORCES:], force, moment)
     size = np.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    record[LARGEST_FORCE] = max(record[LARGEST_FORCE], size)
     record[LIMITED] = 1.0 if size > settings.force_limit else 0.0
     if size > settings.force_limit:
         for i in range(3):

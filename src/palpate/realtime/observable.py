@@ -21,6 +21,7 @@ modulus ratio therefore changes slowly compared with vibrations.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -131,6 +132,7 @@ class ObservableModel(NamedTuple):
     data: ObservableData
     rest: Floats
     tool: Floats
+    force_bound: Callable[[float, float], float] | None = None
 
     def observe(self) -> Observation:
         """Return the values that the last period published; may be called from any thread."""
@@ -199,7 +201,7 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
         tangent=np.zeros((tools, tools)),
         modulus_ratio=np.ones(2),
     )
-    observable = ObservableModel(advance, stiffness, data, model.rest, model.tool)
+    observable = ObservableModel(advance, stiffness, data, model.rest, model.tool, model.force_bound)
     observable.set_state(model.rest, np.zeros(3))
     return observable
 

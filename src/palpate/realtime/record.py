@@ -5,6 +5,8 @@ A record holds the fields of `HEADER`, then m coordinates, then m velocities.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,13 +20,16 @@ __all__ = ["HEADER", "HEADER_SIZE", "UNITS", "PeriodRecord", "Reading", "field_o
 
 HEADER = np.dtype(
     [(name, "f8") for name in ("time", "steps", "failed", "iterations", "computing", "lateness")]
-    + [(name, "f8") for name in ("trust", "worst_trust", "clamped", "limited", "sequence", "kinetic", "strain")]
+    + [
+        (name, "f8")
+        for name in ("trust", "worst_trust", "largest_force", "clamped", "limited", "sequence", "kinetic", "strain")
+    ]
     + [("position", "f8", 3), ("quaternion", "f8", 4), ("force", "f8", 3), ("moment", "f8", 3)]
     + [("stiffness", "f8", (3, 3))]
 )
 HEADER_SIZE = HEADER.itemsize // 8
 UNITS = {"time": "s", "computing": "s", "lateness": "s", "kinetic": "J", "strain": "J", "position": "m"}
-UNITS |= {"force": "N", "moment": "N m", "stiffness": "N/m"}
+UNITS |= {"force": "N", "largest_force": "N", "moment": "N m", "stiffness": "N/m"}
 
 
 def field_offset(name: str) -> int:
@@ -104,6 +109,12 @@ class Reading(PeriodRecord):
     ----------
     worst_trust : float
         Largest trust number since the last reset; `palpate.ReducedModel.expected_error` converts it to an error.
+    largest_force : float [N]
+        Largest force on the tool since the last reset.
+    force_bound : float [N]
+        Error bound of the force, which runs of the kind of the held-out runs keep with the level of
+        `palpate.ReducedModel.expected_error`. Infinite where the error is unknown: above all trust numbers of
+        those runs, or without such runs.
     clamped : bool
         Whether the engine keeps the tool away from states that the model was not trained on.
     limited : bool
@@ -113,20 +124,24 @@ class Reading(PeriodRecord):
     """
 
     worst_trust: float
+    largest_force: float
+    force_bound: float
     clamped: bool
     limited: bool
     velocities: Floats
 
     @classmethod
-    def from_record(cls, record: Floats, state: str) -> Reading:
-        """Read a record (HEADER_SIZE + 2 m,)."""
+    def from_record(cls, record: Floats, state: str, bound: Callable[[float, float], float] | None = None) -> Reading:
+        """Read a record (HEADER_SIZE + 2 m,), with the error bound by trust number and largest force."""
         header = record[:HEADER_SIZE].view(HEADER)[0]
-        names = ("time", "trust", "worst_trust", "kinetic", "strain", "computing", "lateness")
+        names = ("time", "trust", "worst_trust", "largest_force", "kinetic", "strain", "computing", "lateness")
         numbers: dict[str, Any] = {name: float(header[name]) for name in names}
         numbers |= {name: int(header[name]) for name in ("steps", "sequence")}
         arrays = {name: header[name].copy() for name in ("force", "moment", "stiffness", "position", "quaternion")}
+        worst, largest = numbers["worst_trust"], numbers["largest_force"]
         coordinates, velocities = record[HEADER_SIZE:].reshape(2, -1).copy()
         return cls(
-            **numbers, **arrays, clamped=bool(header["clamped"]), limited=bool(header["limited"]),
+            **numbers, **arrays, force_bound=bound(worst, largest) if bound else math.inf,
+            clamped=bool(header["clamped"]), limited=bool(header["limited"]),
             coordinates=coordinates, velocities=velocities, state=state,
         )  # fmt: skip

@@ -14,6 +14,7 @@ from palpate.app.cli import main
 from palpate.app.common.report import REPORTS
 from palpate.app.models.quick_training import train
 from palpate.app.run.realtime import FILES
+from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.scenes.beam import MAX_SPACING, beam
 from palpate.scenes.grasp import GROUP, Hand, grasped_beam
 
@@ -143,9 +144,11 @@ def test_what_the_tool_felt_is_that_of_all_periods(realtime):
     assert tool["largest_force"] == pytest.approx(np.linalg.norm(force, axis=1).max())
     assert tool["largest_force"] > 0
     assert tool["untrained_share"] == pytest.approx(np.mean(trust > 1))
-    rows = report["model"]["held_out"]["trust"]
-    met = next((row for row in rows if trust.max() <= row["trust"]), dict.fromkeys(("median", "percentile_95")))
-    assert tool["expected_error"] == [met["median"], met["percentile_95"]]
+    curves = report["model"]["held_out"]["expected_error"]
+    assert tool["expected_error"].keys() == curves.keys() - {"level"} == {"displacement", "force"}
+    for of, found in tool["expected_error"].items():
+        expected = expected_error(report["model"], float(trust.max()), of)
+        assert [found[name] or np.inf for name in ("median", "bound", "level")] == pytest.approx(list(expected))
     assert 0 < tool["largest_displacement"] < 0.1
 
 

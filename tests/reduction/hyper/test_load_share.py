@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import palpate as pt
 from palpate.dynamics.nodal.coarse_grid import static_estimate
-from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE
-from palpate.reduction.training.calibrate_indicator import Frames, calibrate_indicator
+from palpate.reduction.hyper.data import ReducedData
+from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE, static_response
+from palpate.reduction.training.calibrate_indicator import Measures, calibrate_scales, trust_numbers
 
 SOFT = pt.materials.MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
 DURATION, EVERY = 0.1, 0.01
@@ -49,7 +53,8 @@ def pulled(beam) -> pt.ReducedModel:
 def test_the_static_estimate_is_near_the_equilibrium(poisson):
     law = pt.materials.NeoHookean(C1=60e3, density=1120.0, poisson=poisson)
     model = pt.Solid(pt.box((0.1, 0.02, 0.02), 0.005), law, "x-")
-    response = static_estimate(model.cloud, model.volumes, model.tissue, model.supported, model.fixed_mask)
+    springs = np.zeros(len(model.cloud))
+    response = static_estimate(model.cloud, model.volumes, model.tissue, model.supported, model.fixed_mask, springs)
     cases = {
         "pull": ([pt.SurfaceForce("x+", force=(1e-3, 0.0, 0.0))], 0.06),
         "side": ([pt.SurfaceForce("x+", force=(0.0, 1e-4, 0.0))], 0.2),
@@ -90,11 +95,11 @@ def test_the_trained_load_has_a_small_share(pulled, beam):
 def test_no_calibration_trusts_a_load_that_the_coordinates_cannot_feel():
     """Held-out frames with large shares and a wide tail."""
     random = np.random.default_rng(0)
-    numbers = random.random(200) ** -2.0
-    frames = Frames(numbers, random.permutation(numbers), np.linspace(0.5, 1.0, 200), random.random(200))
-    found = calibrate_indicator([frames], 0.95)
+    numbers = random.random((20, 50)) ** -2.0
+    runs = [Measures(one, random.permutation(one), np.linspace(0.5, 1.0, 50), np.zeros(50)) for one in numbers]
+    found = calibrate_scales(runs, 0.95)
     assert found.load_scale == MAX_LOAD_SCALE < 1
-    assert found.table[-1]["trust"] >= 1 / MAX_LOAD_SCALE
+    assert all(trust_numbers(run, found).max() >= 1 / MAX_LOAD_SCALE for run in runs)
 
 
 def test_a_small_load_next_to_a_trained_one_counts_for_little(pulled):
@@ -105,14 +110,76 @@ def test_a_small_load_next_to_a_trained_one_counts_for_little(pulled):
     assert max(shares[2:]) < pulled.data.load_scale
 
 
-def test_sheets_and_free_bodies_have_no_share():
+def test_a_sheet_under_a_load_in_its_plane_is_not_trusted_after_a_push():
     corners = 0.02 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     law = pt.materials.NeoHookean(C1=10e3, density=1000.0, poisson=0.5)
-    sheet = pt.Membrane(pt.sheet(corners, 0.004), law, 1e-3, "rim", prestretch=1.1)
-    push = [pt.SurfaceForce("face", force=lambda t: (0.0, 0.0, 0.01 * ramp(t)))]
-    model = pt.hyper_reduce(sheet, run(sheet, push), modes=3)
-    prepared = model.prepare(push)
-    assert model.load_share(pt.State(np.zeros(3), np.zeros(3), 0.05), prepared) == 0.0
+    sheet = pt.Membrane(pt.sheet(corners, 0.002), law, 1e-3, "rim", prestretch=1.1)
+
+    def push(*force: float) -> list[pt.SurfaceForce]:
+        return [pt.SurfaceForce("face", force=lambda t: ramp(t) * np.array(force))]
+
+    model = pt.hyper_reduce(sheet, run(sheet, push(0.0, 0.0, 0.01)), modes=3)
+    rest = pt.State(np.zeros(3), np.zeros(3), 0.05)
+    assert model.load_share(rest, model.prepare(push(0.0, 0.0, 0.01))) < 0.3
+    assert model.load_share(rest, model.prepare(push(0.01, 0.0, 0.0))) > 0.95
+    assert model.trust(rest, model.prepare(push(0.003, 0.01, 0.0))) > 1
+
+
+def test_a_free_body_counts_the_rigid_motion_that_its_modes_lack():
+    body = pt.Solid(pt.box((0.06, 0.02, 0.02), 0.005), SOFT)
+
+    def pull(one: float, other: float) -> list[pt.SurfaceForce]:
+        return [end_force((one, 0.0, 0.0)), end_force((other, 0.0, 0.0), "x-")]
+
+    model = pt.hyper_reduce(body, run(body, pull(5.0, -5.0)), modes=4)
+    rest = pt.State(np.zeros(4), np.zeros(4), 0.05)
+    assert model.load_share(rest, model.prepare(pull(5.0, -5.0))) < 0.2
+    assert model.load_share(rest, model.prepare(pull(5.0, 0.0))) > 0.9
+    assert model.load_share(rest, model.prepare([pt.Gravity((0.0, 0.0, -9.81))])) > 0.9
+
+
+def test_springs_to_the_ground_hold_a_body_in_the_response(beam):
+    """On stiff springs at its end the static response of a beam is nearly that of the beam clamped there."""
+    springs = np.zeros(len(beam.cloud))
+    springs[beam.cloud.group("x-")] = 1e6
+    free = replace(beam_data(beam), supports=())
+    forces = np.zeros((len(beam.cloud), 3))
+    forces[beam.cloud.group("x+"), 1] = 1.0
+    clamped, held = (static_response(data, k)(forces) for data, k in ((beam_data(beam), 0 * springs), (free, springs)))
+    assert np.linalg.norm(held - clamped) < 0.2 * np.linalg.norm(clamped)
+
+
+def beam_data(beam: pt.Solid) -> ReducedData:
+    return pt.hyper_reduce(beam, run(beam, [end_force((1.0, 0.0, 0.0))]), modes=1).data
+
+
+def test_a_trajectory_holds_trust_and_warns_once(pulled, tmp_path):
+    side = [end_force((0.0, 1.0, 0.0))]
+    with pytest.warns(pt.TrustWarning, match=r"reached 3.33 at t = .* s, above 1.*full model") as told:
+        own = pt.rollout(
+            pulled, side, duration=DURATION, every=EVERY, progress=False, file=(path := tmp_path / "run.h5")
+        )
+    assert len(told) == 1
+    prepared = pulled.prepare(side)
+    np.testing.assert_allclose(own.trust, [pulled.trust(state, prepared) for state in states(pulled, own)], rtol=1e-6)
+    np.testing.assert_array_equal(own.displacement_bounds[1:], np.inf)  # no held-out run had such a number
+    kept = pt.Trajectory.load(path)
+    for name in ("trust", "displacement_bounds", "force_bounds"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(own, name))
+    joined = own.concatenate(replace(own, times=own.times + own.times[-1]))
+    assert len(joined.trust) == len(joined.displacement_bounds) == len(joined.times)
+    assert dict(fact[:2] for fact in own._facts())["largest trust number"] == pytest.approx(own.trust.max())
+
+
+def test_runs_inside_the_training_do_not_warn_and_full_models_have_no_trust(pulled, beam):
+    with warnings.catch_warnings(action="error"):
+        own = run(pulled, [end_force((3.0, 0.0, 0.0))])
+    assert own.trust.max() <= 1
+    assert np.isfinite(own.displacement_bounds).all()
+    full = run(beam, [end_force((2.5, 0.0, 0.0))])
+    assert not len(full.trust)
+    with pytest.raises(pt.InputError, match="no trust number"):
+        full.plot("trust")
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.storage import model_file as storage
+from palpate.reduction.storage.model_file import CURVE
 from palpate.sealed import open_sealed
 
 
@@ -250,7 +251,7 @@ def test_a_file_is_as_large_as_the_columns_in_single_precision_and_the_other_arr
 def test_other_programs_can_read_units_parameters_and_arrays(trained, saved):
     with h5py.File(saved) as file:
         assert file.attrs["format"] == "palpate reduced model"
-        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (11, "SI", "MooneyRivlin")
+        assert (file.attrs["version"], file.attrs["units"], file.attrs["material"]) == (12, "SI", "MooneyRivlin")
         assert '"C1": 20000.0' in file.attrs["parameters"]
         assert file["basis_vectors"].dtype == np.float32
         np.testing.assert_array_equal(file["cubature/weights"], trained.data.cubature.weights)
@@ -290,8 +291,8 @@ def test_a_trajectory_is_refused(path):
 
 
 def test_another_version_is_refused_whatever_follows(saved, path):
-    path.write_bytes(saved.read_bytes().replace(b"version 11", b"version 10", 1)[:-7])
-    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 10, and version 11 is the one"):
+    path.write_bytes(saved.read_bytes().replace(b"version 12", b"version 11", 1)[:-7])
+    with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 11, and version 12 is the one"):
         pt.load(path)
 
 
@@ -327,6 +328,10 @@ def attribute(name, value):
         header[name] = value
 
     return change
+
+
+def expected(curves):
+    return attribute("report", json.dumps({"held_out": {"mean": {}, "expected_error": curves}}))
 
 
 def supports(*groups):
@@ -366,6 +371,12 @@ CASES = {
     "numbers beyond all sizes": (entry("basis_vectors", (0, 0, 0), 3e38), "basis_vectors holds numbers beyond"),
     "errors that are text": (attribute("report", '{"held_out": {"mean": {"force": "5"}}}'), "errors under held_out"),
     "errors that are nothing": (attribute("report", '{"held_out": 5}'), "errors under held_out"),
+    "expected errors without a level": (expected({"displacement": {}}), "without level and displacement"),
+    "expected errors of another kind": (expected({"level": 0.9, "moment": {}}), "without level and displacement"),
+    "expected errors without numbers": (expected({"level": 0.9, "force": {"bound": 1}}), "of the force without bound"),
+    "an expected error that is text": (
+        expected({"level": 0.9, "force": dict.fromkeys(CURVE, "1")}), "bound must be a number, got '1'"
+    ),
     "a scene that is a number": (attribute("report", '{"scene": 5}'), "a scene without name and parameters"),
     "a scene with a list": (attribute("report", '{"scene": {"name": "a", "parameters": {"b": []}}}'), "parameters of"),
     "a report nested deeply": (attribute("report", "[" * 100_000), "nested levels"),

@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.reduction.hyper.error_indicator import residual_norm, training_distance
-from palpate.reduction.hyper.reactions import projected_loads
+from palpate.reduction.hyper.error_indicator import expected_error, residual_norm, training_distance
+from palpate.reduction.hyper.reactions import constraint_forces, projected_loads
 from palpate.reduction.hyper.sampled_energy import scratch
-from palpate.reduction.training.calibrate_indicator import error_table
+from palpate.reduction.training.calibrate_indicator import (
+    Frames,
+    Measures,
+    Scales,
+    calibrate_scales,
+    error_curves,
+    trust_numbers,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -59,6 +66,10 @@ def states(model, run):
     return [pt.State(a, v, float(t)) for a, v, t in zip(coordinates, velocities, run.times, strict=True)]
 
 
+def unbalanced(model, state, prepared) -> float:
+    return residual_norm(model.data, constraint_forces(model.body, state, prepared))
+
+
 def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, runs):
     """At rest under a small load: solve with the modes alone, and with modes and witnesses."""
     model = pt.hyper_reduce(body, runs, modes=8, cubature=0.0)
@@ -79,7 +90,7 @@ def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, run
     both = np.linalg.solve(stiffness, load)
     added = np.tensordot(both - np.r_[kept, np.zeros(len(which) - modes)], columns[which], 1)
     expected = np.sqrt((added**2).sum(axis=1) @ body.volumes / body.volumes.sum())
-    assert residual_norm(model.body, pt.State(kept, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
+    assert unbalanced(model, pt.State(kept, np.zeros(modes)), prepared) == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.slow
@@ -87,7 +98,7 @@ def test_the_samples_measure_the_imbalance_that_all_nodes_measure(body, runs, ro
     every = pt.hyper_reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]
     prepared = rom.prepare(loads)
-    found, expected = (np.array([residual_norm(m.body, s, prepared) for s in states(rom, full)]) for m in (rom, every))
+    found, expected = (np.array([unbalanced(m, s, prepared) for s in states(rom, full)]) for m in (rom, every))
     assert len(rom.data.cubature.nodes) < 0.7 * len(body.cloud)
     assert np.linalg.norm(found - expected) < 0.25 * np.linalg.norm(expected)
 
@@ -103,7 +114,7 @@ def test_witnesses_add_no_nodes_and_change_no_motion(body, rom):
     one, two = rollout(rom, loads), rollout(other, loads)
     np.testing.assert_allclose(one.displacements, two.displacements, atol=1e-12)
     prepared, state = rom.prepare(loads), pt.State(rom.data.training_states[30] * 1.1, np.zeros(count), 0.005)
-    assert residual_norm(other.body, state, prepared) == 0.0
+    assert unbalanced(other, state, prepared) == 0.0
     distance = training_distance(rom.body, state) / rom.data.distance_scale
     assert other.trust(state, prepared) == max(distance, other.load_share(state, prepared) / other.data.load_scale)
 
@@ -131,43 +142,101 @@ def test_the_engines_report_tells_the_same_number(body):
             assert report[1] == pytest.approx(model.trust(state, prepared), rel=1e-3)
             alone = pt.ReducedModel(replace(model.data, distance_scale=1e9, load_scale=1.0), step=model.step)
             assert alone.trust(state, prepared) == pytest.approx(
-                residual_norm(model.body, state, prepared) / model.data.residual_scale
+                unbalanced(model, state, prepared) / model.data.residual_scale
             )
 
 
-def test_errors_are_told_by_the_largest_trust_number_so_far():
-    """An error stays when the number falls again, and belongs to what the number was."""
-    numbers = [np.r_[np.full(50, 0.2), 2.0, np.full(49, 0.1)], np.full(100, 0.3)]
-    missed = [np.r_[np.full(50, 0.01), np.full(50, 0.5)], np.full(100, 0.02)]
-    table = error_table(numbers, missed)
-    assert table == [
-        {"trust": 0.2, "median": 0.01, "percentile_95": 0.01, "frames": 50},
-        {"trust": 0.3, "median": 0.02, "percentile_95": 0.02, "frames": 100},
-        {"trust": 2.0, "median": 0.5, "percentile_95": 0.5, "frames": 50},
-    ]
+def drawn_run(random, spread=0.5) -> Frames:
+    """A run of 60 frames whose error grows with its trust number; runs differ, frames of one run err together."""
+    trust = np.maximum.accumulate(random.uniform(0.2, 2.0) * random.random(60))
+    error = 0.03 * trust * np.exp(spread * random.standard_normal() + 0.2 * random.standard_normal(60))
+    size = np.linspace(0.0, random.uniform(1.0, 3.0), 60)
+    measures = Measures(trust, np.zeros(60), np.zeros(60), np.zeros(60))
+    return Frames(measures, {"displacement": error * np.maximum(size, 0.4)}, {"displacement": size})
 
 
-def test_a_table_of_errors_rises_and_covers_them():
-    rng = np.random.default_rng(0)
-    numbers = [np.sort(rng.uniform(0, 1.5, 400)) for _ in range(5)]
-    missed = [own * rng.uniform(0.0, 0.1, 400) for own in numbers]
-    table = error_table(numbers, missed)
-    for name in ("trust", "median", "percentile_95"):
-        assert np.all(np.diff([row[name] for row in table]) >= 0)
-    bounds = np.array([row["percentile_95"] for row in table])
-    rows = np.searchsorted([row["trust"] for row in table], np.concatenate(numbers))
-    assert np.mean(np.concatenate(missed) <= bounds[rows]) == pytest.approx(0.95, abs=0.01)
+def keeps(run: Frames, scales: Scales, curves) -> bool:
+    worst = np.maximum.accumulate(trust_numbers(run.measures, scales))
+    bounds = np.array([expected_error({"held_out": {"expected_error": curves}}, number).bound for number in worst])
+    size = np.maximum(run.sizes["displacement"], curves["displacement"]["least_size"])
+    return bool(np.all(run.errors["displacement"] <= bounds * size))
 
 
-def test_expected_errors_rise_with_trust_and_are_unknown_above_all_that_was_met(rom):
-    table = rom.report["held_out"]["trust"]
-    found = [rom.expected_error(row["trust"]) for row in table]
+@pytest.mark.parametrize(("count", "level"), [(4, 0.8), (19, 0.95), (39, 0.95)])
+def test_a_bound_keeps_its_level_over_runs(count, level):
+    """Many calibrations on few runs each, judged on runs of the same kind."""
+    random, kept = np.random.default_rng(0), []
+    for _ in range(60):
+        runs = [drawn_run(random) for _ in range(count)]
+        scales = calibrate_scales([run.measures for run in runs], 0.95)
+        curves = error_curves(runs, scales)
+        assert curves["level"] == pytest.approx(level)
+        kept += [keeps(drawn_run(random), scales, curves) for _ in range(20)]
+    assert level - 0.03 < np.mean(kept) < level + (0.03 if count > 4 else 0.1)  # few runs leave more unknown
+
+
+def test_a_bound_follows_the_trust_number_and_is_unknown_beyond_all_that_was_met():
+    random = np.random.default_rng(1)
+    runs = [drawn_run(random, spread=0.1) for _ in range(19)]
+    scales = calibrate_scales([run.measures for run in runs], 0.95)
+    curve = error_curves(runs, scales)["displacement"]
+    assert 0.7 < curve["exponent"] < 1.3  # errors are proportional to the trust number here
+    assert 1.0 < curve["largest_trust"] < 1.01
+    report = {"held_out": {"expected_error": {"level": 0.95, "displacement": curve}}}
+    found = [expected_error(report, number) for number in (0.0, 0.3, 1.0, curve["largest_trust"])]
     assert found == sorted(found)
-    assert 0 <= found[0][0] <= found[0][1] <= found[-1][1] < 1
-    assert rom.expected_error(0.0) == found[0]
-    assert rom.expected_error(1.01 * table[-1]["trust"]) == (np.inf, np.inf)
+    assert all(0 < each.median < each.bound < 1 for each in found)
+    assert expected_error(report, 1.01 * curve["largest_trust"]) == (np.inf, np.inf, 0.95)
+
+
+def test_most_runs_stay_at_most_at_a_trust_number_of_1():
+    random = np.random.default_rng(2)
+    runs = [
+        Measures(*(random.gamma(2.0, scale, (4, 30)) * np.array([1.0, 1e-3, 0.02, 1e-6])[:, None]))
+        for scale in random.uniform(0.5, 2.0, 40)
+    ]
+    scales = calibrate_scales(runs, 0.95)
+    assert sum(trust_numbers(run, scales).max() <= 1 + 1e-9 for run in runs) in (38, 39, 40)
+
+
+def test_runs_without_error_expect_none_and_one_run_states_its_level():
+    still = Frames(Measures(*np.zeros((4, 5))), {"displacement": np.zeros(5)}, {"displacement": np.zeros(5)})
+    curves = error_curves([still], calibrate_scales([still.measures], 0.95))
+    assert curves["level"] == 0.5
+    assert curves["displacement"]["bound"] == 0.0
+
+
+def test_expected_errors_of_a_model(rom):
+    curve = rom.report["held_out"]["expected_error"]["displacement"]
+    known = rom.expected_error(0.9 * curve["largest_trust"])
+    assert 0 < known.median <= known.bound < 1
+    assert known.level == pytest.approx(2 / 3)  # of two held-out runs
+    assert rom.expected_error(1.01 * curve["largest_trust"])[:2] == (np.inf, np.inf)
     with pytest.raises(pt.InputError, match=r"trust must be .*, got -1"):
         rom.expected_error(-1)
+    with pytest.raises(pt.InputError, match="of must be 'displacement' for a model whose held-out runs have no tool"):
+        rom.expected_error(0.5, "force")
+    with pytest.raises(pt.InputError, match="of must be 'displacement' or 'force', got 'moment'"):
+        rom.expected_error(0.5, "moment")
+
+
+def test_the_bounds_of_a_run_hold_displacements_and_tool_forces(body):
+    def turn(size: float) -> list[pt.PrescribedMotion]:
+        return [pt.PrescribedMotion("x+", lambda _, t: size * np.sin(150 * t) ** 2 * np.array([1e-3, 1e-3, 0.0]))]
+
+    held = [(turn(size), rollout(body, turn(size))) for size in (0.3, 0.6, 0.8, 0.9)]
+    rom = pt.hyper_reduce(body, rollout(body, turn(1.0)), modes=6, prescribed="x+", held_out=held)
+    own, full = (rollout(model, turn(0.7)) for model in (rom, body))
+    missed = np.sqrt(((own.displacements - full.displacements) ** 2).sum(axis=2) @ rom.volumes / rom.volumes.sum())
+    apart = np.linalg.norm(own.reactions["x+"] - full.reactions["x+"], axis=1)
+    for bounds, errors in ((own.displacement_bounds, missed), (own.force_bounds, apart)):
+        assert bounds.shape == own.times.shape
+        assert np.all(errors <= bounds)
+        assert np.isfinite(bounds).all()
+    assert rom.expected_error(0.5, "force").level == pytest.approx(0.8)
+    size = float(np.linalg.norm(own.reactions["x+"], axis=1).max())
+    worst = float(own.trust.max())
+    assert pt.realtime_model(rom).force_bound(worst, size) == pytest.approx(own.force_bounds[-1])
 
 
 def test_no_error_is_expected_without_held_out_runs(body, runs):

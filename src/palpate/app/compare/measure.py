@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
@@ -15,7 +16,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import DivergenceError, InputError
+from palpate.faults import DivergenceError, InputError, TrustWarning
 from palpate.reduction.lti.model import LinearModel, propagate
 from palpate.reduction.lti.reductors import METHODS, Reduction
 from palpate.reduction.lti.simulate import input_sizes
@@ -158,7 +159,8 @@ def _run_errors(made: Comparison, model: Model, load: str) -> dict[str, float] |
     body, full = made.body, made.runs[load]
     size = body.small if load == "small" else body.large
     try:
-        run = rollout(model, body.loads(size), duration=body.duration, every=body.every, progress=False)
+        with warnings.catch_warnings(action="ignore", category=TrustWarning):  # errors are measured
+            run = rollout(model, body.loads(size), duration=body.duration, every=body.every, progress=False)
     except DivergenceError:
         return None
     found = relative_errors(full, run)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -18,7 +19,7 @@ from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.dynamics.solid.model import Solid
-from palpate.faults import DivergenceError, InputError, integer_in_range
+from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in_range
 from palpate.files import plain
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
@@ -148,13 +149,17 @@ def _run(scene: Scene, model: Model, console: Console, file: Path | None = None)
     kept = f"; the frames until then are kept in {file}" if file else ""
     try:
         step = min(scene.every, model.stable_step(model.state(prepared), prepared)[0])
-        rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
-        run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file)
+        with warnings.catch_warnings(action="ignore", category=TrustWarning):  # a line below has the number
+            rollout(model, scene.loads, duration=step, every=step, progress=False)  # compiles the rest
+            run = rollout(model, scene.loads, duration=scene.duration, every=scene.every, file=file)
     except DivergenceError as error:
         raise RunError(f"the {model.name} model diverged: {error}{kept}") from error
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"in the {model.name} run{kept}") from None
-    console.say(f"{model.name} model: {run.wall_seconds:.3g} s, {int(run.steps[-1])} steps")
+    trust = "" if not len(run.trust) else f"; trust number at most {run.trust.max():.3g}"
+    if trust and run.trust.max() > 1:
+        trust += " (above 1: not trained on such states)"
+    console.say(f"{model.name} model: {run.wall_seconds:.3g} s, {int(run.steps[-1])} steps{trust}")
     return run
 
 
@@ -169,6 +174,7 @@ def _run_entry(run: Trajectory, scene: Scene) -> dict[str, Any]:
         "stiffness_damping": run.stiffness_damping,
         "largest_displacement": float(np.linalg.norm(run.displacements, axis=2).max()),
         "largest_reactions": peaks,
+        "largest_trust": float(run.trust.max()) if len(run.trust) else None,
         "energy_balance": float(np.abs(run.balance).max() / np.abs(run.external).max()),
     }
 

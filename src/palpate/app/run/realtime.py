@@ -139,7 +139,7 @@ def _with_progress(poses: Poses, shown: Callable[[float, float], None]) -> Poses
 
 def _observations(black_box: Path, body: ReducedModel) -> dict[str, Any]:
     """Return forces on the tool and error indicators over all periods."""
-    calibrate_indicator = "trust" in body.report.get("held_out", {})
+    tables = body.report.get("held_out", {}).get("expected_error", {})
     import h5py
 
     with h5py.File(black_box) as file:
@@ -151,7 +151,11 @@ def _observations(black_box: Path, body: ReducedModel) -> dict[str, Any]:
         "largest_trust": float(trust.max()),
         "median_trust": float(np.median(trust)),
         "untrained_share": float(np.mean(trust > 1)),
-        "expected_error": body.expected_error(float(trust.max())) if calibrate_indicator else None,
+        "expected_error": {
+            of: body.expected_error(float(trust.max()), of)._asdict()
+            for of in ("displacement", "force")
+            if of in tables
+        },
         "mean_steps_per_period": float(taken.mean()),
     }
 
@@ -198,7 +202,10 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table]:
             f"{tool['median_trust']:.2f}; {tool['largest_trust']:.2f}"
         ),
         "share of periods above 1": percent(tool["untrained_share"]),
-        "displacement error of held-out runs at the largest, median; 95 %": _error_text(tool["expected_error"]),
+        **{
+            f"error of the {of} expected at the largest, median; bound": _error_text(tool["expected_error"].get(of))
+            for of in ("displacement", "force")
+        },
     }
     if "held_out" in report["model"]:
         error = report["model"]["held_out"]["mean"].get("reaction")
@@ -210,11 +217,13 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table]:
     ]
 
 
-def _error_text(error: list[float | None] | None) -> str:
-    """Write a median and a percentile; neither exists where the model was not tried on such states."""
-    if error is None or None in error:
-        return "not known: none had so large a number" if error else "not measured"
-    return "; ".join(f"{part:.2%}" for part in error)
+def _error_text(error: dict[str, float | None] | None) -> str:
+    """Write a median, and a bound with its level; neither exists where the model was not tried on such states."""
+    if error is None:
+        return "not measured"
+    if error["median"] is None or error["bound"] is None:
+        return "unknown: no held-out run had so large a number"
+    return f"{error['median']:.2%}; {error['bound']:.2%} ({error['level']:.0%} of runs)"
 
 
 def _microseconds(seconds: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -17,7 +18,7 @@ from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import DivergenceError, InputError
+from palpate.faults import DivergenceError, InputError, TrustWarning
 from palpate.files import settle
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.errors import relative_errors
@@ -235,9 +236,10 @@ def _run_phase(
         training = perf_counter() - start
         step = scene.model.stability.step
         # compiles, and warms the caches
-        rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)
         own = phase.step if name == PROJECTED else None
-        run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=own, **begin)
+        with warnings.catch_warnings(action="ignore", category=TrustWarning):  # the report has the number
+            rollout(model, scene.loads, duration=step, every=step, progress=False, **begin)
+            run = rollout(model, scene.loads, duration=phase.duration, every=scene.every, step=own, **begin)
     except (DivergenceError, InputError) as error:
         return {"failed": True, "reason": " ".join(str(error).split())}, None
     measured = {
@@ -246,6 +248,7 @@ def _run_phase(
         "projection_error": relative_errors(full, _projection(model, scene, full)).displacement,
         "training_seconds": training,
         "real_time_factor": phase.duration / run.wall_seconds,
+        "largest_trust": float(run.trust.max()) if len(run.trust) else None,
     }
     return measured | comparison(full, run), run
 

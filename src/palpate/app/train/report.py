@@ -15,6 +15,7 @@ from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import InputError
 from palpate.files import plain
+from palpate.reduction.hyper.error_indicator import expected_error
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.reduce import QUANTILE
 from palpate.scenes.scene import TrainingScene
@@ -28,6 +29,7 @@ CONTACT_ERRORS = {
     "force_95": "force on tools, 95th percentile",
     "surface_95": "displacement of the surface, 95th percentile",
 }  # as `palpate.reduction.training.errors.TouchErrors` names them
+CURVE_POINTS = 100  # of a curve of expected errors
 KINDS = {"displacement": BLUE, "velocity": GREEN, "energy": ORANGE, "reaction": PINK}
 
 
@@ -127,6 +129,11 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
                 "-" if mean is None else f"{percent(mean)}; {percent(worst)}"
             )
         rows |= _by_load(report) | _contact_rows(model["held_out"])
+        for of in ("displacement", "force"):
+            if of in model["held_out"].get("expected_error", {}):
+                median, bound, level = expected_error(model, 1.0, of)
+                name = f"error of {of} expected at a trust number of 1, median; {level:.0%} of runs stay below"
+                rows[name] = f"{percent(median)}; {percent(bound)}" if np.isfinite(bound) else "unknown; unknown"
     return rows
 
 
@@ -188,7 +195,8 @@ def _details(report: dict[str, Any], held: Sequence[str]) -> list[Table | str]:
 
 def _draw(folder: Folder, report: dict[str, Any], held: Sequence[str]) -> None:
     """Draw the errors of every held-out path, and those that trust numbers have meant."""
-    found = report["model"]["held_out"]
+    model = report["model"]
+    found = model["held_out"]
     with figure(folder.path / FIGURE, (9.0, 4.6)) as drawn:
         heading(drawn, "Errors on paths that were not trained on")
         paths, trust = drawn.subplots(1, 2)
@@ -198,12 +206,17 @@ def _draw(folder: Folder, report: dict[str, Any], held: Sequence[str]) -> None:
         paths.set(xlabel="held-out path", ylabel="error [%]", title="by path", xlim=(-0.5, len(held) - 0.5))
         paths.xaxis.get_major_locator().set_params(integer=True)
         percent_axis(paths)
-        rows = found.get("trust") or []
-        for name, colour in (("percentile_95", ORANGE), ("median", BLUE)):
-            label = "95 % below" if name == "percentile_95" else name
-            points = [0.0, *(row["trust"] for row in rows)], [100 * row[name] for row in (*rows[:1], *rows)]
-            trust.step(*points, where="pre", color=colour, label=label)
-        trust.set(xlabel="trust number", ylabel="error of displacement [%]", title="by trust number")
+        curves = found.get("expected_error") or {}
+        for of, colour in (("displacement", BLUE), ("force", ORANGE)):
+            if of not in curves:
+                continue
+            numbers = np.linspace(0.0, curves[of]["largest_trust"], CURVE_POINTS)
+            errors = 100 * np.array([expected_error(model, number, of)[:2] for number in numbers])
+            trust.plot(numbers, errors[:, 1], color=colour, label=f"{of}: {curves['level']:.0%} of runs stay below")
+            trust.plot(numbers, errors[:, 0], color=colour, ls=":", label=f"{of}: median of the frames")
+        trust.set(xlabel="largest trust number so far", ylabel="error over the largest size so far [%]")
+        trust.set_title("by trust number; unknown beyond the curves")
         trust.set_ylim(bottom=0.0)
         legend_below(drawn, paths, columns=len(KINDS))
-        trust.legend(fontsize=9)
+        if curves:
+            trust.legend(fontsize=9)

@@ -94,9 +94,14 @@ def two_level_preconditioner(
 
 
 def static_estimate(
-    cloud: Cloud, weights: Floats, tissue: Tissue, supported: SupportedNodes, constrained: NDArray[np.bool_]
+    cloud: Cloud,
+    weights: Floats,
+    tissue: Tissue,
+    supported: SupportedNodes,
+    constrained: NDArray[np.bool_],
+    springs: Floats,
 ) -> Callable[[Floats], Floats]:
-    """Return the static response of a solid at rest on the coarse grid, as a function of nodal forces.
+    """Return the static response of a body at rest on the coarse grid, as a function of nodal forces.
 
     Long waves of the response are those of the grid, some spacings wide; shorter ones are missing. It is
     the mean of two grids: nodes between two cells count to one of them, which bends symmetric bodies.
@@ -104,7 +109,7 @@ def static_estimate(
     Parameters
     ----------
     cloud : Cloud
-        In space.
+        A sheet responds like a membrane under a tension of its shear modulus, in all directions.
     weights : (n,) array [m^3]
         Nodal volumes.
     tissue : Tissue
@@ -112,28 +117,41 @@ def static_estimate(
     supported : SupportedNodes
     constrained : (n,) bool array
         Nodes that do not move.
+    springs : (n,) array [N/m]
+        Springs at the nodes.
 
     Returns
     -------
     function
         Takes forces (n, 3) [N] and returns displacements (n, 3) [m].
     """
-    n, law = len(cloud), tissue.factors[:, 0]
+    law = tissue.factors[:, 0]
     shear, lame = law * tissue.moduli("shear_modulus"), law * tissue.moduli("lame")
+    sheet = cloud.points.shape[1] == 2
+    moduli = _tension(shear) if sheet else _isotropic(shear, lame)
+    stiff = CLAMP_FACTOR * NODE_STIFFNESS / cloud.spacing**2 * weights * (shear if sheet else lame + 2 * shear)
+    held = constrained, stiff, springs
+    grids = [(sign * cloud.points, cloud.spacing, weights) for sign in (1.0, -1.0)]
+    one, two = (_grid_solver(grid, moduli, held, supported) for grid in grids)
+    return lambda forces: 0.5 * (one(forces) + two(forces))
+
+
+def _isotropic(shear: Floats, lame: Floats) -> _Moduli:
+    """Return the moduli of isotropic solids at rest, with shear modulus and Lame's first parameter (n,) [Pa]."""
     eye = np.eye(3)
     deviator = (
         np.einsum("ce,km->ckem", eye, eye)
         + np.einsum("cm,ke->ckem", eye, eye)
         - 2 / 3 * np.einsum("ck,em->ckem", eye, eye)
     )
-    moduli = _Moduli(
-        shear[:, None, None] * deviator.reshape(9, 9), lame + 2 / 3 * shear, np.tile(eye.reshape(1, 9), (n, 1))
-    )
-    stiff = CLAMP_FACTOR * NODE_STIFFNESS / cloud.spacing**2 * weights * (lame + 2 * shear)
-    held = constrained, stiff, np.zeros(n)
-    grids = [(sign * cloud.points, cloud.spacing, weights) for sign in (1.0, -1.0)]
-    one, two = (_grid_solver(grid, moduli, held, supported) for grid in grids)
-    return lambda forces: 0.5 * (one(forces) + two(forces))
+    cofactor = np.tile(eye.reshape(1, 9), (len(shear), 1))
+    return _Moduli(shear[:, None, None] * deviator.reshape(9, 9), lame + 2 / 3 * shear, cofactor)
+
+
+def _tension(stress: Floats) -> _Moduli:
+    """Return the moduli of sheets under a tension (n,) [Pa] that resists slopes in all directions alike."""
+    n = len(stress)
+    return _Moduli(stress[:, None, None] * np.eye(6), np.zeros(n), np.zeros((n, 6)))
 
 
 def _grid_solver(

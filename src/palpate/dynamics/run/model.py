@@ -14,6 +14,7 @@ from palpate.arrays import Floats
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.loads.supports import Support
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError, brief
 from palpate.meshfree.cloud import Cloud
 from palpate.tissue.materials import Material
@@ -173,6 +174,8 @@ class Outputs(Described):
         forces [N] on them.
     bonded : (c,) bool array
         True for the nodes bonded to a `Grasp`.
+    trust : float, optional
+        Trust number of a model with an error indicator.
     """
 
     displacements: Floats
@@ -185,6 +188,7 @@ class Outputs(Described):
     moments: dict[str, Floats] = field(default_factory=dict)
     contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 4)))
     bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    trust: float | None = None
 
     def _facts(self) -> list[Fact]:
         return [
@@ -319,6 +323,10 @@ class Model(Described, ABC):
         The default accepts every finite state.
         """
         return bool(np.isfinite(after.coordinates).all())
+
+    def error_bounds(self, run: Trajectory) -> tuple[Floats, Floats]:
+        """Return the error bounds of a run's displacement [m] and of its tool forces [N]; empty by default."""
+        return np.zeros(0), np.zeros(0)
 
     def displacement(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         """Return the displacements [m] of some nodes."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from palpate.dynamics.run.model import Outputs
 from palpate.dynamics.run.trajectory import FRAME_ARRAYS, GROUP_ARRAYS, SERIES, Trajectory, stack
 
 __all__ = ["Recorder"]
+
+Bounds = Callable[[Trajectory], tuple[Floats, Floats]]
 
 
 class Recorder:
@@ -69,14 +72,18 @@ class Recorder:
             arrays: dict[str, Any] = {"numbers": [numbers[name] for name in SERIES]}
             arrays |= {name: getattr(frame, name) for name in (*FRAME_ARRAYS, "contact_forces")}
             arrays |= {name: np.reshape(list(getattr(frame, name).values()), (-1, 3)) for name in GROUP_ARRAYS}
+            arrays["trust"] = [] if frame.trust is None else [frame.trust]
             arrays = {name: np.asarray(values, dtype=float) for name, values in arrays.items()}
             self._journal.add({}, arrays | {"bonded": np.asarray(frame.bonded, dtype=np.bool_)})
             if len(self.times) == 1:
                 self._journal.rename(self.path)
 
-    def close(self, wall_seconds: float, complete: bool) -> Trajectory:
-        """Finish the file, and return the trajectory."""
+    def close(self, wall_seconds: float, complete: bool, bounds: Bounds | None = None) -> Trajectory:
+        """Finish the file, and return the trajectory, with error bounds by a function of it."""
         run = self._trajectory(wall_seconds, complete)
+        if bounds is not None:
+            displacement, force = bounds(run)
+            run = replace(run, displacement_bounds=displacement, force_bounds=force)
         if self._journal is not None and self.path is not None:
             self._journal.close()
             run.save(self.path)
@@ -101,6 +108,7 @@ class Recorder:
                 [np.zeros((0, 5)), *(np.insert(o.contact_forces, 0, k, axis=1) for k, o in enumerate(frames))]
             ),
             bonded=np.concatenate([np.zeros(0, dtype=np.bool_), *(o.bonded for o in frames)]),
+            trust=np.array([o.trust for o in frames if o.trust is not None], dtype=float),
             wall_seconds=wall_seconds, stiffness_damping=self.stiffness_damping, complete=complete,
         )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from palpate.dynamics.run.model import Model, Outputs, State
 from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder
 from palpate.dynamics.run.trajectory import Trajectory
-from palpate.faults import DivergenceError, InputError, number_in_range
+from palpate.faults import DivergenceError, InputError, TrustWarning, number_in_range
 
 __all__ = ["machine_memory", "rollout"]
 
@@ -89,6 +90,11 @@ def rollout(
         An argument is out of range.
     OSError
         The file cannot be written.
+
+    Warns
+    -----
+    TrustWarning
+        Once for a trust number above 1: the reduced model was not trained on such states.
     """
     frames = _frame_count(model, duration, every, start)
     if step is not None:
@@ -100,6 +106,7 @@ def rollout(
         outputs = _initial_outputs(model, state, prepared)
     path = None if file is None else Path(file)
     recorder = Recorder(path, model.name, model.cloud.points, model.stiffness_damping, label)
+    bounds = model.error_bounds
     control = _StepControl(step, model.longest_step(every))
     began, steps = perf_counter(), 0
     try:
@@ -117,12 +124,27 @@ def rollout(
                     state = replace(state, contact_state=state.contact_state.reset_impulses(state.time))
                 report_progress(state.time - start, perf_counter() - began)
     except DivergenceError as error:
-        error.trajectory = recorder.close(perf_counter() - began, complete=False)
+        error.trajectory = recorder.close(perf_counter() - began, complete=False, bounds=bounds)
         raise
     except BaseException:
-        recorder.close(perf_counter() - began, complete=False)
+        recorder.close(perf_counter() - began, complete=False, bounds=bounds)
         raise
-    return recorder.close(perf_counter() - began, complete=True)
+    run = recorder.close(perf_counter() - began, complete=True, bounds=bounds)
+    _warn_of_distrust(run)
+    return run
+
+
+def _warn_of_distrust(run: Trajectory) -> None:
+    """Warn of a run outside the training of its model."""
+    if run.trust.max(initial=0.0) <= 1:
+        return
+    k = int(run.trust.argmax())
+    warnings.warn(
+        f"the trust number reached {run.trust[k]:.3g} at t = {run.times[k]:.4g} s, above 1: the model was not trained "
+        "on such states; compare the run with the full model's, or train on runs like it",
+        TrustWarning,
+        stacklevel=3,
+    )
 
 
 @dataclass

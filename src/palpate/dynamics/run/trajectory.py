@@ -21,11 +21,12 @@ from palpate.sealed import loading, open_sealed, write_sealed
 __all__ = ["FRAME_ARRAYS", "GROUP_ARRAYS", "SERIES", "StoredTrajectory", "Trajectory", "stack"]
 
 
-FORMAT, VERSION = "palpate trajectory", 3
+FORMAT, VERSION = "palpate trajectory", 4
 REMEDY = "run the simulation again"
 MAX_DISPLACEMENT = 1e30  # [m], so that sums of squares are finite
 SERIES = ("times", "kinetic", "strain", "external", "dissipated", "steps")
 FRAME_ARRAYS = ("displacements", "velocities")  # stored frame by frame
+INDICATORS = ("trust", "displacement_bounds", "force_bounds")  # (f,), or empty without an error indicator
 GROUP_ARRAYS = ("reactions", "moments")  # (f, 3) arrays of groups and tools
 HEADER = ("model", "label", "wall_seconds", "stiffness_damping", "complete")
 
@@ -65,6 +66,12 @@ class Trajectory(Described):
         True for the rows of nodes bonded to a `Grasp`.
     label : str
         Label of the run, such as the campaign and the number in it.
+    trust : (f,) array
+        Trust number of a reduced model (`palpate.ReducedModel.trust`): above 1 it was not trained on such
+        states. Empty for other models.
+    displacement_bounds, force_bounds : (f,) arrays [m], [N]
+        Error bounds of the displacement, root mean square over the body, and of the tools' forces
+        (`palpate.ReducedModel.error_bounds`); infinite where the error is unknown. Empty without them.
     """
 
     model: str
@@ -85,6 +92,9 @@ class Trajectory(Described):
     contact_forces: Floats = field(default_factory=lambda: np.zeros((0, 5)))
     bonded: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     label: str = ""
+    trust: Floats = field(default_factory=lambda: np.zeros(0))
+    displacement_bounds: Floats = field(default_factory=lambda: np.zeros(0))
+    force_bounds: Floats = field(default_factory=lambda: np.zeros(0))
 
     def _facts(self) -> list[Fact]:
         frames, energy = len(self.times), self.kinetic + self.strain
@@ -100,6 +110,7 @@ class Trajectory(Described):
             ("end", float(self.times[-1]) if frames else None, "s"),
             ("largest displacement", float(self._largest().max(initial=0.0)), "m"),
             (f"largest force on {strongest!r}", forces.get(strongest), "N"),
+            ("largest trust number", float(self.trust.max()) if len(self.trust) else None, ""),
             ("energy balance missed by", None if missed is None else 100 * missed, "%"),
             ("steps", int(self.steps[-1]) if frames else None, ""),
             ("computing time", float(self.wall_seconds), "s"),
@@ -119,7 +130,8 @@ class Trajectory(Described):
         ----------
         what : str
             ``"displacement"``: the largest and the mean over the nodes [m]. ``"force"``: the size of the force of
-            every support and tool [N]. ``"energy"``: kinetic, strain, external and dissipated energy [J].
+            every support and tool [N]. Both with the error bound, where it is known. ``"energy"``: kinetic, strain,
+            external and dissipated energy [J]. ``"trust"``: the trust number of a reduced model.
         axes : matplotlib.axes.Axes, optional
             New ones by default.
 
@@ -136,14 +148,22 @@ class Trajectory(Described):
         """
         if what == "displacement":
             mean = np.array([np.linalg.norm(u, axis=1).mean() for u in self.displacements])
-            return plot_curves(self.times, {"largest": self._largest(), "mean": mean}, "displacement [m]", axes)
+            curves = {"largest": self._largest(), "mean": mean} | _bound_curve(self.displacement_bounds)
+            return plot_curves(self.times, curves, "displacement [m]", axes)
         if what == "force":
             forces = {name: np.linalg.norm(force, axis=1) for name, force in self.reactions.items()}
-            return plot_curves(self.times, forces, "force [N]", axes)
+            return plot_curves(self.times, forces | _bound_curve(self.force_bounds), "force [N]", axes)
         if what == "energy":
             energies = {name: getattr(self, name) for name in ("kinetic", "strain", "external", "dissipated")}
             return plot_curves(self.times, energies, "energy [J]", axes)
-        raise InputError(f"what must be 'displacement', 'force' or 'energy', got {what!r:.60}; choose one of them")
+        if what == "trust":
+            if not len(self.trust):
+                raise InputError("the run has no trust number: its model is not a hyper-reduced one; plot another")
+            curves = {"trust number": self.trust, "limit of the training": np.ones_like(self.trust)}
+            return plot_curves(self.times, curves, "trust number", axes)
+        raise InputError(
+            f"what must be 'displacement', 'force', 'energy' or 'trust', got {what!r:.60}; choose one of them"
+        )
 
     @property
     def balance(self) -> Floats:
@@ -179,6 +199,10 @@ class Trajectory(Described):
         later = other.contact_forces[after] + np.array([len(self.times) - 1.0, 0, 0, 0, 0])
         joined["contact_forces"] = np.concatenate([self.contact_forces, later])
         joined["bonded"] = np.concatenate([self.bonded, other.bonded[after]])
+        for name in INDICATORS:
+            first, second = getattr(self, name), getattr(other, name)
+            both = len(first) == len(self.times) and len(second) == len(other.times)
+            joined[name] = np.concatenate([first, second[1:]]) if both else np.zeros(0)
         seconds, complete = self.wall_seconds + other.wall_seconds, self.complete and other.complete
         return replace(self, **joined, wall_seconds=seconds, complete=complete)
 
@@ -200,6 +224,7 @@ class Trajectory(Described):
         for name, values in (arrays | rows).items():
             if not np.isfinite(values).all():
                 raise InputError(f"{name} is not finite: {path} was not written")
+        arrays |= {name: getattr(self, name) for name in INDICATORS}
         header = {name: getattr(self, name) for name in HEADER}
         header |= {name: float(header[name]) for name in ("wall_seconds", "stiffness_damping")}
         write_sealed(Path(path), FORMAT, VERSION, header | {name: list(getattr(self, name)) for name in GROUP_ARRAYS},
@@ -241,6 +266,8 @@ def _from_journal(path: Path) -> Trajectory:
     numbered = [np.insert(arrays["contact_forces"], 0, k, axis=1) for k, (_, arrays) in enumerate(frames)]
     data["contact_forces"] = np.concatenate([np.zeros((0, 5)), *numbered])
     data["bonded"] = np.concatenate([np.zeros(0, dtype=np.bool_), *(arrays["bonded"] for _, arrays in frames)])
+    data |= dict.fromkeys(INDICATORS, np.zeros(0))
+    data["trust"] = np.concatenate([np.zeros(0), *(arrays["trust"] for _, arrays in frames)])
     return _from_arrays(about | names | {"wall_seconds": 0.0, "complete": False}, data)
 
 
@@ -277,6 +304,10 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
         "bonded": (contact_forces,),
         "points": (n, 2 if data["points"].shape[-1:] == (2,) else 3),
     }
+    indicators = {name: data.pop(name, np.zeros(0)) for name in INDICATORS}
+    for name, values in indicators.items():
+        if values.shape not in ((0,), (frames,)) or values.dtype != np.float64 or not np.all(values >= 0):
+            raise InputError(f"{name} must hold {frames} positive numbers or none, got shape {values.shape}")
     if data.keys() != shapes.keys():
         raise InputError(f"arrays must be {', '.join(sorted(shapes))}, got {', '.join(sorted(data))}")
     for name, shape in shapes.items():
@@ -289,8 +320,13 @@ def _from_arrays(header: dict[str, Any], data: dict[str, Any]) -> Trajectory:
         raise InputError("times and steps must not decrease, and points must not be empty")
     _check_contact_forces(data["contact_forces"], frames, n)
     forces: dict[str, Any] = {name: {of: data[_array_name(name, of)] for of in each} for name, each in names.items()}
-    arrays = {name: data[name] for name in (*SERIES, *FRAME_ARRAYS, "points", "contact_forces", "bonded")}
+    arrays = {name: data[name] for name in (*SERIES, *FRAME_ARRAYS, "points", "contact_forces", "bonded")} | indicators
     return Trajectory(**arrays, **forces, **numbers, **{name: header[name] for name in ("model", "label", "complete")})
+
+
+def _bound_curve(bounds: Floats) -> dict[str, Floats]:
+    """Return the curve of error bounds where any are known."""
+    return {"error bound": np.where(np.isfinite(bounds), bounds, np.nan)} if np.isfinite(bounds).any() else {}
 
 
 def check_names(what: str, names: Any) -> list[str]:

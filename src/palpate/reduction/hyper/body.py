@@ -127,6 +127,12 @@ class ReducedBody:
         count = STENCIL_NEIGHBOURS[cloud.points.shape[1]]
         return images.own(moving_least_squares(images.cloud.points / stretch, order=2, neighbours=count))
 
+    @cached_property
+    def trained(self) -> tuple[Floats, Floats]:
+        """The training states times a root (m + l, m + l) of the mass matrix over the body's mass, and the root."""
+        root = np.linalg.cholesky(self.mass / self.masses.sum())
+        return self.data.training_states @ root, root
+
     def workspace(self) -> ReducedWork:
         """Allocate the scratch arrays of evaluations and steps, for one thread at a time."""
         own, forces = scratch(self.points), (np.zeros(self.count), np.zeros(len(self.data.basis_vectors)))

@@ -65,6 +65,8 @@ class ReducedData(Described):
         Residual norm at which the trust number is 1.
     load_scale : float
         Share of the loads' static response outside the coordinates at which the trust number is 1.
+    flexibility_scale : float [J]
+        Energy of the surface compliance at which the trust number is 1.
     report : mapping
         Figures measured in training.
     kinematics : Kinematics
@@ -94,6 +96,7 @@ class ReducedData(Described):
     residual_fields: int = 0
     residual_scale: float = 1.0
     load_scale: float = 0.3
+    flexibility_scale: float = 1.0
     report: dict[str, Any] = field(default_factory=dict)
     kinematics: Kinematics = field(default_factory=Kinematics)
     taut_frequency: float = 0.0

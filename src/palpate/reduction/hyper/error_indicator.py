@@ -1,24 +1,62 @@
-"""The error indicator: distance from training, residual norm, and the error expected at a trust number.
+"""The error indicator: four measures of a state, and the errors expected at a trust number.
 
-The trust number of `palpate.hyper_reduce` is the larger of two lengths divided by their scales: the
-distance to the nearest training state, and the residual norm of the forces on test fields
-(`palpate.reduction.training.residual_fields`).
+Each measure over its scale is a number, and the largest of them is the trust number of
+`palpate.hyper_reduce`:
+
+- the distance to the nearest training state,
+- the residual norm of the forces on test fields (`palpate.reduction.training.residual_fields`),
+- the share of the loads' static response outside the coordinates (`palpate.reduction.hyper.load_share`),
+- the displacement of the surface compliance under tools, by the square root of its energy.
+
+Errors expected at a trust number come from the held-out runs (`palpate.reduction.training.calibrate_indicator`).
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from palpate.arrays import Floats
-from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import State
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.hyper.body import ReducedBody
-from palpate.reduction.hyper.reactions import constraint_forces
+from palpate.reduction.hyper.data import ReducedData
 
-__all__ = ["distances_to_nearest", "expected_error", "residual_norm", "training_distance"]
+__all__ = [
+    "ExpectedError",
+    "distances_to_nearest",
+    "error_bounds",
+    "expected_error",
+    "force_bound",
+    "force_sizes",
+    "residual_norm",
+    "rms_sizes",
+    "tools_of",
+    "training_distance",
+]
+
+
+class ExpectedError(NamedTuple):
+    """The error expected at a trust number, relative to the largest displacement or tool force so far.
+
+    Parameters
+    ----------
+    median : float
+        Of the frames of the held-out runs. Infinite, as `bound`, where the error is unknown: above all trust
+        numbers of these runs.
+    bound : float
+        Bound that the errors of a run do not exceed in any frame, with the probability `level`.
+    level : float
+        0.95, or n / (n + 1) for less than 19 held-out runs n. It is the share of runs, of the kind of the
+        held-out runs, that keep the bound in all their frames.
+    """
+
+    median: float
+    bound: float
+    level: float
 
 
 def distances_to_nearest(states: Floats, others: Floats, mass: Floats) -> Floats:
@@ -35,29 +73,100 @@ def distances_to_nearest(states: Floats, others: Floats, mass: Floats) -> Floats
 
 def training_distance(body: ReducedBody, state: State) -> float:
     """Return the root mean square displacement [m] over the body from a state to the nearest training state."""
-    mass = body.mass / body.masses.sum()
-    return float(distances_to_nearest(state.coordinates[None], body.data.training_states, mass)[0])
+    states, root = body.trained
+    return float(np.sqrt(np.min(np.sum((states - state.coordinates @ root) ** 2, axis=1))))
 
 
-def residual_norm(body: ReducedBody, state: State, prepared: PreparedLoads) -> float:
+def residual_norm(data: ReducedData, forces: Floats) -> float:
     """Return the root mean square displacement [m] that the unbalanced forces would cause at rest.
 
     The unbalanced forces act on the residual fields (`palpate.reduction.training.residual_fields`), and
     the displacement is in their shapes. The norm is 0 without residual fields.
+
+    Parameters
+    ----------
+    data : ReducedData
+    forces : (m + l + 3 g + w,) array
+        Of `palpate.reduction.hyper.reactions.constraint_forces`.
     """
-    first = len(body.data.basis_vectors) - body.data.residual_fields
-    return float(np.linalg.norm(constraint_forces(body, state, prepared)[first:]))
+    return float(np.linalg.norm(forces[len(data.basis_vectors) - data.residual_fields :]))
 
 
-def expected_error(report: dict[str, Any], trust: float) -> tuple[float, float]:
-    """Return the errors that a report tabulates for a trust number; see `ReducedModel.expected_error`."""
+def expected_error(report: dict[str, Any], trust: float, of: str = "displacement") -> ExpectedError:
+    """Return the error that a report states for a trust number; see `palpate.ReducedModel.expected_error`."""
     number = number_in_range("trust", trust, 0.0)
-    table = report.get("held_out", {}).get("trust")
-    if not table:
+    if of not in ("displacement", "force"):
+        raise InputError(f"of must be 'displacement' or 'force', got {of!r:.60}; choose one of them")
+    known = _curves(report)
+    if known is None:
         raise InputError(
             "held_out must be given in training to expect errors, got none; train with hyper_reduce(..., held_out=...)"
         )
-    for row in table:
-        if number <= row["trust"]:
-            return row["median"], row["percentile_95"]
-    return np.inf, np.inf
+    if of not in known:
+        raise InputError(
+            "of must be 'displacement' for a model whose held-out runs have no tool, got 'force'; "
+            "train it with tools, or with prescribed="
+        )
+    median, bound = (float(_errors(known[of], name, np.array([number]))[0]) for name in ("median", "bound"))
+    return ExpectedError(median, bound, known["level"])
+
+
+def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
+    """Return the error bounds of a run's displacement (f,) [m] and tool forces (f,) [N], frame by frame.
+
+    The displacement's is the root mean square over the body, the forces' that of each tool. They are
+    infinite where the error is unknown, and empty without held-out runs.
+    """
+    known = _curves(data.report)
+    result = []
+    for of, sizes in (("displacement", rms_sizes(data, run)), ("force", force_sizes(data, run))):
+        if known is None or of not in known or not len(sizes) or len(run.trust) < len(run.times):
+            result.append(np.zeros(0))
+            continue
+        relative = _errors(known[of], "bound", np.maximum.accumulate(run.trust))
+        result.append(relative * np.maximum(np.maximum.accumulate(sizes), known[of]["least_size"]))
+    return result[0], result[1]
+
+
+def force_bound(report: dict[str, Any]) -> Callable[[float, float], float] | None:
+    """Return the error bound [N] of tool forces, by the largest trust number and force [N] so far, as a function.
+
+    It is None without held-out runs with tools.
+    """
+    curve = (_curves(report) or {}).get("force")
+    if curve is None:
+        return None
+
+    def bound(trust: float, size: float) -> float:
+        return float(_errors(curve, "bound", np.array([trust]))[0]) * max(size, float(curve["least_size"]))
+
+    return bound
+
+
+def _curves(report: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the curves of `palpate.reduction.training.calibrate_indicator`; None without held-out runs."""
+    curves: dict[str, Any] | None = report.get("held_out", {}).get("expected_error")
+    return curves
+
+
+def _errors(curve: dict[str, float], name: str, trust: Floats) -> Floats:
+    """Return the relative errors of a curve at trust numbers (f,): ``"median"`` or ``"bound"``."""
+    found = curve[name] * np.maximum(trust, curve["least_trust"]) ** curve["exponent"]
+    return np.where(trust <= curve["largest_trust"], found, np.inf)
+
+
+def rms_sizes(data: ReducedData, run: Trajectory) -> Floats:
+    """Return the root mean square displacement (f,) [m] of a run over the body."""
+    return np.sqrt(np.einsum("tnc,tnc,n->t", run.displacements, run.displacements, data.volumes / data.volumes.sum()))
+
+
+def force_sizes(data: ReducedData, run: Trajectory) -> Floats:
+    """Return the force (f,) [N] of the strongest tool of a run; empty without tools."""
+    forces = [np.linalg.norm(run.reactions[name], axis=1) for name in tools_of(data, run)]
+    return np.max(forces, axis=0) if forces else np.zeros(0)
+
+
+def tools_of(data: ReducedData, run: Trajectory) -> list[str]:
+    """Return the names of the tools among the reactions of a run."""
+    supports = {support.group for support in data.supports}
+    return [name for name in run.reactions if name not in supports]

@@ -20,17 +20,24 @@ from palpate.dynamics.material.relaxation import restore_history, saved_history
 from palpate.dynamics.nodal.stability import stable_step
 from palpate.dynamics.run.model import Nodes, Outputs, State, StepReport, initial_field
 from palpate.dynamics.run.reactions import contact_outputs
+from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.reduction.basis.coordinates import CoordinateModel
 from palpate.reduction.contact.tools import ContactTools, bonded_nodes, tool_displacements
 from palpate.reduction.hyper.body import DIFFERENCE_STEP, ReducedWork, reduced_body
 from palpate.reduction.hyper.data import ReducedData
-from palpate.reduction.hyper.error_indicator import expected_error, residual_norm, training_distance
+from palpate.reduction.hyper.error_indicator import (
+    ExpectedError,
+    error_bounds,
+    expected_error,
+    residual_norm,
+    training_distance,
+)
 from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
 from palpate.reduction.hyper.implicit import FACTOR_STEP, ImplicitData, implicit_step
 from palpate.reduction.hyper.load_share import load_share, static_response
 from palpate.reduction.hyper.loads import lifting_coordinates, prepare_reduced_loads
-from palpate.reduction.hyper.reactions import projected_loads, reactions
+from palpate.reduction.hyper.reactions import constraint_forces, projected_loads, reactions
 from palpate.reduction.hyper.sampled_energy import shear_weights
 
 __all__ = ["ReducedData", "ReducedModel"]
@@ -304,65 +311,85 @@ class ReducedModel(CoordinateModel):
 
     def outputs(self, state: State, prepared: PreparedLoads, work: ReducedWork | None = None) -> Outputs:
         forces, moments, contact_forces, _ = contact_outputs(state, prepared)
-        residual, energy = self._tool_displacements(state, prepared)
+        residual, residual_energy = self._tool_displacements(state, prepared)
+        constraints = constraint_forces(self.body, state, prepared, work)
         bonded = bonded_nodes(self.body.surface, state.contact_state, prepared)
         return Outputs(
             np.tensordot(state.coordinates, self.body.vectors, 1) + residual,
             self.velocity(state, prepared),
-            reactions(self.body, state, prepared, work) | forces,
+            reactions(self.body, state, prepared, constraints) | forces,
             float(0.5 * state.velocities @ self.body.mass @ state.velocities),
-            self.body.energy(state.coordinates, state.history, work) + energy,
+            self.body.energy(state.coordinates, state.history, work) + residual_energy,
             state.external_work,
             state.dissipated,
             moments,
             contact_forces,
             np.isin(contact_forces[:, 0], bonded) if len(bonded) else np.zeros(len(contact_forces), dtype=bool),
+            self._trust(state, prepared, constraints, residual_energy),
         )
 
     def trust(self, state: State, prepared: PreparedLoads) -> float:
         """Return the trust number of a state: above 1 the state is outside the training data.
 
-        It is the largest of three numbers: the distance to the nearest training state, the residual norm of
-        the forces on test fields (`palpate.reduction.hyper.error_indicator`), and the share of the loads'
-        static response that the coordinates cannot represent (`palpate.reduction.hyper.load_share`), each
-        divided by its scale. The scales make the trust number at most 1 on 95 % of the frames of the held-out
-        runs. Without such runs, those of the lengths are quantiles of the training data: of the distances
-        between runs, and of the residual norms after projection.
+        It is the largest of four numbers, each a measure of `palpate.reduction.hyper.error_indicator` over
+        its scale: the distance to the nearest training state, the residual norm of the forces on test fields,
+        the share of the loads' static response that the coordinates cannot represent, and the displacement
+        of the surface compliance under tools. The scales make the trust number at most 1 in all frames of
+        95 % of the held-out runs. Without such runs, they come from the training data.
         """
+        constraints, (_, energy) = (
+            constraint_forces(self.body, state, prepared),
+            self._tool_displacements(state, prepared),
+        )
+        return self._trust(state, prepared, constraints, energy)
+
+    def _trust(self, state: State, prepared: PreparedLoads, constraints: Floats, energy: float) -> float:
+        """Return the trust number of a state with constraint forces and an energy [J] of the surface compliance."""
         return max(
             training_distance(self.body, state) / self.data.distance_scale,
-            residual_norm(self.body, state, prepared) / self.data.residual_scale,
+            residual_norm(self.data, constraints) / self.data.residual_scale,
             self.load_share(state, prepared) / self.data.load_scale,
+            float(np.sqrt(energy / self.data.flexibility_scale)),
         )
 
     def load_share(self, state: State, prepared: PreparedLoads) -> float:
         """Return the share of the loads' static response that the coordinates cannot represent, 0 to 1."""
-        return load_share(self.body, self._static_response, state, prepared)
+        return load_share(self.body, state, prepared, lambda: self._static_response)
 
     @cached_property
-    def _static_response(self) -> Callable[[Floats], Floats] | None:
-        return static_response(self.body)
+    def _static_response(self) -> Callable[[Floats], Floats]:
+        return static_response(self.data, np.zeros(len(self.cloud)))
 
-    def expected_error(self, trust: float) -> tuple[float, float]:
-        """Return the displacement errors of the held-out runs at a trust number: median and 95th percentile.
+    def expected_error(self, trust: float, of: str = "displacement") -> ExpectedError:
+        """Return the error expected at a trust number: the median, and a bound with its level.
 
         Parameters
         ----------
         trust : float
             The largest trust number of a motion so far, because an error persists as a vibration.
+        of : str
+            ``"displacement"``: root mean square over the body, over the largest such displacement so far.
+            ``"force"``: of the force on a tool, over the largest so far.
 
         Returns
         -------
-        median, percentile : float
-            Root mean square over the body, divided by the largest such displacement of the run. Infinite
-            above all trust numbers of the held-out runs.
+        ExpectedError
+            Both are infinite, which is unknown, above all trust numbers of the held-out runs.
 
         Raises
         ------
         InputError
-            The model was trained without held-out runs.
+            The model was trained without held-out runs, or for forces without tools.
         """
-        return expected_error(self.report, trust)
+        return expected_error(self.report, trust, of)
+
+    def error_bounds(self, run: Trajectory) -> tuple[Floats, Floats]:
+        """Return the error bounds of a run's displacement [m] and of its tool forces [N], both (f,).
+
+        Errors of displacement are root mean squares over the body. Bounds are infinite where the error is
+        unknown. They are empty for a model without held-out runs, and those of forces without tools.
+        """
+        return error_bounds(self.data, run)
 
     def stress(self, displacements: Floats) -> Floats:
         """Return the first Piola-Kirchhoff stress [Pa] at the nodes of a solid, (n, 3, 3).

@@ -56,12 +56,18 @@ def constraint_forces(
     return np.asarray(body.all_mass[:, : body.count] @ rates - forces)
 
 
-def reactions(
-    body: ReducedBody, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
-) -> dict[str, Floats]:
-    """Return the force (3,) [N] of every support and tool on the body; zero after a tool's release."""
+def reactions(body: ReducedBody, state: State, prepared: PreparedLoads, forces: Floats) -> dict[str, Floats]:
+    """Return the force (3,) [N] of every support and tool on the body; zero after a tool's release.
+
+    Parameters
+    ----------
+    body : ReducedBody
+    state : State
+    prepared : PreparedLoads
+    forces : (m + l + 3 g + w,) array
+        Of `constraint_forces`.
+    """
     data, first = body.data, body.count
-    forces = constraint_forces(body, state, prepared, work)
     result = {support.group: forces[first + 3 * g : first + 3 * g + 3] for g, support in enumerate(data.supports)}
     prescribed, tools = prepared.is_prescribed(np.array([state.time]))[0], forces[data.modes : first]
     for name in data.prescribed:

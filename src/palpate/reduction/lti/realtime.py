@@ -72,13 +72,14 @@ class LinearData(NamedTuple):
 
 
 class LinearRealtime(NamedTuple):
-    """Linear model with the contract of `palpate.realtime.contract`."""
+    """Linear model with the contract of `palpate.realtime.contract`; the bound of its force's error is unknown."""
 
     advance: Any
     stiffness: Any
     data: LinearData
     rest: Floats
     tool: Floats
+    force_bound: None = None
 
 
 def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, overload
 
 import numpy as np
@@ -16,6 +16,7 @@ from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
 from palpate.reduction.contact.tools import ContactTools
+from palpate.reduction.hyper.error_indicator import force_bound
 from palpate.reduction.hyper.foundation import Springs, project_springs
 from palpate.reduction.hyper.implicit import ImplicitData, newton_scratch
 from palpate.reduction.hyper.model import ReducedModel
@@ -40,6 +41,9 @@ class RealtimeModel(NamedTuple):
         Coordinates at rest.
     tool : (l, 12) array
         Map from a rigid pose to the tool coordinates, see `palpate.reduction.hyper.reactions.tool_map`.
+    force_bound : function, optional
+        ``force_bound(trust, size)`` returns the error bound [N] of the tool's force, by the largest trust number and
+        the largest force [N] so far. None without held-out runs with tools.
     """
 
     advance: Any
@@ -47,6 +51,7 @@ class RealtimeModel(NamedTuple):
     data: PeriodData
     rest: Floats
     tool: Floats
+    force_bound: Callable[[float, float], float] | None = None
 
 
 @overload
@@ -80,8 +85,8 @@ def realtime_model(
         Longest period that the engine may request.
     contact : Contact or Grasp, optional
         The tool in contact. The engine's poses are displacements and rotations from its pose at time 0,
-        the rotations about its position. The trust number is then the distance from the
-        training states only.
+        the rotations about its position. The trust number is then the larger of the distance from the
+        training states and the displacement of the surface compliance, each over its scale.
     foundations : sequence of Foundation
         Springs between the body and the ground. Other loads are not supported in real time.
     period : float [s]
@@ -162,8 +167,9 @@ def realtime_model(
     )
     advance, stiffness = period_functions(model.body.law, model.single)
     if contact is None:
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), tool_map(model.body, reduced.prescribed[0]))
-    return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12))
+        tool = tool_map(model.body, reduced.prescribed[0])
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), tool, force_bound(reduced.report))
+    return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12), force_bound(reduced.report))
 
 
 def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bool) -> IndicatorData:
@@ -175,6 +181,7 @@ def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bo
         mass_root=root,
         distance_scale=model.data.distance_scale,
         residual_scale=np.inf if contact else model.data.residual_scale,
+        flexibility_scale=model.data.flexibility_scale,
         integration_points=points,
         scratch=scratch(points, body.scratch.history),
         mass=model.body.all_mass[np.ix_(which[count:], which[:count])],

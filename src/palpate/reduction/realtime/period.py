@@ -48,6 +48,8 @@ class IndicatorData(NamedTuple):
     training_states, mass_root : (t, m), (m, m) arrays
         Training states times the root; transposed root of the mass matrix divided by the body's mass.
     distance_scale, residual_scale : float [m]
+    flexibility_scale : float [J]
+        See `palpate.reduction.hyper.data.ReducedData`.
     integration_points, scratch : tuples
         For the coordinates and the w residual fields.
     mass : (w, m) array
@@ -60,6 +62,7 @@ class IndicatorData(NamedTuple):
     mass_root: Floats
     distance_scale: float
     residual_scale: float
+    flexibility_scale: float
     integration_points: IntegrationPoints
     scratch: Scratch
     mass: Floats
@@ -324,13 +327,13 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         for j in range(modes, count):  # remove rounding errors
             q[j] = target[j - modes]
             v[j] = speeds[j]
-        report[TRUST], report[STEPS] = max(distance(data, q), residual_norm(data, q, v)), taken
+        flexible = compliance_energy(data.contact_surface, data.contact_state)
+        report[TRUST] = max(distance(data, q), residual_norm(data, q, v))
+        report[TRUST], report[STEPS] = max(report[TRUST], np.sqrt(flexible / data.indicator.flexibility_scale)), taken
         for m in range(count):
             for k in range(count):
                 report[KINETIC] += 0.5 * v[m] * mass[m, k] * v[k]
-        report[STRAIN] = energy(q, data.body.integration_points, data.body.scratch) + compliance_energy(
-            data.contact_surface, data.contact_state
-        )
+        report[STRAIN] = energy(q, data.body.integration_points, data.body.scratch) + flexible
         if not np.isfinite(report[STRAIN]):
             for m in range(count):
                 q[m], v[m] = saved_q[m], saved_v[m]

@@ -39,7 +39,7 @@ __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_r
 Header = dict[str, Any]
 Arrays = dict[str, np.ndarray[Any, Any]]
 
-FORMAT, VERSION = "palpate reduced model", 11
+FORMAT, VERSION = "palpate reduced model", 12
 REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
 MAX_NUMBER = 1e30  # in a file, in SI units
@@ -85,13 +85,15 @@ NODES = (
     "compliance/nodes",
     "interior/nodes",
 )
+CURVE = ("bound", "exponent", "largest_trust", "least_size", "least_trust", "median")  # of an expected error
 ATTRIBUTES = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "supports": str, "prescribed": list,
     "stiffness_damping": float, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
     "distance_scale": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
-    "residual_fields": int, "residual_scale": float, "load_scale": float, "bonded_scale": float,
+    "residual_fields": int, "residual_scale": float, "load_scale": float,
+    "flexibility_scale": float, "bonded_scale": float,
     "step": float, "single": bool,
 }  # fmt: skip
 
@@ -170,6 +172,7 @@ def _header(data: ReducedData) -> Header:
         "residual_fields": int(data.residual_fields),
         "residual_scale": float(data.residual_scale),
         "load_scale": float(data.load_scale),
+        "flexibility_scale": float(data.flexibility_scale),
         "sheet": data.kinematics.sheet,
         "prestretch": float(data.kinematics.prestretch),
         "relaxed": data.kinematics.relaxed,
@@ -307,6 +310,9 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         residual_fields=header["residual_fields"],
         residual_scale=number_in_range("residual_scale", header["residual_scale"], 0.0, open_low=True, unit="m"),
         load_scale=number_in_range("load_scale", header["load_scale"], 0.0, 1.0, open_low=True),
+        flexibility_scale=number_in_range(
+            "flexibility_scale", header["flexibility_scale"], 0.0, open_low=True, unit="J"
+        ),
         report=_report(_mapping("report", header["report"])),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
@@ -322,6 +328,7 @@ def _report(report: dict[str, Any]) -> dict[str, Any]:
     mean = held_out.get("mean") if isinstance(held_out, dict) else None
     if not isinstance(mean, dict) or not all(value is None or type(value) in (int, float) for value in mean.values()):
         raise InputError("header report holds errors under held_out that are not numbers")
+    _check_curves(held_out.get("expected_error"))
     if scene is not None:
         parameters = scene.get("parameters") if isinstance(scene, dict) else None
         named = isinstance(scene, dict) and isinstance(scene.get("name"), str) and len(scene["name"]) <= MAX_NAME_LENGTH
@@ -330,6 +337,20 @@ def _report(report: dict[str, Any]) -> dict[str, Any]:
         if not all(isinstance(value, str | int | float) for value in parameters.values()):
             raise InputError("header report holds parameters of a scene that are neither numbers nor text")
     return report
+
+
+def _check_curves(curves: Any) -> None:
+    """Refuse curves of expected errors that the calibration does not write."""
+    if curves is None:
+        return
+    if not isinstance(curves, dict) or not {"level"} < curves.keys() <= {"level", "displacement", "force"}:
+        raise InputError("header report holds expected errors without level and displacement")
+    number_in_range("level", curves["level"], 0.0, 1.0)
+    for of in curves.keys() - {"level"}:
+        if not isinstance(curves[of], dict) or curves[of].keys() != {*CURVE}:
+            raise InputError(f"header report holds an expected error of the {of} without {', '.join(CURVE)}")
+        for name in CURVE:
+            number_in_range(name, curves[of][name], 0.0)
 
 
 def _step_rule(header: Header) -> Header:

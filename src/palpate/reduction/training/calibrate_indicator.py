@@ -1,9 +1,17 @@
-"""Calibration of the error indicator on held-out runs, and the table of expected errors."""
+"""Calibration of the error indicator on held-out runs: its scales, and the errors expected at a trust number.
+
+Frames of one run err together. So all quantiles count runs, not frames. The error bound is a conformal
+prediction of runs (Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World, Springer 2005;
+Barber et al., Ann. Stat. 49, 2021, for its leave-one-out form): a power law of the trust number, fitted
+to the errors of the frames, times a factor. The factor of a run is the largest ratio of its errors to
+the power law of the other runs. The k-th smallest factor of n runs bounds that of one more run with a
+probability of about k / (n + 1).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,19 +21,25 @@ from palpate.dynamics.run.model import State
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.reduction.contact.compliance import contact_displacements
 from palpate.reduction.contact.tools import contact_at_frame
-from palpate.reduction.hyper.error_indicator import residual_norm, training_distance
+from palpate.reduction.hyper.error_indicator import force_sizes, residual_norm, rms_sizes, tools_of, training_distance
 from palpate.reduction.hyper.load_share import MAX_LOAD_SCALE, MIN_LOAD_SCALE
 from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.hyper.reactions import constraint_forces
 
-__all__ = ["Calibration", "Frames", "calibrate_indicator", "error_table", "indicator_frames"]
-
-
-MAX_ROWS = 12  # of the table
-MIN_FRAMES = 20  # in a row
+__all__ = ["Frames", "Measures", "Scales", "calibrate_scales", "error_curves", "held_out_frames", "trust_numbers"]
 
 
-class Frames(NamedTuple):
-    """Frames of a held-out run of a reduced model.
+LEVEL = 0.95  # probability that a run keeps the bound
+ROUNDING = 1.001  # a margin, by which the trust number of a held-out run stays below 1 when it is repeated
+LEAST_SIZE = 0.2  # size in relative errors, over the median of the runs' largest sizes
+SMALL_SHARE = 0.1  # of the frames, whose trust numbers and errors are too small to count
+MIN_TRUST = 1e-3  # least trust number that counts, over the largest
+MIN_ERROR = 1e-12  # smallest error in a logarithm, relative
+MAX_EXPONENT = 2.0  # of the power law
+
+
+class Measures(NamedTuple):
+    """The measures of the error indicator in the frames of a run.
 
     Parameters
     ----------
@@ -33,23 +47,49 @@ class Frames(NamedTuple):
         See `palpate.reduction.hyper.error_indicator`.
     load_shares : (f,) array
         See `palpate.reduction.hyper.load_share`.
-    errors : (f,) array
-        Root mean square displacement error over the body, divided by the largest such displacement of the
-        run.
+    flexibility_energies : (f,) array [J]
+        Energy of the surface compliance.
     """
 
     distances: Floats
     residual_norms: Floats
     load_shares: Floats
-    errors: Floats
+    flexibility_energies: Floats
 
 
-def indicator_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, full: Trajectory) -> Frames:
-    """Return distances from training, residual norms and errors of all frames of a reduced model's run."""
-    prepared, mass = model.prepare(loads), model.masses / model.masses.sum()
+class Frames(NamedTuple):
+    """Frames of a held-out run of a reduced model.
+
+    Parameters
+    ----------
+    measures : Measures
+    errors : mapping of quantity to (f,) array
+        Of ``"displacement"``, the root mean square over the body [m], and with tools of ``"force"``, the largest
+        over the tools [N].
+    sizes : mapping of quantity to (f,) array
+        Largest displacement or tool force of the reduced run so far.
+    """
+
+    measures: Measures
+    errors: dict[str, Floats]
+    sizes: dict[str, Floats]
+
+
+class Scales(NamedTuple):
+    """Scales of the measures, at which the trust number is 1; see `palpate.ReducedModel`."""
+
+    distance_scale: float
+    residual_scale: float
+    load_scale: float
+    flexibility_scale: float
+
+
+def held_out_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory, full: Trajectory) -> Frames:
+    """Return measures and errors of all frames of a reduced model's run."""
+    prepared, weights = model.prepare(loads), model.masses / model.masses.sum()
     contact_forces = [contact_at_frame(own, k, len(model.cloud)) for k in range(len(own.times))]
-    compliance = np.array([_contact_displacements(model, own, k) for k in range(len(own.times))])
-    coordinates, velocities = model.body.project(own.displacements - compliance), model.body.project(own.velocities)
+    moved, energies = zip(*(_contact_displacements(model, own, k) for k in range(len(own.times))), strict=True)
+    coordinates, velocities = model.body.project(own.displacements - moved), model.body.project(own.velocities)
     states: list[State] = []
     work = model.workspace()
     for a, v, time in zip(coordinates, velocities, own.times.tolist(), strict=True):
@@ -60,105 +100,134 @@ def indicator_frames(model: ReducedModel, loads: Sequence[Load], own: Trajectory
             else model.body.equilibrium_history(a, work)
         )
         states.append(State(a, v, time, history=history, contact_state=contact_forces[len(states)]))
-    squares = np.einsum("tnc,n->t", full.displacements**2, mass)
-    missed = np.sqrt(np.einsum("tnc,n->t", (own.displacements - full.displacements) ** 2, mass))
-    return Frames(
+    measures = Measures(
         np.array([training_distance(model.body, state) for state in states]),
-        np.array([residual_norm(model.body, state, prepared) for state in states]),
+        np.array([residual_norm(model.data, constraint_forces(model.body, state, prepared)) for state in states]),
         np.array([model.load_share(state, prepared) for state in states]),
-        missed / max(float(np.sqrt(squares.max())), 1e-300),
+        np.array(energies),
     )
+    missed = np.einsum("tnc,n->t", (own.displacements - full.displacements) ** 2, weights)
+    errors, sizes = {"displacement": np.sqrt(missed)}, {"displacement": rms_sizes(model.data, own)}
+    tools = [name for name in tools_of(model.data, own) if name in full.reactions]
+    if tools:
+        missed = [np.linalg.norm(own.reactions[name] - full.reactions[name], axis=1) for name in tools]
+        errors["force"], sizes["force"] = np.max(missed, axis=0), force_sizes(model.data, own)
+    return Frames(measures, errors, {of: np.maximum.accumulate(values) for of, values in sizes.items()})
 
 
-def _contact_displacements(model: ReducedModel, own: Trajectory, frame: int) -> Floats:
-    """Return the displacements (n, 3) [m] of the surface compliance by the stored forces of a frame."""
+def _contact_displacements(model: ReducedModel, own: Trajectory, frame: int) -> tuple[Floats, float]:
+    """Return displacements (n, 3) [m] and energy [J] of the surface compliance by the stored forces of a frame."""
     known, of_frame = model.data.compliance, own.contact_forces[:, 0] == frame
     if known is None or not of_frame.any():
-        return np.zeros((len(model.cloud), 3))
+        return np.zeros((len(model.cloud), 3)), 0.0
     rows, bonded = own.contact_forces[of_frame], own.bonded[of_frame]
     pushes = np.zeros((2, len(model.cloud), 3))
     pushes[bonded.astype(int), rows[:, 1].astype(int)] = rows[:, 2:]
-    return contact_displacements(known, model.cloud.points, pushes[:, known.nodes], [False, True])[0]
+    return contact_displacements(known, model.cloud.points, pushes[:, known.nodes], [False, True])
 
 
-class Calibration(NamedTuple):
-    """Scales of the error indicator and the table of expected errors.
+def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
+    """Return the scales of the measures.
 
-    Parameters
-    ----------
-    distance_scale, residual_scale : float [m]
-    load_scale : float
-    table : list of mappings
-        See `error_table`.
+    With these scales the trust number is at most 1 in all frames of a given share of the runs, unless the
+    scale of the load shares would be above `MAX_LOAD_SCALE`.
     """
-
-    distance_scale: float
-    residual_scale: float
-    load_scale: float
-    table: list[dict[str, float]]
-
-
-def calibrate_indicator(runs: Sequence[Frames], share: float) -> Calibration:
-    """Return the scales of the error indicator, and the table of expected errors.
-
-    With these scales the trust number is at most 1 in a given share of all frames, unless the scale of the
-    load shares would be above `MAX_LOAD_SCALE`.
-    """
-    distance_scale, residual_scale = (
-        max(float(np.quantile(np.concatenate(values), share)), 1e-300)
-        for values in ([run.distances for run in runs], [run.residual_norms for run in runs])
+    found = [_run_quantile([values.max(initial=0.0) for values in each], share) for each in zip(*runs, strict=True)]
+    scales = Scales(*(max(value, 1e-300) for value in found))
+    scales = scales._replace(load_scale=max(scales.load_scale, MIN_LOAD_SCALE))
+    wider = max(_run_quantile([float(trust_numbers(run, scales).max()) for run in runs], share), 1.0)
+    wider *= ROUNDING
+    return Scales(
+        wider * scales.distance_scale,
+        wider * scales.residual_scale,
+        min(wider * scales.load_scale, MAX_LOAD_SCALE),
+        wider**2 * scales.flexibility_scale,
     )
-    load_scale = max(float(np.quantile(np.concatenate([run.load_shares for run in runs]), share)), MIN_LOAD_SCALE)
-    wider = max(
-        float(np.quantile(np.concatenate(_numbers(runs, distance_scale, residual_scale, load_scale)), share)), 1.0
-    )
-    scales = wider * distance_scale, wider * residual_scale, min(wider * load_scale, MAX_LOAD_SCALE)
-    return Calibration(*scales, error_table(_numbers(runs, *scales), [run.errors for run in runs]))
 
 
-def _numbers(runs: Sequence[Frames], distance_scale: float, residual_scale: float, load_scale: float) -> list[Floats]:
-    """Return the trust numbers (f,) of the frames of each run."""
-    return [
-        np.max(
-            [run.distances / distance_scale, run.residual_norms / residual_scale, run.load_shares / load_scale], axis=0
-        )
-        for run in runs
-    ]
+def _run_quantile(values: Sequence[float], share: float) -> float:
+    """Return the value that at least a share of all values do not exceed."""
+    return float(np.quantile(values, share, method="higher"))
 
 
-def error_table(numbers: Sequence[Floats], errors: Sequence[Floats]) -> list[dict[str, float]]:
-    """Return a table of the errors met at trust numbers.
+def trust_numbers(run: Measures, scales: Scales) -> Floats:
+    """Return the trust numbers (f,) of the frames of a run."""
+    ratios = [values / scale for values, scale in zip(run, scales, strict=True)]
+    return np.asarray(np.max([*ratios[:3], np.sqrt(ratios[3])], axis=0))
 
-    Parameters
-    ----------
-    numbers, errors : sequences of (f,) arrays
-        Trust number and displacement error of every held-out run, frame by frame.
+
+def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
+    """Return the curves of expected errors by trust number.
 
     Returns
     -------
-    list of mappings
-        Rows in ascending order: ``"trust"``, the largest number so far in the frames of the row;
-        ``"median"`` and ``"percentile_95"`` of their errors; and the number of ``"frames"``. Errors do not
-        decrease from row to row (isotonic regression).
+    mapping
+        ``"level"``: the probability that a further run keeps the bounds. ``"displacement"``, and with tools
+        ``"force"``: a mapping of numbers. At a trust number T, the median and the bound of the errors, relative to the
+        size, are ``"median"`` and ``"bound"`` times T^``"exponent"``, with T at least ``"least_trust"``. Above
+        ``"largest_trust"`` the error is unknown. While a run is smaller than ``"least_size"`` [m] or [N], errors are
+        relative to that.
     """
-    running_maximum = np.concatenate([np.maximum.accumulate(own) for own in numbers])
-    sorted_errors = np.concatenate(list(errors))[np.argsort(running_maximum, kind="stable")]
-    running_maximum = np.sort(running_maximum)
-    count = int(np.clip(len(running_maximum) // MIN_FRAMES, 1, MAX_ROWS))
-    bins = np.array_split(np.arange(len(running_maximum)), count)
-    lasts = [running_maximum[part[-1]] for part in bins]
-    ends = np.unique(np.searchsorted(running_maximum, lasts, side="right"))  # equal values in one row
-    rows = np.split(np.arange(len(running_maximum)), ends[:-1])
-    sizes = np.array([len(part) for part in rows], dtype=float)
-    columns = [_isotonic(np.array([np.quantile(sorted_errors[part], q) for part in rows]), sizes) for q in (0.5, 0.95)]
-    return [
-        {"trust": float(running_maximum[part[-1]]), "median": float(m), "percentile_95": float(p), "frames": len(part)}
-        for part, m, p in zip(rows, *columns, strict=True)
-    ]
+    worst = [np.maximum.accumulate(trust_numbers(run.measures, scales)) for run in runs]
+    k = min(int(np.ceil(LEVEL * (len(runs) + 1))), len(runs))
+    result: dict[str, Any] = {"level": min(LEVEL, k / (len(runs) + 1))}
+    for of in runs[0].errors:
+        least = max(LEAST_SIZE * float(np.median([run.sizes[of][-1] for run in runs])), 1e-300)
+        relative = [run.errors[of] / np.maximum(run.sizes[of], least) for run in runs]
+        curve = _power_law(worst, relative)
+        ratios = np.concatenate([own / curve.at(trust) for own, trust in zip(relative, worst, strict=True)])
+        result[of] = {
+            "least_size": least,
+            "least_trust": curve.least_trust,
+            "largest_trust": ROUNDING**2 * curve.largest_trust,  # at least 1
+            "exponent": curve.exponent,
+            "median": curve.factor * float(np.median(ratios)),
+            "bound": curve.factor * float(np.sort(_largest_ratios(worst, relative))[k - 1]),
+        }
+    return result
 
 
-def _isotonic(values: Floats, weights: Floats) -> Floats:
-    """Return the nearest values that do not decrease."""
-    from scipy.optimize import isotonic_regression
+def _largest_ratios(worst: Sequence[Floats], errors: Sequence[Floats]) -> list[float]:
+    """Return the largest ratio of the errors of each run to the curve of the other runs, or of itself if alone."""
+    result = []
+    for r in range(len(worst)):
+        others = [k for k in range(len(worst)) if k != r] or [r]
+        curve = _power_law([worst[k] for k in others], [errors[k] for k in others])
+        result.append(float(np.max(errors[r] / curve.at(worst[r]))))  # 0 above all that the others met
+    return result
 
-    return np.asarray(isotonic_regression(values, weights=weights).x)
+
+class _PowerLaw(NamedTuple):
+    """A typical error factor * T^exponent at trust numbers T, at least `least_trust`; infinite above the largest."""
+
+    factor: float
+    exponent: float
+    least_trust: float
+    largest_trust: float
+
+    def at(self, trust: Floats) -> Floats:
+        """Return the typical errors at trust numbers (f,)."""
+        typical = self.factor * np.maximum(trust, self.least_trust) ** self.exponent
+        return np.where(trust <= self.largest_trust, typical, np.inf)
+
+
+def _power_law(worst: Sequence[Floats], errors: Sequence[Floats]) -> _PowerLaw:
+    """Return a power law fitted to the errors of all frames, by least squares of logarithms.
+
+    Parameters
+    ----------
+    worst, errors : sequences of (f,) arrays
+        Largest trust number so far and relative error of every run, frame by frame.
+    """
+    trust, found = np.concatenate(list(worst)), np.concatenate(list(errors))
+    largest = float(trust.max())
+    least = max(float(np.quantile(trust, SMALL_SHARE)), MIN_TRUST * largest, 1e-300)
+    counted = found > 0
+    if not counted.any():  # exact, such as bodies at rest
+        return _PowerLaw(MIN_ERROR, 0.0, least, largest)
+    x = np.log(np.maximum(trust[counted], least))
+    y = np.log(np.maximum(found[counted], max(float(np.quantile(found[counted], SMALL_SHARE)), MIN_ERROR)))
+    spread = float(np.sum((x - x.mean()) ** 2))
+    slope = float(np.sum((x - x.mean()) * (y - y.mean()))) / spread if spread > 0 else 0.0
+    exponent = float(np.clip(slope, 0.0, MAX_EXPONENT))
+    return _PowerLaw(float(np.exp(np.mean(y - exponent * x))), exponent, least, largest)

@@ -48,7 +48,7 @@ RATIO_SPREAD = 0.1  # of the ratio of works, between frames
 
 def fit_compliance(
     model: ReducedModel, body: EnergySolid, snapshots: Snapshots, statics: EnergySolid
-) -> tuple[SurfaceCompliance, float]:
+) -> tuple[SurfaceCompliance, float, float]:
     """Fit the surface compliance to runs with contact.
 
     Parameters
@@ -67,6 +67,8 @@ def fit_compliance(
     compliance : SurfaceCompliance
     explained : float
         Share of the squared displacement error of the modes near the tools that it explains.
+    largest_energy : float [J]
+        Largest energy of the compliance in the frames of the runs.
 
     Raises
     ------
@@ -183,8 +185,8 @@ def _forces_at(run: Any, frame: int, place: Ints, count: int) -> tuple[Floats, N
 
 def _fit_factors(
     compliance: SurfaceCompliance, points: Floats, frames: Sequence[_Frame]
-) -> tuple[SurfaceCompliance, float]:
-    """Fit factor and stiffening; return the compliance, and the share of squared displacements that it explains."""
+) -> tuple[SurfaceCompliance, float, float]:
+    """Fit factor and stiffening; return the compliance, its share of squared displacements, and largest energy."""
     fields = [static_displacements(compliance, frame.forces, frame.on, frame.near) for frame in frames]
     here = [np.searchsorted(frame.near, frame.on) for frame in frames]
     size = np.array([np.linalg.norm(frame.forces.sum(axis=0)) for frame in frames])
@@ -197,15 +199,13 @@ def _fit_factors(
     if not bonded_scale > 0:
         raise InputError(NO_RESIDUAL)
     left = whole = 0.0
-    for frame, own, secant in zip(
-        frames, fields, np.where(bonded, bonded_scale, factor * secant_factor(stiffening, size)), strict=True
-    ):
+    factors = np.where(bonded, bonded_scale, factor * secant_factor(stiffening, size))
+    for frame, own, secant in zip(frames, fields, factors, strict=True):
         at = points[compliance.nodes[frame.near]]
         missed, residual = _without_affine(at, np.array([frame.missed, frame.missed - secant * own]))
         whole, left = whole + float(np.sum(missed**2)), left + float(np.sum(residual**2))
-    return compliance._replace(stiffening=stiffening, bonded_scale=bonded_scale / factor).scaled(
-        factor
-    ), 1.0 - left / whole
+    scaled = compliance._replace(stiffening=stiffening, bonded_scale=bonded_scale / factor).scaled(factor)
+    return scaled, 1.0 - left / whole, 0.5 * float(np.max(factors * linear))
 
 
 def fit_stiffening(size: Floats, depth: Floats, linear: Floats, spread: float = RATIO_SPREAD) -> tuple[float, Floats]:

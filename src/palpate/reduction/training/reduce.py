@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -16,7 +17,7 @@ from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import StoredTrajectory, Trajectory
 from palpate.dynamics.solid.model import EnergySolid, Solid
-from palpate.faults import DivergenceError, InputError, integer_in_range, number_in_range
+from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.lifting import RemoveToolMotion, lifting_vectors, support_fields
 from palpate.reduction.basis.snapshots import Run, Snapshots
@@ -25,7 +26,7 @@ from palpate.reduction.hyper.error_indicator import distances_to_nearest
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
 from palpate.reduction.training.calibrate_contact import Trial, calibrate_contact
-from palpate.reduction.training.calibrate_indicator import calibrate_indicator, indicator_frames
+from palpate.reduction.training.calibrate_indicator import Frames, calibrate_scales, error_curves, held_out_frames
 from palpate.reduction.training.ecsw import Fields, choose_integration_points, differentiate, pressure_moments
 from palpate.reduction.training.errors import ContactErrors, Errors, contact_errors, relative_errors
 from palpate.reduction.training.fit_compliance import fit_compliance
@@ -42,7 +43,7 @@ __all__ = ["Trial", "hyper_reduce"]
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
 TRAINING_STATES = 240  # for the fit of the cubature
 MODES_PER_PRESSURE = 4  # more pressure modes would cause volumetric locking
-QUANTILE = 0.95  # of errors, and of frames with a trust number of at most 1
+QUANTILE = 0.95  # of errors, and of runs with a trust number of at most 1
 FREQUENCY_STATES = 16  # training states for the highest frequency of a membrane
 
 
@@ -228,8 +229,10 @@ def _train(
         "training_seconds": perf_counter() - start,
     }
     if snapshots.has_contact and not options.tools and isinstance(body, EnergySolid):
-        compliance, report["compliance_explained"] = fit_compliance(model, body, snapshots, options.coarse or body)
-        model = ReducedModel(replace(model.data, compliance=compliance))
+        compliance, report["compliance_explained"], energy = fit_compliance(
+            model, body, snapshots, options.coarse or body
+        )
+        model = ReducedModel(replace(model.data, compliance=compliance, flexibility_scale=max(energy, 1e-300)))
         if options.repeated:
             model, found = calibrate_contact(model, options.repeated)
             report |= found
@@ -330,15 +333,17 @@ def _kinematics(body: EnergySolid | Membrane) -> Kinematics:
 
 def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     """Run the held-out motions; return the model with their errors in its report and calibrated scales."""
-    found, frames = [], []
+    found: list[dict[str, Any]] = []
+    frames: list[Frames] = []
     for loads, kept in held_out:
         run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
         every = float(run.times[1] - run.times[0])
         entry: dict[str, Any] = {"failed": False}
         try:
-            own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
+            with warnings.catch_warnings(action="ignore", category=TrustWarning):  # its scales are not calibrated yet
+                own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
             entry |= relative_errors(run, own).as_dict() | _contact_errors(model, loads, run, own)
-            frames.append(indicator_frames(model, loads, own, run))
+            frames.append(held_out_frames(model, loads, own, run))
         except DivergenceError as error:
             entry = {"failed": True, "reason": str(error)}
         found.append(entry)
@@ -348,14 +353,9 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         model.data.report["held_out"]["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
     if not frames:
         return model
-    distance_scale, residual_scale, load_scale, table = calibrate_indicator(frames, QUANTILE)
-    model.data.report["held_out"]["trust"] = table
-    scales: dict[str, Any] = {
-        "distance_scale": distance_scale,
-        "residual_scale": residual_scale,
-        "load_scale": load_scale,
-    }
-    return ReducedModel(replace(model.data, **scales))
+    scales = calibrate_scales([run.measures for run in frames], QUANTILE)
+    model.data.report["held_out"]["expected_error"] = error_curves(frames, scales)
+    return ReducedModel(replace(model.data, **scales._asdict()))
 
 
 def _contact_errors(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:
