@@ -116,9 +116,15 @@ export class Panel {
     return error ? `Mean force error on held-out runs: ${formatNumber(100 * error, 2)} %` : "";
   }
 
-  statistics({ median_ms: median, p99_ms: late, misses, periods }) {
+  boundText(bound) {
+    if (bound === undefined) return ""; // a replay
+    return bound === null ? "± unknown" : `± ${formatNumber(bound, 2)} N`;
+  }
+
+  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound }) {
     const share = periods ? (100 * misses) / periods : 0;
     const missed = misses ? `${formatNumber(share, 2)} % missed` : "none missed";
+    this.write("force-bound", this.trainingErrors ? this.boundText(bound) : "");
     this.write("rate", `Median ${median.toFixed(2)} ms, 99 % ${late.toFixed(2)} ms, ${missed}`);
   }
 

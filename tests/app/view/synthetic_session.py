@@ -206,7 +206,7 @@ class SyntheticSession:
             await asyncio.sleep(1 / RATE)
             if time.monotonic() > last + 0.5:
                 last = time.monotonic()
-                numbers = {"median_ms": 0.31, "p99_ms": 0.48, "misses": 0, "periods": 1000}
+                numbers = {"median_ms": 0.31, "p99_ms": 0.48, "misses": 0, "periods": 1000, "force_bound": 0.12}
                 await self._send(viewer, json.dumps({"type": "statistics", **numbers}))
             if viewer.in_flight < 2:
                 viewer.in_flight += 1

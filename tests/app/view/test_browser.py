@@ -68,6 +68,11 @@ def test_a_drag_presses_and_letting_go_ends_the_force(opened):
     tab.wait("document.getElementById('force').textContent === '0.00'")
 
 
+def test_the_force_has_its_error_bound(opened):
+    tab = opened()
+    tab.wait("document.getElementById('force-bound').textContent === '± 0.12 N'")
+
+
 def test_what_is_pressed_moves_in_the_picture(opened, synthetic):
     tab = opened()
     sleep(0.5)

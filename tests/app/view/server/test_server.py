@@ -213,7 +213,7 @@ def test_statistics_come_by_themselves(site):
     first, last = asyncio.run(visit())
     assert last["periods"] > first["periods"]
     assert 0 < last["median_ms"] < 1
-    assert set(last) == {"type", "median_ms", "p99_ms", "misses", "periods"}
+    assert set(last) == {"type", "median_ms", "p99_ms", "misses", "periods", "force_bound"}
 
 
 def test_a_program_gets_forces_at_its_rate(site, ball):

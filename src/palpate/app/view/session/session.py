@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import threading
 import time
 from collections.abc import Iterator
@@ -158,12 +159,13 @@ class Session:
         }  # fmt: skip
 
     def statistics(self) -> dict[str, Any]:
-        """Return the deadline statistics since the engine's start."""
-        statistics = self.engine.statistics()
+        """Return the deadline statistics since the start, and the error bound of the force, None if unknown."""
+        statistics, bound = self.engine.statistics(), self.engine.read().force_bound
         computing = statistics.computing
         return {
             "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
             "misses": statistics.missed, "periods": statistics.count,
+            "force_bound": bound if math.isfinite(bound) else None,
         }  # fmt: skip
 
     @property
