@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 import palpate as pt
-from palpate.app.view.session import recording as recordings
+from palpate.app.recordings import recording as recordings
+from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.view.session.messages import parse_message
 from palpate.app.view.session.replay import Replay
-from palpate.app.view.session.snapshot import Snapshot
 from palpate.dynamics.run import trajectory as trajectories
 from palpate.dynamics.run.recorder import Recorder
 from palpate.faults import InputError
@@ -277,7 +277,7 @@ def model() -> pt.ReducedModel:
 
 def use_model(found: pt.ReducedModel) -> None:
     """Show the model's surface as the page would, and run the model for a millisecond."""
-    from palpate.app.view.session.snapshot import scalar_descriptions, training_errors
+    from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
     from palpate.reduction.realtime.display_surface import Surface
 
     scalar_descriptions(Surface(found))

@@ -69,7 +69,7 @@ def main() -> None:
     args = parser.parse_args()
     manifest = json.loads((args.folder / "campaign.json").read_text())
     scene = training_scene(manifest["scene"], manifest["parameters"])
-    found = [(job, args.folder / "runs" / f"{job.name}.h5") for job in jobs(manifest["seed"], MOST, MOST)]
+    found = [(job, args.folder / "runs" / f"{job.name}.h5") for job in jobs(manifest["seed"], range(MOST), MOST)]
     found = [(job, path) for job, path in found if path.exists()]
     model = pt.load(args.folder / "model.rom")
     if args.shapes is not None or args.modes or args.cubature is not None:

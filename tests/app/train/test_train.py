@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import multiprocessing
 import os
@@ -10,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 from threading import Event, Thread
 
@@ -19,7 +21,10 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
+from palpate.app.recordings.recording import Recording, save_recording
+from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.train import folder as folders
+from palpate.app.train.choose import choose
 from palpate.app.train.report import _by_load
 from palpate.dynamics.run.trajectory import FORMAT, VERSION
 from palpate.files import read_sealed_json, write_sealed_json
@@ -203,6 +208,92 @@ def test_errors_of_forces_are_told_apart_by_kinds_of_loads():
 
 
 @pytest.mark.slow
+def test_a_tolerance_chooses_paths_until_it_is_kept(tmp_path, capsys):
+    folder = tmp_path / "chosen"
+    argv = ["train", SCENE, "--paths", "9", "--held-out", "2", "--modes", "6", "--workers", "2", "--out", str(folder)]
+    assert main([*argv, "--tolerance", "1e-6", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [each["runs"] for each in report["rounds"]] == [4, 6, 9]
+    assert report["model"]["training_runs"] == 9
+    (first, second, third) = read_sealed_json(folder / "rounds.json", "chosen paths")["rounds"]
+    assert first == [0, 1, 2, 3]
+    assert set(second) <= set(range(4, 12))  # four candidates for every path that is chosen
+    assert set(third) <= set(range(max(second) + 1, max(second) + 13))
+    before = {path.name: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
+    assert {f"train_{k:06d}.h5" for k in (*first, *second, *third)} <= before.keys()
+    assert main([*argv, "--tolerance", "1e-6"]) == 0  # nothing is left to do
+    assert "not kept" in capsys.readouterr().out
+    assert {path.name: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()} == before
+    (folder / "rounds.json").unlink()
+    assert main([*argv, "--tolerance", "0.9"]) == 0
+    assert "kept" in capsys.readouterr().out
+    assert read_sealed_json(folder / "rounds.json", "chosen paths")["rounds"] == [first]
+    assert pt.load(folder / "model.rom").report["training_runs"] == 4
+
+
+def test_chosen_paths_are_unlike_the_training_and_each_other(whole):
+    """Of four candidates, one of the training and two that are the same: the two others."""
+    model, scene = pt.load(whole / "model.rom"), training_scene(SCENE, {})
+    far = [np.zeros(3), np.array([0.0, 0.006, 0.0]), np.array([0.0, 0.0061, 0.0]), np.array([0.0, 0.0, 0.005])]
+
+    def path(seed):
+        aim = far[seed % 1000]
+        return (pt.PrescribedMotion("x+", lambda points, t: aim * np.sin(100 * np.pi * t) ** 2),), 0.01
+
+    candidates = [folders.Job(folders.TRAINED, k, k) for k in range(4)]
+    folder = folders.Folder(whole, {})
+    found = choose(model, folder, dataclasses.replace(scene, path=path), candidates, 2)
+    assert [job.number for job in found] == [2, 3]
+
+
+def further(model, reach, duration=0.2):
+    """A recording of a motion of the end of the bar by some distance."""
+    zeros, centre = np.zeros(3), model.cloud.points[model.cloud.group("x+")].mean(axis=0)
+    poses = [centre + np.array([reach, 0.0, 0.0]) * np.sin(np.pi * k / 20) ** 2 for k in range(21)]
+    snapshots = [
+        Snapshot(
+            time=duration * k / 20, steps=k, force=zeros, moment=zeros, stiffness=np.eye(3), trust=3.0, position=pose,
+            quaternion=np.array([1.0, 0, 0, 0]), sequence=k, kinetic=0.0, strain=0.0, computing=0.0, lateness=0.0,
+            coordinates=np.zeros(model.count), state="running", device_force=zeros, modulus_ratio=1.0, tool="group",
+            contact_nodes=np.zeros(0, dtype=np.int64), contact_forces=np.zeros((0, 3)),
+        )
+        for k, pose in enumerate(poses)
+    ]  # fmt: skip
+    tool = {"kind": "group", "radius": 0.0, "length": 0.0, "friction": 0.0, "stiffness": None, "start": 0}
+    return Recording("Bar", model, np.arange(21) * duration / 20, snapshots, [tool], {})
+
+
+def test_a_recorded_path_beyond_trust_is_learned(whole, tmp_path, capsys, assert_refused):
+    folder, file = tmp_path / "more", tmp_path / "session.h5"
+    shutil.copytree(whole, folder)
+    before = pt.load(folder / "model.rom")
+    recording = further(before, 0.008)
+    save_recording(file, recording)
+    assert main(command(folder, "--more", str(file), "--json")) == 0
+    report = json.loads(capsys.readouterr().out)
+    (run,) = (run for run in report["runs"] if run["kind"] == "recorded")
+    assert not run["failed"]
+    after = pt.load(folder / "model.rom")
+    assert after.report["training_runs"] == before.report["training_runs"] + 1
+    pull = pt.PrescribedMotion("x+", lambda points, t: np.array([0.008, 0, 0]) * np.sin(np.pi * t / 0.2) ** 2)
+    trust = {}
+    for name, model in (("before", before), ("after", after)):
+        with warnings.catch_warnings(action="ignore", category=pt.TrustWarning):
+            trust[name] = pt.rollout(model, [pull], duration=0.2, every=0.005, progress=False).trust.max()
+    assert trust["before"] > 1.5
+    assert trust["after"] < 0.7 * trust["before"]
+    assert main(command(folder, "--more", str(file))) == 0  # it is there already
+    assert main(command(folder)) == 0  # and it stays
+    assert pt.load(folder / "model.rom").report["training_runs"] == after.report["training_runs"]
+    assert len(list((folder / "recordings").iterdir())) == 1
+    within = dataclasses.replace(recording, snapshots=[dataclasses.replace(s, trust=0.5) for s in recording.snapshots])
+    save_recording(tmp_path / "within.h5", within)
+    assert_refused(command(folder, "--more", str(tmp_path / "within.h5")), "beyond trust", "0.5")
+    assert_refused(command(folder, "--more", str(folder / "model.rom")), "not a palpate recording")
+    other = ["train", "beam", "--set", "spacing=0.01", "--paths", "1", "--out", str(tmp_path / "other")]
+    assert_refused([*other, "--more", str(file)], "campaign's body")
+
+
 def test_without_any_run_there_is_no_model(tmp_path, capsys):
     options = ["--set", "diverging=0", "--paths", "1", "--held-out", "0"]
     assert main(command(tmp_path / "none", *options)) == 1

@@ -17,9 +17,9 @@ import pytest
 
 from palpate import load
 from palpate.app.models.cache import cache_folder
+from palpate.app.recordings.recording import ERROR_NAMES, load_recording, save_recording
 from palpate.app.train.campaign import MODEL
 from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.recording import ERROR_NAMES, load_recording, save_recording
 from palpate.app.view.session.replay import Replay
 from palpate.app.view.session.session import Session
 

@@ -12,7 +12,7 @@ import pytest
 
 import palpate as pt
 from palpate.app.cli import main
-from palpate.app.view.session.recording import load_recording, save_recording
+from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.app.view.session.session import Session
 
 pytestmark = pytest.mark.slow

@@ -12,8 +12,8 @@ from platformdirs import user_cache_path
 
 from palpate import __version__
 from palpate.app.common.console import Console, count_nodes
-from palpate.app.train.campaign import MODEL, make_model, make_runs
-from palpate.app.train.folder import jobs, manifest_of, open_campaign
+from palpate.app.train.campaign import MODEL, Campaign
+from palpate.app.train.folder import manifest_of, open_campaign
 from palpate.faults import FileFormatError, InputError
 from palpate.files import check_folder
 from palpate.reduction.hyper.model import ReducedModel
@@ -60,9 +60,8 @@ def load_cached_liver(console: Console) -> ReducedModel:
     with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
         scene = training_scene(LIVER, SMALL)
     with open_campaign(folder, manifest_of(LIVER, scene, 0)) as own:
-        wanted = jobs(0, PATHS, HELD_OUT)
-        make_runs(own, scene, wanted, console, min(os.cpu_count() or 1, MOST_WORKERS))
-        body = make_model(own, scene, wanted, console, MODES)
+        campaign = Campaign(own, scene, console, MODES, workers=min(os.cpu_count() or 1, MOST_WORKERS))
+        body = campaign.train(campaign.jobs(range(PATHS), HELD_OUT))
         shutil.rmtree(own.runs)
     console.say(f"trained {MODES} modes, {count_nodes(body.report['nodes'])} sampled")
     return body

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from time import perf_counter
 
 from palpate.app.common.console import Console
-from palpate.app.train.campaign import make_model, make_runs
+from palpate.app.train.campaign import Campaign, Round
+from palpate.app.train.choose import CANDIDATES_PER_RUN
 from palpate.app.train.cluster import check_dask
-from palpate.app.train.folder import MOST_PATHS, jobs, manifest_of, open_campaign
+from palpate.app.train.folder import MOST_PATHS, manifest_of, open_campaign
+from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
 from palpate.faults import InputError, brief, integer_in_range, number_in_range
 from palpate.files import check_folder
@@ -29,6 +30,8 @@ def train(
     paths: int = 64,
     held_out: int = 8,
     seed: int = 0,
+    tolerance: float | None = None,
+    more: Sequence[Path] = (),
     modes: int = 24,
     cubature: float | None = None,
     workers: int | None = None,
@@ -48,6 +51,11 @@ def train(
         Runs to train on, from 1, and to measure errors on, from 0.
     seed : int
         Of the paths.
+    tolerance : float, optional
+        Choose the paths, at most `paths`, on which the model errs most, until the mean errors of displacement and
+        reactions on the held-out runs are at most this.
+    more : sequence of path
+        Recordings of sessions: the campaign also trains on their tool paths beyond trust, from now on.
     modes : int
         Size of the reduced model.
     cubature : float, optional
@@ -75,11 +83,13 @@ def train(
     OSError
         A file could not be written.
     """
-    wanted = jobs(
-        integer_in_range("seed", seed, 0, MOST_SEED),
-        integer_in_range("paths", paths, 1, MOST_PATHS),
-        integer_in_range("held_out", held_out, 0, MOST_PATHS),
-    )
+    seed = integer_in_range("seed", seed, 0, MOST_SEED)
+    paths = integer_in_range("paths", paths, 1, MOST_PATHS // CANDIDATES_PER_RUN)
+    held_out = integer_in_range("held_out", held_out, 0, MOST_PATHS)
+    if tolerance is not None:
+        tolerance = number_in_range("tolerance", tolerance, 0.0, 1.0, open_low=True)
+        if not held_out:
+            raise InputError("held_out must be at least 1 with --tolerance, got 0; the errors are of held-out runs")
     modes = integer_in_range("modes", modes, 1, MOST_MODES)
     if cubature is not None:
         cubature = number_in_range("cubature", cubature, 0.0, 1.0)
@@ -96,13 +106,16 @@ def train(
             search_current_folder()
         made = training_scene(scene, parameters)
     with open_campaign(out, manifest_of(scene, made, seed)) as own:
-        began = perf_counter()
-        make_runs(own, made, wanted, console, workers, cluster)
-        seconds = {"runs": perf_counter() - began}
-        began = perf_counter()
-        model = make_model(own, made, wanted, console, modes, cubature)
-        seconds["training"] = perf_counter() - began
-        report_campaign(own, made, wanted, model, seconds, as_json)
+        for recording in more:
+            add_recording(own, made, recording)
+        campaign = Campaign(own, made, console, modes, cubature, workers, cluster)
+        rounds: list[Round] = []
+        if tolerance is None:
+            wanted = campaign.jobs(range(paths), held_out)
+            model = campaign.train(wanted)
+        else:
+            wanted, model, rounds = campaign.train_to_tolerance(tolerance, paths, held_out)
+        report_campaign(own, made, wanted, model, campaign.seconds, rounds, as_json)
     return 0
 
 

@@ -1,14 +1,15 @@
 """Folder of a campaign: which runs it needs, and which of them exist.
 
-``campaign.json`` identifies the campaign. ``runs/`` holds a file for every run that was finished, and for every one
-that failed a ``.failed.json`` with the reason and, as far as it came, a ``.failed.h5``. Every name there stands for a
-whole file. What is being written has a hidden name that ends in ``.partial``.
+``campaign.json`` identifies the campaign. ``recordings/`` holds the recordings that were added to it, and
+``rounds.json`` the paths that a campaign with a tolerance has chosen. ``runs/`` holds a file for every run that was
+finished, and for every one that failed a ``.failed.json`` with the reason and, as far as it came, a ``.failed.h5``.
+Every name there stands for a whole file. What is being written has a hidden name that ends in ``.partial``.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,16 +24,16 @@ from palpate.files import digest_of, read_sealed_json, regular_file, write_seale
 from palpate.scenes.scene import TrainingScene
 from palpate.sealed import loading
 
-__all__ = ["HELD_OUT", "MOST_PATHS", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "open_campaign"]
+__all__ = ["HELD_OUT", "MOST_PATHS", "RECORDED", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "open_campaign"]
 
 FORMAT, VERSION = "palpate campaign", 2
 LARGEST_RECORD = 1 << 20  # bytes of a manifest, or of the record of a failed run
-TRAINED, HELD_OUT = "train", "held_out"
+TRAINED, HELD_OUT, RECORDED = "train", "held_out", "recorded"
 STRIDE, MOST_PATHS = 1_000_000, 500_000  # seeds of a campaign, and of either kind of run in it
 
 
 class Job(NamedTuple):
-    """A run: what it is for, its number from 0, and the seed of its path."""
+    """A run: what it is for, its number from 0, and the seed of its path, or where that is in the recordings."""
 
     kind: str
     number: int
@@ -44,10 +45,10 @@ class Job(NamedTuple):
         return f"{self.kind}_{self.number:06d}"
 
 
-def jobs(seed: int, paths: int, held_out: int) -> list[Job]:
-    """Return the runs of a campaign; those of one with more paths begin with them."""
+def jobs(seed: int, paths: Iterable[int], held_out: int) -> list[Job]:
+    """Return the runs of a campaign: of training paths by number, and a number of held-out ones."""
     first = seed * STRIDE
-    return [Job(TRAINED, k, first + k) for k in range(paths)] + [
+    return [Job(TRAINED, k, first + k) for k in paths] + [
         Job(HELD_OUT, k, first + MOST_PATHS + k) for k in range(held_out)
     ]
 
@@ -149,9 +150,44 @@ class Folder:
         """Return the runs that have no result yet."""
         return [job for job in wanted if not self.file(job).exists() and self.fault(job) is None]
 
+    @property
+    def recordings_folder(self) -> Path:
+        """Where the recordings lie."""
+        return self.path / "recordings"
+
+    @property
+    def recordings(self) -> list[Path]:
+        """Recordings that were added to the campaign, in their order."""
+        return sorted(self.recordings_folder.glob("[0-9]*.h5"))
+
+    def rounds(self) -> list[list[int]]:
+        """Return the numbers of the training paths that were chosen, round by round.
+
+        Raises
+        ------
+        FileFormatError
+            Their file is damaged.
+        """
+        path = self.path / "rounds.json"
+        if not path.exists():
+            return []
+        with loading(path, "delete the file, and the same command chooses paths again"):
+            found = read_sealed_json(path, "record of chosen paths", LARGEST_RECORD).get("rounds")
+            if not isinstance(found, list) or not all(_are_numbers(each) for each in found):
+                raise InputError("this is not a record of chosen paths")
+        return found
+
+    def write_rounds(self, rounds: Sequence[Sequence[int]]) -> None:
+        """Record the numbers of chosen paths."""
+        write_sealed_json(self.path / "rounds.json", {"rounds": [list(each) for each in rounds]})
+
     def check(self) -> None:
         """Raise `InputError` unless the folder's own manifest is this one."""
         _compare(self.path, _read(self.path / "campaign.json"), self.manifest)
+
+
+def _are_numbers(paths: Any) -> bool:
+    return isinstance(paths, list) and all(type(k) is int and 0 <= k < MOST_PATHS for k in paths)
 
 
 @contextmanager

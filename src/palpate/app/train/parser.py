@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, number, whole
+from palpate.app.common.arguments import Command, add_command, add_output, existing_file, number, whole
 from palpate.scenes.names import listed_scenes
 
 __all__ = ["add_train"]
@@ -34,10 +34,17 @@ def add_train(commands: Any) -> None:
     add("scene", metavar="SCENE", help=text)
     text = "parameters of the scene, such as spacing=0.005"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
-    add("--paths", type=whole, default=64, metavar="K", help="number of runs to train on")
+    add("--paths", type=whole, default=64, metavar="K", help="number of runs to train on; with --tolerance, the most")
     text = "number of further runs, on which errors are measured"
     add("--held-out", type=whole, default=8, metavar="K", help=text)
     add("--seed", type=whole, default=0, metavar="K", help="seed of the paths")
+    text = (
+        "choose the paths on which the model errs most, at most --paths, until the mean errors of displacement and "
+        "reactions on the held-out runs are at most this"
+    )
+    add("--tolerance", type=number, metavar="E", help=text)
+    text = "recordings of sessions (palpate view): also train on their tool paths with trust numbers above 1"
+    add("--more", type=existing_file, nargs="+", action="extend", default=[], metavar="FILE.h5", help=text)
     add("--modes", type=whole, default=24, metavar="M", help="number of modes of the reduced model")
     text = (
         "largest relative error of the sampled forces in training: the larger it is, the fewer nodes are sampled and "

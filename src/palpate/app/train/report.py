@@ -10,8 +10,9 @@ import numpy as np
 from palpate.app.common.console import Console, Table, count_nodes, percent, quantities_table
 from palpate.app.common.figures import BLUE, GREEN, ORANGE, PINK, figure, heading, legend_below, percent_axis
 from palpate.app.common.report import REPORTS, deliver, machine
-from palpate.app.train.campaign import MODEL
-from palpate.app.train.folder import HELD_OUT, TRAINED, Folder, Job
+from palpate.app.train.campaign import MODEL, Round
+from palpate.app.train.folder import HELD_OUT, RECORDED, TRAINED, Folder, Job
+from palpate.app.train.paths import path_of
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.faults import InputError
 from palpate.files import plain
@@ -39,6 +40,7 @@ def report_campaign(
     wanted: Sequence[Job],
     model: ReducedModel,
     seconds: Mapping[str, float],
+    rounds: Sequence[Round],
     as_json: bool,
 ) -> None:
     """Write the report and the figure into the folder, and print it as JSON or as a table."""
@@ -52,6 +54,7 @@ def report_campaign(
             "failed": [run["name"] for run in runs if run["failed"]],
             "sizes": _sizes(folder, wanted),
             "seconds": dict(seconds),
+            "rounds": [each._asdict() for each in rounds],
             "model": model.report,
         }
     )
@@ -70,7 +73,7 @@ def report_campaign(
 
 def _run_entry(folder: Folder, scene: TrainingScene, job: Job) -> dict[str, Any]:
     """Return the entry of a run in the report: its frames, cost and kinds of loads."""
-    loads = [type(load).__name__ for load in scene.path(job.seed)[0]]
+    loads = [type(load).__name__ for load in path_of(folder, scene, job)[0]]
     entry: dict[str, Any] = {"name": job.name, "kind": job.kind, "seed": job.seed, "loads": loads}
     entry |= {"failed": True, "reason": None}
     path = folder.file(job)
@@ -105,9 +108,13 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
     good = [run for run in runs if not run["failed"]]
     simulated = sum(run["simulated"] for run in good)
     wall = sum(run["wall_seconds"] for run in good)
-    kinds = {kind: sum(run["kind"] == kind for run in good) for kind in (TRAINED, HELD_OUT)}
+    kinds = {kind: sum(run["kind"] == kind for run in good) for kind in (TRAINED, RECORDED, HELD_OUT)}
+    recorded = {"of these along recorded paths": str(kinds[RECORDED])} if kinds[RECORDED] else {}
+    trained = kinds[TRAINED] + kinds[RECORDED]
     rows = {
-        "runs to train on, held out, failed": f"{kinds[TRAINED]}, {kinds[HELD_OUT]}, {len(report['failed'])}",
+        "runs to train on, held out, failed": f"{trained}, {kinds[HELD_OUT]}, {len(report['failed'])}",
+        **recorded,
+        **_round_rows(report["rounds"]),
         "full model": count_nodes(report["campaign"]["nodes"]),
         "simulated time": f"{simulated:.4g} s",
         "computing time of the runs": f"{wall:.4g} s",
@@ -135,6 +142,16 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
                 name = f"error of {of} expected at a trust number of 1, median; {level:.0%} of runs stay below"
                 rows[name] = f"{percent(median)}; {percent(bound)}" if np.isfinite(bound) else "unknown; unknown"
     return rows
+
+
+def _round_rows(rounds: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the errors of the models by number of training runs; nothing for a campaign without a tolerance."""
+    if not rounds:
+        return {}
+    errors = "; ".join(f"{each['runs']}: {percent(each['error'])}" for each in rounds)
+    last = rounds[-1]
+    kept = "kept" if last["error"] <= last["tolerance"] else "not kept"
+    return {f"error by number of training runs; tolerance of {percent(last['tolerance'])}": f"{errors}; {kept}"}
 
 
 def _by_load(report: dict[str, Any]) -> dict[str, str]:

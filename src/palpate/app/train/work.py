@@ -14,6 +14,7 @@ from uuid import uuid4
 import numba
 
 from palpate.app.train.folder import Folder, Job
+from palpate.app.train.paths import path_of
 from palpate.dynamics.run.rollout import rollout
 from palpate.faults import DivergenceError, InputError
 from palpate.files import settle, write_sealed_json
@@ -78,7 +79,7 @@ def _run(place: Folder, scene: TrainingScene, job: Job, watch: Watch | None) -> 
             watch(job, time)
 
     try:
-        loads, duration = scene.path(job.seed)
+        loads, duration = path_of(place, scene, job)
         options: dict[str, Any] = {"file": partial, "label": place.label(job), "progress": progress}
         rollout(scene.model, loads, duration=duration, every=scene.every, **options)
     except OSError:

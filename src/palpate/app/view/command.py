@@ -12,9 +12,9 @@ from typing import Any
 
 from palpate.app.common.console import Console, print_json, print_plain, quantities_table
 from palpate.app.models.loader import open_model
+from palpate.app.recordings.recording import FORMAT
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
 from palpate.app.view.session.messages import Message
-from palpate.app.view.session.recording import FORMAT
 from palpate.app.view.session.script import read_script, run_script
 from palpate.app.view.session.session import Session
 from palpate.extras import require

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from palpate.app.common.rendering import COLOURS, check_drawing, off_screen
+from palpate.app.recordings.recording import Recording
+from palpate.app.recordings.snapshot import UNITS, Snapshot
 from palpate.app.view.server.frames import colour_range
-from palpate.app.view.session.recording import Recording
-from palpate.app.view.session.snapshot import UNITS, Snapshot
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.common.console import Console, count_nodes, percent, print_plain, quantities_table
+from palpate.app.recordings.recording import Recording, load_recording, save_recording
 from palpate.app.view.film import (
     RecordingPlotter,
     check_movie,
@@ -17,7 +18,6 @@ from palpate.app.view.film import (
 )
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK
 from palpate.app.view.session.full_model_replay import full_model, replay_on_full_model, tool_path
-from palpate.app.view.session.recording import Recording, load_recording, save_recording
 from palpate.app.view.session.replay import Replay
 from palpate.dynamics.run.progress import progress_bar
 from palpate.extras import require

@@ -12,8 +12,8 @@ import pytest
 from view_scenes import BALL, MIDDLE, SIZE
 
 import palpate as pt
+from palpate.app.recordings.recording import load_recording
 from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.recording import load_recording
 from palpate.app.view.session.session import Session
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
@@ -250,7 +250,7 @@ def test_a_recording_stays_where_only_the_file_for_paraview_is_lost(session, tmp
     def full(path, recording):
         raise OSError("no space left")
 
-    monkeypatch.setattr("palpate.app.view.session.recording._write_surface", full)
+    monkeypatch.setattr("palpate.app.recordings.recording._write_surface", full)
     session.folder = tmp_path
     session.start_recording()
     until(lambda: len(session._recorder.times) > 1)

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from palpate.app.view.session.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
 from palpate.arrays import Singles
 from palpate.reduction.realtime.display_surface import Surface
 

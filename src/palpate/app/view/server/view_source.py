@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.view.session.messages import Message
-from palpate.app.view.session.snapshot import Snapshot
 from palpate.reduction.realtime.display_surface import Surface
 
 __all__ = ["ViewSource"]

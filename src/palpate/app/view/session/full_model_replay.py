@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
-from palpate.app.view.session.recording import MAX_DURATION, Recording
-from palpate.app.view.session.snapshot import Snapshot
+from palpate.app.recordings.recording import MAX_DURATION, Recording
+from palpate.app.recordings.snapshot import Snapshot
+from palpate.app.recordings.tool_paths import MIN_SNAPSHOTS, TOOL_NAME, make_load
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import Capsule, Contact, Grasp, Sphere
-from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.run.model import Model
 from palpate.dynamics.run.rollout import rollout
@@ -27,8 +26,6 @@ __all__ = ["full_model", "replay_errors", "replay_on_full_model", "tool_path"]
 
 MAX_INITIAL_DISPLACEMENT = 0.02  # of the body when the tool comes, as a fraction of the spacing
 POINT_TOLERANCE = 1e-6  # between equal points of two bodies, as a fraction of the spacing
-MIN_SNAPSHOTS = 3
-TOOL_NAME = "tool"
 
 
 def full_model(recording: Recording, trusted_scene: str | None = None) -> Model:
@@ -164,7 +161,7 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
         raise InputError(
             f"the tool must be active in at least {MIN_SNAPSHOTS} snapshots, got {len(times)}; record for longer"
         )
-    load = _make_load(recording, tool, snapshots, times)
+    load = make_load(recording, tool, snapshots, times)
     every = float(times[-1] / (len(times) - 1))
     run = rollout(model, [load], duration=float(times[-1]), every=every)
     surface = Surface(recording.model)
@@ -177,32 +174,6 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
         "times": wall, "positions": (surface.rest + displacements).astype(np.float32), "force": force,
         "errors": replay_errors(surface, snapshots, displacements, force, run),
     }  # fmt: skip
-
-
-def _make_load(recording: Recording, tool: dict[str, Any], snapshots: list[Snapshot], times: Floats) -> Load:
-    positions = np.array([snapshot.position for snapshot in snapshots])
-    quaternions = np.array([snapshot.quaternion for snapshot in snapshots])
-    if tool["kind"] in ("sphere", "capsule"):
-        radius = tool["radius"]
-        shape = Sphere(radius) if tool["kind"] == "sphere" else Capsule(radius, tool["length"])
-        return Contact(shape, (times, positions, quaternions), friction=tool["friction"], name=TOOL_NAME)
-    rotations = Rotation.from_quat(quaternions, scalar_first=True)
-    relative = rotations * rotations[0].inv()
-    if tool["kind"] == "grasp":
-        return Grasp(
-            positions[0], tool["radius"], (times, positions, relative.as_quat(scalar_first=True)), name=TOOL_NAME
-        )
-    group = recording.model.data.prescribed[0]
-    centre = recording.model.cloud.points[recording.model.cloud.group(group)].mean(axis=0)
-    centre, rotation_at = np.pad(centre, (0, 3 - len(centre))), Slerp(times, rotations)
-
-    def displacement(points: Floats, time: float) -> Floats:
-        at = float(np.clip(time, times[0], times[-1]))
-        arms = np.pad(points, ((0, 0), (0, 3 - points.shape[1]))) - centre
-        place = np.array([np.interp(at, times, column) for column in positions.T])
-        return np.asarray(place - centre + rotation_at(at).apply(arms) - arms)
-
-    return PrescribedMotion(group, displacement)
 
 
 def replay_errors(

@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from palpate.app.view.session.recording import MAX_DURATION, RECORDING_INTERVAL
-from palpate.app.view.session.snapshot import Snapshot
+from palpate.app.recordings.recording import MAX_DURATION, RECORDING_INTERVAL
+from palpate.app.recordings.snapshot import Snapshot
 
 __all__ = ["Recorder"]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.app.recordings.recording import Recording
+from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
-from palpate.app.view.session.recording import Recording
-from palpate.app.view.session.snapshot import Snapshot, scalar_descriptions, training_errors
 from palpate.faults import InputError
 from palpate.reduction.realtime.display_surface import Surface
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from palpate.app.recordings.recording import Recording, save_recording
+from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.recorder import Recorder
-from palpate.app.view.session.recording import Recording, save_recording
-from palpate.app.view.session.snapshot import Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.tool_control import (
     NO_ROTATION,
     SelectedTool,

@@ -29,7 +29,7 @@ class SelectedTool:
     Parameters
     ----------
     kind : str
-        One of `palpate.app.view.session.snapshot.TOOL_KINDS`.
+        One of `palpate.app.recordings.snapshot.TOOL_KINDS`.
     shape : Tool or None
         None for no tool, or for a group of nodes that the model prescribes.
     radius, length : float [m]

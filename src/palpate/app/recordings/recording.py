@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.vtkhdf import write_vtkhdf
-from palpate.app.view.session.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
 from palpate.arrays import Floats
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain, shortened

@@ -1,0 +1,1 @@
+"""Recordings of sessions: their files, and the tool paths in them."""
