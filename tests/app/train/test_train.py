@@ -286,11 +286,12 @@ def test_a_recorded_path_beyond_trust_is_learned(whole, tmp_path, capsys, assert
     assert main(command(folder)) == 0  # and it stays
     assert pt.load(folder / "model.rom").report["training_runs"] == after.report["training_runs"]
     assert len(list((folder / "recordings").iterdir())) == 1
+    capsys.readouterr()
     within = dataclasses.replace(recording, snapshots=[dataclasses.replace(s, trust=0.5) for s in recording.snapshots])
     save_recording(tmp_path / "within.h5", within)
     assert_refused(command(folder, "--more", str(tmp_path / "within.h5")), "beyond trust", "0.5")
     assert_refused(command(folder, "--more", str(folder / "model.rom")), "not a palpate recording")
-    other = ["train", "beam", "--set", "spacing=0.01", "--paths", "1", "--out", str(tmp_path / "other")]
+    other = ["train", "beam", "--set", "spacing=0.006", "--paths", "1", "--out", str(tmp_path / "other")]
     assert_refused([*other, "--more", str(file)], "campaign's body")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from palpate.dynamics.run.recorder import Recorder
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, TrustWarning, number_in_range
 
-__all__ = ["machine_memory", "rollout"]
+__all__ = ["frame_states", "machine_memory", "rollout"]
 
 
 MAX_OVERSTEP = 1.2  # longest step that is accepted, over the stable step after it
@@ -107,22 +107,16 @@ def rollout(
     path = None if file is None else Path(file)
     recorder = Recorder(path, model.name, model.cloud.points, model.stiffness_damping, label)
     bounds = model.error_bounds
-    control = _StepControl(step, model.longest_step(every))
-    began, steps = perf_counter(), 0
+    began = perf_counter()
     try:
         bar = nullcontext(progress) if callable(progress) else progress_bar(model.name, duration, progress)
         with bar as report_progress, np.errstate(all="ignore"):
             recorder.add(start, 0, outputs)
-            for frame in range(1, frames + 1):
-                for time in prepared.breakpoints(state.time, start + frame * every):
-                    state, taken, last = _advance_to(model, state, prepared, time, control, work)
-                    steps += taken
-                outputs = model.outputs(state, prepared, work)
-                _check_outputs(model, state, prepared, outputs, last)
-                recorder.add(state.time, steps, outputs)
-                if state.contact_state is not None:  # contact forces are means over one frame
-                    state = replace(state, contact_state=state.contact_state.reset_impulses(state.time))
-                report_progress(state.time - start, perf_counter() - began)
+            for reached, steps, last in frame_states(model, state, prepared, frames, every, step, work):
+                outputs = model.outputs(reached, prepared, work)
+                _check_outputs(model, reached, prepared, outputs, last)
+                recorder.add(reached.time, steps, outputs)
+                report_progress(reached.time - start, perf_counter() - began)
     except DivergenceError as error:
         error.trajectory = recorder.close(perf_counter() - began, complete=False, bounds=bounds)
         raise
@@ -132,6 +126,26 @@ def rollout(
     run = recorder.close(perf_counter() - began, complete=True, bounds=bounds)
     _warn_of_distrust(run)
     return run
+
+
+def frame_states(
+    model: Model, state: State, prepared: PreparedLoads, frames: int, every: float, step: float | None, work: Any
+) -> Iterator[tuple[State, int, float]]:
+    """Yield the state at every frame after the present one, the number of steps until then, and the last step [s].
+
+    Raises
+    ------
+    DivergenceError, InputError
+        As `rollout`.
+    """
+    control, start, steps = _StepControl(step, model.longest_step(every)), state.time, 0
+    for frame in range(1, frames + 1):
+        for time in prepared.breakpoints(state.time, start + frame * every):
+            state, taken, last = _advance_to(model, state, prepared, time, control, work)
+            steps += taken
+        yield state, steps, last
+        if state.contact_state is not None:  # contact forces are means over one frame
+            state = replace(state, contact_state=state.contact_state.reset_impulses(state.time))
 
 
 def _warn_of_distrust(run: Trajectory) -> None:

@@ -81,7 +81,7 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
     digest = law_digest(__name__, "explicit step", law.digest, single)
     force, _ = sampled_energy(law, single)
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, nogil=True, fastmath={"contract"})
     def explicit(a, v, lifting, holds, step, loads, data, contact):  # type: ignore[no-untyped-def]
         """Advance by one step less than there are loads; return three energies [J].
 

@@ -126,7 +126,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     digest = law_digest(__name__, "implicit step", law.digest, single)
     force, _ = sampled_energy(law, single)
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, nogil=True, fastmath={"contract"})
     def tangent(a, sizes, integration_points, scratch, vectors, count, matrix):  # type: ignore[no-untyped-def]
         """Write -df/da of the first `count` coordinates, by central differences of `sizes` [unit of a]."""
         probe, ahead, behind = vectors[PROBE], vectors[AHEAD], vectors[BEHIND]
@@ -222,7 +222,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                     refactor(at, step, data, moving)
         return False
 
-    @law_njit(digest, fastmath={"contract"})
+    @law_njit(digest, nogil=True, fastmath={"contract"})
     def implicit(a, v, lifting, holds, step, loads, data):  # type: ignore[no-untyped-def]
         """Advance by the number of loads; return the work [J] of loads, the dissipation, the work of tools, and steps.
 

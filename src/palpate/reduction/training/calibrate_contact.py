@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,15 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.prepared import Load
-from palpate.dynamics.run.rollout import rollout
+from palpate.dynamics.run.reactions import contact_outputs
+from palpate.dynamics.run.rollout import frame_states
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.reduction.basis.snapshots import Run
 from palpate.reduction.contact.compliance import SurfaceCompliance, secant_factor
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.training.fit_compliance import fit_stiffening
+from palpate.reduction.training.threads import in_threads
 
 __all__ = ["Trial", "calibrate_contact"]
 
@@ -57,9 +60,10 @@ def calibrate_contact(model: ReducedModel, repeated: Sequence[Trial]) -> tuple[R
     """
     compliance, whole, ratios = model.data.compliance, 1.0, []
     assert compliance is not None
+    whole_runs = [_FullForces(*trial) for trial in repeated]
     for number in range(FORCE_PASSES + 1):
         model = ReducedModel(replace(model.data, compliance=compliance))
-        found = [_force_sizes(model, *trial) for trial in repeated]
+        found = in_threads(partial(_force_sizes, model), whole_runs)
         ratios.append(float(np.median([mine.sum() / theirs.sum() for mine, theirs in found])))
         if number < FORCE_PASSES:
             held = np.array([any(isinstance(load, Grasp) for load in loads) for loads, _ in repeated])
@@ -91,15 +95,29 @@ def _correction(compliance: SurfaceCompliance, sizes: Floats) -> tuple[float, Fl
     return fit_stiffening(theirs, wanted, np.ones(len(theirs)), FORCE_SPREAD)
 
 
-def _force_sizes(model: ReducedModel, loads: Sequence[Load], kept: Run) -> Floats:
+class _FullForces:
+    """Loads of a run of the full model, and the magnitudes (f,) [N] of its tool forces."""
+
+    def __init__(self, loads: Sequence[Load], kept: Run) -> None:
+        run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
+        self.loads, self.names = loads, [load.name for load in loads if isinstance(load, Contact | Grasp)]
+        if not self.names or not len(run.contact_forces):
+            raise InputError("repeated must be runs with contact, got one without; leave it out")
+        self.every, self.sizes = float(run.times[1] - run.times[0]), _sizes(self.names, [run.reactions])
+
+
+def _sizes(names: Sequence[str], forces: Sequence[Mapping[str, Floats]]) -> Floats:
+    """Return the sum over tools of the magnitudes of their forces, whose last axis has 3 components."""
+    return np.concatenate([np.atleast_1d(sum(np.linalg.norm(of[name], axis=-1) for name in names)) for of in forces])
+
+
+def _force_sizes(model: ReducedModel, run: _FullForces) -> Floats:
     """Return the magnitudes (2, t) [N] of the tool force in the reduced and the full run, where it is not small."""
-    run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
-    names = [load.name for load in loads if isinstance(load, Contact | Grasp)]
-    if not names or not len(run.contact_forces):
-        raise InputError("repeated must be runs with contact, got one without; leave it out")
-    every = float(run.times[1] - run.times[0])
-    own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
-    sizes = np.array([sum(np.linalg.norm(of.reactions[name], axis=1) for name in names) for of in (own, run)])
+    prepared, work = model.prepare(run.loads), model.workspace()
+    states = frame_states(model, model.state(prepared), prepared, len(run.sizes) - 1, run.every, None, work)
+    with np.errstate(all="ignore"):  # non-finite values raise errors that name them
+        own = [contact_outputs(state, prepared)[0] for state, _, _ in states]
+    sizes = np.array([[0.0, *_sizes(run.names, own)], run.sizes])
     if not 0.0 < sizes[0].sum() < np.inf:
         raise InputError("repeated must be runs with contact on the reduced body, got one without; give more modes")
     return np.asarray(sizes[:, (sizes[1] > MIN_FORCE * sizes[1].max()) & (sizes[0] > 0)])

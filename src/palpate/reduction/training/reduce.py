@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -36,6 +37,7 @@ from palpate.reduction.training.residual_fields import (
     scale_residual_fields,
     typical_residual,
 )
+from palpate.reduction.training.threads import in_threads
 
 __all__ = ["Trial", "hyper_reduce"]
 
@@ -333,20 +335,9 @@ def _kinematics(body: EnergySolid | Membrane) -> Kinematics:
 
 def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     """Run the held-out motions; return the model with their errors in its report and calibrated scales."""
-    found: list[dict[str, Any]] = []
-    frames: list[Frames] = []
-    for loads, kept in held_out:
-        run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
-        every = float(run.times[1] - run.times[0])
-        entry: dict[str, Any] = {"failed": False}
-        try:
-            with warnings.catch_warnings(action="ignore", category=TrustWarning):  # its scales are not calibrated yet
-                own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
-            entry |= relative_errors(run, own).as_dict() | _contact_errors(model, loads, run, own)
-            frames.append(held_out_frames(model, loads, own, run))
-        except DivergenceError as error:
-            entry = {"failed": True, "reason": str(error)}
-        found.append(entry)
+    with warnings.catch_warnings(action="ignore", category=TrustWarning):  # its scales are not calibrated yet
+        tested = in_threads(partial(_test_run, model), held_out)
+    found, frames = [entry for entry, _ in tested], [own for _, own in tested if own is not None]
     touched = [entry for entry in found if entry["failed"] or "force" in entry]
     model.data.report["held_out"] = {"runs": found, **_over_runs(found, list(Errors.__annotations__))}
     if any(not entry["failed"] for entry in touched):
@@ -356,6 +347,19 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
     scales = calibrate_scales([run.measures for run in frames], QUANTILE)
     model.data.report["held_out"]["expected_error"] = error_curves(frames, scales)
     return ReducedModel(replace(model.data, **scales._asdict()))
+
+
+def _test_run(model: ReducedModel, trial: Trial) -> tuple[dict[str, Any], Frames | None]:
+    """Repeat a held-out run; return its errors and frames, or why it failed."""
+    loads, kept = trial
+    run = kept if isinstance(kept, Trajectory) else Trajectory.load(kept)
+    every = float(run.times[1] - run.times[0])
+    try:
+        own = rollout(model, loads, duration=float(run.times[-1]), every=every, progress=False)
+        errors = relative_errors(run, own).as_dict() | _contact_errors(model, loads, run, own)
+        return {"failed": False} | errors, held_out_frames(model, loads, own, run)
+    except DivergenceError as error:
+        return {"failed": True, "reason": str(error)}, None
 
 
 def _contact_errors(model: ReducedModel, loads: Sequence[Load], run: Trajectory, own: Trajectory) -> dict[str, float]:
