@@ -182,6 +182,16 @@ def test_runs_inside_the_training_do_not_warn_and_full_models_have_no_trust(pull
         full.plot("trust")
 
 
+@pytest.mark.parametrize("modes", [2, 5, 8])
+def test_the_training_motion_itself_is_trusted_without_held_out_runs(beam, modes):
+    """However many modes there are: their residual on it is small, and its scale must not be smaller."""
+    load = [end_force((4.0, 0.0, 0.0))]
+    model = pt.hyper_reduce(beam, run(beam, load), modes=modes)
+    with warnings.catch_warnings(action="error"):
+        own = run(model, load)
+    assert own.trust.max() <= 1
+
+
 @pytest.mark.slow
 def test_no_wrong_answer_is_trusted():
     """Random symmetric bars, each trained on a symmetric load, under random loads outside the span."""

@@ -38,6 +38,7 @@ MIN_INDEPENDENT = 1e-3  # least norm of a field without its modal part, relative
 RIDGE = 1e-3  # of the largest singular value, for the factors
 MIN_SIZE = 1e-3  # of the largest force, below which a state has reduced weight
 TYPICAL_SHARE = 0.95  # of the training states
+MIN_SCALE = 0.05  # least residual norm at which the trust number is 1, over the largest displacement in training
 
 
 def orthogonal_complement(body: EnergySolid | Membrane, shapes: Floats, fields: Floats) -> Floats:
@@ -153,14 +154,15 @@ def typical_residual(model: ReducedModel, body: EnergySolid | Membrane, displace
 
     It is the change of the forces on the residual fields when displacements (n, 3) of the full body are
     projected on the coordinates. The loads are the same, and the difference of the accelerations is
-    neglected.
+    neglected. As the norm is about the displacement that the coordinates miss, the result is at least 5 %
+    of the largest displacement in training, root mean squares over the body.
     """
-    residual_fields, found = model.data.basis_vectors[len(model.data.basis_vectors) - model.data.residual_fields :], []
+    first, found, largest = len(model.data.basis_vectors) - model.data.residual_fields, [], 0.0
+    residual_fields = model.data.basis_vectors[first:]
     for u in displacements:
         state = model.body.project(u[None])[0]
         whole = np.tensordot(residual_fields, body.force(u) * body.volumes[:, None], 2)
-        found.append(
-            np.linalg.norm(whole - model.body.all_forces(state)[len(model.data.basis_vectors) - len(residual_fields) :])
-        )
-    typical = float(np.quantile(found, TYPICAL_SHARE))
+        found.append(np.linalg.norm(whole - model.body.all_forces(state)[first:]))
+        largest = max(largest, float(np.sqrt(np.average(np.sum(u**2, axis=1), weights=body.volumes))))
+    typical = max(float(np.quantile(found, TYPICAL_SHARE)), MIN_SCALE * largest)
     return typical if typical > 0 else 1.0

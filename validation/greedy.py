@@ -1,0 +1,64 @@
+"""Errors of models trained on chosen and on random paths, by number of training runs.
+
+    python validation/greedy.py [--most 32] [--held-out 24] [--modes 24] [--scene beam] [--set NAME=X ...] [--out DIR]
+
+A campaign with a tolerance that no model keeps chooses its paths round by round. At the same numbers of runs, models
+are trained on the first random paths. Both are judged on the same held-out runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from palpate.app.common.console import Console
+from palpate.app.train.campaign import Campaign
+from palpate.app.train.choose import FIRST_RUNS
+from palpate.app.train.folder import manifest_of, open_campaign
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.scenes.training import training_scene
+
+NAMES = ("displacement", "velocity", "reaction")
+
+
+def errors(model: ReducedModel) -> dict[str, float]:
+    """Return mean errors over the held-out runs, and the largest of displacement."""
+    held_out = model.report["held_out"]
+    return {**{name: held_out["mean"][name] for name in NAMES},
+            "largest": max(run["displacement"] for run in held_out["runs"])}  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="beam")
+    parser.add_argument("--set", nargs="*", default=[], dest="given", metavar="NAME=X")
+    parser.add_argument("--most", type=int, default=32)
+    parser.add_argument("--held-out", type=int, default=24)
+    parser.add_argument("--modes", type=int, default=24)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="folder of the campaign; by default a temporary one")
+    args = parser.parse_args()
+    scene = training_scene(args.scene, dict(pair.split("=", 1) for pair in args.given))
+    with TemporaryDirectory() as temporary:
+        folder = args.out or Path(temporary)
+        with open_campaign(folder, manifest_of(args.scene, scene, args.seed)) as own:
+            campaign = Campaign(own, scene, Console(), args.modes, workers=args.workers)
+            chosen, rounds = list(range(FIRST_RUNS)), {}
+            while True:
+                model = campaign.train(campaign.jobs(chosen, args.held_out))
+                rounds[len(chosen)] = errors(model)
+                if len(chosen) >= args.most:
+                    break
+                chosen += campaign.further_paths(model, chosen, args.most)
+            random = {count: errors(campaign.train(campaign.jobs(range(count), args.held_out))) for count in rounds}
+    print(f"{scene.title}, {len(scene.model.cloud)} nodes, {args.modes} modes; chosen / random paths")
+    print(f"{'runs':>4} " + " ".join(f"{name:>17}" for name in (*NAMES, "largest")))
+    for count, own in rounds.items():
+        cells = [f"{own[name]:8.2%}/{random[count][name]:8.2%}" for name in (*NAMES, "largest")]
+        print(f"{count:4} " + " ".join(cells))
+
+
+if __name__ == "__main__":
+    main()
