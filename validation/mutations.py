@@ -99,7 +99,7 @@ MUTATIONS = (
         load("solid, energy", "SurfaceForce, moment"),
     ),
     Mutation(
-        "a moment dropped in the sampled model", "reduction/hyper/generalised_forces.py",
+        "a moment dropped in the sampled model", "reduction/hyper/loads.py",
         'np.einsum("kac,mkc->am"', '0.0 * np.einsum("kac,mkc->am"', load("hyper-reduced", "SurfaceForce, moment"),
     ),
     Mutation(
@@ -108,7 +108,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a force dropped in the linear model", "reduction/lti/inputs.py",
-        "values[:, own] += schedule.amplitudes", "values[:, own] += 0.0 * schedule.amplitudes",
+        "values[:, entries] += schedule.amplitudes", "values[:, entries] += 0.0 * schedule.amplitudes",
         load("linear", "SurfaceForce, force"),
     ),
     Mutation(

@@ -119,6 +119,14 @@ def use(model, prepared, state, step):
     model.advance(near, prepared, step, 1)
 
 
+@pytest.mark.parametrize("name", ["stiffness_damping", "cloud", "a_new_name"])
+def test_constants_cannot_be_set(model, name):
+    before = dict(vars(model))
+    with pytest.raises(AttributeError, match=f"{name} of {type(model).__name__} is constant"):
+        setattr(model, name, 1.0)
+    assert all(vars(model)[key] is value for key, value in before.items())
+
+
 def test_rest_stays_at_rest(kind, model, loads, step):
     still = [replace(load, displacement=(0.0, 0.0, 0.0)) for load in loads if isinstance(load, pt.PrescribedMotion)]
     prepared = model.prepare(still)

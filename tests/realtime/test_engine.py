@@ -364,7 +364,7 @@ def test_an_engine_that_nobody_holds_ends_its_thread():
     [
         ("rate", 0.0), ("rate", -1.0), ("rate", 20_001.0), ("rate", math.nan), ("force_limit", 0.0), ("history", 0.0),
         ("history", 1e4), ("max_speed", 0.0), ("max_angular_speed", -1.0), ("spin", 0.1), ("stiffness_every", -1),
-        ("on_distrust", "ignore"), ("black_box", "/nowhere/at/all.h5"),
+        ("on_distrust", "nothing"), ("black_box", "/nowhere/at/all.h5"),
     ],
 )  # fmt: skip
 def test_arguments_out_of_range_are_refused(name, value):

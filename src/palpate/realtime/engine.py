@@ -24,6 +24,7 @@ from palpate.realtime.exchange import publish, snapshot
 from palpate.realtime.loop import (
     CLAMP,
     DIVERGED,
+    IGNORE,
     PAUSED,
     RUNNING,
     STOP,
@@ -44,7 +45,7 @@ __all__ = ["Engine"]
 
 
 STATES = {RUNNING: "running", STOPPED: "stopped", PAUSED: "paused", DIVERGED: "diverged"}
-ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP}
+ON_DISTRUST = {"warn": WARN, "clamp": CLAMP, "stop": STOP, "ignore": IGNORE}
 MIN_RATE, MAX_RATE = 1e-6, 20_000.0  # [Hz]; the period of a lower rate overflows
 MAX_HISTORY = 600.0  # [s]
 MIN_TIME_SCALE = 1e-3  # model time per wall-clock time
@@ -104,7 +105,7 @@ class Engine(Described):
         ``"clamp"`` keeps the tool at the last trusted pose until the model is trusted again and the requested pose has
         returned from beyond it. If that takes more than 50 ms, the tool moves back along its path, at most to the start
         of the path: rest, or the pose of `place_tool`. ``"stop"`` pauses the engine; `resume` continues until
-        trust is lost again.
+        trust is lost again. ``"ignore"`` does nothing, for callers that read the trust number themselves.
     max_speed : float [m/s]
     max_angular_speed : float [rad/s]
         Largest speeds at which the tool follows a pose.

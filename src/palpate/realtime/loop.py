@@ -23,6 +23,7 @@ from palpate.realtime.statistics import Histograms, count_step
 __all__ = [
     "CLAMP",
     "DIVERGED",
+    "IGNORE",
     "PAUSED",
     "RUNNING",
     "STOP",
@@ -38,7 +39,7 @@ __all__ = [
 
 
 RUNNING, STOPPED, PAUSED, DIVERGED = range(4)  # commands to the loop, and reasons for its end
-WARN, CLAMP, STOP = range(3)  # responses to a trust number above 1
+WARN, CLAMP, STOP, IGNORE = range(4)  # responses to a trust number above 1
 MAX_SLEEP = 10_000_000  # [ns], which bounds the delay of a command
 MAX_TRAIL = 256  # stored trusted poses
 RETREAT = 4  # the tool moves back by 1 / RETREAT of its trail ...

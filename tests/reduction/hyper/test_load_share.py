@@ -216,3 +216,38 @@ def test_no_wrong_answer_is_trusted():
             wrong += error > 0.3
             assert error < 0.3 or trust > 1, (size, law, direction)
     assert wrong > 10
+
+
+def ramped(displacement):
+    return lambda points, t: ramp(t) * np.asarray(displacement, dtype=float)
+
+
+@pytest.mark.slow  # prescribed motions of this body
+def test_a_shaken_face_is_not_trusted_by_modes_of_its_pull():
+    """The inertia of the body bends it sideways, where it has no modes."""
+    bar = pt.Solid(pt.box((0.12, 0.02, 0.02), 0.005), SOFT, "x-")
+    pulled = [pt.PrescribedMotion("x+", ramped((5e-3, 0.0, 0.0)))]
+    model = pt.hyper_reduce(bar, run(bar, pulled), modes=6, prescribed="x+")
+    shaken = [pt.PrescribedMotion("x+", lambda X, t: (0.0, 5e-4 * np.sin(2 * np.pi * 40 * t), 0.0))]
+    full, fast = (pt.rollout(m, shaken, duration=0.05, every=0.0025, progress=False) for m in (bar, model))
+    assert pt.relative_errors(full, fast).displacement > 0.3
+    assert fast.trust[1:].max() > 1
+    prepared, loads = model.prepare(pulled), model.prepare(shaken)
+    assert max(model.load_share(state, prepared) for state in states(model, run(model, pulled))) < MIN_LOAD_SCALE
+    moved = states(model, fast)
+    shares = np.array([model.load_share(state, loads) for state in moved])
+    assert np.quantile(shares, 0.75) > 0.8
+
+
+def test_a_sheet_moved_in_its_plane_is_not_trusted_by_modes_of_its_deflection():
+    cloud = pt.disc(0.1, 0.01)
+    cloud = cloud.within("tool", (0.0, 0.0), 0.015)
+    law = pt.materials.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
+    sheet = pt.Membrane(cloud, law, 1e-3, "rim", prestretch=1.05)
+    pushed = [pt.PrescribedMotion("tool", ramped((0.0, 0.0, 5e-3)))]
+    moved = [pt.PrescribedMotion("tool", ramped((5e-4, 0.0, 0.0)))]
+    model = pt.hyper_reduce(sheet, run(sheet, pushed), modes=8, prescribed="tool")
+    full, fast = run(sheet, moved), run(model, moved)
+    assert pt.relative_errors(full, fast).displacement > 0.5
+    assert np.all(fast.trust[1:] > 1)
+    assert run(model, pushed).trust.max() < 1

@@ -268,6 +268,13 @@ def test_held_out_runs_set_trust_and_are_reported(body, runs):
     assert np.quantile(numbers, 0.95) == pytest.approx(1.0, rel=0.02)
 
 
+def test_entries_of_a_report_are_added_to_another_model(rom):
+    before = dict(rom.report)
+    other = rom.with_report({"scene": "mine", "modes": 3})
+    assert rom.report == before
+    assert other.report == before | {"scene": "mine", "modes": 3}
+
+
 def test_a_tolerance_takes_the_fewest_modes_that_keep_it(body, runs):
     held = [(pull(6.0, -0.3, 2e-3), runs[3])]
     rom = pt.hyper_reduce(body, runs, tolerance=0.1, held_out=held)

@@ -150,7 +150,10 @@ def test_the_trust_of_a_loaded_model_is_that_of_the_saved_one(trained, saved, pu
     assert trained.data.residual_fields > 0
     loaded, prepared = pt.load(saved), trained.prepare(push)
     state = replace(trained.state(prepared, time=0.004), coordinates=trained.data.training_states[15])
-    assert loaded.trust(state, prepared) == pytest.approx(trained.trust(state, prepared), rel=1e-6)
+    expected = trained.trust(state, prepared)
+    assert loaded.trust(state, loaded.prepare(push)) == pytest.approx(expected, rel=1e-6)
+    with pytest.raises(pt.InputError, match="of the same reduced model"):
+        loaded.trust(state, prepared)
     assert loaded.expected_error(0.5) == trained.expected_error(0.5)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import palpate as pt
 from palpate.reduction.hyper.error_indicator import expected_error, residual_norm, training_distance
-from palpate.reduction.hyper.reactions import constraint_forces, projected_loads
+from palpate.reduction.hyper.reactions import constraint_forces
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.training.calibrate_indicator import (
     Frames,
@@ -79,7 +79,7 @@ def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, run
         model.data.basis_vectors,
     )
     which = np.r_[:modes, len(columns) - model.data.residual_fields : len(columns)]
-    load = projected_loads(model.body, prepared).at(np.zeros(1))[0, which]
+    load = prepared.forces(np.zeros(1))[0, which]
     samples = model.data.integration_points(which, model.body.coefficients, model.single)
     stiffness = np.zeros((len(which), len(which)))
     sizes = 1e-8 / np.linalg.norm(columns[which], axis=2).max(axis=1)

@@ -194,7 +194,8 @@ class Campaign:
                 enrichment=smooth, prescribed=scene.tools, held_out=tried, cubature=share, coarse=coarse,
                 repeated=touched[:REPEATED],
             )  # fmt: skip
-        model.report["scene"] = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
+        scene_entry = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
+        model = model.with_report({"scene": scene_entry})
         save(model, folder.path / MODEL)
         return model
 

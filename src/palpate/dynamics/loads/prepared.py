@@ -149,8 +149,6 @@ class PreparedLoads(Described):
         Constrained directions (k, 3) of the supports that leave their groups free in others.
     partitions : dict
         Partitions of unity by groups, computed on first use.
-    derived : dict
-        What models compute from the loads on first use: pairs of a model and its value, by the model's id.
     """
 
     loads: tuple[Load, ...]
@@ -162,7 +160,6 @@ class PreparedLoads(Described):
     grasps: tuple[str, ...] = ()
     directions: dict[str, Floats] = field(default_factory=dict, repr=False, compare=False)
     partitions: dict[tuple[str, ...], Any] = field(default_factory=dict, repr=False, compare=False)
-    derived: dict[int, tuple[object, object]] = field(default_factory=dict, repr=False, compare=False)
 
     def is_prescribed(self, times: Floats) -> NDArray[np.bool_]:
         """Return whether the motion of groups is prescribed at some times [s], shape (t,); True without such groups."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import ABCMeta, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -223,7 +223,16 @@ def initial_field(name: str, given: Any, count: int) -> Floats:
     return array
 
 
-class Model(Described, ABC):
+class _Constant(ABCMeta):
+    """Metaclass of objects whose attributes cannot be set after their construction."""
+
+    def __call__(cls, *args: Any, **options: Any) -> Any:
+        made = super().__call__(*args, **options)
+        vars(made)["_constructed"] = True
+        return made
+
+
+class Model(Described, metaclass=_Constant):
     """A body that can be stepped through time.
 
     Attributes
@@ -252,6 +261,16 @@ class Model(Described, ABC):
     name: str
     conservative: bool
     min_steps_per_frame: int = 20
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if "_constructed" in vars(self):
+            raise AttributeError(
+                f"{name} of {type(self).__name__} is constant, since threads share models; construct another model"
+            )
+        super().__setattr__(name, value)
+
+    def __delattr__(self, name: str) -> None:
+        raise AttributeError(f"{name} of {type(self).__name__} is constant; construct another model")
 
     def _facts(self) -> list[Fact]:
         material = self.material

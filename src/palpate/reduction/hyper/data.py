@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -97,7 +98,7 @@ class ReducedData(Described):
     residual_scale: float = 1.0
     load_scale: float = 0.3
     flexibility_scale: float = 1.0
-    report: dict[str, Any] = field(default_factory=dict)
+    report: Mapping[str, Any] = field(default_factory=dict)
     kinematics: Kinematics = field(default_factory=Kinematics)
     taut_frequency: float = 0.0
     compliance: SurfaceCompliance | None = None

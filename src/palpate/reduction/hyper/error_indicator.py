@@ -13,7 +13,7 @@ Errors expected at a trust number come from the held-out runs (`palpate.reductio
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,7 +92,7 @@ def residual_norm(data: ReducedData, forces: Floats) -> float:
     return float(np.linalg.norm(forces[len(data.basis_vectors) - data.residual_fields :]))
 
 
-def expected_error(report: dict[str, Any], trust: float, of: str = "displacement") -> ExpectedError:
+def expected_error(report: Mapping[str, Any], trust: float, of: str = "displacement") -> ExpectedError:
     """Return the error that a report states for a trust number; see `palpate.ReducedModel.expected_error`."""
     number = number_in_range("trust", trust, 0.0)
     if of not in ("displacement", "force"):
@@ -128,7 +128,7 @@ def error_bounds(data: ReducedData, run: Trajectory) -> tuple[Floats, Floats]:
     return result[0], result[1]
 
 
-def force_bound(report: dict[str, Any]) -> Callable[[float, float], float] | None:
+def force_bound(report: Mapping[str, Any]) -> Callable[[float, float], float] | None:
     """Return the error bound [N] of tool forces, by the largest trust number and force [N] so far, as a function.
 
     It is None without held-out runs with tools.
@@ -143,7 +143,7 @@ def force_bound(report: dict[str, Any]) -> Callable[[float, float], float] | Non
     return bound
 
 
-def _curves(report: dict[str, Any]) -> dict[str, Any] | None:
+def _curves(report: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the curves of `palpate.reduction.training.calibrate_indicator`; None without held-out runs."""
     curves: dict[str, Any] | None = report.get("held_out", {}).get("expected_error")
     return curves

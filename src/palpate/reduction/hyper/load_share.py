@@ -1,4 +1,4 @@
-"""The share of a load's static response that the coordinates of a reduced model cannot represent.
+"""The share of the static response to loads and prescribed motions that the coordinates cannot represent.
 
 Test functions that share the symmetry of the training cannot see a load across it: the forces on them
 are balanced. The static response u = K^-1 f of the body at rest to the present loads can. Its part
@@ -7,38 +7,51 @@ the displacement of the body, root mean squares over the body. A coarse grid rep
 have no stiffness across their plane at rest, respond like a stretched membrane. A body without supports
 is held by soft springs on all its mass, so that its rigid motions outweigh its deformation.
 
-The response is linear in the amplitudes of the loads: both squares are quadratic forms of these,
-computed once for prepared loads.
+A prescribed motion is a load, too: its static response, and that to the inertia of the lifting vectors.
+The response is linear in the amplitudes: both squares are quadratic forms of these, computed once for
+prepared loads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, cast
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from palpate.arrays import Floats
-from palpate.dynamics.loads.prepared import PreparedLoads
+from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED, supported_nodes
 from palpate.dynamics.nodal.coarse_grid import static_estimate
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData
 
-__all__ = ["MAX_LOAD_SCALE", "MIN_LOAD_SCALE", "load_share", "static_response"]
+__all__ = [
+    "MAX_LOAD_SCALE",
+    "MIN_LOAD_SCALE",
+    "Response",
+    "ResponseSquares",
+    "load_share",
+    "response_squares",
+    "static_response",
+]
+
 
 MIN_LOAD_SCALE = 0.3  # least share at which the trust number is 1
 MAX_LOAD_SCALE = 0.9  # largest: a load that the coordinates cannot feel at all has a share of 1
+LEAST_DISPLACEMENT = 1e-9  # least displacement that counts, in spacings: rounding is below
+TOOL_STIFFNESS = 1e3  # of the springs that move the nodes of tools, over the stiffness of a node's cell
 RIGID_STIFFNESS = 0.01  # of the springs on a body without supports, over shear modulus and size of the body
 
 Response = Callable[[Floats], Floats]
 
 
-class _Squares(NamedTuple):
+class ResponseSquares(NamedTuple):
     """Squares of responses [m^2]: quadratic forms (k, k) in the k amplitudes of loads, dead loads first."""
 
-    outside: Floats
+    outside: Floats  # of the coordinates that are not prescribed
     whole: Floats
 
 
@@ -62,51 +75,80 @@ def static_response(data: ReducedData, springs: Floats) -> Response:
     return static_estimate(data.cloud, data.volumes, data.tissue, supported, constrained, springs)
 
 
-def load_share(body: ReducedBody, state: State, prepared: PreparedLoads, response: Callable[[], Response]) -> float:
+def load_share(body: ReducedBody, state: State, responses: ResponseSquares, amplitudes: Floats) -> float:
     """Return the share of the static response to the loads of a state that is outside the coordinates, 0 to 1.
 
     Parameters
     ----------
     body : ReducedBody
     state : State
-    prepared : PreparedLoads
-        Of its loads, dead loads and gravity count.
-    response : function
-        Returns the static response of the body without foundations; it is called at the first use.
+    responses : ResponseSquares
+        Of the loads.
+    amplitudes : (k,) array
+        Of the loads at the time of the state, see `response_squares`.
     """
-    schedule = prepared.schedule(np.array([state.time]))
-    amplitudes = np.concatenate([schedule.amplitudes[0].ravel(), schedule.gravity[0]])
     if not amplitudes.any():
         return 0.0
-    squares = _squares(body, prepared, response)
-    missed, whole = (float(np.sqrt(max(amplitudes @ form @ amplitudes, 0.0))) for form in squares)
+    missed, whole = (float(np.sqrt(max(float(amplitudes @ form @ amplitudes), 0.0))) for form in responses)
     moved = float(np.sqrt(state.coordinates @ body.mass @ state.coordinates / body.masses.sum()))
-    return missed / max(whole, moved, 1e-300)
+    return missed / max(whole, moved, LEAST_DISPLACEMENT * body.data.cloud.spacing)
 
 
-def _squares(body: ReducedBody, prepared: PreparedLoads, response: Callable[[], Response]) -> _Squares:
-    """Return the quadratic forms of prepared loads, computed at the first use."""
-    key = id(body.data)  # the pair keeps the data, whose id no other object has then
-    known = prepared.derived.get(key)
-    if known is None:
-        sites = prepared.sites
-        springs = np.bincount(sites.foundation_node, sites.foundation_spring, len(body.masses)).astype(float)
-        respond = static_response(body.data, springs) if springs.any() else response()
-        fields = np.array([respond(forces) for forces in _unit_forces(body, prepared)])
-        outside = fields - np.tensordot(body.project(fields), body.vectors, 1)
-        weights = np.repeat(body.masses / body.masses.sum(), 3)
-        flat = (each.reshape(len(fields), -1) for each in (outside, fields))
-        known = prepared.derived[key] = (body.data, _Squares(*((rows * weights) @ rows.T for rows in flat)))
-    return cast(_Squares, known[1])
+def response_squares(body: ReducedBody, sites: LoadSites, response: Callable[[], Response]) -> ResponseSquares:
+    """Return the squares of the static responses to loads and motions.
+
+    The amplitudes are those of the dead loads, of gravity, of the lifting coordinates, and of their
+    accelerations, whose inertia is a load on the rest of the body. Lifting coordinates are prescribed, so that
+    only the modes can follow.
+
+    Parameters
+    ----------
+    body : ReducedBody
+    sites : LoadSites
+    response : function
+        Returns the static response of the body without foundations.
+    """
+    data = body.data
+    springs = np.bincount(sites.foundation_node, sites.foundation_spring, len(body.masses)).astype(float)
+    respond = static_response(data, springs) if springs.any() else response()
+    lifting = body.vectors[data.modes :]
+    inertia = -body.masses[:, None] * lifting
+    moved = _responses_to_motion(data, lifting, springs) if len(lifting) else []
+    whole = np.array([*map(respond, _unit_forces(body, sites)), *moved, *map(respond, inertia)])
+    outside = whole.copy()
+    count = len(whole) - 2 * len(lifting)
+    outside[count : count + len(lifting)] -= lifting
+    moving = body.vectors[: data.modes]
+    outside -= np.tensordot(_project(outside, moving, body.masses), moving, 1)
+    weights = np.repeat(body.masses / body.masses.sum(), 3)
+    flat = (each.reshape(len(whole), -1) for each in (outside, whole))
+    return ResponseSquares(*((rows * weights) @ rows.T for rows in flat))
 
 
-def _unit_forces(body: ReducedBody, prepared: PreparedLoads) -> Floats:
+def _project(fields: Floats, vectors: Floats, masses: Floats) -> Floats:
+    """Return the coordinates (k, m) of the best approximations of fields (k, n, 3) by vectors (m, n, 3)."""
+    flat = vectors.reshape(len(vectors), -1)
+    weighted = flat * np.repeat(masses, 3)
+    return np.asarray(np.linalg.solve(weighted @ flat.T, weighted @ fields.reshape(len(fields), -1).T).T)
+
+
+def _responses_to_motion(data: ReducedData, lifting: Floats, springs: Floats) -> list[Floats]:
+    """Return the static responses (n, 3) to unit lifting coordinates: stiff springs move the tools' nodes."""
+    nodes, stiff = np.concatenate([data.cloud.group(name) for name in data.prescribed]), np.zeros(len(data.volumes))
+    law = data.tissue.material
+    modulus = law.shear_modulus if data.kinematics.sheet else law.lame + 2 * law.shear_modulus
+    stiff[nodes] = TOOL_STIFFNESS * modulus * data.volumes[nodes] / data.cloud.spacing**2
+    respond = static_response(replace(data, prescribed=()), springs + stiff)
+    return [respond(stiff[:, None] * field) for field in lifting]
+
+
+def _unit_forces(body: ReducedBody, sites: LoadSites) -> Floats:
     """Return the nodal forces (k, n, 3) [N] of unit amplitudes of dead loads and gravity."""
-    sites, found = prepared.sites, []
+    units = []
     for g in range(len(sites.dead_start) - 1):
-        own = slice(sites.dead_start[g], sites.dead_start[g + 1])
+        entries = slice(sites.dead_start[g], sites.dead_start[g + 1])
         forces = np.zeros((sites.dead_pattern.shape[1], len(body.masses), 3))
-        for unit, pattern in zip(forces, sites.dead_pattern[own].transpose(1, 0, 2), strict=True):
-            np.add.at(unit, sites.dead_node[own], pattern)
-        found.append(forces)
-    return np.concatenate([*found, np.eye(3)[:, None, :] * body.masses[:, None]])
+        for unit, pattern in zip(forces, sites.dead_pattern[entries].transpose(1, 0, 2), strict=True):
+            np.add.at(unit, sites.dead_node[entries], pattern)
+        units.append(forces)
+    return np.concatenate([*units, np.eye(3)[:, None, :] * body.masses[:, None]])

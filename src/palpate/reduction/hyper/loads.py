@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -12,21 +13,85 @@ from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, listed, prepare_loads
+from palpate.dynamics.loads.prepared import Load, LoadSites, PreparedLoads, check_kinds, listed, prepare_loads
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.membrane.model import load_areas
 from palpate.faults import InputError
+from palpate.reduction.hyper.body import ReducedBody
 from palpate.reduction.hyper.data import ReducedData
+from palpate.reduction.hyper.foundation import Springs, project_springs
+from palpate.reduction.hyper.load_share import Response, ResponseSquares, response_squares
 
-__all__ = ["lifting_coordinates", "prepare_reduced_loads"]
+__all__ = ["ReducedLoads", "lifting_coordinates", "load_work", "prepare_reduced_loads", "reduced_loads"]
 
 
 KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Contact, Foundation)  # whose forces the step has
 RIGID_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative
 
 
-def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit: bool) -> PreparedLoads:
+@dataclass(frozen=True, kw_only=True)
+class ReducedLoads(PreparedLoads):
+    """Loads prepared for a reduced model.
+
+    Parameters
+    ----------
+    body : ReducedBody
+    work : (g a + 3, c) array
+        Work of unit amplitudes of dead loads and gravity on the basis vectors, see `load_work`.
+    springs, coordinate_springs : Springs
+        Foundations on all basis vectors, and on the coordinates only.
+    static_response : function
+        Returns the static response of the body without foundations; called at the first use of `responses`.
+    """
+
+    body: ReducedBody = field(repr=False, compare=False)
+    static_response: Callable[[], Response] = field(repr=False, compare=False)
+    work: Floats
+    springs: Springs
+    coordinate_springs: Springs
+
+    def forces(self, times: Floats) -> Floats:
+        """Return the generalised forces (t, c) of dead loads and gravity at some times [s]."""
+        schedule, count = self.schedule(times), len(times)
+        values = (schedule.amplitudes.reshape(count, -1), schedule.gravity)
+        return np.asarray(np.hstack(values) @ self.work)
+
+    @cached_property
+    def responses(self) -> ResponseSquares:
+        """Squares of the static responses to the loads, see `palpate.reduction.hyper.load_share`."""
+        return response_squares(self.body, self.sites, self.static_response)
+
+    def amplitudes(self, time: float) -> Floats:
+        """Return the amplitudes of `responses` at a time [s]: loads, lifting coordinates and their accelerations.
+
+        Accelerations of tools in their rest pose are left out: the body has not moved yet.
+        """
+        schedule, data = self.schedule(np.array([time])), self.body.data
+        motion = np.zeros((2, data.lifting_count))
+        if data.lifting_count and self.is_prescribed(np.array([time]))[0]:
+            motion[0] = lifting_coordinates(data, self, np.array([time]))[0]
+            if motion[0].any():
+                motion[1] = self.rates(lambda times: lifting_coordinates(data, self, times), time)[1]
+        return np.concatenate([schedule.amplitudes[0].ravel(), schedule.gravity[0], motion.ravel()])
+
+
+def reduced_loads(body: ReducedBody, prepared: PreparedLoads) -> ReducedLoads:
+    """Return loads that were prepared for a body.
+
+    Raises
+    ------
+    InputError
+        They were prepared for another body.
+    """
+    if not isinstance(prepared, ReducedLoads) or prepared.body.data is not body.data:
+        raise InputError("prepared must come from prepare() of the same reduced model, got those of another one")
+    return prepared
+
+
+def prepare_reduced_loads(
+    body: ReducedBody, loads: Sequence[Load], static_response: Callable[[], Response], *, implicit: bool
+) -> ReducedLoads:
     """Check loads and prepare them for a reduced model with explicit or implicit steps.
 
     Raises
@@ -35,6 +100,7 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
         A load is not supported, or was not part of the training.
     """
     check_kinds(loads, KINDS, "loads of a sampled reduced model")
+    data = body.data
     kinematics = data.kinematics
     loads = [
         _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load
@@ -67,7 +133,15 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
         )
     if len({motion.until for motion, _ in ready.motions}) > 1:
         raise InputError("until must be the same for all tools, got several times; give all motions one `until`")
-    return ready
+    springs = project_springs(ready.sites, data.basis_vectors, body.mass)
+    return ReducedLoads(
+        **{entry.name: getattr(ready, entry.name) for entry in fields(ready)},
+        body=body,
+        static_response=static_response,
+        work=load_work(ready.sites, data.basis_vectors, body.masses),
+        springs=springs,
+        coordinate_springs=springs.of(np.arange(body.count)),
+    )
 
 
 def _forceps(data: ReducedData, grasp: Grasp) -> Contact:
@@ -109,3 +183,12 @@ def lifting_coordinates(data: ReducedData, ready: PreparedLoads, times: Floats) 
             "translate and rotate the group as a rigid tool"
         )
     return coordinates
+
+
+def load_work(sites: LoadSites, basis_vectors: Floats, masses: Floats) -> Floats:
+    """Return the work (g a + 3, m) of unit amplitudes of g dead loads and of unit gravity on (m, n, 3) vectors."""
+    works = []
+    for g in range(len(sites.dead_start) - 1):
+        entries = slice(sites.dead_start[g], sites.dead_start[g + 1])
+        works.append(np.einsum("kac,mkc->am", sites.dead_pattern[entries], basis_vectors[:, sites.dead_node[entries]]))
+    return np.concatenate([*works, np.einsum("n,mnc->cm", masses, basis_vectors)])

@@ -7,9 +7,10 @@ on the number of nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -36,8 +37,8 @@ from palpate.reduction.hyper.error_indicator import (
 from palpate.reduction.hyper.explicit import ContactData, ExplicitData, explicit_step
 from palpate.reduction.hyper.implicit import FACTOR_STEP, ImplicitData, implicit_step
 from palpate.reduction.hyper.load_share import load_share, static_response
-from palpate.reduction.hyper.loads import lifting_coordinates, prepare_reduced_loads
-from palpate.reduction.hyper.reactions import constraint_forces, projected_loads, reactions
+from palpate.reduction.hyper.loads import lifting_coordinates, prepare_reduced_loads, reduced_loads
+from palpate.reduction.hyper.reactions import constraint_forces, reactions
 from palpate.reduction.hyper.sampled_energy import shear_weights
 
 __all__ = ["ReducedData", "ReducedModel"]
@@ -45,7 +46,8 @@ __all__ = ["ReducedData", "ReducedModel"]
 
 REFRESH_DISPLACEMENT = 0.1  # displacement after which the stable step is updated, as a fraction of the largest so far
 NEWTON_TOLERANCE = 1e-7  # largest displacement of the last Newton update, in spacings
-MAX_ENERGY_ERROR = 0.05  # largest gain of energy in accepted steps, relative to the energy
+MAX_ENERGY_ERROR = 0.05  # largest gain of energy in accepted steps, relative to the largest of the run
+ROUNDING_STRAIN = 1e-7  # strain whose energy is far above that of rounding
 
 
 class ReducedModel(CoordinateModel):
@@ -85,6 +87,7 @@ class ReducedModel(CoordinateModel):
         self.min_steps_per_frame = 20 if step is None else 1  # the implicit step is the user's choice
         self.body = reduced_body(data, single)
         self.count, self.columns = self.body.count, self.body.vectors
+        self._least_energy = float(self.material.shear_modulus * self.volumes.sum() * ROUNDING_STRAIN**2)  # [J]
         self._explicit = explicit_step(self.body.law, single)
         self._implicit, _ = implicit_step(self.body.law, single)
 
@@ -99,7 +102,7 @@ class ReducedModel(CoordinateModel):
                 "not measured" if found is None else 100 * found,
                 "" if found is None else "%",
             ),
-            ("driven", data.prescribed or None, ""),
+            ("prescribed", data.prescribed or None, ""),
             ("step", "explicit" if self.step is None else self.step, "" if self.step is None else "s"),
         ]
 
@@ -107,7 +110,7 @@ class ReducedModel(CoordinateModel):
         return self.body.workspace()
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        return prepare_reduced_loads(self.data, loads, implicit=self.step is not None)
+        return prepare_reduced_loads(self.body, loads, lambda: self._static_response, implicit=self.step is not None)
 
     def _contact_tools(self, ready: PreparedLoads, work: ReducedWork) -> ContactTools:
         if work.tools is None or work.tools.prepared is not ready:
@@ -167,7 +170,7 @@ class ReducedModel(CoordinateModel):
             prescribed = bool(prepared.is_prescribed(np.array([state.time * (1 + 1e-8) + 1e-12]))[0])
             frequency = self.body.highest_frequency(state.coordinates, prescribed, state.history, work)
         state = replace(state, estimate=(np.array(frequency), at, np.array(largest)))
-        springs = projected_loads(self.body, prepared).coordinate_springs
+        springs = reduced_loads(self.body, prepared).coordinate_springs
         highest = float(np.hypot(max(frequency, self.data.taut_frequency), np.sqrt(springs.highest_squared)))
         if not highest:  # no stiffness
             return np.inf, state
@@ -218,7 +221,7 @@ class ReducedModel(CoordinateModel):
     ) -> tuple[float, float, float]:
         """Advance coordinates and velocities in place; return the work of loads, the losses and the tools' work [J]."""
         (state, prepared), (step, times), body = run, stepping, self.body
-        projected, contact = projected_loads(body, prepared), self._contact_tools(prepared, work)
+        ready, contact = reduced_loads(body, prepared), self._contact_tools(prepared, work)
         explicit_data = ExplicitData(
             stiffness_damping=self.stiffness_damping,
             wave_speed=self.data.wave_speed / body.sizes[self.data.modes :],
@@ -227,7 +230,7 @@ class ReducedModel(CoordinateModel):
             inverse_mass=body.inverse_mass,
             integration_points=body.points,
             scratch=work.coordinates,
-            springs=projected.coordinate_springs,
+            springs=ready.coordinate_springs,
             work=work.newton.vectors,
         )
         contact_data = ContactData(
@@ -236,7 +239,7 @@ class ReducedModel(CoordinateModel):
             scratch=contact.contact_state,
             tools=contact.tools,
         )
-        loads = np.ascontiguousarray(projected.at(times[1:-1])[:, : self.count] + added_forces)
+        loads = np.ascontiguousarray(ready.forces(times[1:-1])[:, : self.count] + added_forces)
         lifting, holds = lifting_coordinates(self.data, prepared, times), prepared.is_prescribed(times[1:-1])
         done, lost, tool_work = self._explicit(a, v, lifting, holds, step, loads, explicit_data, contact_data)
         return done, lost, tool_work
@@ -251,7 +254,7 @@ class ReducedModel(CoordinateModel):
     ) -> tuple[float, float, float, tuple[Floats, ...]]:
         """As `_explicit_steps`, with the factor of the last step, which Newton's method starts with."""
         (state, prepared), (step, times), body = run, stepping, self.body
-        projected, estimate = projected_loads(body, prepared), state.estimate
+        ready, estimate = reduced_loads(body, prepared), state.estimate
         implicit_data = ImplicitData(
             stiffness_damping=self.stiffness_damping,
             mass=body.mass,
@@ -259,14 +262,14 @@ class ReducedModel(CoordinateModel):
             tolerance=self.tolerance,
             integration_points=body.points,
             scratch=work.coordinates,
-            springs=projected.coordinate_springs,
+            springs=ready.coordinate_springs,
             newton=work.newton,
         )
         factor, factored = work.newton.factor, work.newton.factored
         factored[FACTOR_STEP] = 0.0
         if estimate:
             factor[:], factored[:] = estimate
-        loads = np.ascontiguousarray(projected.at(times[1:-2] + 0.5 * step)[:, : self.count])
+        loads = np.ascontiguousarray(ready.forces(times[1:-2] + 0.5 * step)[:, : self.count])
         lifting, holds = lifting_coordinates(self.data, prepared, times), prepared.is_prescribed(times[2:-1])
         done, lost, tool_work, taken = self._implicit(a, v, lifting, holds, step, loads, implicit_data)
         if taken < len(loads):
@@ -277,8 +280,9 @@ class ReducedModel(CoordinateModel):
         """Return True to accept the last steps, False if explicit steps gained energy.
 
         Coordinates outside training can stiffen so fast that a step, stable at its estimate, becomes
-        unstable. The energy is not checked while tools touch the body, nor of models with prescribed groups:
-        a jump of a tool misses part of its work at any step.
+        unstable. The gain is compared with the largest energy, work and dissipation of the run. The energy
+        is not checked while tools touch the body, nor of models with prescribed groups: a jump of a tool
+        misses part of its work at any step.
         """
         if not super().accept_step(before, after, report):
             return False
@@ -289,8 +293,21 @@ class ReducedModel(CoordinateModel):
                 return True
         with np.errstate(all="ignore"):  # an unstable body
             first, last = (self._total_energy(state, work) for state in (before, after))
-        error = last - first - (report.external_work - report.dissipated)
-        return bool(error <= MAX_ENERGY_ERROR * max(first, last))  # False for NaN
+            gain = last - first - (report.external_work - report.dissipated)
+            largest = max(first, last, abs(after.external_work), after.dissipated, self._least_energy)
+            if gain > MAX_ENERGY_ERROR * largest:
+                gain -= self._damping_energy(after, work) - self._damping_energy(before, work)
+        return bool(gain <= MAX_ENERGY_ERROR * largest)  # False for NaN
+
+    def _damping_energy(self, state: State, work: ReducedWork | None) -> float:
+        """Return the energy [J] that the dissipation of steps to this state contains, and that is not lost.
+
+        Steps sum beta v . (f(w') - f(w)) with w = a + beta v. The work of the forces f(w) makes the sum of
+        kinetic energy, E(w) and beta v . f(w) balance with it, in place of E(a).
+        """
+        lag = self.stiffness_damping * state.velocities
+        now, ahead = (self.body.energy(a, state.history, work) for a in (state.coordinates, state.coordinates + lag))
+        return float(now - ahead - lag @ self.body.force(state.coordinates + lag, state.history, work))
 
     def _total_energy(self, state: State, work: ReducedWork | None) -> float:
         """Return the kinetic and strain energy [J] of a state."""
@@ -354,7 +371,8 @@ class ReducedModel(CoordinateModel):
 
     def load_share(self, state: State, prepared: PreparedLoads) -> float:
         """Return the share of the loads' static response that the coordinates cannot represent, 0 to 1."""
-        return load_share(self.body, state, prepared, lambda: self._static_response)
+        loads = reduced_loads(self.body, prepared)
+        return load_share(self.body, state, loads.responses, loads.amplitudes(state.time))
 
     @cached_property
     def _static_response(self) -> Callable[[Floats], Floats]:
@@ -408,6 +426,10 @@ class ReducedModel(CoordinateModel):
                 "model must be a full model to return the stress at nodes, got a reduced membrane; use Membrane"
             )
         return self.data.tissue.stress(self.body.gradient(displacements) + np.eye(3))
+
+    def with_report(self, entries: Mapping[str, Any]) -> ReducedModel:
+        """Return this model with some entries of its report replaced or added."""
+        return ReducedModel(replace(self.data, report={**self.report, **entries}), step=self.step, single=self.single)
 
     def with_step(self, step: float | None) -> ReducedModel:
         """Return this model with the energy-conserving implicit rule of a step [s], or explicit steps (None)."""

@@ -6,8 +6,6 @@ forces minus internal forces and loads.
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 
 from palpate.arrays import Floats
@@ -15,28 +13,18 @@ from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.run.model import State
 from palpate.reduction.hyper.body import ReducedBody, ReducedWork
 from palpate.reduction.hyper.foundation import add_spring_forces
-from palpate.reduction.hyper.generalised_forces import GeneralisedForces, generalised_forces, pose_map
-from palpate.reduction.hyper.loads import lifting_coordinates
+from palpate.reduction.hyper.loads import lifting_coordinates, reduced_loads
 
-__all__ = ["accelerations", "constraint_forces", "projected_loads", "reactions", "tool_map"]
-
-
-def projected_loads(body: ReducedBody, prepared: PreparedLoads) -> GeneralisedForces:
-    """Return loads projected on all basis vectors, computed at the first use."""
-    known = prepared.derived.get(id(body))
-    if known is None:  # it keeps the body, whose id no other object has then
-        projected = generalised_forces(prepared, body.data.basis_vectors, body.masses, body.mass)
-        prepared.derived[id(body)] = known = (body, projected)
-    return cast(GeneralisedForces, known[1])
+__all__ = ["accelerations", "constraint_forces", "pose_map", "reactions", "tool_map"]
 
 
 def accelerations(
     body: ReducedBody, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
 ) -> tuple[Floats, Floats]:
     """Return the accelerations of the coordinates, and internal forces plus loads on all basis vectors."""
-    data, loads, times = body.data, projected_loads(body, prepared), np.array([state.time])
+    data, loads, times = body.data, reduced_loads(body, prepared), np.array([state.time])
     forces = body.all_forces(state.coordinates + data.stiffness_damping * state.velocities, state.history, work)
-    forces += loads.at(times)[0]
+    forces += loads.forces(times)[0]
     add_spring_forces(loads.springs, state.coordinates, state.velocities, forces)
     if state.contact_state is not None:
         forces += np.tensordot(data.basis_vectors, state.contact_state.forces, 2)
@@ -83,3 +71,15 @@ def tool_map(body: ReducedBody, group: str) -> Floats:
     """
     nodes = body.data.cloud.group(group)
     return pose_map(body.data.cloud.points[nodes], body.vectors[body.data.modes :, nodes])
+
+
+def pose_map(points: Floats, basis_vectors: Floats) -> Floats:
+    """Return the map (l, 12) from a pose to coordinates of lifting vectors (l, k, 3); see `tool_map`."""
+    arms, fields = points - points.mean(axis=0), np.zeros((12, len(points), 3))
+    for c in range(3):
+        fields[c, :, c] = 1.0
+        for d in range(arms.shape[1]):
+            fields[3 + 3 * c + d, :, c] = arms[:, d]
+    return np.asarray(
+        np.linalg.lstsq(basis_vectors.reshape(len(basis_vectors), -1).T, fields.reshape(12, -1).T, rcond=None)[0]
+    )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -17,35 +16,36 @@ from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.faults import InputError
 from palpate.reduction.lti.system import LinearSystem
 
-__all__ = ["LoadInputs", "load_inputs", "prepare_linear_loads", "tool_accelerations", "tool_coordinates"]
+__all__ = ["LinearLoads", "linear_loads", "prepare_linear_loads", "tool_accelerations", "tool_coordinates"]
 
 KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads that are inputs
 RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations and rotations, relative
 
 
-@dataclass(frozen=True)
-class LoadInputs:
-    """Loads as inputs of a system.
+@dataclass(frozen=True, kw_only=True)
+class LinearLoads(PreparedLoads):
+    """Loads prepared for a linear system, whose inputs they are.
 
     Parameters
     ----------
-    prepared : PreparedLoads
-    forces : tuple of pairs
-        Force groups of the schedule, and their inputs.
-    gravity : slice or None
+    input_count : int
+        Number p of inputs other than tools.
+    force_inputs : tuple of slices
+        Inputs of every dead load.
+    gravity_inputs : slice or None
     """
 
-    prepared: PreparedLoads
-    forces: tuple[tuple[int, slice], ...]
-    gravity: slice | None
+    input_count: int
+    force_inputs: tuple[slice, ...]
+    gravity_inputs: slice | None
 
-    def at(self, times: Floats, count: int) -> Floats:
-        """Return the inputs (t, count) of loads other than tools at some times [s]."""
-        schedule, values = self.prepared.schedule(times), np.zeros((len(times), count))
-        for group, own in self.forces:
-            values[:, own] += schedule.amplitudes[:, group, : own.stop - own.start]
-        if self.gravity is not None:
-            values[:, self.gravity] += schedule.gravity
+    def inputs(self, times: Floats) -> Floats:
+        """Return the inputs (t, p) of loads other than tools at some times [s]."""
+        schedule, values = self.schedule(times), np.zeros((len(times), self.input_count))
+        for load, entries in enumerate(self.force_inputs):
+            values[:, entries] += schedule.amplitudes[:, load, : entries.stop - entries.start]
+        if self.gravity_inputs is not None:
+            values[:, self.gravity_inputs] += schedule.gravity
         return values
 
 
@@ -54,7 +54,7 @@ def _input(load: DeadLoad) -> tuple[str, str, tuple[str, ...]]:
     return type(load).__name__, load.group, load.labels
 
 
-def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> PreparedLoads:
+def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> LinearLoads:
     """Check loads and prepare them for a linear system.
 
     Raises
@@ -82,23 +82,37 @@ def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> Prepare
             f"loads must prescribe {sorted(wanted) or 'no group'} without release, as in the linear system, "
             f"got {sorted(names) or 'none'}"
         )
-    return ready
+    return _with_inputs(system, ready)
 
 
-def load_inputs(system: LinearSystem, prepared: PreparedLoads) -> LoadInputs:
-    """Return prepared loads as inputs of a system, computed at the first use."""
-    known = prepared.derived.get(id(system))
-    if known is None:  # it keeps the system, whose id no other object has then
-        of, place, gravity = {}, 0, None
-        for load in system.loads:
-            if isinstance(load, DeadLoad):
-                of[_input(load)] = slice(place, place + len(load.labels))
-                place += len(load.labels)
-            elif isinstance(load, Gravity):
-                gravity, place = slice(place, place + 3), place + 3
-        forces = tuple((g, of[_input(load)]) for g, load in enumerate(prepared.dead_loads))
-        prepared.derived[id(system)] = known = (system, LoadInputs(prepared, forces, gravity))
-    return cast(LoadInputs, known[1])
+def linear_loads(prepared: PreparedLoads) -> LinearLoads:
+    """Return loads that were prepared for a linear system.
+
+    Raises
+    ------
+    InputError
+        They were prepared for another kind of model.
+    """
+    if not isinstance(prepared, LinearLoads):
+        raise InputError("prepared must come from prepare() of a linear model, got those of another kind of model")
+    return prepared
+
+
+def _with_inputs(system: LinearSystem, ready: PreparedLoads) -> LinearLoads:
+    """Return prepared loads with the inputs of a system that they are."""
+    places, place, gravity = {}, 0, None
+    for load in system.loads:
+        if isinstance(load, DeadLoad):
+            places[_input(load)] = slice(place, place + len(load.labels))
+            place += len(load.labels)
+        elif isinstance(load, Gravity):
+            gravity, place = slice(place, place + 3), place + 3
+    return LinearLoads(
+        **{entry.name: getattr(ready, entry.name) for entry in fields(ready)},
+        input_count=system.forces,
+        force_inputs=tuple(places[_input(load)] for load in ready.dead_loads),
+        gravity_inputs=gravity,
+    )
 
 
 def tool_coordinates(system: LinearSystem, prepared: PreparedLoads, times: Floats) -> Floats:

@@ -22,7 +22,12 @@ from palpate.dynamics.run.model import Outputs, State, StepReport
 from palpate.dynamics.run.reactions import NodalFields, nodal_outputs
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.basis.coordinates import CoordinateModel
-from palpate.reduction.lti.inputs import load_inputs, prepare_linear_loads, tool_accelerations, tool_coordinates
+from palpate.reduction.lti.inputs import (
+    linear_loads,
+    prepare_linear_loads,
+    tool_accelerations,
+    tool_coordinates,
+)
 from palpate.reduction.lti.state_space import FirstOrder, Reduced, first_order_hold
 from palpate.reduction.lti.stiffness import linear_stress
 from palpate.reduction.lti.system import LinearSystem, force_inputs
@@ -119,7 +124,7 @@ class LinearModel(CoordinateModel):
                 raise InputError(
                     "displacement and velocity must be zero for a first-order linear model, which starts at rest"
                 )
-            own[1] = self.B[:, : self.system.forces] @ load_inputs(self.system, prepared).at(now, self.system.forces)[0]
+            own[1] = self.B[:, : self.system.forces] @ linear_loads(prepared).inputs(now)[0]
         else:
             begun = np.stack([nodal.coordinates.ravel(), nodal.velocities.ravel()])
             begun -= np.stack([tools, rates]) @ self.system.lifts
@@ -149,7 +154,7 @@ class LinearModel(CoordinateModel):
     ) -> tuple[State, StepReport]:
         number_in_range("step", step, 0.0, open_low=True, unit="s")
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
-        f = np.ascontiguousarray(load_inputs(self.system, prepared).at(times[1:-1], self.system.forces))
+        f = np.ascontiguousarray(linear_loads(prepared).inputs(times[1:-1]))
         g = np.ascontiguousarray(tool_coordinates(self.system, prepared, times))
         kicks = np.ascontiguousarray((g[2:] - 2 * g[1:-1] + g[:-2]) / step)
         x = self.reduced.packed(state.coordinates[: self.count], state.velocities[: self.count])
@@ -184,7 +189,7 @@ class LinearModel(CoordinateModel):
 
     def responses(self, state: State, prepared: PreparedLoads) -> Floats:
         """Return the outputs y (q,) of the system at a state, as `LinearSystem.outputs` names them."""
-        f = load_inputs(self.system, prepared).at(np.array([state.time]), self.system.forces)[0]
+        f = linear_loads(prepared).inputs(np.array([state.time]))[0]
         bends = tool_accelerations(self.system, prepared, state.time)
         g, rates = state.coordinates[self.count :], state.velocities[self.count :]
         x = self.reduced.packed(state.coordinates[: self.count], state.velocities[: self.count])
@@ -209,11 +214,12 @@ class LinearModel(CoordinateModel):
 
     def _accelerations(self, state: State, prepared: PreparedLoads) -> Floats:
         """Return the accelerations (k + l,) of the coordinates and of the tools."""
-        inputs, forces = load_inputs(self.system, prepared), self.system.forces
+        inputs = linear_loads(prepared).inputs
         bends = tool_accelerations(self.system, prepared, state.time)
-        now, slope = inputs.at(np.array([state.time]), forces)[0], np.zeros(forces)
+        now = inputs(np.array([state.time]))[0]
+        slope = np.zeros_like(now)
         if isinstance(self.reduced, FirstOrder):
-            slope = prepared.rates(lambda times: inputs.at(times, forces), state.time)[0]
+            slope = prepared.rates(inputs, state.time)[0]
         motion = state.coordinates[: self.count], state.velocities[: self.count]
         own = self.reduced.accelerations(*motion, np.concatenate([now, bends]), np.concatenate([slope, 0 * bends]))
         return np.concatenate([own, bends])

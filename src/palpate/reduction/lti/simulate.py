@@ -10,7 +10,7 @@ from scipy.sparse.linalg import splu
 from palpate.arrays import Floats
 from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError, number_in_range
-from palpate.reduction.lti.inputs import load_inputs, prepare_linear_loads, tool_coordinates
+from palpate.reduction.lti.inputs import prepare_linear_loads, tool_coordinates
 from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["input_sizes", "linear_run"]
@@ -22,7 +22,7 @@ def input_sizes(system: LinearSystem, loads: Sequence[Load], duration: float, sa
     times: Floats = step * np.arange(-1.0, samples + 2)
     g = tool_coordinates(system, prepared, times)
     bends = np.abs(g[2:] - 2 * g[1:-1] + g[:-2]).max(axis=0) / step**2
-    return np.concatenate([np.abs(load_inputs(system, prepared).at(times[1:-1], system.forces)).max(axis=0), bends])
+    return np.concatenate([np.abs(prepared.inputs(times[1:-1])).max(axis=0), bends])
 
 
 def linear_run(
@@ -59,7 +59,7 @@ def linear_run(
     prepared = prepare_linear_loads(system, loads)
     frames, step = round(duration / every), every / steps
     times: Floats = step * np.arange(-1.0, frames * steps + 2)
-    f = load_inputs(system, prepared).at(times[1:-1], system.forces)
+    f = prepared.inputs(times[1:-1])
     g = tool_coordinates(system, prepared, times)
     kicks = (g[2:] - 2 * g[1:-1] + g[:-2]) / step
     pushed = f @ system.input.toarray()[:, : system.forces].T

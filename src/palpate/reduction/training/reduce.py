@@ -238,7 +238,7 @@ def _train(
         if options.repeated:
             model, found = calibrate_contact(model, options.repeated)
             report |= found
-    model.data.report.update(report)
+    model = model.with_report(report)
     return _test(model, options.held_out) if options.held_out else model
 
 
@@ -339,14 +339,14 @@ def _test(model: ReducedModel, held_out: Sequence[Trial]) -> ReducedModel:
         tested = in_threads(partial(_test_run, model), held_out)
     found, frames = [entry for entry, _ in tested], [own for _, own in tested if own is not None]
     touched = [entry for entry in found if entry["failed"] or "force" in entry]
-    model.data.report["held_out"] = {"runs": found, **_over_runs(found, list(Errors.__annotations__))}
+    report: dict[str, Any] = {"runs": found, **_over_runs(found, list(Errors.__annotations__))}
     if any(not entry["failed"] for entry in touched):
-        model.data.report["held_out"]["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
+        report["contact"] = _over_runs(touched, list(ContactErrors.__annotations__))
     if not frames:
-        return model
+        return model.with_report({"held_out": report})
     scales = calibrate_scales([run.measures for run in frames], QUANTILE)
-    model.data.report["held_out"]["expected_error"] = error_curves(frames, scales)
-    return ReducedModel(replace(model.data, **scales._asdict()))
+    report["expected_error"] = error_curves(frames, scales)
+    return ReducedModel(replace(model.data, **scales._asdict())).with_report({"held_out": report})
 
 
 def _test_run(model: ReducedModel, trial: Trial) -> tuple[dict[str, Any], Frames | None]:

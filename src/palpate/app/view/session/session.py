@@ -86,8 +86,9 @@ class Session:
             self._tool_origin[: len(centre)] = centre
             self.tool = self.selected_tool = SelectedTool("group", None)
         self._observable = make_observable(self._realtime_model)
-        self.engine = Engine(self._observable, rate, max_speed=MAX_TOOL_SPEED)
-        self.engine._warned = True  # every frame has the trust number
+        self.engine = Engine(  # every frame has the trust number
+            self._observable, rate, max_speed=MAX_TOOL_SPEED, on_distrust="ignore"
+        )
         self.pause_reason: str | None = None
         self.speed, self.modulus_ratio = 1.0, 1.0
         self.notifications: list[dict[str, Any]] = []  # messages still to be sent to all viewers
