@@ -245,3 +245,23 @@ def test_refinement_follows_a_wished_length():
     longest = np.linalg.norm(vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)], axis=2).max(axis=1)
     assert longest[np.abs(middle[:, 0]) < 0.005].max() < 0.008
     assert longest[np.abs(middle[:, 0]) > 0.04].min() > 0.004
+
+
+def test_an_open_surface_reports_no_volume(tmp_path):
+    whole = ball()
+    assert whole.closed
+    patch = pt.Surface(
+        whole.vertices, whole.triangles[whole.vertices[whole.triangles][:, :, 2].min(axis=1) > 0], "patch"
+    )
+    assert not patch.closed
+    assert "volume" not in str(patch)
+    assert "open" in str(patch)
+    path = tmp_path / "patch.off"
+    path.write_text(
+        f"OFF\n{len(patch.vertices)} {len(patch.triangles)} 0\n"
+        + "".join(f"{x} {y} {z}\n" for x, y, z in 1e3 * patch.vertices)
+        + "".join(f"3 {a} {b} {c}\n" for a, b, c in patch.triangles)
+    )
+    (warning,) = [each for each in pt.io.read_surface(path, repair=False).warnings if "units" in each]
+    assert "mm assumed, for an open surface" in warning
+    assert "litres" not in warning

@@ -28,6 +28,7 @@ READERS = {
 FORMATS_WITH_PARTS = ("glb", "gltf", "obj", "stl")
 MAX_BYTES = 300_000_000
 MAX_LISTED_NAMES = 40  # of parts, in a message
+OPEN_SHARE = 0.05  # volume of an organ over the cube of its diagonal, for a surface that is open
 TYPICAL_VOLUME = 5e-4  # [m^3] of an organ: geometric mean of an adrenal gland and a liver
 
 
@@ -126,12 +127,17 @@ def _choose_part(parts: Parts, part: str | None) -> str:
 def _in_metres(surface: Surface, units: str | None) -> Surface:
     warnings = surface.warnings
     if units is None:
-        volume = max(abs(surface.volume), 1e-300)
+        volume = max(abs(surface.volume) if surface.closed else (OPEN_SHARE * surface.size**3), 1e-300)
         away = {name: abs(np.log(volume * scale**3 / TYPICAL_VOLUME)) for name, scale in UNITS.items() if name != "in"}
         units = min(away, key=away.__getitem__)
         guess = (
-            f"{surface.name} does not state its units: {units} assumed, for a volume of "
-            f"{1e3 * volume * UNITS[units] ** 3:.3g} litres; give units= to be sure"
+            f"{surface.name} does not state its units: {units} assumed, for "
+            + (
+                f"a volume of {1e3 * volume * UNITS[units] ** 3:.3g} litres"
+                if surface.closed
+                else f"an open surface {1e3 * surface.size * UNITS[units]:.3g} mm long"
+            )
+            + "; give units= to be sure"
         )
         warnings = (*warnings, guess)
     return Surface(surface.vertices * UNITS[units], surface.triangles, surface.name, warnings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sparse
@@ -90,7 +91,8 @@ class Surface(Described):
             ("vertices", len(self.vertices), ""),
             ("triangles", len(self.triangles), ""),
             ("size", tuple(np.ptp(self.vertices, axis=0).tolist()), "m"),
-            ("volume", self.volume, "m^3"),
+            ("volume", self.volume if self.closed else None, "m^3"),
+            ("open", not self.closed or None, ""),
             ("area", self.area, "m^2"),
             ("warnings", "; ".join(self.warnings) or None, ""),
         ]
@@ -109,9 +111,17 @@ class Surface(Described):
         """Area [m^2]."""
         return float(np.linalg.norm(self.area_vectors, axis=1).sum())
 
+    @cached_property
+    def closed(self) -> bool:
+        """Whether every edge has as many triangles in one direction as in the other."""
+        edges, _ = directed_edges(self.triangles)
+        low, high = edges.min(axis=1), edges.max(axis=1)
+        _, edge = np.unique(low * len(self.vertices) + high, return_inverse=True)
+        return not np.bincount(edge, np.where(edges[:, 0] == low, 1.0, -1.0)).any()
+
     @property
     def volume(self) -> float:
-        """Volume inside [m^3], by the divergence theorem; negative if the surface is inside out."""
+        """Volume inside a closed surface [m^3], by the divergence theorem; negative if it is inside out."""
         middle = self.vertices.mean(axis=0)
         heights = self.vertices[self.triangles[:, 0]] - middle
         return float(np.einsum("ta,ta->", heights, self.area_vectors) / 3)

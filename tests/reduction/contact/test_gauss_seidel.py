@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import palpate as pt
 from palpate.dynamics.contact.geometry import gap
+from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
 from palpate.reduction.contact.gauss_seidel import settle
 from palpate.reduction.contact.surface import RigidTools, contact_scratch, contact_surface
@@ -226,6 +227,47 @@ def test_forces_are_made_those_of_runs(pressed):
         pt.hyper_reduce(body, runs[:1], modes=4, repeated=[([], run_without(runs[0]))])
 
 
+def force_error(body_run, run) -> float:
+    """Return the median error of the tool's force where it presses, relative."""
+    full, mine = body_run.reactions["tool"][:, 2], run.reactions["tool"][:, 2]
+    pressing = np.abs(full) > 0.1 * np.abs(full).max()
+    return float(np.median(np.abs(mine[pressing] / full[pressing] - 1)))
+
+
+def test_runs_with_tools_are_reduced_to_vibrations_by_default(pressed):
+    body, runs, _ = pressed
+    model = pt.hyper_reduce(body, runs[:-1], modes=24)
+    shapes = interpolated_modes(body, body, 24)
+    by_hand = pt.hyper_reduce(body, runs[:-1], modes=0, enrichment=shapes)
+    np.testing.assert_array_equal(model.data.basis_vectors, by_hand.data.basis_vectors)
+    own = pt.rollout(model, press(0.024, 0.038), duration=0.2, every=0.005)
+    assert force_error(runs[-1], own) < 0.1
+    with pytest.warns(pt.TrustWarning, match="use basis='vibrations'"):
+        pod = pt.hyper_reduce(body, runs[:-1], modes=24, basis="pod")
+    other = pt.rollout(pod, press(0.024, 0.038), duration=0.2, every=0.005)
+    assert force_error(runs[-1], other) > 2 * force_error(runs[-1], own)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"basis": "modes"}, "basis must be 'pod' or 'vibrations', got 'modes'"),
+        ({"basis": "vibrations", "enrichment": np.zeros((1, 396, 3))}, "basis must be 'pod' .* with enrichment"),
+    ],
+)
+def test_a_basis_that_does_not_exist_is_refused(pressed, options, message):
+    body, runs, _ = pressed
+    with pytest.raises(pt.InputError, match=message):
+        pt.hyper_reduce(body, runs[:-1], modes=4, **options)
+
+
+def test_a_large_body_with_tools_requires_a_coarse_one(pressed, monkeypatch):
+    body, runs, _ = pressed
+    monkeypatch.setattr("palpate.reduction.training.reduce.MAX_NODES", len(body.cloud) - 1)
+    with pytest.raises(pt.InputError, match="coarse must be given for tools in contact"):
+        pt.hyper_reduce(body, runs[:-1], modes=4)
+
+
 @pytest.mark.parametrize("longer", [0.0, 1e9, -1.0])
 def test_runs_that_no_model_can_follow_are_refused(pressed, longer):
     body, runs, _ = pressed
@@ -334,7 +376,7 @@ def test_a_stiffening_surface_makes_no_energy():
     height = lambda time: 0.046 - 0.006 * np.sin(np.pi * min(time / 0.1, 1.0))  # noqa: E731
     press = [pt.tools.Contact(pt.tools.Sphere(0.015), lambda time: (0.03, 0.03, height(time)))]
     run = pt.rollout(body, press, duration=0.1, every=0.005)
-    model = pt.hyper_reduce(body, [run], modes=12)
+    model = pt.hyper_reduce(body, [run], modes=12, basis="pod")
     assert model.data.compliance.stiffening[0] > 0.5
     for step in (2.5e-4, 1e-4, 5e-5):
         own = pt.rollout(model, press, duration=0.1, every=0.001, step=step)

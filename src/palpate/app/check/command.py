@@ -122,7 +122,7 @@ def _surface_entry(surface: Surface, found: SurfaceReport) -> dict[str, Any]:
         "parts": found.components,
         "euler_number": found.euler,
         "area": found.area,
-        "volume": found.volume,
+        "volume": found.volume if surface.closed else None,
         "extents": found.extents,
         "warnings": list(surface.warnings),
         "problems": [
@@ -154,7 +154,8 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
         "vertices, triangles": f"{own['vertices']}, {own['triangles']}",
         "parts, Euler number": f"{own['parts']}, {own['euler_number']}",
         "size": " x ".join(f"{1e3 * x:.1f}" for x in own["extents"]) + " mm",
-        "area, volume": f"{1e4 * own['area']:.4g} cm^2, {1e3 * own['volume']:.4g} litres",
+        "area": f"{1e4 * own['area']:.4g} cm^2",
+        "volume": "none, the surface is open" if own["volume"] is None else f"{1e3 * own['volume']:.4g} litres",
     }
     if "cloud" in report:
         cloud = report["cloud"]

@@ -18,9 +18,11 @@ from palpate.app.train.local import run_local
 from palpate.app.train.paths import path_of, recorded_jobs
 from palpate.app.train.work import Outcome
 from palpate.dynamics.contact.tools import Contact, Grasp
-from palpate.dynamics.solid.model import EnergySolid
+from palpate.dynamics.loads.prepared import Load
+from palpate.dynamics.membrane.model import Membrane
+from palpate.faults import InputError
 from palpate.files import check_space
-from palpate.reduction.basis.linear_modes import interpolated_modes
+from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.storage.models import save
 from palpate.reduction.training.reduce import hyper_reduce
@@ -137,7 +139,9 @@ class Campaign:
         """Make the missing runs, and print their progress."""
         folder, scene, console = self.folder, self.scene, self.console
         left = folder.left(wanted)
-        paths = {job: path_of(folder, scene, job)[1] for job in left}
+        loads_and_durations = {job: path_of(folder, scene, job) for job in left}
+        self._check_statics([load for loads, _ in loads_and_durations.values() for load in loads])
+        paths = {job: duration for job, (_, duration) in loads_and_durations.items()}
         frames = sum(round(duration / scene.every) + 1 for duration in paths.values())
         check_space(folder.path, frames * len(scene.model.cloud) * 6 * 8, "folder")
         there = len(wanted) - len(left)
@@ -165,6 +169,17 @@ class Campaign:
                 f"{done} of {len(wanted)} runs are kept; the same command continues from there"
             ) from None
 
+    def _check_statics(self, loads: Sequence[Load]) -> None:
+        """Raise `InputError` before the runs of a body with tools whose statics are too large for training."""
+        scene, nodes = self.scene, len(self.scene.model.cloud)
+        if scene.coarse or scene.tools or isinstance(scene.model, Membrane) or nodes <= MAX_NODES:
+            return
+        if any(isinstance(load, Contact | Grasp) for load in loads):
+            raise InputError(
+                f"coarse of the scene must be given for tools in contact with a body of more than {MAX_NODES} nodes, "
+                f"got none for {nodes} nodes; let TrainingScene(coarse=...) return the same body with a larger spacing"
+            )
+
     def _make_model(self, wanted: Sequence[Job]) -> ReducedModel:
         """Train on the runs that were finished, read from their files, and keep the model in the folder.
 
@@ -185,15 +200,16 @@ class Campaign:
         with self.console.status(
             f"training {self.modes} modes on {len(learned)} runs, trying them on {len(tried)} others"
         ):
-            coarse = smooth = None
-            if scene.coarse is not None and isinstance(scene.model, EnergySolid):
-                coarse = scene.coarse()
-                smooth = interpolated_modes(coarse, scene.model, self.modes)
             model = hyper_reduce(
-                scene.model, [file for _, file in learned], modes=self.modes if smooth is None else 0,
-                enrichment=smooth, prescribed=scene.tools, held_out=tried, cubature=share, coarse=coarse,
+                scene.model,
+                [file for _, file in learned],
+                modes=self.modes,
+                prescribed=scene.tools,
+                held_out=tried,
+                cubature=share,
+                coarse=None if scene.coarse is None else scene.coarse(),
                 repeated=touched[:REPEATED],
-            )  # fmt: skip
+            )
         scene_entry = {"name": folder.manifest["scene"], "parameters": folder.manifest["parameters"]}
         model = model.with_report({"scene": scene_entry})
         save(model, folder.path / MODEL)

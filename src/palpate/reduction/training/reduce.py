@@ -21,8 +21,10 @@ from palpate.dynamics.solid.model import EnergySolid, Solid
 from palpate.faults import DivergenceError, InputError, TrustWarning, integer_in_range, number_in_range
 from palpate.reduction.basis.incremental_pod import block_size
 from palpate.reduction.basis.lifting import RemoveToolMotion, lifting_vectors, support_fields
+from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.basis.snapshots import Run, Snapshots
 from palpate.reduction.basis.strain_pod import join, main_modes
+from palpate.reduction.contact.residual_flexibility import MAX_NODES
 from palpate.reduction.hyper.error_indicator import distances_to_nearest
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
@@ -60,6 +62,7 @@ def hyper_reduce(
     enrichment: Floats | None = None,
     cubature: float = 1e-3,
     pressures: int | None = None,
+    basis: str | None = None,
     coarse: Solid | None = None,
     repeated: Sequence[Trial] = (),
     seed: int = 0,
@@ -75,7 +78,7 @@ def hyper_reduce(
         The training runs. Files are read a block at a time, so together they may be larger than the
         memory.
     modes : int, optional
-        Number of modes M.
+        Number of modes M, additional to `enrichment`.
     tolerance : float, optional
         Alternative to `modes`: the least number of modes (of 8, 12, 16, 24 ... 96) with which the mean
         errors of velocity, reaction force and displacement over the held-out runs are at most this.
@@ -93,6 +96,11 @@ def hyper_reduce(
     pressures : int, optional
         Number of pressure modes. The default, a quarter of the modes, has the least error on held-out
         motions. For one training motion and few modes, as many as modes are better.
+    basis : str, optional
+        ``"pod"``: modes are those of the runs. ``"vibrations"``: they are vibration modes of `coarse` and their
+        derivatives, for tools that may touch the body anywhere; modes of runs would be indentations at the places
+        of those runs. By default ``"vibrations"`` where tools touch the body in the runs, unless `enrichment` is
+        given.
     coarse : Solid, optional
         A coarser model of the same body, of at most 5,000 nodes. Its statics give the surface compliance
         under tools in contact. By default the body itself, if it has no more nodes than that.
@@ -111,7 +119,13 @@ def hyper_reduce(
     ------
     InputError
         No trajectory, or one of another body; neither or both of `modes` and `tolerance`; more modes than
-        the snapshots span; a tolerance without held-out runs, or one that no size keeps.
+        the snapshots span; a tolerance without held-out runs, or one that no size keeps; tools in contact
+        with a body of more than 5,000 nodes without `coarse`.
+
+    Warns
+    -----
+    TrustWarning
+        The basis is ``"pod"`` without enrichment although tools touch the body in the runs.
     """
     if (modes is None) == (tolerance is None):
         raise InputError("modes or tolerance must be given, but not both; leave one of them out")
@@ -130,7 +144,8 @@ def hyper_reduce(
         raise InputError(f"coarse must be a Solid with form='energy', got {coarse!r:.200}; make it in the energy form")
     body = _energy_form(full)
     tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
-    options = _Options(tools, held_out, enrichment, share, pressures, seed, coarse, repeated)
+    vibrations = _has_vibrations(basis, body, snapshots.has_contact and not tools, enrichment, coarse)
+    options = _Options(tools, held_out, enrichment, share, pressures, seed, coarse, repeated, vibrations)
     if modes is not None:
         count = integer_in_range("modes", modes, 0 if enrichment is not None else 1)
         return _train(full, body, snapshots, count, options)
@@ -168,6 +183,37 @@ class _Options:
     seed: int
     coarse: EnergySolid | None
     repeated: Sequence[Trial]
+    vibrations: bool  # whether the modes are vibration modes and their derivatives
+
+
+def _has_vibrations(
+    basis: str | None,
+    body: EnergySolid | Membrane,
+    contact: bool,
+    enrichment: Floats | None,
+    coarse: EnergySolid | None,
+) -> bool:
+    """Return whether the modes are vibration modes; raise `InputError` or warn where the basis does not serve."""
+    if basis not in (None, "pod", "vibrations"):
+        raise InputError(f"basis must be 'pod' or 'vibrations', got {basis!r}; use one of them")
+    if basis == "vibrations" and (isinstance(body, Membrane) or enrichment is not None):
+        raise InputError("basis must be 'pod' for a membrane or with enrichment, got 'vibrations'; leave basis= out")
+    contact = contact and isinstance(body, EnergySolid)
+    if (contact or basis == "vibrations") and coarse is None and len(body.cloud) > MAX_NODES:
+        raise InputError(
+            f"coarse must be given for tools in contact with a body of more than {MAX_NODES} nodes, got none for "
+            f"{len(body.cloud)} nodes; give the same body with a larger spacing"
+        )
+    if basis is None:
+        return contact and enrichment is None
+    if contact and basis == "pod" and enrichment is None:
+        warnings.warn(
+            "modes of runs with tools represent indentations at the places of those runs only, so that the force of a "
+            "tool elsewhere can err several times; use basis='vibrations'",
+            TrustWarning,
+            stacklevel=3,
+        )
+    return basis == "vibrations"
 
 
 def _check(full: Solid | Membrane, points: Sequence[Floats]) -> None:
@@ -203,6 +249,9 @@ def _train(
 ) -> ReducedModel:
     """Train a model with a given number of modes."""
     start = perf_counter()
+    if options.vibrations:
+        shapes = interpolated_modes(options.coarse or body, body, size) if isinstance(body, EnergySolid) else None
+        size, options = 0, replace(options, enrichment=shapes)
     columns = _basis_vectors(body, snapshots, size, options)
     states, projection_error = _states(body, columns, snapshots)
     model = ReducedModel(_data(full, body, snapshots, columns, states, options))
