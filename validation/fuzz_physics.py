@@ -1,9 +1,15 @@
-"""Draw extreme values for a small body, its loads and its run: each is refused by name, or runs to finite numbers.
+"""Draw bodies, loads and runs at random: each is refused by name, or runs to finite numbers.
 
-`trial` is one draw. Values are log-uniform over all of double precision, or zero, negative, infinite, not a number, or
-ordinary. Anything else than `palpate.InputError`, `palpate.DivergenceError` or a finite trajectory raises.
+Kinds of trials:
 
-    python validation/fuzz_physics.py --trials 500 --seed 0
+- ``full``: extreme values. They are log-uniform over all of double precision, or zero, negative, infinite, not a
+  number, or ordinary. Anything else than `palpate.InputError`, `palpate.DivergenceError` or a finite trajectory raises.
+- ``reduced``: a reduced bar with ordinary values, under loads up to ten times those of its training. Its run ends, and
+  takes at most 1.2 times the steps of a run without the check of energy, unless that gains energy.
+- ``tools``: a reduced block under a tool that presses, slides or pulls where no training run did. Its run ends.
+- ``engine``: the periods of the same block under poses that wander and jump, as the engine limits them. All are finite.
+
+    python validation/fuzz_physics.py --trials 500 --seed 0 [--kind full reduced tools engine]
 """
 
 from __future__ import annotations
@@ -11,19 +17,26 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 import palpate as pt
+from palpate.dynamics.run.model import Model
 
 SIZE, SPACING = 0.015, 0.005  # [m] 64 nodes
 STEPS, FRAMES = 100, 3  # of an ordinary run
 LONGEST = 30.0  # [s] of a trial, after kernels are compiled
 ASKED = 10 * STEPS * FRAMES  # stable steps of a run above which it may take longer: it is ended, and counts as one
 ODD = (0.0, -0.0, 5e-324, 1e308, np.inf, -np.inf, np.nan)
+BLOCK, BLOCK_SPACING, BALL = (0.042, 0.042, 0.024), 0.006, 0.012  # [m]
+MAX_STEPS = 1.2  # of a run whose steps are checked, over those of a run without the check
+MAX_GAIN = 0.05  # error of the energy balance that makes a repeated step right, over the largest energy
 SERIES = ("times", "displacements", "velocities", "kinetic", "strain", "external", "dissipated")
 
 
@@ -32,7 +45,7 @@ class TooLong(Exception):
 
 
 def trial(rng: np.random.Generator) -> str:
-    """Run one trial.
+    """Run one trial of extreme values.
 
     Parameters
     ----------
@@ -65,6 +78,147 @@ def trial(rng: np.random.Generator) -> str:
         return "ran"
     _check(run)
     return "ran"
+
+
+def reduced_trial(rng: np.random.Generator) -> str:
+    """Run a reduced bar under random loads, with and without the check of its steps.
+
+    Raises
+    ------
+    AssertionError
+        The check repeats good steps, or a trajectory holds a number that is not finite.
+    Exception
+        Whatever else escapes, `palpate.DivergenceError` included.
+    """
+    C1, poisson = float(10 ** rng.uniform(3, 4.8)), float(rng.choice([0.3, 0.45, 0.49]))
+    prony = pt.materials.Prony(shares=[0.3, 0.2], times=[0.01, 0.1]) if rng.random() < 0.25 else None
+    tissue = pt.materials.NeoHookean(C1=C1, density=1000.0, poisson=poisson, prony=prony)
+    width = float(rng.choice([0.015, 0.02]))
+    cloud = pt.box((float(rng.choice([0.03, 0.05])), width, width), SPACING)
+    damping = float(rng.choice([0.0, 2e-6, 2e-5, 1e-4, 1e-3]))
+    body = pt.Solid(cloud, tissue, "x-", stiffness_damping=damping)
+    held: list[Any] = [pt.Foundation("y-", stiffness=1e5, damping=100.0)] if rng.random() < 0.25 else []
+    force = C1 * width**2 * rng.uniform(0.1, 1.0)
+    pull = pt.SurfaceForce("x+", force=lambda t: (force * min(1.0, t / 0.02) if t < 0.04 else 0.0, 0.0, 0.0))
+    run = pt.rollout(body, [pull, *held], duration=0.08, every=0.002, progress=False)
+    model = pt.hyper_reduce(body, run, modes=int(rng.choice([2, 4, 8])))
+    size = force * 10 ** rng.uniform(-1.0, 1.0)
+    course = (
+        lambda t: (size if t < 0.05 else 0.0, 0.0, 0.0),
+        lambda t: (0.0, size, 0.0),
+        lambda t: (size * np.sin(900 * t), 0.2 * size * np.cos(500 * t), 0.1 * size),
+        lambda t: (size * np.sin(60 * t) ** 2, 0.0, 0.0),
+    )[rng.integers(4)]
+    loads = [pt.SurfaceForce("x+", force=course), *held]
+    times = {"duration": 0.2, "every": float(rng.choice([0.001, 0.002, 0.005, 0.01])), "progress": False}
+    checked = pt.rollout(model, loads, **times)
+    _check(checked)
+    with _unchecked_steps(), np.errstate(all="ignore"):
+        free = pt.rollout(model, loads, **times)
+    largest = max(free.external.max(), (free.kinetic + free.strain).max())
+    gained = np.abs(free.balance).max() > MAX_GAIN * largest
+    assert gained or checked.steps[-1] <= MAX_STEPS * free.steps[-1], (
+        f"{checked.steps[-1]:.0f} steps in place of {free.steps[-1]:.0f}"
+    )
+    return "ran"
+
+
+@contextmanager
+def _unchecked_steps() -> Iterator[None]:
+    """Accept all finite steps of reduced models."""
+    check = pt.ReducedModel.accept_step
+    pt.ReducedModel.accept_step = Model.accept_step  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        pt.ReducedModel.accept_step = check  # type: ignore[method-assign]
+
+
+@cache
+def _block(relaxes: bool, damping: float) -> pt.ReducedModel:
+    """Return a block, reduced to 12 modes with two presses of a ball from above."""
+    prony = pt.materials.Prony(shares=[0.3, 0.2], times=[0.01, 0.1]) if relaxes else None
+    tissue = pt.materials.NeoHookean(C1=2e3, density=1000.0, poisson=0.45, prony=prony)
+    body = pt.Solid(pt.box(BLOCK, BLOCK_SPACING), tissue, "z-", stiffness_damping=damping)
+    runs = [
+        pt.rollout(body, [_ball(lambda t, x=x: _press(x, t))], duration=0.12, every=0.005, progress=False)
+        for x in (0.016, 0.026)
+    ]
+    return pt.hyper_reduce(body, runs, modes=12)
+
+
+def _ball(motion: Any, radius: float = BALL) -> pt.tools.Contact:
+    return pt.tools.Contact(pt.tools.Sphere(radius), motion)
+
+
+def _press(x: float, time: float) -> tuple[float, float, float]:
+    share = np.sin(np.pi * min(time / 0.12, 1.0)) ** 2
+    return x, 0.021, BLOCK[2] + BALL + 0.001 - 0.004 * share
+
+
+def _random_block(rng: np.random.Generator) -> pt.ReducedModel:
+    return _block(bool(rng.random() < 0.4), float(rng.choice([1e-5, 1e-4, 1e-3])))
+
+
+def tools_trial(rng: np.random.Generator) -> str:
+    """Run a reduced block under a tool with a random path.
+
+    Raises
+    ------
+    Exception
+        Whatever escapes, `palpate.DivergenceError` included.
+    """
+    model = _random_block(rng)
+    start = np.array([*rng.uniform(0.0, BLOCK[0], 2), BLOCK[2] + 0.012])
+    across, depth = rng.uniform(-0.01, 0.01, 2), rng.uniform(0.001, 0.006)
+    lasting = rng.uniform(0.02, 0.2)
+
+    def path(time: float) -> tuple[float, float, float]:
+        share = np.sin(np.pi * min(time / lasting, 1.0)) ** 2
+        x, y = start[:2] + share * across
+        return float(x), float(y), float(start[2] + 0.001 - share * (depth + 0.001))
+
+    kind = rng.integers(4)
+    if kind == 3:
+        middle = (float(rng.uniform(0.01, 0.032)), float(rng.uniform(0.01, 0.032)), BLOCK[2])
+        motion = lambda time: np.array([*across, depth]) * np.sin(np.pi * min(time / lasting, 1.0)) ** 2  # noqa: E731
+        load: Any = pt.tools.Grasp(middle, 0.006, motion, until=0.8 * lasting)
+    else:
+        shape = (pt.tools.Sphere(0.012), pt.tools.Capsule(0.012, 0.02), pt.tools.Sphere(0.012))[kind]
+        load = pt.tools.Contact(shape, path, friction=float(rng.choice([0.0, 0.5])))
+    every = float(rng.choice([0.001, 0.005, 0.01]))
+    try:
+        _check(pt.rollout(model, [load], duration=max(1.2 * lasting, every), every=every, progress=False))
+    except pt.InputError:
+        return "refused"
+    return "ran"
+
+
+def engine_trial(rng: np.random.Generator) -> str:
+    """Take 400 periods of a reduced block under a tool that wanders and jumps.
+
+    Raises
+    ------
+    AssertionError
+        A period fails, or a force is not finite.
+    """
+    model = _random_block(rng)
+    home = np.array([*rng.uniform(0.0, BLOCK[0], 2), BLOCK[2] + BALL + 0.001])
+    made = pt.realtime_model(model, contact=_ball(tuple(home)))
+    q, v, report = np.zeros(len(made.rest)), np.zeros(len(made.rest)), np.zeros(8 + len(made.tool))
+    pose, aim, speed = np.zeros(3), np.zeros(3), float(rng.choice([0.1, 0.5, 2.0]))
+    for k in range(400):
+        if k % 25 == 0:
+            aim = rng.uniform([-0.02, -0.02, -0.012], [0.02, 0.02, 0.01])
+        way = aim - pose
+        pose = pose + way * min(1.0, 1e-3 * speed / max(float(np.linalg.norm(way)), 1e-12))
+        made.advance(made.data, q, v, np.concatenate([pose, np.zeros(9)]), 1e-3, report)
+        assert report[0] == 0, f"period {k} fails"
+        assert all(np.isfinite(each).all() for each in (report, q, v)), f"period {k} is not finite"
+    return "ran"
+
+
+TRIALS = {"full": trial, "reduced": reduced_trial, "tools": tools_trial, "engine": engine_trial}
 
 
 class _Enough(Exception):
@@ -198,15 +352,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kind", nargs="+", choices=TRIALS, default=list(TRIALS))
     options = parser.parse_args()
-    ends: Counter[str] = Counter()
-    for k in range(options.trials):
-        try:
-            ends[trial(np.random.default_rng([options.seed, k]))] += 1
-        except Exception as error:  # the report of a fuzzer
-            ends["escaped"] += 1
-            print(f"trial {k}: {type(error).__name__}: {str(error)[:200]}", flush=True)
-    print(", ".join(f"{count} {end}" for end, count in sorted(ends.items())))
+    warnings.simplefilter("ignore", pt.TrustWarning)
+    for kind in options.kind:
+        ends: Counter[str] = Counter()
+        for k in range(options.trials):
+            try:
+                ends[TRIALS[kind](np.random.default_rng([options.seed, k]))] += 1
+            except Exception as error:  # the report of a fuzzer
+                ends["escaped"] += 1
+                print(f"{kind}, trial {k}: {type(error).__name__}: {str(error)[:200]}", flush=True)
+        print(f"{kind}: " + ", ".join(f"{count} {end}" for end, count in sorted(ends.items())), flush=True)
 
 
 if __name__ == "__main__":
