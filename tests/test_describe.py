@@ -81,7 +81,7 @@ def described(still, energy_form, system, run, tmp_path):
         (curve, ["kind=uniaxial", "4 points", "stretch=1 to 1.3", "(0, 7.1) kPa"]),
         (pt.materials.fit(pt.materials.NeoHookean, curve), ["law=NeoHookean", "+-", "Pa", "stable"]),
         (pt.SurfaceForce("x+", force=(0, 0, -2.5)), ["group=x+", "force=(0, 0, -2.5) N"]),
-        (pt.SurfaceForce("x+", pressure=2e3), ["pressure=2 kPa"]),
+        (pt.Pressure("x+", 2e3), ["pressure=2 kPa"]),
         (pt.SurfaceForce("x+", force=lambda t: (t, 0, 0)), ["force=a function [N]"]),
         (pt.Gravity(), ["(0, 0, -9.81) m/s^2"]),
         (pt.PrescribedMotion("x+", (1e-3, 0, 0), until=0.5), ["(1, 0, 0) mm", "until=500 ms"]),

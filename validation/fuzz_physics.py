@@ -165,7 +165,7 @@ def _loads(draw: _Draw, plane: bool) -> list[Any]:
     if kind in ("force", "moment") and not plane:
         loads.append(pt.SurfaceForce(group, **{kind: draw.vector(0.1, 0.0, 0.01)}))
     elif kind == "pressure" and not plane:
-        loads.append(pt.SurfaceForce(group, pressure=draw(100.0)))
+        loads.append(pt.Pressure(group, draw(100.0)))
     elif kind == "motion" and not plane:
         loads.append(pt.PrescribedMotion(group, draw.vector(1e-4, 0.0, 0.0), until=draw(1e-3)))
     elif kind == "foundation" and not plane:

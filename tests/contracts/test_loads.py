@@ -39,8 +39,8 @@ ON_SOLIDS = {
     pt.SurfaceForce: {
         "force": pt.SurfaceForce("x+", force=lambda t: 0.03 * wave(t) * ASIDE),
         "moment": pt.SurfaceForce("x+", moment=lambda t: 1e-3 * wave(t) * ASIDE),
-        "pressure": pt.SurfaceForce("x+", pressure=lambda t: 200.0 * wave(t)),
     },
+    pt.Pressure: {"pressure": pt.Pressure("x+", lambda t: 200.0 * wave(t))},
     pt.Gravity: {"gravity": pt.Gravity((0.0, 3.0, -9.81))},
     pt.PrescribedMotion: {"motion": pt.PrescribedMotion("x+", lambda points, t: 2e-6 * wave(t) * ASIDE)},
     pt.tools.Grasp: {"grasp": pt.tools.Grasp(TOP, 1.2 * SPACING, lambda t: np.array(TOP) + 2e-4 * wave(t) * ASIDE)},
@@ -51,8 +51,8 @@ ON_SHEETS = {
     pt.SurfaceForce: {
         "force": pt.SurfaceForce("face", force=lambda t: 0.05 * wave(t) * ASIDE),
         "moment": pt.SurfaceForce("face", moment=lambda t: 1e-3 * wave(t) * ASIDE),
-        "pressure": pt.SurfaceForce("face", pressure=lambda t: 30.0 * wave(t)),
     },
+    pt.Pressure: {"pressure": pt.Pressure("face", lambda t: 30.0 * wave(t))},
     pt.Gravity: {"gravity": pt.Gravity((0.0, 3.0, -9.81))},
     pt.PrescribedMotion: {"motion": pt.PrescribedMotion("tool", lambda points, t: 2e-4 * wave(t) * ASIDE)},
     pt.tools.Grasp: {"grasp": pt.tools.Grasp((0.0, 0.0), SPACING, lambda t: 2e-4 * wave(t) * ASIDE)},

@@ -290,7 +290,7 @@ def test_an_inflated_sheet_rises_as_high_as_the_axisymmetric_one(cloud, axisymme
     model = sheet(cloud)
     u = np.zeros((len(model.cloud), 3))
     u[:, 2] = 0.03 * (1 - np.sum(model.cloud.points**2, axis=1) / RADIUS**2)
-    state, _ = settle(model, [pt.SurfaceForce("face", pressure=-10.0)], u)
+    state, _ = settle(model, [pt.Pressure("face", -10.0)], u)
     assert state.coordinates[model.cloud.group("centre")[0], 2] == pytest.approx(expected, rel=0.01)
 
 

@@ -96,7 +96,7 @@ def test_a_cube_under_pressure_from_all_sides_shrinks_as_its_law_says(small_clou
     ratio = 0.97
     cauchy = tissue.stress(ratio * np.eye(3)[None])[0, 0, 0] / ratio**2
     sides = ("x-", "x+", "y-", "y+", "z-", "z+")
-    loads = [pt.SurfaceForce(side, pressure=-cauchy) for side in sides]
+    loads = [pt.Pressure(side, -cauchy) for side in sides]
     loads += [pt.Foundation(side, 1e-2) for side in sides]  # far softer than the tissue, against rigid motions
     found = pt.equilibrium(pt.Solid(small_cloud, tissue, form="energy"), loads)
     arms = small_cloud.points - small_cloud.points.mean(axis=0)
@@ -133,7 +133,7 @@ def test_a_taut_sheet_sags_under_pressure_as_a_paraboloid():
     cloud = pt.disc(0.1, 0.01)
     tissue = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.5)
     sheet = pt.Membrane(cloud, tissue, 1e-3, "rim", prestretch=1.1)
-    found = pt.equilibrium(sheet, [pt.SurfaceForce("face", pressure=-0.1)])
+    found = pt.equilibrium(sheet, [pt.Pressure("face", -0.1)])
     nominal = 2 * tissue.C1 * (1.1 - 1.1**-5)
     tension = nominal * 1e-3 / 1.1  # force per mounted length
     radius = np.linalg.norm(cloud.points, axis=1)
@@ -239,6 +239,6 @@ def test_what_has_no_static_force_or_no_support_is_refused_by_name(body, bar, ti
 
 
 def test_a_load_below_rounding_is_in_equilibrium_at_once(body):
-    found = pt.equilibrium(body, [pt.SurfaceForce("x+", pressure=1e-12)])
+    found = pt.equilibrium(body, [pt.Pressure("x+", 1e-12)])
     assert found.iterations == 0
     assert not found.displacements.any()

@@ -78,7 +78,7 @@ def test_a_run_turns_with_the_frame(free, rotation):
     for R in (np.eye(3), rotation):
         loads = [
             pt.SurfaceForce("x+", force=R @ force),
-            pt.SurfaceForce("z-", pressure=lambda t: 500 * np.sin(500 * t)),
+            pt.Pressure("z-", lambda t: 500 * np.sin(500 * t)),
             pt.Gravity(R @ gravity),
         ]
         runs.append(

@@ -175,8 +175,8 @@ def test_quaternions_of_any_length_are_unit_ones():
 
 @pytest.mark.parametrize("value", [10**5000, np.inf, "much"], ids=["long", "inf", "text"])
 def test_loads_that_are_no_numbers_are_refused(value, energetic):
-    for load in (pt.Gravity((0.0, 0.0, value)), pt.SurfaceForce("x+", pressure=value)):
-        with pytest.raises(pt.InputError, match=r"Gravity|SurfaceForce"):
+    for load in (pt.Gravity((0.0, 0.0, value)), pt.Pressure("x+", value)):
+        with pytest.raises(pt.InputError, match=r"Gravity|Pressure"):
             pt.rollout(energetic, [load], **SHORT)
 
 

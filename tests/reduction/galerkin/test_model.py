@@ -12,7 +12,7 @@ from palpate.dynamics.nodal.stability import stiffness
 
 LOADS = [
     pt.SurfaceForce("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.6, 0.15, 0.05])),
-    pt.SurfaceForce("z+", pressure=lambda t: 300 * np.sin(200 * t)),
+    pt.Pressure("z+", lambda t: 300 * np.sin(200 * t)),
     pt.Gravity((0.0, 2.0, -9.81)),
 ]
 

@@ -301,8 +301,8 @@ def test_a_sampled_sheet_is_saved_and_loaded(sampled, tmp_path):
 def test_a_sampled_sheet_refuses_what_it_does_not_know(sampled):
     with pytest.raises(pt.InputError, match="stress at nodes"):
         sampled.stress(np.zeros((len(sampled.cloud), 3)))
-    with pytest.raises(pt.InputError, match="follower pressures"):
-        sampled.prepare([PUSH, pt.SurfaceForce("face", pressure=lambda t: 1.0)])
+    with pytest.raises(pt.InputError, match=r"got Pressure\(.*; run the full model or palpate.galerkin"):
+        sampled.prepare([PUSH, pt.Pressure("face", lambda t: 1.0)])
 
 
 @pytest.mark.slow

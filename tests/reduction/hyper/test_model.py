@@ -311,8 +311,8 @@ def test_bad_training_is_refused(body, runs, change, message):
 
 
 def test_loads_that_it_does_not_know_are_refused(body, rom, grasped):
-    with pytest.raises(pt.InputError, match="follower pressures"):
-        rollout(rom, [pt.SurfaceForce("z+", pressure=10.0)])
+    with pytest.raises(pt.InputError, match=r"got Pressure\(.*; run the full model or palpate.galerkin"):
+        rollout(rom, [pt.Pressure("z+", 10.0)])
     with pytest.raises(pt.InputError, match="prescribe the motion of no group"):
         rollout(rom, [pt.PrescribedMotion("x+", (0.0, 0.0, 0.0))])
     with pytest.raises(pt.InputError, match="give the model those motions"):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeGuard
+from inspect import isabstract
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import scipy.sparse as sparse
@@ -19,6 +20,7 @@ from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.foundation import Foundation, foundation_areas
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.loads.supports import (
     FIXED,
     FREE,
@@ -30,7 +32,7 @@ from palpate.dynamics.loads.supports import (
     supported_nodes,
 )
 from palpate.dynamics.loads.surface_force import SurfaceForce
-from palpate.dynamics.loads.values import arrays_at, scalars_at, vectors_at
+from palpate.dynamics.loads.values import arrays_at, vectors_at
 from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
 
@@ -40,18 +42,12 @@ __all__ = [
     "LoadSites",
     "PreparedLoads",
     "check_kinds",
-    "is_pressure",
     "listed",
     "prepare_loads",
 ]
 
 SUPPORT_TOLERANCE = 1e-9  # largest prescribed displacement across a support, relative to the largest one
-Load = DeadLoad | Gravity | PrescribedMotion | Grasp | Contact | Foundation
-
-
-def is_pressure(load: object) -> TypeGuard[SurfaceForce]:
-    """Return True for a pressure, which follows the deformed face."""
-    return isinstance(load, SurfaceForce) and load.pressure is not None
+Load = DeadLoad | Pressure | Gravity | PrescribedMotion | Grasp | Contact | Foundation
 
 
 class LoadHistory(NamedTuple):
@@ -184,11 +180,7 @@ class PreparedLoads(Described):
             A load's function returned the wrong shape or a value that is not finite.
         """
         motion, constrained = self._motion(times)
-        pressures = [
-            scalars_at(load.pressure or 0.0, times, f"pressure of SurfaceForce on {load.group!r}")
-            for load in self.loads
-            if is_pressure(load)
-        ]
+        pressures = [load.values(times) for load in self.loads if isinstance(load, Pressure)]
         return LoadHistory(
             gravity=self._gravity(times),
             amplitudes=self._amplitudes(times),
@@ -250,7 +242,7 @@ class PreparedLoads(Described):
     @cached_property
     def dead_loads(self) -> tuple[DeadLoad, ...]:
         """Dead loads, in the order of `LoadSites.dead_start`."""
-        return tuple(load for load in self.loads if isinstance(load, DeadLoad) and not is_pressure(load))
+        return tuple(load for load in self.loads if isinstance(load, DeadLoad))
 
     @cached_property
     def tools(self) -> tuple[Contact, ...]:
@@ -313,19 +305,24 @@ def listed(loads: Any) -> tuple[Load, ...]:
         raise InputError(f"loads must be a list, got one {type(loads).__name__}; put it in brackets, such as [pull]")
     if isinstance(loads, str | bytes | Mapping) or not isinstance(loads, Iterable):
         raise InputError(
-            f"loads must be a list of loads, got {brief(loads)}; use such as [SurfaceForce(...), Gravity()]"
+            f"loads must be a list of loads, got {brief(loads)}; use such as [{SurfaceForce.__name__}(...)]"
         )
     listed = tuple(loads)
     for load in listed:
         if not isinstance(load, Load):
-            raise InputError(
-                "loads must be of SurfaceForce, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got "
-                f"{brief(load)}; replace or remove it"
-            )
+            raise InputError(f"loads must be of {kind_names(get_args(Load))}, got {brief(load)}; replace or remove it")
     return listed
 
 
-def check_kinds(loads: Sequence[Load], allowed: tuple[type, ...], what: str) -> None:
+def kind_names(kinds: Sequence[type]) -> str:
+    """Return the names of kinds of loads for a message; those of an abstract kind are its subclasses."""
+    concrete = [name for kind in kinds for name in (kind.__subclasses__() if isabstract(kind) else [kind])]
+    return ", ".join(kind.__name__ for kind in concrete)
+
+
+def check_kinds(
+    loads: Sequence[Load], allowed: tuple[type, ...], what: str, remedy: str = "run the full model with it"
+) -> None:
     """Refuse loads of other kinds than those that a model has forces for.
 
     Parameters
@@ -334,6 +331,8 @@ def check_kinds(loads: Sequence[Load], allowed: tuple[type, ...], what: str) -> 
     allowed : tuple of types
     what : str
         The argument, and of which model, for the message.
+    remedy : str
+        What to do with a load of another kind, for the message.
 
     Raises
     ------
@@ -342,15 +341,14 @@ def check_kinds(loads: Sequence[Load], allowed: tuple[type, ...], what: str) -> 
     """
     for load in loads:
         if not isinstance(load, allowed):
-            names = ", ".join("SurfaceForce" if kind is DeadLoad else kind.__name__ for kind in allowed)
-            raise InputError(f"{what} must be one of {names}, got {brief(load)}; run the full model with it")
+            raise InputError(f"{what} must be one of {kind_names(allowed)}, got {brief(load)}; {remedy}")
 
 
 def prepare_loads(
     cloud: Cloud,
     held: Sequence[Support],
     loads: Sequence[Load],
-    areas_of: Callable[[DeadLoad], Floats] | None = None,
+    areas_of: Callable[[DeadLoad | Pressure], Floats] | None = None,
     patches: sparse.csr_array | None = None,
 ) -> PreparedLoads:
     """Prepare loads for a cloud with supports.
@@ -430,16 +428,16 @@ def _load_sites(
     cloud: Cloud,
     loads: Sequence[Load],
     constraints: _Constraints,
-    areas_of: Callable[[DeadLoad], Floats] | None,
+    areas_of: Callable[[DeadLoad | Pressure], Floats] | None,
 ) -> LoadSites:
     """Return the nodes and factors of dead loads, pressures and foundations."""
     dead: list[ForcePattern] = []
     pressures: list[tuple[NDArray[np.int64], Floats]] = []
     foundations: list[tuple[NDArray[np.int64], Floats, Floats]] = []
     for load in loads:
-        if isinstance(load, DeadLoad):
+        if isinstance(load, DeadLoad | Pressure):
             areas = cloud.area_vectors(load.group) if areas_of is None else areas_of(load)
-            if is_pressure(load):
+            if isinstance(load, Pressure):
                 pressures.append((cloud.group(load.group), areas))
             else:
                 dead.append(load.pattern(cloud, areas))
@@ -479,7 +477,7 @@ def _check_free_nodes(cloud: Cloud, loads: Sequence[Load], constraints: _Constra
     kind = constraints.kind
     free = (kind == FREE) | (kind == SLIDING)
     for load in loads:
-        if isinstance(load, DeadLoad) and not free[cloud.group(load.group)].any():
+        if isinstance(load, DeadLoad | Pressure) and not free[cloud.group(load.group)].any():
             raise InputError(
                 f"group of {type(load).__name__} must have free nodes, got {load.group!r}, which is all fixed or "
                 "prescribed; load another group"

@@ -34,7 +34,7 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
     InputError
         A load is not supported, or was not part of the training.
     """
-    check_kinds(loads, KINDS, "loads of a sampled reduced model")
+    check_kinds(loads, KINDS, "loads of a sampled reduced model", "run the full model or palpate.galerkin with it")
     kinematics = data.kinematics
     loads = [
         _forceps(data, load) if isinstance(load, Grasp) and load.name not in data.prescribed else load
@@ -42,10 +42,6 @@ def prepare_reduced_loads(data: ReducedData, loads: Sequence[Load], *, implicit:
     ]
     areas = partial(load_areas, data.cloud, kinematics.prestretch) if kinematics.sheet else None
     ready = prepare_loads(data.cloud, data.supports, loads, areas)
-    if len(ready.sites.pressure_node):
-        raise InputError(
-            "loads must hold no follower pressures for a reduced model, got a pressure; use palpate.galerkin"
-        )
     if ready.tools and (data.prescribed or kinematics.sheet):
         raise InputError(
             "loads must hold no Contact or Grasp for a reduced membrane or a model with prescribed groups, got one; "
