@@ -114,7 +114,7 @@ def _step_engine(engine: Engine, poses: Poses, seconds: float, black_box: Path, 
         warnings.simplefilter("ignore", RuntimeWarning)  # about trust: the report has it
         try:
             with engine:
-                DummyDevice(_with_progress(poses, shown)).prepare(engine, seconds)
+                DummyDevice(_with_progress(poses, shown)).run(engine, seconds)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("in real time") from None
     if engine.state == "diverged":

@@ -99,7 +99,7 @@ class ReducedModel(CoordinateModel):
                 "not measured" if found is None else 100 * found,
                 "" if found is None else "%",
             ),
-            ("driven", data.prescribed or None, ""),
+            ("prescribed", data.prescribed or None, ""),
             ("step", "explicit" if self.step is None else self.step, "" if self.step is None else "s"),
         ]
 
