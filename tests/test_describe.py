@@ -141,7 +141,7 @@ def test_every_law_of_fibres_prints_its_parameters_without_directions(entry):
     check(entry.kind(**entry.example, directions=directions), ["kPa", "directions=at 500 nodes"])
 
 
-def test_a_law_of_ones_own_prints_as_the_others_do():
+def test_a_user_defined_law_prints_as_the_others():
     @dataclass(frozen=True, kw_only=True)
     class Own(pt.materials.NeoHookean):
         pass
@@ -164,7 +164,7 @@ class Fault(Described):
         ]
 
 
-def test_texts_from_files_are_escaped_and_cut():
+def test_texts_from_files_are_escaped_and_truncated():
     line, page = repr(Fault()), Fault()._repr_html_()
     assert line.isprintable()
     assert len(line) <= LONGEST_LINE

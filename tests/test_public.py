@@ -142,7 +142,7 @@ def test_the_example_prints_the_model_that_the_readme_shows(capsys):
     assert capsys.readouterr().out == shown[1]
 
 
-def test_a_type_checker_knows_the_types_of_the_example(tmp_path):
+def test_the_example_of_the_readme_passes_mypy(tmp_path):
     pytest.importorskip("mypy")
     source = example()
     tree = ast.parse(source)

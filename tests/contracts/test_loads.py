@@ -198,7 +198,7 @@ def test_in_real_time_a_load_moves_a_linear_model_or_is_refused_by_name(name):
         assert np.abs(periods(ready(), WAY * 1e-2)).max() > 0
 
 
-def test_a_linear_model_in_real_time_has_its_tool():
+def test_a_linear_model_in_real_time_requires_one_tool():
     assert np.abs(periods(pt.realtime_model(linear_with_tool()), 1e-2 * WAY)).max() > 0
     with pytest.raises(pt.InputError, match="one PrescribedMotion or Grasp"):
         pt.realtime_model(pt.lti.reduce_linear(pt.lti.linearise(solid("energy"), [pull()], ["x+"]), "modal", 4))

@@ -49,7 +49,7 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
         (lambda: "push", "loads must be of SurfaceForce, .*Pressure, Gravity, PrescribedMotion, .* got 'push'"),
     ],
 )
-def test_a_load_that_cannot_be_is_refused_by_name(held, load, message):
+def test_invalid_loads_are_refused_by_name(held, load, message):
     with pytest.raises(pt.InputError, match=message.replace("'x+'", r"'x\+'")):
         pt.rollout(held, [load()], duration=1e-3, every=5e-4)
 
@@ -65,7 +65,7 @@ def test_a_load_that_cannot_be_is_refused_by_name(held, load, message):
         pt.Pressure("x+", lambda t: (1, 2, 3)),
     ],
 )
-def test_a_load_of_the_wrong_shape_is_refused_by_name(held, load):
+def test_loads_of_a_wrong_shape_are_refused_by_name(held, load):
     with pytest.raises(pt.InputError, match=load.group.replace("+", r"\+")):
         pt.rollout(held, [load], duration=1e-3, every=5e-4)
 
@@ -81,14 +81,14 @@ def test_a_surface_force_on_a_prescribed_group_is_refused(held):
         pt.rollout(held, loads, duration=1e-3, every=5e-4)
 
 
-def test_a_traction_on_nodes_that_are_no_face_is_refused(bar, tissue):
+def test_a_surface_force_on_nodes_that_are_not_a_face_is_refused(bar, tissue):
     inside = replace(bar, groups={**bar.groups, "deep": np.array([21, 22])})
     model = pt.Solid(inside, tissue, form="strong", stiffness_damping=0.0)
     with pytest.raises(pt.InputError, match="'deep' must lie on one face"):
         model.prepare([pt.SurfaceForce("deep", force=(1, 0, 0))])
 
 
-def test_tractions_on_one_group_add_up(held):
+def test_surface_forces_and_pressures_on_one_group_add_up(held):
     loads = [pt.SurfaceForce("x+", force=(1, 0, 0)), pt.SurfaceForce("x+", force=(0, 2, 0)), pt.Gravity((0, 0, 1))]
     loads.append(pt.Pressure("x+", 1000.0))
     prepared = held.prepare(loads)
@@ -98,7 +98,7 @@ def test_tractions_on_one_group_add_up(held):
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("group", ["x+", "y+", "z-", "patch"])
-def test_a_moment_sums_to_itself_and_to_no_force(bar, tissue, group, axis):
+def test_forces_of_a_moment_sum_to_the_moment_and_to_zero_force(bar, tissue, group, axis):
     patch = bar.group("x+")[[0, 1, 6, 11]]  # lies skew to the axes, its centroid at no node
     model = pt.Solid(replace(bar, groups={**bar.groups, "patch": patch}), tissue, form="strong", stiffness_damping=0.0)
     moment = 2.0 * np.eye(3)[axis]
@@ -112,7 +112,7 @@ def test_a_moment_sums_to_itself_and_to_no_force(bar, tissue, group, axis):
     np.testing.assert_array_equal(np.delete(force, model.cloud.group(group), axis=0), 0)
 
 
-def test_a_force_and_a_moment_of_one_traction_and_of_two_are_the_same(held):
+def test_force_and_moment_in_one_load_equal_two_loads(held):
     force, moment = (1.0, 2.0, 3.0), (0.1, -0.2, 0.3)
     both = pt.SurfaceForce("x+", force=lambda t: force, moment=lambda t: moment)
     apart = [
@@ -173,7 +173,7 @@ def twist_rate(cells, tissue, moment, width=0.015):
     return (turns[1] - turns[0]) / (2 * width / cells)
 
 
-def test_a_square_bar_twists_as_saint_venant_has_it(tissue):
+def test_a_square_bar_twists_by_saint_venants_formula(tissue):
     """G J per turn with J = 0.1406 width^4 [Timoshenko and Goodier, Theory of Elasticity, section 109]."""
     moment = 1e-6
     expected = moment / (tissue.shear_modulus * 0.1406 * 0.015**4)

@@ -1,4 +1,4 @@
-"""How the force on a tool rises with its displacement: beside what a slow hand feels, and beside dense equations.
+"""How the force on a tool rises with its displacement: compared with the force of slow motion and with dense equations.
 
 Springs under a pressed block stand here as well, as its force and stiffness know them.
 """
@@ -102,7 +102,7 @@ class Hand:
 
 
 @HANDS
-def test_the_stiffness_is_what_a_slow_hand_feels(pressed, friction, foundations):
+def test_the_contact_stiffness_is_the_derivative_of_the_force_in_slow_motion(pressed, friction, foundations):
     hand = Hand(
         slow(pressed[1]), pt.tools.Contact(pt.tools.Sphere(BALL), HOME, friction=friction), foundations=foundations
     )
@@ -119,7 +119,7 @@ def test_the_stiffness_is_what_a_slow_hand_feels(pressed, friction, foundations)
 
 
 @HANDS
-def test_on_a_way_on_which_patches_come_to_the_tool_its_sum_is_the_force(pressed, friction, foundations):
+def test_the_stiffness_integrates_to_the_force_while_patches_come_into_contact(pressed, friction, foundations):
     hand = Hand(
         slow(pressed[1]), pt.tools.Contact(pt.tools.Sphere(BALL), HOME, friction=friction), foundations=foundations
     )
@@ -134,7 +134,7 @@ def test_on_a_way_on_which_patches_come_to_the_tool_its_sum_is_the_force(pressed
     assert rise == pytest.approx(forces[-1] - forces[0], rel=0.02)
 
 
-def test_so_it_is_of_forceps(pressed):
+def test_the_stiffness_of_forceps_is_the_derivative_of_their_force(pressed):
     hand = Hand(slow(pressed[1]), pt.tools.Grasp(AT, 0.010, AT))
     up = np.array((0.0, 0.001, 0.003))
     hand.presses(up)
@@ -161,12 +161,12 @@ def dense(hand):
     matrix += columns @ np.linalg.solve(0.5 * (data.tangent + data.tangent.T), columns.T)
     each, whole = np.tile(np.eye(3), (len(on), 1)), pushes.sum(axis=0)
     size = np.linalg.norm(whole)
-    dent = (contact_state.now[on] - contact_state.modal[on]).ravel()
-    matrix += np.outer(-stiffening[0] / (stiffening[1] + size) * dent, each @ whole / size)
+    displacement = (contact_state.now[on] - contact_state.modal[on]).ravel()
+    matrix += np.outer(-stiffening[0] / (stiffening[1] + size) * displacement, each @ whole / size)
     return each.T @ np.linalg.solve(matrix, each), 3 * len(on)
 
 
-def test_many_patches_take_several_calls_and_give_what_dense_equations_give(pressed):
+def test_the_stiffness_of_many_patches_equals_that_of_dense_equations_after_several_calls(pressed):
     softening = pressed[1].data.compliance._replace(stiffening=np.array([0.3, 5.0]))
     above = (0.03, 0.03, SIZE[2] + 0.001), (np.pi, 0.0, 0.0)  # facing down
     hand = Hand(slow(pressed[1], compliance=softening), pt.tools.Contact(pt.tools.Plane(), above, friction=2.0))
@@ -181,7 +181,7 @@ def test_many_patches_take_several_calls_and_give_what_dense_equations_give(pres
 # springs
 
 
-def test_a_pressed_block_on_springs_is_the_full_one(pressed):
+def test_a_pressed_reduced_block_on_springs_agrees_with_the_full_one(pressed):
     body, model = pressed
     loads = [press(0.024, 0.038), SPRINGS]
     full, own = (pt.rollout(m, loads, duration=0.2, every=0.005, progress=False) for m in (body, model))
@@ -192,7 +192,7 @@ def test_a_pressed_block_on_springs_is_the_full_one(pressed):
     assert np.abs(own.balance).max() < 0.05 * np.abs(own.external).max()
 
 
-def test_the_engine_feels_a_block_on_springs_as_a_run_does(pressed):
+def test_the_engine_has_the_force_of_a_run_on_springs(pressed):
     _, model = pressed
     hand = Hand(model, pt.tools.Contact(pt.tools.Sphere(BALL), HOME), foundations=[SPRINGS])
     down = lambda time: -(DEPTH + 0.001) * min(time / 0.1, 1.0)  # noqa: E731
