@@ -8,6 +8,7 @@ import inspect
 import re
 import subprocess
 import sys
+import tomllib
 import types
 import typing
 from importlib import import_module
@@ -119,6 +120,17 @@ def test_every_type_that_a_public_function_takes_or_returns_is_public():
                 for kind in classes_in(hint) - allowed:
                     missing.setdefault(f"{kind.__module__}.{kind.__name__}", set()).add(f"{name}: {part.__qualname__}")
     assert not missing
+
+
+def test_the_page_for_a_package_index_has_no_relative_links_and_the_example_of_the_readme():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (ROOT / project["readme"]).read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)]*)\)", text)
+    assert links
+    assert all(link.startswith("https://") for link in links)
+    shown = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1].splitlines()
+    statements = {line.partition("  #")[0] for line in example().splitlines()}
+    assert {line.partition("  #")[0] for line in shown} <= statements
 
 
 # the example of the README, as a type checker sees it

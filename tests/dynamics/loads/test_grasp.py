@@ -41,9 +41,7 @@ def forceps():
     return pt.tools.Grasp(TOP, 0.0085, lift, name="forceps")
 
 
-def test_nodal_forces_sum_to_the_tool_forces_and_the_momentum_of_a_free_body(
-    small_cloud, tissue, forceps, press
-):
+def test_nodal_forces_sum_to_the_tool_forces_and_the_momentum_of_a_free_body(small_cloud, tissue, forceps, press):
     model = pt.Solid(small_cloud, tissue, form="energy")
     trajectory = run(model, forceps, press)
     of_tools = sum(trajectory.reactions[name] for name in ("forceps", "tool"))
@@ -91,9 +89,7 @@ def test_forces_on_nodes_are_those_of_a_grasp_in_the_energy_form_alone(small_clo
         assert trajectory.reactions["forceps"][-1].any()
 
 
-def test_trajectories_and_files_distinguish_touched_from_bonded_nodes(
-    small_cloud, tissue, forceps, press, tmp_path
-):
+def test_trajectories_and_files_distinguish_touched_from_bonded_nodes(small_cloud, tissue, forceps, press, tmp_path):
     model = pt.Solid(small_cloud, tissue, "z-", form="energy")
     first = run(model, forceps, press, duration=0.02, file=tmp_path / "first.h5")
     held = forceps.with_group(small_cloud).group("forceps")

@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -288,6 +290,11 @@ def test_a_trajectory_is_refused(path):
     pt.Trajectory("full", none, vectors, vectors, {}, none, none, none, none, none, np.zeros((4, 3))).save(path)
     with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is not a palpate reduced model"):
         pt.load(path)
+
+
+def test_the_documentation_shows_the_version_of_files():
+    text = (Path(__file__).parents[3] / "docs" / "files.md").read_text(encoding="utf-8")
+    assert re.search(rf"{storage.FORMAT}\n +version (\d+)\n", text)[1] == str(storage.VERSION)
 
 
 def test_another_version_is_refused_even_in_a_truncated_file(saved, path):
