@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.describe import LONGEST_LINE, Described, quantity
+from palpate.describe import MAX_LINE_CHARACTERS, Described, quantity
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.realtime.statistics import Histograms, Statistics, count_step
@@ -107,7 +107,7 @@ def check(thing, parts):
     line = repr(thing)
     assert "\n" not in line
     assert line.isprintable()
-    assert len(line) <= LONGEST_LINE
+    assert len(line) <= MAX_LINE_CHARACTERS
     title = "Solid" if isinstance(thing, pt.Solid) else type(thing).__name__
     assert line.startswith(f"{title}(")
     assert "array(" not in line
@@ -167,7 +167,7 @@ class Fault(Described):
 def test_texts_from_files_are_escaped_and_truncated():
     line, page = repr(Fault()), Fault()._repr_html_()
     assert line.isprintable()
-    assert len(line) <= LONGEST_LINE
+    assert len(line) <= MAX_LINE_CHARACTERS
     assert line.endswith("...)")
     assert "<script>" not in page
     rows = list(ElementTree.fromstring(page).iter("tr"))

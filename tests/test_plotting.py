@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.plotting import MOST_SHAPES, body_svg, curve_svg
+from palpate.plotting import MAX_SHAPES, body_svg, curve_svg
 
 NAMES = "{http://www.w3.org/2000/svg}"
 
@@ -88,7 +88,7 @@ def test_pictures_are_small():
     points = np.random.default_rng(0).uniform(size=(20_000, 3))
     triangles = np.arange(19_998).reshape(-1, 3)
     drawn = body_svg(points, triangles)
-    assert len(list(ElementTree.fromstring(drawn))) <= MOST_SHAPES
+    assert len(list(ElementTree.fromstring(drawn))) <= MAX_SHAPES
     curve = curve_svg(np.arange(1e5), np.arange(1e5) ** 2, "time [s]", "a < b")
     assert len(curve) < 10_000
     assert "a &lt; b: 0 to 1e+10" in curve

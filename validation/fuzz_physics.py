@@ -21,7 +21,7 @@ import palpate as pt
 
 SIZE, SPACING = 0.015, 0.005  # [m] 64 nodes
 STEPS, FRAMES = 100, 3  # of an ordinary run
-LONGEST = 30.0  # [s] of a trial, after kernels are compiled
+MAX_SECONDS = 30.0  # [s] of a trial, after kernels are compiled
 ASKED = 10 * STEPS * FRAMES  # stable steps of a run above which it may take longer: it is ended, and counts as one
 ODD = (0.0, -0.0, 5e-324, 1e308, np.inf, -np.inf, np.nan)
 SERIES = ("times", "displacements", "velocities", "kinetic", "strain", "external", "dissipated")
@@ -118,7 +118,7 @@ def _run(draw: _Draw) -> pt.Trajectory:
 
 def _watched(acceleration: tuple[float, ...], late: type[Exception]) -> pt.Gravity:
     """Return a gravity that looks at the clock whenever it is evaluated."""
-    end = perf_counter() + LONGEST * (0.1 if late is _Enough else 1.0)
+    end = perf_counter() + MAX_SECONDS * (0.1 if late is _Enough else 1.0)
 
     def at(time: float) -> tuple[float, ...]:
         if perf_counter() > end:

@@ -27,7 +27,7 @@ from time import perf_counter
 
 ROOT = Path(__file__).parents[1]
 COPIED = ("src", "tests", "validation", "pyproject.toml")
-LONGEST = 1800.0  # [s] that the tests of one mutation may take
+MAX_SECONDS = 1800.0  # [s] that the tests of one mutation may take
 MODELS, LOADS = "tests/contracts/test_models.py", "tests/contracts/test_loads.py"
 MATERIALS, CONTACT = "tests/tissue/test_materials.py", "tests/dynamics/contact/test_contact.py"
 
@@ -321,10 +321,10 @@ def tested(folder: Path, tests: Sequence[str]) -> tuple[int, str]:
     environment.pop("NUMBA_CACHE_DIR", None)  # what is compiled stays next to the copy's sources
     try:
         done = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST, check=False
+            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=MAX_SECONDS, check=False
         )
     except subprocess.TimeoutExpired:
-        return -1, f"not done after {LONGEST:g} s"
+        return -1, f"not done after {MAX_SECONDS:g} s"
     lines = (done.stdout + done.stderr).strip().splitlines()
     return done.returncode, lines[-1] if lines else ""
 

@@ -72,7 +72,7 @@ def small(monkeypatch):
     monkeypatch.setattr(
         "palpate.app.bench.cases.beam", lambda spacing: replace(beam(spacing=0.02 / 3, load=2.0), duration=0.05)
     )
-    for name, value in {"BODIES": (4, 5), "MANY": 6, "SAMPLED": 24, "FEW": 3}.items():
+    for name, value in {"BODIES": (4, 5), "MANY": 6, "SAMPLED": 24, "BEAM_MODES": 3}.items():
         monkeypatch.setattr(f"palpate.app.bench.cases.{name}", value)
 
 

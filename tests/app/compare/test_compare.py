@@ -16,7 +16,7 @@ from palpate.app.compare.report import summary
 
 pytestmark = pytest.mark.slow
 
-LASTING = 0.02
+RUN_SECONDS = 0.02
 
 
 @pytest.fixture
@@ -25,11 +25,11 @@ def small_bar(bar, tissue, monkeypatch):
     model = pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=2e-5)
 
     def loads(size):
-        return (pt.SurfaceForce("x+", force=lambda t: (size * np.sin(np.pi * t / LASTING) ** 2, 0.0, 0.0)),)
+        return (pt.SurfaceForce("x+", force=lambda t: (size * np.sin(np.pi * t / RUN_SECONDS) ** 2, 0.0, 0.0)),)
 
     def make(spacing=0.005, poisson=0.45):
         return ComparedBody(
-            "A bar", model, loads, 1e-4, 3.0, "N", ("x+",), LASTING, 0.001,
+            "A bar", model, loads, 1e-4, 3.0, "N", ("x+",), RUN_SECONDS, 0.001,
             lambda run, modes: pt.galerkin(model, run, modes=modes), "POD of the nonlinear run",
         )  # fmt: skip
 

@@ -27,7 +27,7 @@ def short():
     """Let training take few short runs."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in {
-            "run.grasp.LASTING": 0.04,
+            "run.grasp.RUN_SECONDS": 0.04,
             "run.grasp.EVERY": 0.002,
             "models.quick_training.TRAINING": 2,
             "models.quick_training.HELD_OUT": 1,

@@ -34,13 +34,13 @@ def trained(tmp_path_factory):
 @pytest.fixture
 def swift(monkeypatch):
     """Let a press take half a second."""
-    monkeypatch.setattr(liver, "LASTING", 0.5)
+    monkeypatch.setattr(liver, "PRESS_SECONDS", 0.5)
 
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     """An empty cache, into which next to nothing will be trained."""
-    small = {"SMALL": COARSE, "PATHS": 1, "HELD_OUT": 1, "MODES": 6, "MOST_WORKERS": 1}
+    small = {"SCENE_PARAMETERS": COARSE, "PATHS": 1, "HELD_OUT": 1, "MODES": 6, "MAX_WORKERS": 1}
     for name, value in small.items():
         monkeypatch.setattr(cached_models, name, value)
     monkeypatch.setattr(cached_models, "user_cache_path", lambda name: tmp_path / name)
@@ -81,7 +81,7 @@ def test_the_report_has_the_errors_of_the_tool_force_and_the_surface(trained):
 def test_the_ball_starts_outside_presses_to_the_trained_depth_and_leaves(trained):
     model = pt.load(trained / "model.rom")
     poses, ball = liver.pressing_ball(model, trained / "model.rom")
-    times = np.linspace(0.0, 2 * liver.LASTING, 81)
+    times = np.linspace(0.0, 2 * liver.PRESS_SECONDS, 81)
     moved, turned = (np.array(part) for part in zip(*map(poses, times), strict=True))
     np.testing.assert_array_equal(turned, np.tile([1.0, 0.0, 0.0, 0.0], (81, 1)))
     np.testing.assert_allclose(moved[[0, 40, 80]], 0.0, atol=1e-15)  # again and again from one place

@@ -99,13 +99,13 @@ def alive(pid):
 def test_a_campaign_writes_its_runs_a_model_and_a_report(whole, assert_drawn):
     report = json.loads((whole / "report.json").read_text())
     assert sorted(path.name for path in (whole / "runs").iterdir()) == sorted(RUNS)
-    assert [run["seed"] for run in report["runs"]] == [0, 1, 2, 3, folders.MOST_PATHS]
+    assert [run["seed"] for run in report["runs"]] == [0, 1, 2, 3, folders.MAX_PATHS]
     assert report["failed"] == []
     assert report["model"]["training_runs"] == 4
     assert report["model"]["snapshots"] == 44
     model = pt.load(whole / "model.rom")
     held, scene = report["model"]["held_out"]["runs"], training_scene(SCENE, {})
-    loads, duration = scene.path(folders.MOST_PATHS)
+    loads, duration = scene.path(folders.MAX_PATHS)
     again = pt.rollout(model, loads, duration=duration, every=scene.every)
     expected = pt.relative_errors(pt.Trajectory.load(whole / "runs" / RUNS[-1]), again)
     assert len(held) == 1

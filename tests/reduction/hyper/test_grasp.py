@@ -14,12 +14,12 @@ from palpate.reduction.training.fit_compliance import _follow_run
 
 pytestmark = pytest.mark.slow
 
-SIZE, BALL, LASTING = (0.06, 0.06, 0.03), 0.015, 0.16
+SIZE, BALL, PRESS_SECONDS = (0.06, 0.06, 0.03), 0.015, 0.16
 
 
 def share(time):
     """Of a way: out and back again."""
-    return np.sin(np.pi * min(time / LASTING, 1.0)) ** 2
+    return np.sin(np.pi * min(time / PRESS_SECONDS, 1.0)) ** 2
 
 
 def press(x, y, depth=0.004):

@@ -13,7 +13,7 @@ __all__ = [
 
 DONE, FAILED, BAD_INPUT, DEFECT, INTERRUPTED = 0, 1, 2, 70, 130
 DEBUG = "PALPATE_DEBUG"  # environment variable: 1 prints the traceback of an internal error
-LONGEST_COMPLAINT = 1000  # characters
+MAX_MESSAGE_CHARACTERS = 1000  # characters
 
 
 class RunError(RuntimeError):
@@ -30,7 +30,7 @@ def complain(message: str, code: int) -> int:
 def one_line(message: str) -> str:
     """Return a message as one line of printable characters."""
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in " ".join(message.split()))
-    return line if len(line) <= LONGEST_COMPLAINT else line[: LONGEST_COMPLAINT - 3] + "..."
+    return line if len(line) <= MAX_MESSAGE_CHARACTERS else line[: MAX_MESSAGE_CHARACTERS - 3] + "..."
 
 
 def system_error(error: OSError) -> str:
