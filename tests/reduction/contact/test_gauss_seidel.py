@@ -52,23 +52,20 @@ def moved(tools, before, after):
     tools.frames[0, 0, :, 3], tools.frames[0, 1, :, 3] = before, after
 
 
-def gaps(contact_state, tools):
-    count = contact_state.numbers[0]
+def gaps(contact, tools):
+    count = contact.numbers[0]
     return np.array(
-        [
-            gap(0, tools.sizes[t], tools.frames[t, 1], *contact_state.now[e])
-            for e, t in enumerate(contact_state.tool[:count])
-        ]
+        [gap(0, tools.sizes[t], tools.frames[t, 1], *contact.now[e]) for e, t in enumerate(contact.tool[:count])]
     )
 
 
 def test_no_node_is_inside_the_tool_and_no_force_pulls():
     of = flat_skin()
-    contact_state, tools = contact_scratch(of, 1), ball(of)
+    contact, tools = contact_scratch(of, 1), ball(of)
     moved(tools, (0, 0, RADIUS), (0.0005, 0, RADIUS - 0.002))
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
-    found, forces = gaps(contact_state, tools), contact_state.push[: contact_state.numbers[0]]
-    assert contact_state.numbers[0] > 20
+    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    found, forces = gaps(contact, tools), contact.push[: contact.numbers[0]]
+    assert contact.numbers[0] > 20
     assert found[:, 0].min() > -2e-3 * 0.002
     along = np.sum(forces * found[:, 1:], axis=1)
     assert along.min() >= 0
@@ -80,11 +77,11 @@ def test_no_node_is_inside_the_tool_and_no_force_pulls():
 
 def test_tool_forces_equal_those_on_nodes_and_coordinates():
     of = flat_skin()
-    contact_state, tools = contact_scratch(of, 1), ball(of, friction=0.4)
+    contact, tools = contact_scratch(of, 1), ball(of, friction=0.4)
     moved(tools, (0, 0, RADIUS), (0.001, 0.0004, RADIUS - 0.002))
     step = 1e-3
-    work, lost = settle(of, contact_state, tools, np.zeros(3), np.zeros(3), step, HELD, 3)
-    forces, places = contact_state.force[0], contact_state.place[0]
+    work, lost = settle(of, contact, tools, np.zeros(3), np.zeros(3), step, HELD, 3)
+    forces, places = contact.force[0], contact.place[0]
     np.testing.assert_allclose(tools.impulses[0, :3], step * forces.sum(axis=0), rtol=1e-12)
     on = forces.any(axis=1)
     arms = places[on] - tools.frames[0, 1, :, 3]
@@ -98,13 +95,13 @@ def test_tool_forces_equal_those_on_nodes_and_coordinates():
 
 def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
     of = flat_skin()
-    contact_state, tools = contact_scratch(of, 1), ball(of, friction=0.3)
+    contact, tools = contact_scratch(of, 1), ball(of, friction=0.3)
     place = np.array([0.0, 0.0, RADIUS])
     for way in [np.array([0, 0, -0.00025])] * 8 + [np.array([0.0002, 0, 0])] * 30:
         moved(tools, place, place + way)
-        settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+        settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
         place = place + way
-        found, forces = gaps(contact_state, tools), contact_state.push[: contact_state.numbers[0]]
+        found, forces = gaps(contact, tools), contact.push[: contact.numbers[0]]
         along = np.sum(forces * found[:, 1:], axis=1)
         across = np.linalg.norm(forces - along[:, None] * found[:, 1:], axis=1)
         assert np.all(across <= 0.3 * along + 2e-3 * along.max())
@@ -113,14 +110,14 @@ def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
 
 def test_two_equal_tools_have_equal_forces_and_a_tool_without_contact_has_none():
     of = flat_skin()
-    contact_state, tools = contact_scratch(of, 2), ball(of, tools=2)
+    contact, tools = contact_scratch(of, 2), ball(of, tools=2)
     for t, x in enumerate((-0.006, 0.006)):
         tools.frames[t, :, :, 3] = (x, 0, RADIUS - 0.001)
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
     np.testing.assert_allclose(tools.impulses[0, 2], tools.impulses[1, 2], rtol=2e-3)  # alike
     tools.frames[:, :, 2, 3] += 1.0
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
-    assert not contact_state.force.any()
+    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    assert not contact.force.any()
     assert not tools.load.any()
 
 

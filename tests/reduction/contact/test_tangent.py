@@ -69,11 +69,9 @@ class Hand:
 
     def pushed(self):
         """Return the patches or nodes that the tool pushes."""
-        contact_state = self.ready.data.contact_state
+        contact = self.ready.data.contact_work
         return {
-            int(i)
-            for i, force in zip(contact_state.point, contact_state.push[: contact_state.numbers[0]], strict=False)
-            if force.any()
+            int(i) for i, force in zip(contact.point, contact.push[: contact.numbers[0]], strict=False) if force.any()
         }
 
     def feels(self, place, by):
@@ -146,22 +144,22 @@ def test_the_stiffness_of_forceps_is_the_derivative_of_their_force(pressed):
 def dense(hand):
     """Return the stiffness where all patches stick, by inverses of whole matrices."""
     data = hand.ready.data
-    contact_state, stiffening = data.contact_state, data.contact_surface.compliance.stiffening
-    on = [e for e in range(contact_state.numbers[0]) if contact_state.push[e].any()]
-    pushes, block = contact_state.push[on], np.zeros((3, 3))
+    contact, stiffening = data.contact_work, data.contact_surface.compliance.stiffening
+    on = [e for e in range(contact.numbers[0]) if contact.push[e].any()]
+    pushes, block = contact.push[on], np.zeros((3, 3))
     matrix = np.zeros((len(on), 3, len(on), 3))
     for i, e in enumerate(on):
         for j, f in enumerate(on):
-            pair(data.contact_surface.compliance, contact_state.point[e], contact_state.point[f], block)
-            matrix[i, :, j] = contact_state.factor[0] * block
-    columns = data.contact_surface.columns[contact_state.node[on]].reshape(-1, data.modes).astype(float)
+            pair(data.contact_surface.compliance, contact.point[e], contact.point[f], block)
+            matrix[i, :, j] = contact.factor[0] * block
+    columns = data.contact_surface.columns[contact.node[on]].reshape(-1, data.modes).astype(float)
     matrix = (
         matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.constrained_inverse_mass @ columns.T
     )  # steps of 1 ms
     matrix += columns @ np.linalg.solve(0.5 * (data.tangent + data.tangent.T), columns.T)
     each, whole = np.tile(np.eye(3), (len(on), 1)), pushes.sum(axis=0)
     size = np.linalg.norm(whole)
-    displacement = (contact_state.now[on] - contact_state.modal[on]).ravel()
+    displacement = (contact.now[on] - contact.modal[on]).ravel()
     matrix += np.outer(-stiffening[0] / (stiffening[1] + size) * displacement, each @ whole / size)
     return each.T @ np.linalg.solve(matrix, each), 3 * len(on)
 
