@@ -37,6 +37,7 @@ RETIRED = {  # word: its place is taken by
     r"(?<!here )(?:is|are) no (?!(?:less|more|longer|such)\b)\w+": "is not a",
     r"to_pymor(?=\(\))": "lti.to_pymor(system)",
     r"[Dd]riven": "prescribed, moved",
+    r"aria-[a-z]*[A-Z]\w*": "an attribute of WAI-ARIA, which is in lower case",
     r"is_pressure|SurfaceForce\([^()]*pressure=.*": "Pressure",
 }
 ALLOWED = {"docs/glossary.md", "tests/test_words.py"}  # name retired words themselves

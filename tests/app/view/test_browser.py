@@ -52,6 +52,13 @@ def test_the_body_is_drawn_in_its_colour_on_a_calm_ground(opened):
     assert image.std() > 0.05
 
 
+def test_the_near_plane_follows_the_camera(opened):
+    tab = opened()
+    tab.wait("palpate.ready")
+    tab.evaluate("palpate.scene.orbitCamera.zoom(0.01)")
+    tab.wait("palpate.scene.camera.near < 0.015 * palpate.scene.size")
+
+
 def test_a_drag_presses_and_letting_go_ends_the_force(opened):
     tab = opened()
     assert tab.evaluate("palpate.force") == 0
@@ -139,6 +146,7 @@ def test_keys_press_move_let_go_and_reset(opened, synthetic):
     assert {"type": "control", "action": "reset"} in synthetic.received
     tab.key("p")
     tab.wait("document.getElementById('pause-text').textContent === 'Resume'")
+    assert tab.evaluate("document.getElementById('pause').getAttribute('aria-pressed')") == "true"
 
 
 def test_one_finger_presses_and_two_fingers_zoom(opened):
