@@ -108,7 +108,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a force dropped in the linear model", "reduction/lti/inputs.py",
-        "values[:, own] += schedule.amplitudes", "values[:, own] += 0.0 * schedule.amplitudes",
+        "values[:, columns] += schedule.amplitudes", "values[:, columns] += 0.0 * schedule.amplitudes",
         load("linear", "SurfaceForce, force"),
     ),
     Mutation(

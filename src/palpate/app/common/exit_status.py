@@ -43,7 +43,7 @@ def system_error(error: OSError) -> str:
 
 
 def report_defect(error: Exception) -> int:
-    """Report an error that is none of the known ones, and leave its traceback in a file; return the exit code."""
+    """Report an unexpected error, and write its traceback to a file; return the exit code."""
     import tempfile
     import traceback
 
@@ -59,7 +59,7 @@ def report_defect(error: Exception) -> int:
 
 
 def silence_output() -> int:
-    """Discard what is still written to a standard output that takes nothing; return the exit code."""
+    """Ignore output to a closed stdout; return the exit code."""
     with suppress(OSError, ValueError, AttributeError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return FAILED

@@ -203,8 +203,8 @@ class PreparedLoads(Described):
     def _amplitudes(self, times: Floats) -> Floats:
         amplitudes = np.zeros((len(times), len(self.dead_loads), self.sites.dead_pattern.shape[1]))
         for g, load in enumerate(self.dead_loads):
-            own = load.amplitudes(times)
-            amplitudes[:, g, : own.shape[1]] = own
+            values = load.amplitudes(times)
+            amplitudes[:, g, : values.shape[1]] = values
         return amplitudes
 
     def _motion(self, times: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -230,8 +230,8 @@ class PreparedLoads(Described):
         on_support = np.flatnonzero(sites.slide_of[nodes] >= 0)
         if not on_support.size:
             return
-        own = motion[:, on_support]
-        error = own - np.einsum("pcd,spd->spc", sites.slide[sites.slide_of[nodes[on_support]]], own)
+        sliding = motion[:, on_support]
+        error = sliding - np.einsum("pcd,spd->spc", sites.slide[sites.slide_of[nodes[on_support]]], sliding)
         largest = np.abs(error).max()
         if largest > SUPPORT_TOLERANCE * np.abs(motion).max(initial=0.0):
             raise InputError(
@@ -346,7 +346,7 @@ def check_kinds(
 
 def prepare_loads(
     cloud: Cloud,
-    held: Sequence[Support],
+    supports: Sequence[Support],
     loads: Sequence[Load],
     areas_of: Callable[[DeadLoad | Pressure], Floats] | None = None,
     patches: sparse.csr_array | None = None,
@@ -356,7 +356,7 @@ def prepare_loads(
     Parameters
     ----------
     cloud : Cloud
-    held : sequence of Support
+    supports : sequence of Support
     loads : sequence of loads
     areas_of : function, optional
         Returns the area vectors (g, 3) [m^2] of a load's group; by default those of the cloud's faces.
@@ -378,7 +378,7 @@ def prepare_loads(
         PrescribedMotion(load.name, load.displacement, load.until) if isinstance(load, Grasp) else load
         for load in loads
     )
-    constraints = _constraints(cloud, held, loads)
+    constraints = _constraints(cloud, supports, loads)
     sites = _load_sites(cloud, loads, constraints, areas_of)
     _check_free_nodes(cloud, loads, constraints)
     tools = [load for load in loads if isinstance(load, Contact)]
@@ -395,14 +395,15 @@ def prepare_loads(
         contacts=contacts(tools, cloud, constraints.until, (sites.slide_of, sites.slide), patches),
         motions=constraints.motions,
         grasps=grasps,
-        directions=constrained_directions(cloud, held),
+        directions=constrained_directions(cloud, supports),
     )
 
 
-def _constraints(cloud: Cloud, held: Sequence[Support], loads: Sequence[Load]) -> _Constraints:
+def _constraints(cloud: Cloud, supports: Sequence[Support], loads: Sequence[Load]) -> _Constraints:
     """Return the constraints of supports and prescribed motions; raise `InputError` for overlaps."""
-    supports, own = {support.group: cloud.group(support.group) for support in held}, supported_nodes(cloud, held)
-    kind = own.kind.copy()
+    groups = {support.group: cloud.group(support.group) for support in supports}
+    supported = supported_nodes(cloud, supports)
+    kind = supported.kind.copy()
     until = np.where(kind == FIXED, np.inf, -np.inf)
     prescribed, motions, count = [np.zeros(0, dtype=np.int64)], [], 0
     for load in loads:
@@ -417,11 +418,11 @@ def _constraints(cloud: Cloud, held: Sequence[Support], loads: Sequence[Load]) -
             )
         kind[nodes] = PRESCRIBED
         until[nodes] = load.until * (1 + 1e-9)
-        supports[load.group] = nodes
+        groups[load.group] = nodes
         prescribed.append(nodes)
         motions.append((load, slice(count, count + len(nodes))))
         count += len(nodes)
-    return _Constraints(kind, own, supports, np.concatenate(prescribed), tuple(motions), until)
+    return _Constraints(kind, supported, groups, np.concatenate(prescribed), tuple(motions), until)
 
 
 def _load_sites(
@@ -445,7 +446,7 @@ def _load_sites(
             nodes, shares = cloud.group(load.group), foundation_areas(cloud, load)
             foundations.append((nodes, load.stiffness * shares, load.damping * shares))
     no_nodes = np.zeros(0, dtype=np.int64)
-    amplitudes = max((own.forces.shape[1] for own in dead), default=0)
+    amplitudes = max((pattern.forces.shape[1] for pattern in dead), default=0)
     slide_of = np.full(len(cloud), -1, dtype=np.int64)
     slide_of[constraints.nodes.sliding] = np.arange(len(constraints.nodes.sliding))
     return LoadSites(
@@ -453,9 +454,11 @@ def _load_sites(
         sliding=constraints.nodes.sliding,
         slide=constraints.nodes.slide,
         slide_of=slide_of,
-        dead_start=np.cumsum([0, *(len(own.nodes) for own in dead)]),
-        dead_node=np.concatenate([no_nodes, *(own.nodes for own in dead)]),
-        dead_pattern=np.concatenate([np.zeros((0, amplitudes, 3)), *(_pad(own.forces, amplitudes) for own in dead)]),
+        dead_start=np.cumsum([0, *(len(pattern.nodes) for pattern in dead)]),
+        dead_node=np.concatenate([no_nodes, *(pattern.nodes for pattern in dead)]),
+        dead_pattern=np.concatenate(
+            [np.zeros((0, amplitudes, 3)), *(_pad(pattern.forces, amplitudes) for pattern in dead)]
+        ),
         pressure_start=np.cumsum([0, *(len(n) for n, _ in pressures)]),
         pressure_node=np.concatenate([no_nodes, *(n for n, _ in pressures)]),
         pressure_area=np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),

@@ -39,8 +39,8 @@ class LoadInputs:
     def at(self, times: Floats, count: int) -> Floats:
         """Return the inputs (t, count) of loads other than tools at some times [s]."""
         schedule, values = self.prepared.schedule(times), np.zeros((len(times), count))
-        for group, own in self.forces:
-            values[:, own] += schedule.amplitudes[:, group, : own.stop - own.start]
+        for group, columns in self.forces:
+            values[:, columns] += schedule.amplitudes[:, group, : columns.stop - columns.start]
         if self.gravity is not None:
             values[:, self.gravity] += schedule.gravity
         return values
@@ -70,14 +70,14 @@ def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> Prepare
             raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
         if isinstance(load, Gravity) and not weight:
             raise InputError("loads must not include Gravity for a system without it; linearise with Gravity")
-    names = {name: nodes for name, nodes in ready.supports.items() if name not in full.fixed}
-    own = full.prepare(system.loads)
-    wanted = {name: nodes for name, nodes in own.supports.items() if name not in full.fixed}
-    same = names.keys() == wanted.keys() and all(np.array_equal(names[name], wanted[name]) for name in wanted)
+    given = {name: nodes for name, nodes in ready.supports.items() if name not in full.fixed}
+    linear = full.prepare(system.loads)
+    expected = {name: nodes for name, nodes in linear.supports.items() if name not in full.fixed}
+    same = given.keys() == expected.keys() and all(np.array_equal(given[name], expected[name]) for name in expected)
     if not same or any(motion.until < np.inf for motion, _ in ready.motions):
         raise InputError(
-            f"loads must prescribe {sorted(wanted) or 'no group'} without release, as in the linear system, "
-            f"got {sorted(names) or 'none'}"
+            f"loads must prescribe {sorted(expected) or 'no group'} without release, as in the linear system, "
+            f"got {sorted(given) or 'none'}"
         )
     return ready
 
