@@ -103,6 +103,21 @@ MUTATIONS = (
         'np.einsum("kac,mkc->am"', '0.0 * np.einsum("kac,mkc->am"', load("hyper-reduced", "SurfaceForce, moment"),
     ),
     Mutation(
+        "a pressure dropped in the full model", "dynamics/nodal/central_difference.py",
+        "surface[i, c] -= schedule.pressure[s, g]", "surface[i, c] -= 0.0 * schedule.pressure[s, g]",
+        load("solid, energy", "Pressure, pressure"),
+    ),
+    Mutation(
+        "a pressure that does not follow the face", "dynamics/nodal/central_difference.py",
+        "area += cofactor[block, 3 * c + d, lane] * sites.", "area += (c == d) * sites.",
+        ("tests/dynamics/solid/test_equilibrium.py::test_pressure_follows_the_face_as_it_stretches_and_turns",),
+    ),
+    Mutation(
+        "a pressure dropped in the projected model", "reduction/galerkin/step.py",
+        "for nodes in (sites.dead_node, sites.pressure_node):", "for nodes in (sites.dead_node, sites.dead_node[:0]):",
+        load("Galerkin", "Pressure, pressure"),
+    ),
+    Mutation(
         "gravity dropped in the projected model", "reduction/galerkin/model.py",
         "gravity_test=self.test", "gravity_test=0.0 * self.test", load("Galerkin", "Gravity, gravity"),
     ),
