@@ -109,7 +109,7 @@ MUTATIONS = (
     ),
     Mutation(
         "a pressure that does not follow the face", "dynamics/nodal/central_difference.py",
-        "area += cofactor[block, 3 * c + d, lane] * sites.", "area += (c == d) * sites.",
+        "area += cofactor[block, 3 * c + d, lane] * sites.", "area += (1.0 if c == d else 0.0) * sites.",
         ("tests/dynamics/solid/test_equilibrium.py::test_pressure_follows_the_face_as_it_stretches_and_turns",),
     ),
     Mutation(
