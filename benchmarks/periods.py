@@ -46,7 +46,7 @@ def press(ready: Any, period: Any, hand: Any, periods: int, every: int) -> np.nd
         tool_coordinates(ready.tool, np.concatenate([place, turn]), target)
         ask = every > 0 and k % every == 0
         period(ready.data, q, v, target, report, out, ask, times)
-        rows[k] = 1e-6 * times[0], 1e-6 * times[1], ready.data.contact_state.numbers[0], ask
+        rows[k] = 1e-6 * times[0], 1e-6 * times[1], ready.data.contact_work.numbers[0], ask
     return rows
 
 

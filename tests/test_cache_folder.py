@@ -13,7 +13,7 @@ import pytest
 @pytest.mark.parametrize(
     ("mode", "fine"), [(0o700, True), (0o755, True), (0o777, False), (0o1777, False), (0o770, False)]
 )
-def test_a_cache_folder_of_others_is_refused(tmp_path, mode, fine):
+def test_a_cache_folder_writable_by_others_is_refused(tmp_path, mode, fine):
     tmp_path.chmod(mode)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", "import palpate"], env=environment, capture_output=True, check=False)

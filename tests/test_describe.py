@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.describe import LONGEST_LINE, Described, quantity
+from palpate.describe import MAX_LINE_CHARACTERS, Described, quantity
 from palpate.dynamics.run.trajectory import StoredTrajectory
 from palpate.meshfree.stencils import moving_least_squares
 from palpate.realtime.statistics import Histograms, Statistics, count_step
@@ -81,7 +81,7 @@ def described(still, energy_form, system, run, tmp_path):
         (curve, ["kind=uniaxial", "4 points", "stretch=1 to 1.3", "(0, 7.1) kPa"]),
         (pt.materials.fit(pt.materials.NeoHookean, curve), ["law=NeoHookean", "+-", "Pa", "stable"]),
         (pt.SurfaceForce("x+", force=(0, 0, -2.5)), ["group=x+", "force=(0, 0, -2.5) N"]),
-        (pt.SurfaceForce("x+", pressure=2e3), ["pressure=2 kPa"]),
+        (pt.Pressure("x+", 2e3), ["pressure=2 kPa"]),
         (pt.SurfaceForce("x+", force=lambda t: (t, 0, 0)), ["force=a function [N]"]),
         (pt.Gravity(), ["(0, 0, -9.81) m/s^2"]),
         (pt.PrescribedMotion("x+", (1e-3, 0, 0), until=0.5), ["(1, 0, 0) mm", "until=500 ms"]),
@@ -107,7 +107,7 @@ def check(thing, parts):
     line = repr(thing)
     assert "\n" not in line
     assert line.isprintable()
-    assert len(line) <= LONGEST_LINE
+    assert len(line) <= MAX_LINE_CHARACTERS
     title = "Solid" if isinstance(thing, pt.Solid) else type(thing).__name__
     assert line.startswith(f"{title}(")
     assert "array(" not in line
@@ -141,7 +141,7 @@ def test_every_law_of_fibres_prints_its_parameters_without_directions(entry):
     check(entry.kind(**entry.example, directions=directions), ["kPa", "directions=at 500 nodes"])
 
 
-def test_a_law_of_ones_own_prints_as_the_others_do():
+def test_a_user_defined_law_prints_as_the_others():
     @dataclass(frozen=True, kw_only=True)
     class Own(pt.materials.NeoHookean):
         pass
@@ -164,10 +164,10 @@ class Fault(Described):
         ]
 
 
-def test_texts_from_files_are_escaped_and_cut():
+def test_texts_from_files_are_escaped_and_truncated():
     line, page = repr(Fault()), Fault()._repr_html_()
     assert line.isprintable()
-    assert len(line) <= LONGEST_LINE
+    assert len(line) <= MAX_LINE_CHARACTERS
     assert line.endswith("...)")
     assert "<script>" not in page
     rows = list(ElementTree.fromstring(page).iter("tr"))

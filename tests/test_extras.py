@@ -64,7 +64,7 @@ def python(code: str, folder: Path, *words: str) -> subprocess.CompletedProcess[
 
 
 @pytest.mark.slow
-def test_models_run_are_reduced_stored_and_stepped_in_real_time_without_any_extra(tmp_path):
+def test_models_can_be_run_reduced_stored_and_stepped_in_real_time_without_extras(tmp_path):
     done = python(SESSION, tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("Errors(")
@@ -111,14 +111,14 @@ def told(tmp_path_factory):
 
 
 @pytest.mark.parametrize("words", FREE)
-def test_commands_that_need_no_extra(words, told):
+def test_basic_commands_run_without_extras(words, told):
     code, out, err = told[0][" ".join(words)]
     assert (code, err) == (0, "")
     assert out
 
 
 @pytest.mark.parametrize(("words", "extra"), NEEDING.items())
-def test_commands_that_need_an_extra_name_it_before_they_begin(words, extra, told):
+def test_commands_name_a_missing_extra_before_they_begin(words, extra, told):
     commands, left = told
     code, _, err = commands[words]
     assert code == 2, err
@@ -126,7 +126,7 @@ def test_commands_that_need_an_extra_name_it_before_they_begin(words, extra, tol
     assert left == ["recording.h5"]
 
 
-def test_a_check_without_what_draws_leaves_its_report(tmp_path):
+def test_a_check_without_drawing_packages_writes_its_report(tmp_path):
     corners = np.array(np.meshgrid([0, 0.1], [0, 0.1], [0, 0.1], indexing="ij")).reshape(3, 8).T
     sides = "1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"
     lines = [*(f"v {x} {y} {z}" for x, y, z in corners), *(f"f {side}" for side in sides)]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import palpate as pt
-from palpate.plotting import MOST_SHAPES, body_svg, curve_svg
+from palpate.plotting import MAX_SHAPES, body_svg, curve_svg
 
 NAMES = "{http://www.w3.org/2000/svg}"
 
@@ -37,7 +37,7 @@ def test_a_trajectory_plots_forces_energies_and_displacements(run):
     np.testing.assert_allclose(mean, size.mean(axis=1))
 
 
-def test_a_plot_goes_into_axes_that_are_given(run):
+def test_plots_are_drawn_into_given_axes(run):
     axes = plt.figure().subplots()
     assert run.plot("force", axes) is axes
 
@@ -84,22 +84,22 @@ def test_a_picture_of_a_box_shows_the_three_faces_in_front(bar):
     assert len(polygons) == 2 * cells
 
 
-def test_pictures_stay_small():
+def test_pictures_are_small():
     points = np.random.default_rng(0).uniform(size=(20_000, 3))
     triangles = np.arange(19_998).reshape(-1, 3)
     drawn = body_svg(points, triangles)
-    assert len(list(ElementTree.fromstring(drawn))) <= MOST_SHAPES
+    assert len(list(ElementTree.fromstring(drawn))) <= MAX_SHAPES
     curve = curve_svg(np.arange(1e5), np.arange(1e5) ** 2, "time [s]", "a < b")
     assert len(curve) < 10_000
     assert "a &lt; b: 0 to 1e+10" in curve
 
 
 @pytest.mark.parametrize("values", [[], [1.0], [1.0, np.nan]])
-def test_a_curve_of_nothing_has_no_picture(values):
+def test_a_curve_without_finite_values_has_no_picture(values):
     assert curve_svg(np.arange(float(len(values))), np.array(values), "x", "y") == ""
 
 
-def test_a_run_of_no_frames_prints_and_has_no_picture(run):
+def test_a_run_without_frames_prints_and_has_no_picture(run):
     nothing = {name: getattr(run, name)[:0] for name in ("times", "displacements", "velocities", "kinetic", "strain")}
     nothing |= {name: getattr(run, name)[:0] for name in ("external", "dissipated", "steps")}
     empty = replace(run, **nothing, reactions={"x-": np.zeros((0, 3))}, complete=False)

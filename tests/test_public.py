@@ -8,6 +8,7 @@ import inspect
 import re
 import subprocess
 import sys
+import tomllib
 import types
 import typing
 from importlib import import_module
@@ -121,6 +122,17 @@ def test_every_type_that_a_public_function_takes_or_returns_is_public():
     assert not missing
 
 
+def test_the_page_for_a_package_index_has_no_relative_links_and_the_example_of_the_readme():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (ROOT / project["readme"]).read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)]*)\)", text)
+    assert links
+    assert all(link.startswith("https://") for link in links)
+    shown = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1].splitlines()
+    statements = {line.partition("  #")[0] for line in example().splitlines()}
+    assert {line.partition("  #")[0] for line in shown} <= statements
+
+
 # the example of the README, as a type checker sees it
 
 
@@ -142,7 +154,7 @@ def test_the_example_prints_the_model_that_the_readme_shows(capsys):
     assert capsys.readouterr().out == shown[1]
 
 
-def test_a_type_checker_knows_the_types_of_the_example(tmp_path):
+def test_the_example_of_the_readme_passes_mypy(tmp_path):
     pytest.importorskip("mypy")
     source = example()
     tree = ast.parse(source)

@@ -25,7 +25,7 @@ def test_a_load_outside_a_list_is_refused_with_brackets(held, pull):
 
 
 @pytest.mark.parametrize("loads", ["x+", None, 3.0, {"x+": 1.0}])
-def test_what_is_no_list_of_loads_is_refused(held, loads):
+def test_values_that_are_not_a_list_of_loads_are_refused(held, loads):
     with pytest.raises(pt.InputError, match="loads must be a list of loads, got "):
         pt.rollout(held, loads, duration=1e-3, every=5e-4)
 
@@ -58,7 +58,7 @@ def test_parameters_without_names_are_refused_with_the_names():
         pt.materials.NeoHookean(5e3, 1000, 0.4)
 
 
-def test_laws_are_still_copied_and_pickled():
+def test_laws_can_be_copied_and_pickled():
     law = pt.materials.Ogden(C=(800.0, 120.0), alpha=(4.0, -7.5), density=1060, poisson=0.45)
     assert pickle.loads(pickle.dumps(law)) == copy.copy(law) == copy.deepcopy(law) == law  # noqa: S301
 
@@ -100,7 +100,7 @@ def test_tissue_of_1_GPa_warns_of_pascals(modulus):
         pt.materials.Gent(mu=modulus, Jm=3.0, density=1060, poisson=0.45)
 
 
-def test_the_warning_names_the_line_that_made_the_slip():
+def test_the_warning_names_the_line_of_the_caller():
     with pytest.warns(UnitWarning) as of_a_box:
         pt.box((40.0, 10.0, 10.0), 2.5)
     with pytest.warns(UnitWarning) as of_a_law:
@@ -117,7 +117,7 @@ def test_bodies_and_tissue_of_usual_sizes_do_not_warn():
             pt.materials.NeoHookean(C1=modulus / 2, density=density, poisson=0.45)
 
 
-def test_a_fit_warns_only_of_what_it_found():
+def test_a_fit_warns_of_its_result_and_not_of_trial_values():
     stretch = np.linspace(1.0, 1.4, 9)
     law = pt.materials.NeoHookean(C1=5e3, density=1060, poisson=0.45)
     stress = 2 * law.C1 * (stretch - stretch**-2)

@@ -1,4 +1,4 @@
-"""Sources and docs use the words of docs/glossary.md, and no retired ones."""
+"""Sources, tests and docs use the words of docs/glossary.md, and no retired ones."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("src/palpate", "docs", "examples", "benchmarks", "validation", "page/src")
+FOLDERS = ("src/palpate", "docs", "examples", "benchmarks", "validation", "page/src", "tests")
 SUFFIXES = (".py", ".pyi", ".md", ".js", ".css", ".html")
 RETIRED = {  # word: its place is taken by
     r"[Dd]ents?|[Dd]ented": "compliance, contact displacement, indentation",
@@ -36,18 +36,21 @@ RETIRED = {  # word: its place is taken by
     r"beside": "next to, adjacent, additional",
     r"(?<!here )(?:is|are) no (?!(?:less|more|longer|such)\b)\w+": "is not a",
     r"to_pymor(?=\(\))": "lti.to_pymor(system)",
+    r"[Dd]riven": "prescribed, moved",
+    r"aria-[a-z]*[A-Z]\w*": "an attribute of WAI-ARIA, which is in lower case",
+    r"is_pressure|SurfaceForce\([^()]*pressure=.*": "Pressure",
 }
-ALLOWED = {"docs/glossary.md"}
+ALLOWED = {"docs/glossary.md", "tests/test_words.py"}  # name retired words themselves
 
 
 def lines():
-    """Yield every line of sources and docs with its place."""
+    """Yield every line of sources, tests and docs with its place; names of tests are words."""
     for path in [ROOT / "README.md", *(path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*")))]:
         name = path.relative_to(ROOT).as_posix()
         bundle = "app/view/page/" in name or "node_modules" in name
         if path.suffix in SUFFIXES and not bundle and name not in ALLOWED:
             for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-                yield f"{name}:{number}", line
+                yield f"{name}:{number}", line.replace("_", " ") if line.startswith("def test_") else line
 
 
 @pytest.mark.parametrize("word", RETIRED)
@@ -57,6 +60,7 @@ def test_no_retired_word_is_used(word):
     assert not found, f"use {RETIRED[word]} in place of {word}: {found[:20]}"
 
 
-def test_the_search_reads_sources_and_docs():
+def test_the_search_reads_sources_tests_and_docs():
     places = {place.split(":")[0] for place, _ in lines()}
-    assert {"README.md", "src/palpate/faults.py", "docs/contact.md", "page/src/main.js"} <= places
+    every = {"README.md", "src/palpate/faults.py", "docs/contact.md", "page/src/main.js", "tests/conftest.py"}
+    assert every | {"validation/land.py", "benchmarks/steps.py", "examples/haptic_client.py"} <= places

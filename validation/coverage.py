@@ -54,7 +54,7 @@ def forced(random: np.random.Generator) -> list[Any]:
     return [pt.SurfaceForce("x+", force=lambda t: ramp(t) * size)]
 
 
-def driven(random: np.random.Generator) -> list[Any]:
+def prescribed_end(random: np.random.Generator) -> list[Any]:
     slow, fast = random.standard_normal((2, 3)) * (0.004, 0.008, 0.008)
     return [pt.PrescribedMotion("x+", lambda _, t: slow * np.sin(20 * t) ** 2 + fast * np.sin(31 * t) ** 2)]
 
@@ -70,7 +70,7 @@ def cases() -> dict[str, Case]:
     sheet = pt.Membrane(pt.sheet(corners, 0.002), SKIN, 1e-3, "rim", prestretch=1.1, stiffness_damping=1e-4)
     return {
         "beam, end force": Case(beam, forced),
-        "beam, driven end": Case(beam, driven, prescribed="x+"),
+        "beam, prescribed end": Case(beam, prescribed_end, prescribed="x+"),
         "membrane": Case(sheet, blown, (4, 8, 12)),
     }
 

@@ -31,7 +31,7 @@ from palpate.dynamics.run.model import Model
 
 SIZE, SPACING = 0.015, 0.005  # [m] 64 nodes
 STEPS, FRAMES = 100, 3  # of an ordinary run
-LONGEST = 30.0  # [s] of a trial, after kernels are compiled
+MAX_SECONDS = 30.0  # [s] of a trial, after kernels are compiled
 ASKED = 10 * STEPS * FRAMES  # stable steps of a run above which it may take longer: it is ended, and counts as one
 ODD = (0.0, -0.0, 5e-324, 1e308, np.inf, -np.inf, np.nan)
 BLOCK, BLOCK_SPACING, BALL = (0.042, 0.042, 0.024), 0.006, 0.012  # [m]
@@ -272,7 +272,7 @@ def _run(draw: _Draw) -> pt.Trajectory:
 
 def _watched(acceleration: tuple[float, ...], late: type[Exception]) -> pt.Gravity:
     """Return a gravity that looks at the clock whenever it is evaluated."""
-    end = perf_counter() + LONGEST * (0.1 if late is _Enough else 1.0)
+    end = perf_counter() + MAX_SECONDS * (0.1 if late is _Enough else 1.0)
 
     def at(time: float) -> tuple[float, ...]:
         if perf_counter() > end:
@@ -319,7 +319,7 @@ def _loads(draw: _Draw, plane: bool) -> list[Any]:
     if kind in ("force", "moment") and not plane:
         loads.append(pt.SurfaceForce(group, **{kind: draw.vector(0.1, 0.0, 0.01)}))
     elif kind == "pressure" and not plane:
-        loads.append(pt.SurfaceForce(group, pressure=draw(100.0)))
+        loads.append(pt.Pressure(group, draw(100.0)))
     elif kind == "motion" and not plane:
         loads.append(pt.PrescribedMotion(group, draw.vector(1e-4, 0.0, 0.0), until=draw(1e-3)))
     elif kind == "foundation" and not plane:

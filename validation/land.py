@@ -42,7 +42,7 @@ def beam(cells: int, bulk: float) -> Any:
 
 def settle(model: Any, u: Any, tip: int) -> tuple[Any, int, float]:
     """Return displacements at rest, the steps taken, and the norm of the forces left over that of the pressure's."""
-    prepared, rest = model.prepare([pt.SurfaceForce("z-", pressure=PRESSURE)]), np.zeros_like(u)
+    prepared, rest = model.prepare([pt.Pressure("z-", PRESSURE)]), np.zeros_like(u)
     v, step, before = np.zeros_like(u), 0.0, np.inf
     model.highest_frequency.restart()
     for steps in range(MOST):

@@ -75,7 +75,7 @@ def statics():
         model = pt.Membrane(cloud, LAW, THICKNESS, "rim")
         start = np.zeros((len(cloud), 3))
         start[:, 2] = exact.height * (1 - np.sum(cloud.points**2, axis=1) / RADIUS**2)
-        u, change = settled(model, [pt.SurfaceForce("face", pressure=-pressure)], start)
+        u, change = settled(model, [pt.Pressure("face", -pressure)], start)
         height = float(u[cloud.group("centre")[0], 2])
         rows.append({
             "case": "inflation", "pressure": pressure, "spacing": spacing, "layout": layout, "jitter": jitter,

@@ -28,7 +28,7 @@ from palpate.app.view.session.session import Session
 from palpate.reduction.hyper.model import ReducedModel
 
 HERE = Path(__file__).parent
-SIZE, SPACING, LASTING, EVERY = (0.048, 0.048, 0.024), 0.006, 0.12, 0.005  # [m], [m], [s], [s]
+SIZE, SPACING, RUN_SECONDS, EVERY = (0.048, 0.048, 0.024), 0.006, 0.12, 0.005  # [m], [m], [s], [s]
 BALL, DEPTH = 0.015, 0.004  # [m]
 
 
@@ -44,12 +44,12 @@ def block() -> ReducedModel:
 
     def press(x: float) -> tuple[pt.tools.Contact]:
         def motion(time: float) -> tuple[float, float, float]:
-            share = np.sin(np.pi * min(time / LASTING, 1.0)) ** 2
+            share = np.sin(np.pi * min(time / RUN_SECONDS, 1.0)) ** 2
             return x, 0.024, SIZE[2] + BALL + 0.001 - share * (DEPTH + 0.001)
 
         return (pt.tools.Contact(pt.tools.Sphere(BALL), motion),)
 
-    runs = [pt.rollout(body, press(x), duration=LASTING, every=EVERY) for x in (0.022, 0.027)]
+    runs = [pt.rollout(body, press(x), duration=RUN_SECONDS, every=EVERY) for x in (0.022, 0.027)]
     return pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
 
 

@@ -80,7 +80,7 @@ export class OrbitCamera {
     const flat = Math.cos(now.elevation);
     const away = [flat * Math.cos(now.azimuth), flat * Math.sin(now.azimuth), Math.sin(now.elevation)];
     this.camera.position.fromArray(away).multiplyScalar(now.distance).add(now.target);
-    this.camera.sortAlongCurve = Math.max(now.distance - 4 * this.radius, 0.02 * this.radius);
+    this.camera.near = Math.max(now.distance - 4 * this.radius, 0.02 * this.radius);
     this.camera.far = now.distance + 6 * this.radius;
     this.camera.lookAt(now.target);
     this.camera.updateProjectionMatrix();

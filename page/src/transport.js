@@ -28,11 +28,11 @@ export class Transport {
     const { byId } = this;
     for (const id of ["reset", "pause", "record", "speed"]) byId(id).disabled = !driver;
     const paused = status.state !== "running";
-    byId("pause").setAttribute("aria-pressChanged", paused);
+    byId("pause").setAttribute("aria-pressed", paused);
     byId("pause-text").textContent = paused ? "Resume" : "Pause";
-    byId("play").setAttribute("aria-pressChanged", paused);
+    byId("play").setAttribute("aria-pressed", paused);
     byId("play").setAttribute("aria-label", paused ? "Play" : "Pause");
-    byId("record").setAttribute("aria-pressChanged", Boolean(status.recording));
+    byId("record").setAttribute("aria-pressed", Boolean(status.recording));
     byId("record-text").textContent = status.recording ? "Stop" : "Record";
     byId("speed").value = String(status.speed ?? 1);
   }

@@ -59,6 +59,7 @@ _HOME = {
     "Foundation": "dynamics.loads.foundation",
     "Gravity": "dynamics.loads.body_force",
     "PrescribedMotion": "dynamics.loads.prescribed_motion",
+    "Pressure": "dynamics.loads.pressure",
     "Rail": "dynamics.loads.supports",
     "Roller": "dynamics.loads.supports",
     "SurfaceForce": "dynamics.loads.surface_force",

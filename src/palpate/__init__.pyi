@@ -6,6 +6,7 @@ from palpate import typing as typing
 from palpate.dynamics.loads.body_force import Gravity as Gravity
 from palpate.dynamics.loads.foundation import Foundation as Foundation
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion as PrescribedMotion
+from palpate.dynamics.loads.pressure import Pressure as Pressure
 from palpate.dynamics.loads.supports import Rail as Rail
 from palpate.dynamics.loads.supports import Roller as Roller
 from palpate.dynamics.loads.supports import SymmetryPlane as SymmetryPlane

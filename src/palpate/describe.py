@@ -13,13 +13,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-__all__ = ["LONGEST_LINE", "Described", "Fact", "quantity"]
+__all__ = ["MAX_LINE_CHARACTERS", "Described", "Fact", "quantity"]
 
 Fact = tuple[str, Any, str]  # name, value, SI unit; a value of None is left out
 
-LONGEST_LINE = 160  # characters of a repr
-LONGEST_VALUE = 120  # characters of one value
-MOST_NUMBERS = 6  # of a sequence that is printed in full
+MAX_LINE_CHARACTERS = 160  # characters of a repr
+MAX_VALUE_CHARACTERS = 120  # characters of one value
+MAX_LISTED_NUMBERS = 6  # of a sequence that is printed in full
 PREFIXES = {-9: "n", -6: "\u00b5", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 LENGTHS = {-6: "\u00b5m", -3: "mm", -2: "cm", 0: "m", 3: "km"}  # for areas and volumes
 PREFIXED = {"m", "s", "Pa", "N", "J", "Hz", "m/s", "N m", "N/m"}  # units that take a prefix
@@ -58,8 +58,8 @@ class Described:
         line = f"{name}("
         for place, (what, value, unit) in enumerate(fact for fact in facts if fact[1] is not None):
             longer = f"{line}{', ' if place else ''}{_said(what, value, unit)}"
-            if len(longer) > LONGEST_LINE - 6:
-                return f"{line}, ...)" if place else f"{longer[: LONGEST_LINE - 4]}...)"
+            if len(longer) > MAX_LINE_CHARACTERS - 6:
+                return f"{line}, ...)" if place else f"{longer[: MAX_LINE_CHARACTERS - 4]}...)"
             line = longer
         return f"{line})"
 
@@ -97,7 +97,7 @@ def quantity(value: Any, unit: str = "") -> str:
         return f"{_three(float(value) / scale)}{f' {own}' if own else ''}"
     if callable(value):
         return f"a function{f' [{unit}]' if unit else ''}"
-    if isinstance(value, np.ndarray) and (value.ndim != 1 or len(value) > MOST_NUMBERS):
+    if isinstance(value, np.ndarray) and (value.ndim != 1 or len(value) > MAX_LISTED_NUMBERS):
         return f"array of shape {value.shape}"
     if isinstance(value, Mapping):
         return _joined(value, f"{len(value)} entries")
@@ -110,14 +110,14 @@ def quantity(value: Any, unit: str = "") -> str:
 
 def _joined(values: Any, otherwise: str) -> str:
     """Return a few names, or how many there are."""
-    short = len(values) <= MOST_NUMBERS and all(isinstance(each, str) for each in values)
+    short = len(values) <= MAX_LISTED_NUMBERS and all(isinstance(each, str) for each in values)
     return _plain(", ".join(values) or "none") if short else "none" if not len(values) else otherwise
 
 
 def _numbers(values: list[float], unit: str) -> str:
     scale, own = _scaled(max(map(abs, values)), unit)
-    shown = ", ".join(_three(each / scale) for each in values[:MOST_NUMBERS])
-    more = ", ..." if len(values) > MOST_NUMBERS else ""
+    shown = ", ".join(_three(each / scale) for each in values[:MAX_LISTED_NUMBERS])
+    more = ", ..." if len(values) > MAX_LISTED_NUMBERS else ""
     return f"{shown if len(values) == 1 else f'({shown}{more})'}{f' {own}' if own else ''}"
 
 
@@ -139,4 +139,4 @@ def _three(value: float) -> str:
 def _plain(text: str) -> str:
     """Return text in one line of printable characters, shortened."""
     line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(text.split()))
-    return line if len(line) <= LONGEST_VALUE else f"{line[: LONGEST_VALUE - 3]}..."
+    return line if len(line) <= MAX_VALUE_CHARACTERS else f"{line[: MAX_VALUE_CHARACTERS - 3]}..."

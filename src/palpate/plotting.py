@@ -20,10 +20,10 @@ __all__ = ["body_svg", "curve_svg", "plot_body", "plot_curves", "plot_singular_v
 
 BLUE, GREY = "#0072B2", "#888888"
 WIDTH, HEIGHT, MARGIN = 320, 200, 34  # [px] of an SVG picture
-MOST_SHAPES = 2500  # of an SVG picture, which stays below some 200 kB
-MOST_POINTS = 300  # of a curve in an SVG picture
+MAX_SHAPES = 2500  # of an SVG picture, which stays below some 200 kB
+MAX_POINTS = 300  # of a curve in an SVG picture
 VIEW = np.array([[0.866, 0.5, 0.0], [-0.25, 0.433, 0.866]])  # rows: right and up, from 30 degrees above the xy plane
-TOWARDS = np.cross(VIEW[0], VIEW[1])  # the viewer
+TOWARDS_VIEWER = np.cross(VIEW[0], VIEW[1])  # the viewer
 
 
 def plot_curves(times: Floats, series: Mapping[str, Floats], label: str, axes: Any = None) -> Any:
@@ -131,7 +131,7 @@ def curve_svg(x: Floats, y: Floats, across: str, up: str, *, logarithmic: bool =
     logarithmic : bool
         Whether `y`, positive, is drawn by its logarithm.
     """
-    few = np.unique(np.linspace(0, len(x) - 1, MOST_POINTS).astype(int)) if len(x) else np.zeros(0, dtype=int)
+    few = np.unique(np.linspace(0, len(x) - 1, MAX_POINTS).astype(int)) if len(x) else np.zeros(0, dtype=int)
     x, y = np.asarray(x, dtype=float)[few], np.asarray(y, dtype=float)[few]
     heights = np.log10(np.maximum(y, 1e-300)) if logarithmic else y
     if len(x) < 2 or not (np.isfinite(x).all() and np.isfinite(heights).all()):
@@ -170,18 +170,18 @@ def body_svg(points: Floats, triangles: Ints) -> str:
     scale = min((WIDTH - 2 * MARGIN) / max(size[0], 1e-300), (HEIGHT - 2 * MARGIN) / max(size[1], 1e-300))
     left, bottom = (WIDTH - scale * size[0]) / 2, (HEIGHT + scale * size[1]) / 2
     places = np.column_stack([left + scale * (seen[:, 0] - low[0]), bottom - scale * (seen[:, 1] - low[1])])
-    depth = np.zeros(len(space)) if plane else space @ TOWARDS
+    depth = np.zeros(len(space)) if plane else space @ TOWARDS_VIEWER
     corners = space[triangles]
     vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
-    front = np.arange(len(triangles)) if plane else np.flatnonzero(vectors @ TOWARDS > 0)
-    if 0 < len(front) <= MOST_SHAPES:
+    front = np.arange(len(triangles)) if plane else np.flatnonzero(vectors @ TOWARDS_VIEWER > 0)
+    if 0 < len(front) <= MAX_SHAPES:
         shades = np.clip(0.75 + 0.25 * vectors[front] @ np.array([0.3, -0.2, 0.93]), 0.4, 1.0)
         shapes = list(zip(places[triangles[front]], shades.tolist(), strict=True))
         order = np.argsort(depth[triangles[front]].mean(axis=1))
         drawn = "".join(_triangle(*shapes[k]) for k in order)
     else:
-        few = np.linspace(0, len(space) - 1, min(len(space), MOST_SHAPES)).astype(int)
+        few = np.linspace(0, len(space) - 1, min(len(space), MAX_SHAPES)).astype(int)
         near = (depth - depth.min()) / (float(np.ptp(depth)) or 1.0)
         drawn = "".join(
             f'<circle cx="{places[k, 0]:.1f}" cy="{places[k, 1]:.1f}" r="1.6" fill="{_shade(0.5 + 0.5 * near[k])}"/>'

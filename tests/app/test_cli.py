@@ -32,7 +32,7 @@ COMMANDS = dict(leaves(build_parser()))
 STUDIES = [words for words in COMMANDS if words[0] not in ("view", "replay", "laws")]
 
 
-def test_nothing_but_the_name_prints_the_help_with_the_first_three_steps(capsys):
+def test_the_command_without_arguments_prints_help_with_three_first_steps(capsys):
     assert main([]) == 0
     printed = capsys.readouterr().out
     steps = [re.search(rf"^  (palpate .*?)  +{step}: ", printed, re.MULTILINE) for step in ("first", "second", "third")]
@@ -67,13 +67,13 @@ def test_nothing_but_the_name_prints_the_help_with_the_first_three_steps(capsys)
         ("view nowhere.rom", ["nowhere.rom"]),
     ],
 )
-def test_what_is_wrong_is_named_in_the_words_of_the_command_line(line, parts, assert_refused, tmp_path):
+def test_errors_name_options_as_typed(line, parts, assert_refused, tmp_path):
     words = line.split()
     given = [*words, "--out", str(tmp_path / "out")] if words[0] == "train" and "--folder" not in words else words
     assert_refused(given, *parts)
 
 
-def test_a_part_of_a_surface_is_asked_for_by_its_option(assert_refused, tmp_path):
+def test_a_missing_part_of_a_surface_is_named_with_its_option(assert_refused, tmp_path):
     triangles = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{}f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
     own = triangles.format("o left\n")
     (tmp_path / "two.obj").write_text(own + own.replace("left", "right"))
@@ -89,7 +89,7 @@ def parser():
     own.add_argument("--tool-radius")
     own.add_argument("--part")
     own.add_argument("--set", dest="given")
-    own.synonyms["mend"] = "--repair"
+    own.synonyms["close"] = "--repair"
     own.assignments["given"] = "--set"
     return own
 
@@ -101,7 +101,7 @@ def parser():
         ("tool_radius = -1 is out of range", "--tool-radius = -1 is out of range"),
         ("it has two parts: choose one with part='a'", "it has two parts: choose one with --part 'a'"),
         ("choose one with part=: a, b", "choose one with --part: a, b"),
-        ("close it with mend=True, or by hand", "close it with --repair, or by hand"),
+        ("close it with close=True, or by hand", "close it with --repair, or by hand"),
         ("file must be a surface", "FILE must be a surface"),
         ("depth must be positive", "--set depth must be positive"),
         ("the file is truncated; the part=1.5 of it is left", "the file is truncated; the --part 1.5 of it is left"),
@@ -109,7 +109,7 @@ def parser():
         ("a part must be closed", "a part must be closed"),
     ],
 )
-def test_arguments_of_the_library_are_called_as_their_options(parser, message, expected):
+def test_messages_of_the_library_are_translated_to_options(parser, message, expected):
     assert in_option_words(message, parser, {"given": ["depth=-1"]}) == expected
 
 
@@ -135,13 +135,13 @@ def test_the_help_names_every_scene_to_train_on(command):
 
 
 @pytest.mark.parametrize("words", STUDIES, ids=" ".join)
-def test_every_study_takes_its_folder_by_one_name(words):
+def test_every_study_has_the_option_out(words):
     options = COMMANDS[words]._option_string_actions
     assert {"--out", "--json"} <= options.keys()
     assert options["--out"].metavar == "FOLDER"
 
 
-def test_errors_of_the_system_are_told_in_words(tmp_path):
+def test_system_errors_have_readable_messages(tmp_path):
     with pytest.raises(FileNotFoundError) as missing:
         (tmp_path / "nowhere").read_text()
     assert system_error(missing.value) == f"there is no file {str(tmp_path / 'nowhere')!r}"
@@ -197,7 +197,7 @@ def test_an_interrupt_while_modules_are_imported_is_one_line(swallows, tmp_path)
     assert not (tmp_path / "out").exists()
 
 
-def test_completion_is_loaded_only_where_a_shell_asks_for_it(monkeypatch, capsys):
+def test_completion_is_loaded_only_on_request_of_a_shell(monkeypatch, capsys):
     asked = []
     monkeypatch.setitem(sys.modules, "argcomplete", SimpleNamespace(autocomplete=asked.append))
     assert main([]) == 0

@@ -99,14 +99,14 @@ def test_no_value_of_any_option_ends_in_a_traceback(words, idle, capsys):
             assert said[0].isprintable(), line
 
 
-def test_the_commands_are_all_there():
+def test_the_tests_cover_all_commands():
     assert {words[0] for words in COMMANDS} >= {"reproduce", "run", "train", "view", "replay", "fit", "check"}
     assert len(COMMANDS) >= 12
 
 
 @pytest.mark.parametrize("option", ["run beam --realtime --model", "view beam --headless --script", "check", "replay",
                                     "fit NeoHookean"])  # fmt: skip
-def test_pipes_and_folders_are_no_files_to_read(option, idle, tmp_path, assert_refused):
+def test_pipes_and_folders_are_refused_as_input_files(option, idle, tmp_path, assert_refused):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for place in (pipe, tmp_path):
@@ -115,13 +115,13 @@ def test_pipes_and_folders_are_no_files_to_read(option, idle, tmp_path, assert_r
 
 
 @pytest.mark.parametrize("text", [b"\xff\xfe", b"[" * 100_000, b'{"type": "pose", "time": 1e999}', b"[9, " * 20])
-def test_scripts_that_are_none_are_refused_by_line(text, idle, tmp_path, assert_refused):
+def test_invalid_scripts_are_refused_with_the_line(text, idle, tmp_path, assert_refused):
     script = tmp_path / "script.jsonl"
     script.write_bytes(text)
     assert_refused(["view", "beam", "--headless", "--script", str(script)], str(script))
 
 
-def test_an_internal_error_is_one_line_and_its_traceback_lies_in_a_file(monkeypatch, capsys, tmp_path):
+def test_an_internal_error_prints_one_line_and_writes_its_traceback_to_a_file(monkeypatch, capsys, tmp_path):
     def fail(as_json):
         raise ZeroDivisionError("division\nby zero")
 
@@ -138,7 +138,7 @@ def test_an_internal_error_is_one_line_and_its_traceback_lies_in_a_file(monkeypa
     assert said[0] == "Traceback (most recent call last):"
 
 
-def test_memory_that_runs_out_is_said_in_one_line(monkeypatch, capsys):
+def test_running_out_of_memory_prints_one_line(monkeypatch, capsys):
     def fail(as_json):
         raise MemoryError
 
@@ -149,7 +149,7 @@ def test_memory_that_runs_out_is_said_in_one_line(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(("to", "code"), [("closed pipe", 1), ("/dev/full", 1)])
-def test_output_that_nobody_takes_ends_quietly(to, code):
+def test_output_to_a_closed_pipe_ends_quietly(to, code):
     if to == "closed pipe":
         read, write = os.pipe()
         os.close(read)
@@ -170,7 +170,7 @@ OWN = {
 
 
 @pytest.mark.parametrize("kind", OWN)
-def test_a_scene_of_ones_own_that_fails_is_refused_by_name(kind, tmp_path, monkeypatch, assert_refused):
+def test_a_failing_user_scene_is_refused_by_name(kind, tmp_path, monkeypatch, assert_refused):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
     module = f"own_{kind}_scene"
@@ -190,6 +190,6 @@ def test_a_scene_in_the_current_folder_is_found(tmp_path, monkeypatch, assert_re
 @pytest.mark.parametrize(
     "given", ["spacing=nan", "spacing=1e999", "spacing=1e-9", "every=1e-320", "lasting=inf", "poisson=" + "9" * 5000]
 )
-def test_parameters_of_scenes_are_in_range_before_memory_is_taken(given, tmp_path, monkeypatch, assert_refused):
+def test_parameters_of_scenes_are_checked_before_memory_is_allocated(given, tmp_path, monkeypatch, assert_refused):
     monkeypatch.chdir(tmp_path)
     assert_refused(["train", "beam", "--set", given], given.partition("=")[0])

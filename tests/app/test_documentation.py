@@ -21,6 +21,6 @@ def test_every_page_that_the_package_names_exists():
     assert not {name for name in named if not (documentation() / name).is_file()}
 
 
-def test_the_help_says_where_the_pages_are(capsys):
+def test_the_help_has_the_address_of_the_pages(capsys):
     assert main(["--help"]) == 0
     assert str(documentation()) in re.sub(r"\n\s*", "", capsys.readouterr().out).replace(" ", "")

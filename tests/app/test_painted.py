@@ -12,7 +12,7 @@ import palpate as pt
 
 
 @pytest.mark.parametrize("suffix", [".vtp", ".vtk"])
-def test_what_was_painted_is_found_on_the_body(tmp_path, small_cloud, suffix):
+def test_painted_vertices_mark_the_nearest_nodes_of_the_body(tmp_path, small_cloud, suffix):
     mesh = pyvista.Box((0, 0.015, 0, 0.015, 0, 0.015), level=5).clean()
     mesh["ligament"] = (mesh.points[:, 2] < 1e-6).astype(float)
     mesh.save(tmp_path / f"painted{suffix}")
@@ -20,7 +20,7 @@ def test_what_was_painted_is_found_on_the_body(tmp_path, small_cloud, suffix):
     assert np.array_equal(pt.painted(small_cloud, points, values), small_cloud.group("z-"))
 
 
-def test_files_that_are_not_painted_are_refused(tmp_path):
+def test_meshes_without_the_painted_field_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match="no painted mesh at"):
         pt.io.read_painted(tmp_path / "none.ply", "ligament")
     (tmp_path / "text.txt").write_text("0 0 0")
@@ -52,7 +52,7 @@ def test_files_that_crash_the_reader_are_refused(tmp_path, content):
         pt.io.read_painted(tmp_path / "mesh.vtk", "ligament")
 
 
-def test_a_pipe_is_not_waited_for(tmp_path):
+def test_a_pipe_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "mesh.vtk")
     with pytest.raises(pt.FileFormatError, match="not a regular file"):
         pt.io.read_painted(tmp_path / "mesh.vtk", "ligament")

@@ -53,8 +53,8 @@ def lift(size: float = 1e-3, group: str = "x+") -> pt.PrescribedMotion:
 def press(depth: float = 1e-3, friction: float = 0.0, side: str = "z") -> pt.tools.Contact:
     """Return a ball that presses a face of the block, by default the upper one."""
     away = np.eye(3)["xyz".index(side)]
-    beside = np.array([0.012, 0.0075, 0.0075]) + (0.0075 + BALL + 1e-4) * away
-    return pt.tools.Contact(pt.tools.Sphere(BALL), lambda t: beside - depth * wave(0.4 * t) * away, friction=friction)
+    start = np.array([0.012, 0.0075, 0.0075]) + (0.0075 + BALL + 1e-4) * away
+    return pt.tools.Contact(pt.tools.Sphere(BALL), lambda t: start - depth * wave(0.4 * t) * away, friction=friction)
 
 
 def lean(size: float = 0.1) -> pt.SurfaceForce:

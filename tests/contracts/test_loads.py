@@ -39,8 +39,8 @@ ON_SOLIDS = {
     pt.SurfaceForce: {
         "force": pt.SurfaceForce("x+", force=lambda t: 0.03 * wave(t) * ASIDE),
         "moment": pt.SurfaceForce("x+", moment=lambda t: 1e-3 * wave(t) * ASIDE),
-        "pressure": pt.SurfaceForce("x+", pressure=lambda t: 200.0 * wave(t)),
     },
+    pt.Pressure: {"pressure": pt.Pressure("x+", lambda t: 200.0 * wave(t))},
     pt.Gravity: {"gravity": pt.Gravity((0.0, 3.0, -9.81))},
     pt.PrescribedMotion: {"motion": pt.PrescribedMotion("x+", lambda points, t: 2e-6 * wave(t) * ASIDE)},
     pt.tools.Grasp: {"grasp": pt.tools.Grasp(TOP, 1.2 * SPACING, lambda t: np.array(TOP) + 2e-4 * wave(t) * ASIDE)},
@@ -51,8 +51,8 @@ ON_SHEETS = {
     pt.SurfaceForce: {
         "force": pt.SurfaceForce("face", force=lambda t: 0.05 * wave(t) * ASIDE),
         "moment": pt.SurfaceForce("face", moment=lambda t: 1e-3 * wave(t) * ASIDE),
-        "pressure": pt.SurfaceForce("face", pressure=lambda t: 30.0 * wave(t)),
     },
+    pt.Pressure: {"pressure": pt.Pressure("face", lambda t: 30.0 * wave(t))},
     pt.Gravity: {"gravity": pt.Gravity((0.0, 3.0, -9.81))},
     pt.PrescribedMotion: {"motion": pt.PrescribedMotion("tool", lambda points, t: 2e-4 * wave(t) * ASIDE)},
     pt.tools.Grasp: {"grasp": pt.tools.Grasp((0.0, 0.0), SPACING, lambda t: 2e-4 * wave(t) * ASIDE)},
@@ -198,7 +198,7 @@ def test_in_real_time_a_load_moves_a_linear_model_or_is_refused_by_name(name):
         assert np.abs(periods(ready(), WAY * 1e-2)).max() > 0
 
 
-def test_a_linear_model_in_real_time_has_its_tool():
+def test_a_linear_model_in_real_time_requires_one_tool():
     assert np.abs(periods(pt.realtime_model(linear_with_tool()), 1e-2 * WAY)).max() > 0
     with pytest.raises(pt.InputError, match="one PrescribedMotion or Grasp"):
         pt.realtime_model(pt.lti.reduce_linear(pt.lti.linearise(solid("energy"), [pull()], ["x+"]), "modal", 4))

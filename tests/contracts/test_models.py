@@ -96,7 +96,7 @@ def evaluations(model):
 
 
 def state_functions(model):
-    """Return the functions of a state that a model has besides its outputs."""
+    """Return the functions of a state that a model has interleaveds its outputs."""
     names = ("acceleration", "external_force", "trust")
     return [getattr(model, name) for name in names if hasattr(model, name)]
 
@@ -140,7 +140,7 @@ def test_rest_stays_at_rest(kind, model, loads, step):
         assert abs(getattr(outputs, name) - getattr(first, name)) <= KINDS[kind].still * work, name
 
 
-def test_supports_and_tools_hold_their_nodes(model, loads, prepared):
+def test_supports_and_tools_constrain_their_nodes(model, loads, prepared):
     own = run(model, loads)
     moved = np.abs(own.displacements).max()
     for field in (own.displacements, own.velocities):
@@ -175,7 +175,7 @@ def test_equal_states_take_equal_steps(model, prepared, state, step):
     assert bits(model.advance(state, prepared, step, STEPS)[0]) == bits(first)
 
 
-def test_a_run_may_begin_with_displacements_and_velocities(model, loads, state):
+def test_a_state_from_displacements_and_velocities_has_them(model, loads, state):
     """Those that the model can make are those of the state."""
     prepared = model.prepare([load for load in loads if not isinstance(load, pt.tools.Contact)])
     bare = replace(state, contact_state=None)
@@ -186,7 +186,7 @@ def test_a_run_may_begin_with_displacements_and_velocities(model, loads, state):
         np.testing.assert_allclose(model.velocity(begun, prepared), v, atol=1e-9 * np.abs(v).max())
 
 
-def test_steps_may_be_taken_in_parts(model, prepared, state, step):
+def test_steps_in_two_parts_equal_steps_at_once(model, prepared, state, step):
     """A run that ends and goes on is the run: halves of a kick make the whole one."""
     whole, half = model.advance(state, prepared, step, STEPS)[0], model.advance(state, prepared, step, STEPS // 2)[0]
     parts = model.advance(half, prepared, step, STEPS // 2)[0]
@@ -239,19 +239,19 @@ def test_accepting_a_step_is_a_function_of_its_states_and_report(model, prepared
         assert model.accept_step(state, wild, given) == first
 
 
-def test_runs_of_fixed_steps_do_not_see_each_other(model, loads, step):
+def test_interleaved_runs_with_fixed_steps_are_independent(model, loads, step):
     alone = run(model, loads, step=step)
-    beside = run(model, loads, step=step, progress=lambda *_: run(model, loads, step=0.8 * step, duration=EVERY))
-    same_runs(alone, beside)
+    interleaved = run(model, loads, step=step, progress=lambda *_: run(model, loads, step=0.8 * step, duration=EVERY))
+    same_runs(alone, interleaved)
 
 
-def test_runs_do_not_see_each_other(model, loads):
+def test_interleaved_runs_are_independent(model, loads):
     alone = run(model, loads)
-    beside = run(model, loads, progress=lambda *_: run(model, loads, duration=3 * EVERY))
-    same_runs(alone, beside)
+    interleaved = run(model, loads, progress=lambda *_: run(model, loads, duration=3 * EVERY))
+    same_runs(alone, interleaved)
 
 
-def test_two_threads_may_run_two_states_of_one_model(model, loads, step):
+def test_two_threads_can_step_two_states_of_one_model(model, loads, step):
     """Each has its own workspace; the model is shared and only read."""
     durations = (2 * EVERY, 3 * EVERY)
     alone = [run(model, loads, step=step, duration=duration) for duration in durations]
@@ -266,7 +266,7 @@ def test_two_threads_may_run_two_states_of_one_model(model, loads, step):
         same_runs(first, second)
 
 
-def test_a_workspace_leaves_no_trace(model, prepared, state, step):
+def test_results_do_not_depend_on_the_contents_of_the_workspace(model, prepared, state, step):
     """Results are those of new scratch arrays, whatever a workspace was used for before."""
     work = model.workspace()
     model.advance(model.state(prepared), prepared, step, 3, work)
@@ -283,7 +283,7 @@ def test_a_workspace_leaves_no_trace(model, prepared, state, step):
     assert bits(after) == kept  # a state shares no array with a workspace
 
 
-def test_a_run_repeats_itself(model, loads):
+def test_repeated_runs_are_equal_bit_by_bit(model, loads):
     same_runs(run(model, loads), run(model, loads))
 
 
@@ -291,7 +291,7 @@ def missed(run):
     return np.abs(run.balance).max() / np.abs(run.external).max()
 
 
-def test_energy_is_kept(kind, model, loads):
+def test_the_energy_balance_closes(kind, model, loads):
     own = run(model, loads)
     bound = KINDS[kind].balance
     assert missed(own) < bound
@@ -304,13 +304,13 @@ def test_energy_is_kept(kind, model, loads):
     assert missed(replace(own, kinetic=own.kinetic + 3 * bound * largest * (own.times > 0))) > bound
 
 
-def test_energy_is_lost_and_never_made(kind, model, loads):
+def test_dissipated_energy_does_not_decrease(kind, model, loads):
     lost = run(model, loads).dissipated
     assert np.diff(lost).min() >= -KINDS[kind].lost * np.abs(lost).max()
     assert lost[-1] > 0
 
 
-def test_threads_change_no_bit(model, loads):
+def test_any_number_of_threads_gives_the_same_bits(model, loads):
     if numba.config.NUMBA_NUM_THREADS < 2:
         pytest.skip("one thread only")
     runs = []
@@ -326,7 +326,7 @@ def test_threads_change_no_bit(model, loads):
 SAVED = [name for name, kind in KINDS.items() if name.startswith(("hyper-reduced", "linear"))]
 
 
-def test_other_models_are_refused_by_the_writer(kind, model, tmp_path):
+def test_only_reduced_and_linear_models_can_be_saved(kind, model, tmp_path):
     if kind in SAVED:
         pt.save(model, tmp_path / "model")
         return
@@ -336,7 +336,7 @@ def test_other_models_are_refused_by_the_writer(kind, model, tmp_path):
 
 
 @pytest.mark.parametrize("name", SAVED)
-def test_a_saved_model_runs_the_same(name, tmp_path):
+def test_a_loaded_model_has_the_same_run(name, tmp_path):
     own, loads = KINDS[name].make(), KINDS[name].loads()
     pt.save(own, tmp_path / "model")
     again = pt.load(tmp_path / "model", own.system) if hasattr(own, "system") else pt.load(tmp_path / "model")

@@ -20,13 +20,13 @@ def test_a_box_along_a_face_is_that_faces_group(cloud):
     assert not np.isin(inside, cloud.face_nodes).any()
 
 
-def test_a_plane_cuts_off_what_is_behind_it(cloud):
+def test_near_plane_marks_the_nodes_behind_a_plane(cloud):
     assert np.array_equal(pt.near_plane(cloud, (0.03, 0, 0), (-2, 0, 0)), cloud.group("x+"))
     corner = pt.near_plane(cloud, (0, 0, 0), (1, 1, 1), 0.0051 / np.sqrt(3))
     assert len(corner) == 4  # the corner and its neighbours along the edges
 
 
-def test_paint_goes_to_the_nearest_nodes(cloud):
+def test_paint_marks_the_nearest_nodes(cloud):
     brush = cloud.points[np.unique(cloud.face_nodes)] + 0.0004
     values = np.linalg.norm(brush - [0.015, 0.01, 0.02], axis=1) < 0.006
     nodes = pt.painted(cloud, brush, values)
@@ -35,7 +35,7 @@ def test_paint_goes_to_the_nearest_nodes(cloud):
         pt.painted(cloud, brush + 1.0, values)
 
 
-def test_a_group_of_them_can_be_fixed(cloud):
+def test_a_group_from_masks_or_indices_can_be_fixed(cloud):
     marked = cloud.with_group("bed", pt.near_plane(cloud, (0, 0, 0.001), (0, 0, 1)))
     assert np.array_equal(marked.group("bed"), cloud.group("z-"))
     mask = np.zeros(len(cloud), dtype=bool)
@@ -60,6 +60,6 @@ def test_a_group_of_them_can_be_fixed(cloud):
         (lambda c: c.with_group("new", []), "must be nodes in"),
     ],
 )
-def test_parts_that_are_none_are_refused(cloud, find, message):
+def test_invalid_parts_are_refused(cloud, find, message):
     with pytest.raises(pt.InputError, match=message):
         find(cloud)

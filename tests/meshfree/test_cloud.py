@@ -41,7 +41,7 @@ def test_the_surface_is_closed(body):
     np.testing.assert_allclose(cloud.face_areas @ cloud.face_normals, 0, atol=1e-15)
 
 
-def test_normals_are_units_that_point_away_from_the_middle(body):
+def test_normals_have_unit_length_and_point_outward(body):
     cloud, size = body
     np.testing.assert_array_equal(np.linalg.norm(cloud.face_normals, axis=1), 1)
     outward = np.sum(cloud.face_normals * (cloud.points[cloud.face_nodes] - size / 2), axis=1)
@@ -137,7 +137,7 @@ def test_each_edge_gets_the_nearest_whole_number_of_cells():
         ({"spacing": 1e-5}, r"at most 5e\+07"),
     ],
 )
-def test_a_box_refuses_what_it_cannot_fill(arguments, message):
+def test_invalid_boxes_are_refused(arguments, message):
     with pytest.raises(pt.InputError, match=message):
         pt.box(**({"size": SIZES[3], "spacing": 0.1} | arguments))
 
@@ -153,17 +153,17 @@ def test_a_box_refuses_what_it_cannot_fill(arguments, message):
         ({"groups": {"tip": np.array([], dtype=int)}}, "group 'tip' must hold nodes"),
     ],
 )
-def test_a_cloud_refuses_arrays_that_do_not_fit(change, message):
+def test_clouds_with_inconsistent_arrays_are_refused(change, message):
     with pytest.raises(pt.CloudError, match=message):
         replace(pt.box((0.3, 0.3, 0.3), 0.1), **change)
 
 
-def test_an_unknown_group_is_refused_with_the_known_ones(block):
+def test_an_unknown_group_is_refused_with_the_names_of_all_groups(block):
     with pytest.raises(pt.InputError, match=r"group must be one of 'x\+'.*'z-', got 'top'"):
         block.group("top")
 
 
-def test_a_group_that_is_no_face_has_no_area(block):
+def test_the_area_of_a_group_that_is_not_a_face_is_refused(block):
     mixed = replace(block, groups={"skin": np.unique(block.face_nodes)})
     with pytest.raises(pt.InputError, match="'skin' must lie on one face"):
         mixed.area_vectors("skin")

@@ -53,7 +53,7 @@ def test_linear_fields_are_still_differentiated_exactly(cloud, made):
 
 
 @pytest.mark.slow
-def test_a_large_cloud_takes_no_more_steps_than_a_small_one(monkeypatch):
+def test_iterations_do_not_increase_with_the_size_of_the_cloud(monkeypatch):
     """Without the patches 500 to 1,000 are taken."""
     monkeypatch.setattr(consistent, "MAX_ITERATIONS", 80)
     for spacing in (0.004, 0.0025):
@@ -89,7 +89,7 @@ def test_stencils_widen_where_a_tip_needs_it():
 
 
 @pytest.mark.slow
-def test_a_tip_that_no_stencil_carries_is_refused_by_the_node():
+def test_a_tip_without_a_regular_stencil_is_refused_with_the_node():
     with pytest.raises(pt.CloudError, match=r"near node \d+ at .* spread the points there") as refused:
         pt.Solid(
             drop((0.02, 0.006), 1), pt.materials.MooneyRivlin(C1=2e3, C2=0, density=1000.0, poisson=0.45), form="energy"

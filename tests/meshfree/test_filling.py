@@ -64,7 +64,7 @@ def test_nodes_lie_evenly(cloud):
     assert distance[cloud.group("surface")].min() > 0.45
 
 
-def test_triangles_are_closed_and_enclose_the_body(body, cloud):
+def test_the_triangles_of_the_nodes_are_closed_and_enclose_the_body(body, cloud):
     drawn = pt.Surface(cloud.points[cloud.group("surface")], cloud.triangles)  # those nodes come first
     found = pt.io.check_surface(drawn)
     assert found.errors == ()
@@ -88,7 +88,7 @@ def test_equal_seeds_give_equal_clouds_and_others_do_not(body, cloud):
 
 
 @pytest.mark.parametrize("lattice", ["cubic", "scattered"])
-def test_other_lattices_fill_as_evenly(body, lattice):
+def test_other_lattices_fill_the_body_as_evenly(body, lattice):
     other = pt.fill(body, SPACING, lattice=lattice)
     distance = nearest_spacing(other.points)[other.group("inside")] / SPACING
     assert distance.min() > 0.75
@@ -123,7 +123,7 @@ def test_a_cube_keeps_its_faces():
         (lambda: joined(ball(), ball(centre=(0.02, 0.003, 0.001))), "pass through each other"),
     ],
 )
-def test_what_cannot_be_filled_is_refused_with_the_reason(surface, said):
+def test_surfaces_that_cannot_be_filled_are_refused_with_the_reason(surface, said):
     with pytest.raises(pt.InputError, match=said):
         pt.fill(surface(), 0.01)
 
@@ -141,6 +141,6 @@ def test_what_cannot_be_filled_is_refused_with_the_reason(surface, said):
         (0.01, {"seed": -1}, "seed"),
     ],
 )
-def test_bad_arguments_are_named(body, spacing, more, said):
+def test_invalid_arguments_are_refused_by_name(body, spacing, more, said):
     with pytest.raises(pt.InputError, match=said):
         pt.fill(body, spacing, **more)

@@ -138,7 +138,7 @@ ATTACKS = [
 ]  # fmt: skip
 
 
-def test_every_writers_files_give_the_same_surface(valid, tmp_path):
+def test_files_of_every_writer_give_the_same_surface(valid, tmp_path):
     for name, data in valid.items():
         surface = read(tmp_path, name, data)
         assert len(surface.triangles) == 12, name
@@ -147,7 +147,7 @@ def test_every_writers_files_give_the_same_surface(valid, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "data", "said"), ATTACKS, ids=[attack[0] for attack in ATTACKS])
-def test_files_that_lie_are_refused_in_one_line(name, data, said, tmp_path):
+def test_forged_files_are_refused_in_one_line(name, data, said, tmp_path):
     with pytest.raises(pt.InputError, match=said) as caught:
         read(tmp_path, name, data)
     assert len(str(caught.value)) < 500
@@ -188,7 +188,7 @@ def heavy(folder):
     return [*names, *(attack[0] for attack in ATTACKS)]
 
 
-def test_no_small_file_takes_much_memory_or_the_process_down(tmp_path):
+def test_small_files_neither_use_much_memory_nor_crash_the_process(tmp_path):
     names = heavy(tmp_path)
     assert max((tmp_path / name).stat().st_size for name in names) < 1_300_000
     code = (
@@ -271,7 +271,7 @@ def test_a_pipe_or_folder_is_refused_at_once(tmp_path):
 
 
 @pytest.mark.parametrize("scale", [1e308, 1e200, 1e10, 1e-12, 5e-324])
-def test_coordinates_without_sense_are_refused(scale, tmp_path):
+def test_coordinates_out_of_range_are_refused(scale, tmp_path):
     text = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in (scale * cube(1.0, 2.0).vertices).tolist())
     text += "".join("f {} {} {}\n".format(*face) for face in BODY.triangles + 1)
     with pytest.raises(pt.InputError, match=r"at most 1e\+09|at least 1e-09"):
@@ -286,7 +286,7 @@ def test_a_body_far_from_the_origin_is_refused_before_its_digits_are_lost():
         weld(pt.Surface(BODY.vertices + 1e8, BODY.triangles))
 
 
-def test_polygons_strips_and_lists_of_different_lengths(tmp_path):
+def test_polygons_strips_and_lists_of_different_lengths_are_read(tmp_path):
     square = b"0 0 0 1 0 0 1 1 0 0 1 0 0.5 0.5 1"
     head = LEGACY.replace(b"POINTS 3", b"POINTS 5") % (b"ASCII", square)
     body = head + b"POLYGONS 4 16\n3 0 1 4 3 1 2 4 3 2 3 4 3 3 0 4\nTRIANGLE_STRIPS 1 5\n4 1 0 2 3\n"
@@ -324,6 +324,6 @@ def test_objects_of_an_obj_file_and_solids_of_an_stl_file_are_parts(tmp_path, va
     assert read(tmp_path, "two.stl", solids, part="left").volume == pytest.approx(1e-3)
 
 
-def test_the_path_in_a_message_is_the_files(tmp_path):
+def test_messages_name_the_path_of_the_file(tmp_path):
     with pytest.raises(pt.FileFormatError, match=re.escape(str(Path(tmp_path) / "x.off"))):
         read(tmp_path, "x.off", b"OFF 1")

@@ -46,7 +46,7 @@ def icosphere():
 
 
 @pytest.mark.parametrize("grid", [3, 9])
-def test_pairs_are_those_of_linear_programs_on_soups_of_whole_numbers(grid):
+def test_pairs_equal_those_of_linear_programs_for_integer_triangles(grid):
     rng = np.random.default_rng(grid)  # a coarse grid: edges meet edges, vertices faces, many in a common plane
     points = rng.integers(0, grid, size=(15, 3)).astype(float)
     _, same = np.unique(points, axis=0, return_inverse=True)
@@ -68,7 +68,7 @@ def test_pairs_are_those_of_linear_programs_on_soups_of_whole_numbers(grid):
 
 
 @pytest.mark.parametrize("count", [2, 5, 64, 1000])
-def test_the_tree_finds_what_all_pairs_find(count):
+def test_the_tree_finds_the_same_pairs_as_a_search_of_all(count):
     rng = np.random.default_rng(count)
     corners = rng.uniform(size=(count, 1, 3)) + rng.normal(scale=0.5 / np.cbrt(count), size=(count, 3, 3))
     corners[: count // 20] = rng.normal(scale=2, size=(count // 20, 3, 3))  # a few much larger than the others
@@ -109,13 +109,13 @@ def test_every_symmetric_spike_is_found():
         ([(0, 0, 0), (2, 0, 0), (0, 2, 0), (0, 1, 1e-3)], [(0, 1, 2), (1, 0, 3)], 0),
     ],
 )
-def test_two_triangles(points, triangles, found, scale):
+def test_intersections_of_two_triangles_are_classified(points, triangles, found, scale):
     shift = np.array([0.3, -0.7, 0.1])
     assert len(self_intersections(scale * (np.array(points, dtype=float) + shift), np.array(triangles))) == found
 
 
 @pytest.mark.parametrize("far", [2.0, 100.0, 1e9])
-def test_memory_is_bounded_when_a_vertex_is_far_away(far):
+def test_memory_is_bounded_with_a_vertex_far_away(far):
     body = ball(0.05, 0.004)
     vertices = body.vertices.copy()
     vertices[0] = far
@@ -127,7 +127,7 @@ def test_memory_is_bounded_when_a_vertex_is_far_away(far):
     assert peak < 2000 * len(body.triangles)
 
 
-def test_the_search_stops_at_a_number_of_pairs_and_of_boxes(monkeypatch):
+def test_the_search_stops_at_the_limits_of_pairs_and_boxes(monkeypatch):
     corners = np.random.default_rng(0).normal(size=(2000, 3, 3))
     soup = pt.Surface(corners.reshape(-1, 3), np.arange(6000).reshape(-1, 3))
     assert len(self_intersections(soup.vertices, soup.triangles)) == MAX_PAIRS
@@ -151,11 +151,11 @@ def split_by_flat_triangles():
     return pt.Surface(vertices, np.vstack([body.triangles[1:], inner, [(a, b, m), (a, m, p), (m, b, q)]]))
 
 
-def test_a_surface_closed_by_triangles_without_area_is_whole():
+def test_a_surface_closed_by_triangles_without_area_has_no_faults():
     surface = split_by_flat_triangles()
     assert pt.io.check_surface(surface).problems == ()
     pierced = surface.vertices.copy()
-    pierced[-1] *= -3  # the vertex beside the split edge, pulled through the cube
+    pierced[-1] *= -3  # the vertex next to the split edge, pulled through the cube
     pairs = self_intersections(pierced, surface.triangles)
     assert len(pairs) > 0
     assert pairs.max() < len(surface.triangles) - 3  # of the triangles as they were given, and of those with an area

@@ -38,7 +38,7 @@ def test_a_plane_is_exact():
     assert np.abs(vertices @ [1.0, 0.5, 0.25] - 0.1).max() < 1e-6  # vertices have single precision
 
 
-def test_every_case_and_its_complement_use_the_crossed_edges():
+def test_every_case_and_its_complement_have_the_same_edges():
     assert len(CASES) == 256
     assert all(set(CASES[k]) == set(CASES[255 - k]) for k in range(256))
 

@@ -122,7 +122,7 @@ def test_the_equilibrium_is_that_of_the_whole_bar(form):
     np.testing.assert_allclose(F[inner], np.broadcast_to(np.diag(np.diag(F[0])), F[inner].shape), atol=5e-3)
 
 
-def test_a_turned_part_moves_as_the_part_turned():
+def test_the_motion_of_a_turned_part_is_the_turned_motion():
     """No direction of space is special."""
     cloud = quarter()
     oblique = replace(cloud, points=cloud.points @ TURN.T, face_normals=cloud.face_normals @ TURN.T)

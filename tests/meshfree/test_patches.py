@@ -37,7 +37,7 @@ def test_forces_on_patches_have_the_same_sum_and_moment_as_their_shares(cloud, p
     assert np.allclose(*moments, atol=1e-12)
 
 
-def test_nodes_inside_are_their_own_and_those_of_the_surface_are_not(cloud, patches):
+def test_interior_nodes_are_their_own_patch_and_surface_nodes_share_patches(cloud, patches):
     surface = np.unique(cloud.face_nodes)
     inside = np.setdiff1d(np.arange(len(cloud)), surface)
     assert np.array_equal(patches[inside].toarray(), np.eye(len(cloud))[inside])
@@ -59,7 +59,7 @@ def test_waves_of_two_spacings_are_filtered_and_long_ones_are_not():
     assert np.allclose((patches @ field)[inner], field[inner], atol=0.12)
 
 
-def test_a_thin_bodys_other_side_has_no_share():
+def test_patches_contain_no_nodes_of_the_other_side_of_a_thin_body():
     cloud = pt.box((0.02, 0.02, 0.006), 0.002)
     thin = replace(cloud, points=cloud.points * [1.0, 1.0, 0.3])
     middle = thin.group("z+")[np.all(np.abs(thin.points[thin.group("z+"), :2] - 0.01) < 0.005, axis=1)]

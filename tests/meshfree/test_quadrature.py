@@ -62,7 +62,7 @@ def test_quadratics_on_a_lattice_are_integrated_exactly_where_no_weight_is_clipp
 
 
 @pytest.mark.parametrize("name", BOXES)
-def test_only_corners_are_clipped_which_costs_little(name, monkeypatch):
+def test_weights_are_clipped_at_corners_only_with_a_small_error(name, monkeypatch):
     cloud = pt.box(*BOXES[name])
     fields, integrals = quadratics(cloud)
     clipped = weights_of(cloud)
@@ -74,7 +74,7 @@ def test_only_corners_are_clipped_which_costs_little(name, monkeypatch):
 
 
 @pytest.mark.parametrize("jitter", [0.1, 0.2, 0.3])
-def test_quadratics_on_a_jittered_box_come_nearer_than_by_nodal_volumes(jitter):
+def test_quadratics_on_a_jittered_box_are_integrated_better_than_by_nodal_volumes(jitter):
     for seed in range(3):
         cloud = pt.box((0.05, 0.02, 0.02), 0.005, jitter, seed=seed)
         fields, integrals = quadratics(cloud)
@@ -170,7 +170,7 @@ def test_a_conservative_smoothing_misses_linear_fields_by_a_fraction_of_the_spac
         np.testing.assert_allclose(applied(fit, value, own, x), x, atol=0.3)
 
 
-def test_inside_a_lattice_the_smoothing_stays_as_it_is():
+def test_conservation_does_not_change_the_smoothing_inside_a_lattice():
     cloud = pt.box((0.13,) * 3, 0.01)
     fit = linear_fit(cloud)
     value, own = conservative_smoothing(fit, weights_of(cloud))
@@ -183,7 +183,7 @@ def test_inside_a_lattice_the_smoothing_stays_as_it_is():
     assert missed[5:-5, 5:-5, 5:-5].max() < 1e-4 * cloud.spacing
 
 
-def test_a_smoothing_that_is_not_found_is_refused_by_the_node(monkeypatch):
+def test_a_smoothing_without_solution_is_refused_with_the_node(monkeypatch):
     cloud = pt.box((0.02,) * 3, 0.005)
     monkeypatch.setattr(quadrature, "INTEGRAL_TOLERANCE", 0.0)
     with pytest.raises(pt.CloudError, match=r"no smoothing of the pressure keeps its integral near node \d+ "):
@@ -197,7 +197,7 @@ def missed(cloud, field):
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.3])
-def test_nothing_is_missed_of_quadratics(jitter):
+def test_the_hourglass_residual_of_quadratics_is_zero(jitter):
     cloud = pt.box((0.06, 0.02, 0.02), 0.005, jitter)
     for field in quadratics(cloud)[0].T:
         np.testing.assert_allclose(missed(cloud, field), 0, atol=1e-11)
@@ -207,7 +207,7 @@ def test_nothing_is_missed_of_quadratics(jitter):
 
 @pytest.mark.parametrize("jitter", [0.0, 0.1])
 @pytest.mark.parametrize("number", [(1, 0, 0), (0, 1, 0), (1, 0, 1), (1, 1, 1)])
-def test_waves_of_two_spacings_are_missed_almost_whole(number, jitter):
+def test_the_hourglass_residual_has_most_of_waves_of_two_spacings(number, jitter):
     cloud = pt.box((0.11,) * 3, 0.01, jitter)
     lattice = pt.box((0.11,) * 3, 0.01).points / 0.01
     wave = np.cos(np.pi * lattice @ np.array(number))
@@ -215,7 +215,7 @@ def test_waves_of_two_spacings_are_missed_almost_whole(number, jitter):
     assert (missed(cloud, wave) / wave)[inside].min() > 0.4
 
 
-def test_of_smooth_fields_a_part_of_fourth_order_is_missed_inside_a_lattice():
+def test_the_hourglass_residual_of_smooth_fields_is_of_fourth_order_inside_a_lattice():
     sizes = []
     for cells in (8, 16):
         cloud = pt.box((1.0,) * 3, 1 / cells)

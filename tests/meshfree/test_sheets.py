@@ -144,7 +144,7 @@ def test_nodes_of_a_disc_are_evenly_spread(layout, count):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_a_disc_whose_radius_is_no_multiple_of_the_spacing_is_evenly_spread(layout):
+def test_a_disc_whose_radius_is_not_a_multiple_of_the_spacing_is_evenly_spread(layout):
     for count in (2, 2.5, 3.3, 4.7, 7.49, 12.6, 23.7, 55.5):
         distance = nearest(pt.disc(1.0, 1 / count, layout))
         assert 0.7 < distance.min() <= distance.max() < 1.25
@@ -152,7 +152,7 @@ def test_a_disc_whose_radius_is_no_multiple_of_the_spacing_is_evenly_spread(layo
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("count", [10, 20, 40, 80])
-def test_jitter_leaves_neighbours_apart(layout, count):
+def test_jitter_keeps_neighbours_apart(layout, count):
     for seed in range(2):
         distance = nearest(pt.disc(RADIUS, RADIUS / count, layout, 0.2, seed))
         assert 0.6 * 0.78 < distance.min() <= distance.max() < 1.25
@@ -166,7 +166,7 @@ def test_ring_k_has_6_k_nodes():
     assert cloud.spacing == pytest.approx(0.1)
 
 
-def test_rings_form_no_spokes():
+def test_nodes_of_successive_rings_are_not_on_one_ray():
     """Of three successive rings no three nodes lie on one ray, but for those of the six nodes of the first."""
     cloud = pt.disc(1.0, 1 / 20)
     ring = np.rint(np.linalg.norm(cloud.points, axis=1) * 20)
@@ -310,7 +310,7 @@ def test_stencils_on_a_sheet_are_exact_and_well_conditioned(shape):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_what_a_sheet_accepts_has_good_stencils(seed):
+def test_accepted_outlines_have_accurate_stencils(seed):
     """Random outlines: each is refused, or gives a cloud that tiles it and carries quadratics, jittered or not."""
     generator = np.random.default_rng(seed)
     accepted = 0
@@ -347,7 +347,7 @@ def test_jitter_keeps_edges_where_they_crowd_each_other():
         assert sides(cloud)[1].sum() == pytest.approx(abs(shoelace(outline)), rel=1e-12)
 
 
-def test_direction_and_closing_of_the_outline_do_not_matter():
+def test_a_reversed_or_closed_outline_gives_the_same_sheet():
     corners = OUTLINES["L"]
     cloud, closed = pt.sheet(corners, SPACING), pt.sheet([*corners, corners[0]], SPACING)
     backward = pt.sheet(corners[::-1], SPACING)
@@ -356,7 +356,7 @@ def test_direction_and_closing_of_the_outline_do_not_matter():
     assert set(closed.groups) == set(cloud.groups) == set(backward.groups)
 
 
-def test_the_place_of_a_sheet_does_not_matter():
+def test_a_moved_outline_gives_the_moved_sheet():
     near, far = (pt.sheet(np.array(OUTLINES["star"]) + shift, SPACING) for shift in (0.0, 1024.0))
     np.testing.assert_allclose(far.points - 1024, near.points, atol=1e-9)
 
@@ -385,7 +385,7 @@ def test_a_sheet_of_equilateral_triangles_is_a_lattice_throughout():
         ({"seed": 0.5}, "seed must be .*, got 0.5"),
     ],
 )
-def test_a_disc_refuses_what_it_cannot_fill(change, message):
+def test_invalid_discs_are_refused(change, message):
     with pytest.raises(pt.InputError, match=message):
         pt.disc(**({"radius": 1.0, "spacing": 0.1} | change))
 
@@ -434,7 +434,7 @@ SPIKE = [(1.148, 2.101), (0.982, 2.141), (0.612, 2.638), (0.777, 2.721), (0.391,
         ({"seed": -1}, "seed must be .*, got -1"),
     ],
 )
-def test_a_sheet_refuses_what_it_cannot_fill(change, message):
+def test_invalid_sheets_are_refused(change, message):
     with pytest.raises(pt.InputError, match=message):
         pt.sheet(**({"outline": [(0, 0), (1, 0), (1, 1), (0, 1)], "spacing": 0.1} | change))
 
@@ -444,7 +444,7 @@ def test_an_advised_spacing_is_accepted():
     assert pt.sheet([(0, 0), (1, 0), (1, 0.12), (0, 0.12)], 0.0923).spacing == pytest.approx(1 / 11)
 
 
-def test_within_groups_the_nodes_of_a_tool():
+def test_within_gives_a_group_of_the_nodes_near_a_point():
     cloud = pt.disc(1.0, 0.1)
     touched = cloud.within("tool", (0.0, 0.0), 0.3)
     assert set(touched.groups) == {"face", "rim", "centre", "tool"}
@@ -453,10 +453,10 @@ def test_within_groups_the_nodes_of_a_tool():
     assert "tool" not in cloud.groups
 
 
-def test_within_measures_in_space_too():
+def test_within_measures_distances_in_three_dimensions():
     block = pt.box((0.4, 0.4, 0.4), 0.1).within("tool", (0.2, 0.2, 0.4), 0.1)
     np.testing.assert_allclose(np.abs(block.points[block.group("tool")] - (0.2, 0.2, 0.4)).sum(axis=1).max(), 0.1)
-    assert len(block.group("tool")) == 6  # the node there, four beside it, one below
+    assert len(block.group("tool")) == 6  # the node there, four next to it, one below
 
 
 @pytest.mark.parametrize(
@@ -469,6 +469,6 @@ def test_within_measures_in_space_too():
         ({"radius": 0.0}, "radius must be .*, got 0.0"),
     ],
 )
-def test_within_refuses_what_is_no_group(change, message):
+def test_within_refuses_invalid_groups(change, message):
     with pytest.raises(pt.InputError, match=message):
         pt.disc(1.0, 0.1).within(**({"name": "tool", "centre": (0.0, 0.0), "radius": 0.1} | change))

@@ -77,9 +77,9 @@ def test_third_order_fits_converge_faster():
 def test_an_interpolating_fit_passes_through_its_nodes(jittered_points):
     field = np.random.default_rng(0).normal(size=len(jittered_points))
     through = pt.moving_least_squares(jittered_points, neighbours=42)
-    beside = pt.moving_least_squares(jittered_points, neighbours=42, interpolating=False)
+    smoothing = pt.moving_least_squares(jittered_points, neighbours=42, interpolating=False)
     np.testing.assert_array_equal(through.fit(field), field)
-    assert np.abs(beside.fit(field) - field).max() > 0.1
+    assert np.abs(smoothing.fit(field) - field).max() > 0.1
 
 
 def test_a_vector_field_is_differentiated_component_by_component(jittered_points):
@@ -206,7 +206,7 @@ def test_arguments_out_of_range_are_refused_by_name(jittered_points, arguments, 
 
 
 @pytest.mark.parametrize("count", [1, 2, 8])
-def test_a_handful_of_points_is_refused(jittered_points, count):
+def test_too_few_points_are_refused(jittered_points, count):
     with pytest.raises(pt.CloudError):
         pt.moving_least_squares(jittered_points[:count], neighbours=42)
 

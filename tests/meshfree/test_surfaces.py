@@ -24,7 +24,7 @@ def names(surface):
     return {problem.name for problem in pt.io.check_surface(surface).errors}
 
 
-def test_volume_and_area_of_a_cube():
+def test_volume_and_area_are_those_of_a_cube():
     body = cube(0.1)
     assert body.volume == pytest.approx(1e-3, rel=1e-12)
     assert body.area == pytest.approx(0.06, rel=1e-12)
@@ -59,7 +59,7 @@ def test_vertical_lines_cross_a_ball_at_its_height():
     assert np.sum(np.diff(height.reshape(-1, 2), axis=1)) * 0.00513**2 == pytest.approx(body.volume, rel=0.02)
 
 
-def test_welding_joins_what_coincides_and_drops_what_has_no_area():
+def test_welding_joins_coincident_vertices_and_drops_triangles_without_area():
     body = cube()
     loose = pt.Surface(body.vertices[body.triangles].reshape(-1, 3), np.arange(3 * len(body.triangles)).reshape(-1, 3))
     assert "open" in names(loose)
@@ -96,7 +96,7 @@ def test_two_cubes_that_touch_in_a_corner_are_pinched():
     assert "pinched" in names(body)
 
 
-def test_a_hole_is_closed_on_request_and_a_speck_dropped():
+def test_holes_are_closed_and_small_parts_dropped_on_request():
     body = ball()
     hole = pt.Surface(body.vertices, body.triangles[body.vertices[body.triangles].mean(axis=1)[:, 0] < 0.04])
     assert names(hole) == {"open"}
@@ -126,7 +126,7 @@ def test_a_fold_is_smoothed_on_request():
         (np.zeros((3, 3)), np.broadcast_to(np.arange(3), (10_000_000, 3)), "at most 2000000"),
     ],
 )
-def test_arrays_that_are_no_surface_are_refused(vertices, triangles, said):
+def test_arrays_that_are_not_a_surface_are_refused(vertices, triangles, said):
     with pytest.raises(pt.InputError, match=said):
         pt.Surface(np.asarray(vertices, dtype=float), np.asarray(triangles))
 
@@ -237,7 +237,7 @@ def test_the_open_liver_is_closed_on_request():
     assert closed.volume == pytest.approx(1.993e-3, rel=1e-3)
 
 
-def test_refinement_follows_a_wished_length():
+def test_refinement_follows_a_given_length():
     vertices, triangles = refine_surface(
         cube().vertices, cube().triangles, lambda points: 0.004 + 0.3 * np.abs(points[:, 0])
     )

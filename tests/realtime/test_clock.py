@@ -21,7 +21,7 @@ def sleep_long_after(start, pause, count):
     return late
 
 
-def test_now_is_the_monotonic_clock():
+def test_now_equals_the_monotonic_clock():
     before, inside, after = time.monotonic_ns(), now(), time.monotonic_ns()
     assert before <= inside <= after
 

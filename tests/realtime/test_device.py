@@ -9,11 +9,11 @@ import palpate as pt
 from palpate.realtime import DummyDevice
 
 
-def test_it_sends_its_path_and_feels_the_springs(engine_of):
+def test_the_device_sends_its_path_and_reads_forces_of_springs(engine_of):
     engine = engine_of(rate=500.0, damping=8.0)
     device = DummyDevice(lambda t: ((0.0, 0.0, -0.01 * np.sin(20 * t) ** 2), (1.0, 0.0, 0.0, 0.0)))
     with engine:
-        recording = device.prepare(engine, 0.4)
+        recording = device.run(engine, 0.4)
     times = recording.times
     assert times[0] == 0.0
     assert 0.2 < times[-1] < 0.4
@@ -29,9 +29,9 @@ def test_it_sends_its_path_and_feels_the_springs(engine_of):
 def test_a_path_that_jumps_is_refused(engine_of):
     device = DummyDevice(lambda t: ((2.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
     with pytest.raises(pt.InputError, match="jump"):
-        device.prepare(engine_of(), 0.1)
+        device.run(engine_of(), 0.1)
 
 
 def test_a_duration_must_be_positive(engine_of):
     with pytest.raises(pt.InputError, match="duration"):
-        DummyDevice(lambda t: ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))).prepare(engine_of(), 0.0)
+        DummyDevice(lambda t: ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))).run(engine_of(), 0.0)

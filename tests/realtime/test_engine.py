@@ -47,7 +47,7 @@ def history(tmp_path):
     return read
 
 
-def test_it_comes_to_the_equilibrium_of_the_springs(engine_of):
+def test_the_engine_converges_to_the_equilibrium_of_the_springs(engine_of):
     engine = engine_of(damping=12.0, ground=100.0, contact=300.0, turn=2.0)
     angle = 0.2
     engine.set_pose((0.01, 0.0, -0.02), (math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)))
@@ -86,7 +86,7 @@ def test_every_period_advances_the_body_by_a_period(engine_of, history):
     assert np.all(seen["computing"] > 0)
 
 
-def test_it_is_never_ahead_of_the_clock(engine_of):
+def test_the_engine_is_never_ahead_of_the_clock(engine_of):
     engine = engine_of()
     before = time.monotonic()
     run_steps(engine, 300)
@@ -133,7 +133,7 @@ def test_commands_may_be_given_twice(engine_of):
             assert engine.state == engine.read().state == state, command
 
 
-def test_nothing_moves_in_a_pause_and_resuming_goes_on_from_there(engine_of):
+def test_a_pause_stops_the_motion_and_resuming_continues_it(engine_of):
     engine = engine_of()
     engine.set_pose((0.02, 0.0, 0.0))
     engine.start()
@@ -148,7 +148,7 @@ def test_nothing_moves_in_a_pause_and_resuming_goes_on_from_there(engine_of):
     assert engine.statistics().count == engine.read().steps > count
 
 
-def test_a_force_tells_which_pose_it_knew(engine_of, history):
+def test_a_reading_has_the_number_of_the_pose_of_its_force(engine_of, history):
     engine = engine_of()
     run_steps(engine, 5)
     assert engine.read().sequence == 0
@@ -167,7 +167,7 @@ def test_a_force_tells_which_pose_it_knew(engine_of, history):
     assert engine.read().sequence == 0
 
 
-def test_reset_puts_all_at_rest(engine_of):
+def test_a_reset_restores_rest(engine_of):
     engine = engine_of()
     engine.set_pose((0.02, 0.0, 0.0), (0.9, 0.1, 0.0, 0.0))
     run_steps(engine, 20)
@@ -182,7 +182,7 @@ def test_reset_puts_all_at_rest(engine_of):
         np.testing.assert_array_equal(reading.quaternion, [1, 0, 0, 0])
 
 
-def test_the_tool_is_no_faster_than_allowed(engine_of, history):
+def test_the_tool_keeps_its_speed_limits(engine_of, history):
     engine = engine_of(options={"max_speed": 0.5, "max_angular_speed": 3.0})
     engine.set_pose((0.03, 0.04, 0.0), (0.0, 1.0, 0.0, 0.0))
     run_steps(engine, 120)
@@ -215,7 +215,7 @@ def test_a_bad_pose_is_refused_and_the_last_one_kept(engine_of):
     np.testing.assert_array_equal(engine.read().position, [0.002, 0, 0])
 
 
-def test_lost_trust_is_told_once(engine_of):
+def test_lost_trust_is_reported_once(engine_of):
     engine = engine_of(trusted=0.01)
     engine.set_pose((0.005, 0.0, 0.0))
     run_steps(engine, 20)
@@ -273,7 +273,7 @@ def test_stopping_pauses_when_trust_is_lost_and_may_be_resumed(engine_of):
 
 
 @pytest.mark.parametrize("fault", [FAILS, NOT_FINITE, RAISES])
-def test_a_state_that_runs_away_is_kept_and_written(fault, tmp_path, recwarn):
+def test_the_periods_before_a_divergence_are_kept_and_written(fault, tmp_path, recwarn):
     body, box = mass_spring(), tmp_path / "flight.h5"
     engine = Engine(body, black_box=box)
     engine.set_pose((0.02, 0.0, 0.0))
@@ -307,7 +307,7 @@ def test_a_state_that_runs_away_is_kept_and_written(fault, tmp_path, recwarn):
     assert not np.any(engine.read().coordinates)
 
 
-def test_a_black_box_that_cannot_be_written_is_told(tmp_path):
+def test_a_black_box_that_cannot_be_written_is_reported(tmp_path):
     folder = tmp_path / "gone"
     folder.mkdir()
     body = mass_spring()
@@ -320,7 +320,7 @@ def test_a_black_box_that_cannot_be_written_is_told(tmp_path):
         engine.read()
 
 
-def test_stiffness_is_taken_every_so_many_periods(engine_of):
+def test_contact_stiffness_is_computed_at_the_given_interval(engine_of):
     never = engine_of(options={"stiffness_every": 0})
     run_steps(never, 5)
     assert not np.any(never.read().stiffness)
@@ -335,7 +335,7 @@ def test_stiffness_is_taken_every_so_many_periods(engine_of):
     assert not np.any(without.read().stiffness)
 
 
-def test_python_goes_on_while_it_steps(engine_of):
+def test_other_python_threads_run_while_the_engine_steps(engine_of):
     """The loop computes all the time, and does not return: with Python's lock it would stop everything."""
     engine = engine_of(rate=20_000.0, labour=labour_of(1e-3))
     with engine:
@@ -347,7 +347,7 @@ def test_python_goes_on_while_it_steps(engine_of):
     assert not engine.statistics().sustained
 
 
-def test_an_engine_that_nobody_holds_ends_its_thread():
+def test_an_engine_without_references_ends_its_thread():
     engine = Engine(mass_spring())
     engine.start()
     thread = engine._runner._thread
@@ -384,12 +384,12 @@ def test_a_model_that_breaks_the_contract_is_refused(changed, said):
         Engine(mass_spring()._replace(**changed))
 
 
-def test_what_is_no_model_is_told_what_is_missing():
+def test_an_object_that_is_not_a_model_is_refused_with_its_missing_attributes():
     with pytest.raises(pt.InputError, match="advance, stiffness, data, rest, tool"):
         Engine(object())
 
 
-def test_a_tool_is_put_elsewhere_at_once_and_time_goes_slower(engine_of, history):
+def test_place_tool_moves_the_tool_at_once_and_slow_motion_slows_time(engine_of, history):
     engine = engine_of()
     run_steps(engine, 20)
     with pytest.raises(pt.InputError, match="finite"):
@@ -413,7 +413,7 @@ def test_a_tool_is_put_elsewhere_at_once_and_time_goes_slower(engine_of, history
         engine.place_tool((0.0, 0.0, 0.0))
 
 
-def test_it_prints_its_state_its_rate_and_whether_it_is_sustained(engine_of):
+def test_an_engine_prints_its_state_rate_and_verdict(engine_of):
     engine = engine_of()
     assert "no steps yet" in repr(engine)
     run_steps(engine, 20)

@@ -58,7 +58,7 @@ def test_models_of_the_same_functions_share_a_loop():
     assert compile_loop(advance, None) is not compile_loop(advance, stiffness)
 
 
-def test_functions_that_only_differ_in_what_they_close_over_are_not_mistaken_for_each_other():
+def test_functions_with_different_closures_have_different_loops():
     def made(number):
         @njit
         def out(data, q, v, target, period, report):
@@ -121,7 +121,7 @@ WAYS = {
 @pytest.mark.parametrize("speed", [0.05, 0.5, 5.0])
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 @pytest.mark.parametrize("early", [0.004, 0.03, 1.0])
-def test_a_tool_that_is_clamped_stays_so_on_every_way(way, speed, early):
+def test_a_clamped_tool_stays_clamped_on_every_path_beyond_trust(way, speed, early):
     """Whenever the hand turns aside, soon after trust is lost above all, while the body still swings."""
     trust, _, held, _ = prescribed(way, [0.03 / speed + early] * (len(way) - 1) + [4.0], speed)
     assert trust.max() > 1.0
@@ -129,7 +129,7 @@ def test_a_tool_that_is_clamped_stays_so_on_every_way(way, speed, early):
     assert (trust[-1000:] <= 1.0).all()
 
 
-def test_a_tool_that_comes_back_is_free():
+def test_a_clamped_tool_is_free_after_it_returns():
     trust, place, held, _ = prescribed([DEEP, at(0.004, 0.002)], 1.0)
     assert held[999]
     assert not held[-1]
@@ -137,7 +137,7 @@ def test_a_tool_that_comes_back_is_free():
     assert (trust[-500:] <= 1.0).all()
 
 
-def test_trust_that_a_tool_loses_standing_still_draws_it_back_on_its_way():
+def test_a_resting_tool_that_loses_trust_moves_back_along_its_path():
     """The mass swings beyond its limit while the tool has stood within its own for long."""
     near = at(0.0, 0.96 * REACH)
     trust, place, held, _ = prescribed([at(0.005, 0.0), near], [0.5, 3.0], 5.0)
@@ -148,7 +148,7 @@ def test_trust_that_a_tool_loses_standing_still_draws_it_back_on_its_way():
     assert (trust[-1000:] <= 1.0).all()
 
 
-def test_a_trail_keeps_its_first_pose_and_the_newest_ones():
+def test_the_trail_of_poses_keeps_the_first_and_the_newest():
     poses = [at(1e-3 * math.sin(0.01 * k), 1e-3 * math.cos(0.01 * k)) for k in range(5 * MAX_TRAIL)]
     *_, work = prescribed(poses, 1e-3, 5.0)
     length = int(work.length[0])

@@ -46,7 +46,7 @@ def test_the_wrench_does_the_work_of_the_generalised_forces(random):
     assert forces @ (after - before) == pytest.approx(-2 * (force @ way + moment @ turn), rel=1e-8)
 
 
-def test_following_keeps_both_speeds_and_arrives(random):
+def test_a_followed_pose_keeps_both_speed_limits_and_arrives(random):
     max_distance, max_angle = 0.002, 0.01
     pose, aim = IDENTITY.copy(), pose_of([0.03, -0.01, 0.02], Rotation.from_rotvec([0.3, -1.0, 0.2]))
     aim[3:] *= -1  # the same rotation
@@ -63,7 +63,7 @@ def test_following_keeps_both_speeds_and_arrives(random):
     np.testing.assert_allclose(np.linalg.norm([p[3:] for p in path], axis=1), 1.0, rtol=1e-12)
 
 
-def test_following_a_near_pose_goes_there_exactly(random):
+def test_a_near_pose_is_reached_exactly_in_one_period(random):
     pose = IDENTITY.copy()
     aim = pose_of([1e-4, 0.0, -1e-4], Rotation.from_rotvec([1e-3, 0.0, 0.0]))
     follow_pose(pose, aim, 0.002, 0.01)
@@ -101,6 +101,6 @@ def test_a_bad_pose_is_refused(position, quaternion, said):
 
 
 @pytest.mark.parametrize("size", [1e-200, 3.0, 1e200])
-def test_a_quaternion_is_made_a_unit_one(size):
+def test_quaternions_are_normalised(size):
     pose = normalise_pose((0.1, 0.2, 0.3), (0.0, 0.6 * size, 0.0, -0.8 * size), IDENTITY)
     np.testing.assert_allclose(pose, [0.1, 0.2, 0.3, 0.0, 0.6, 0.0, -0.8], rtol=1e-14)

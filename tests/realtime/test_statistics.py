@@ -37,7 +37,7 @@ def test_a_step_that_takes_several_periods_drops_those_it_ran_over(duration, dro
     assert deadlines == [PERIOD * (1 + dropped)]
 
 
-def test_a_model_too_slow_is_told_from_a_busy_machine():
+def test_a_slow_model_is_distinguished_from_a_busy_machine():
     slow, _ = counted([(0.0, 1.2e-3, 1.3e-3)] * 3 + [(0.0, 5e-4, 5e-4)] * 97)
     busy, _ = counted([(0.0, 5e-4, 3.3e-3)] * 3 + [(0.0, 5e-4, 5e-4)] * 97)
     assert (slow.missed, slow.overrun, slow.sustained) == (3, 3, False)
@@ -46,7 +46,7 @@ def test_a_model_too_slow_is_told_from_a_busy_machine():
     assert "other threads" in busy.verdict
 
 
-def test_one_step_in_a_hundred_may_be_too_slow():
+def test_one_slow_step_in_a_hundred_still_sustains_the_rate():
     assert counted([(0.0, 1.2e-3, 1.2e-3)] + [(0.0, 5e-4, 5e-4)] * 99)[0].sustained
     assert not counted([(0.0, 1.2e-3, 1.2e-3)] + [(0.0, 5e-4, 5e-4)] * 98)[0].sustained
 
@@ -68,7 +68,7 @@ def test_durations_beyond_the_bins_are_counted_too():
     assert statistics.lateness.percentile(100) == 100.0
 
 
-def test_nothing_counted_says_so():
+def test_the_verdict_without_steps_states_that():
     statistics, _ = counted([])
     assert "no step" in statistics.verdict
     assert statistics.lateness.percentile(99) == 0.0

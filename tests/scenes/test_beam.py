@@ -22,7 +22,7 @@ def test_the_pull_is_equation_33(time):
     assert pull(time) == pytest.approx(printed, abs=1e-12)
 
 
-def test_there_is_no_pull_outside_the_run():
+def test_the_pull_is_zero_outside_the_run():
     assert pull(-0.1) == 0.0
     assert pull(1.1) == 0.0
 

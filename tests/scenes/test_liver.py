@@ -43,7 +43,7 @@ def block():
     return ToolPaths(cloud, 0.025, 0.02, 0.2)
 
 
-def test_presses_stay_what_campaigns_have_run(block):
+def test_the_presses_of_given_seeds_do_not_change(block):
     """The ball away, pressed, and slid, as before seeds of grasps came in between."""
     for seed, *expected in (
         (0, (0.1, -0.031, 0.02), (0.1, -0.015222986007, 0.02), (0.0915625, -0.015222986007, 0.0284375)),
@@ -66,7 +66,7 @@ def forceps(paths, seed, times):
     return grasp, poses[:, :3] - grasp.point, 2 * np.arccos(np.minimum(poses[:, 3], 1.0))
 
 
-def test_every_fourth_path_pulls_within_a_cone_turns_comes_back_and_lets_go(block):
+def test_every_fourth_path_is_a_pull_within_a_cone_that_turns_returns_and_releases(block):
     turns, times = [], np.linspace(0.0, 0.6, 61)
     for seed in range(3, 83, 4):
         grasp, moved, turned = forceps(block, seed, times)
@@ -103,14 +103,14 @@ def test_tools_too_large_for_the_body_are_refused(block):
         ToolPaths(block.cloud, 0.16, 0.02, 0.2)(3)
 
 
-def test_the_full_model_takes_a_press_and_a_grasp(scene):
+def test_the_full_model_runs_a_press_and_a_grasp(scene):
     for seed in (0, 3):
         loads, _ = scene.path(seed)
         run = pt.rollout(scene.model, loads, duration=0.1, every=0.05)
         assert np.isfinite(run.displacements).all()
 
 
-def test_shapes_are_held_at_the_back_and_orthogonal_enough(scene):
+def test_modes_are_zero_at_the_back_and_nearly_orthogonal(scene):
     assert scene.coarse() is scene.model  # coarse enough itself
     finer = pressed_liver(spacing=0.010, radius=0.03).model
     shapes = interpolated_modes(scene.coarse(), finer, 6)

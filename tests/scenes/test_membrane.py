@@ -22,7 +22,7 @@ def test_the_tool_tip_is_equation_35(time):
 
 
 @pytest.mark.parametrize("after", AFTER)
-def test_the_tool_tip_still_is_up_at_the_snapshot_when_it_stops(after):
+def test_the_tool_tip_is_at_its_height_when_it_stops(after):
     for time in (0.1, sum(1000 * [1e-4])):  # as printed, and with the rounding of a run
         assert tool_tip(time, after) == pytest.approx(0.01)
 
@@ -31,7 +31,7 @@ def test_the_tool_tip_can_be_held():
     assert tool_tip(0.15, "hold") == pytest.approx(0.01)
 
 
-def test_there_is_no_motion_before_the_run():
+def test_the_tool_tip_does_not_move_before_the_run():
     assert tool_tip(-0.1) == 0.0
 
 
@@ -66,7 +66,7 @@ def test_a_tool_lets_go_after_a_tenth_of_a_second():
     np.testing.assert_array_equal(holds, [True, False])
 
 
-def test_the_scene_tells_what_it_was_made_with():
+def test_the_scene_has_its_parameters():
     scene = membrane(spacing=COARSE, tool_radius=0.02, prestretch=1.2, layout="hexagonal", jitter=0.1, seed=3)
     expected = {"spacing": COARSE, "tool_radius": 0.02, "prestretch": 1.2, "jitter": 0.1, "seed": 3}
     assert scene.parameters == expected

@@ -29,7 +29,7 @@ def sizes(loads):
         ("buckling", (0.2, 0, 0), (0.5, 0.02, 1e-3)),
     ],
 )
-def test_peaks_lie_within_the_limits_of_their_kind_and_fill_them(kind, low, high):
+def test_peaks_fill_the_limits_of_their_kind(kind, low, high):
     low, high = np.array(low), np.array(high)
     runs = np.array([sizes(random_motion(seed, kind)) for seed in SEEDS])
     peaks = np.abs(runs).max(axis=1)
@@ -52,7 +52,7 @@ def test_bends_go_in_all_directions():
     "loads",
     [random_motion(seed, kind) for seed in range(20) for kind in LIMITS] + training_motions(12),
 )
-def test_a_motion_starts_and_ends_at_zero_and_has_no_jump(loads):
+def test_a_motion_starts_and_ends_at_zero_without_jumps(loads):
     values = sizes(loads)
     np.testing.assert_array_equal(values[[0, -1]], 0)
     steepest = 1.01 * np.abs(values).max(axis=0) / 0.05  # the shortest ramp
@@ -73,7 +73,7 @@ def test_a_course_is_linear_between_its_corners():
     np.testing.assert_allclose(shares, np.interp(TIMES, [0.1, 0.3, 0.6, 0.7], [0, 1, 1, 0]), atol=1e-12)
 
 
-def test_training_takes_each_part_alone_to_its_limit_and_then_others_inside():
+def test_training_first_takes_each_component_to_its_limit():
     peaks = np.array([np.abs(sizes(loads)).max(axis=0) for loads in training_motions(12)])
     limits = np.array([10, 0.1, 5e-3])
     np.testing.assert_allclose(peaks[:6] / limits, [[1, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1]])

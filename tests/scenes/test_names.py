@@ -14,7 +14,7 @@ from palpate.scenes.training import scene_function
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_name_leads_to_a_function_that_returns_a_scene(name):
+def test_every_name_is_of_a_function_that_returns_a_scene(name):
     assert typing.get_type_hints(scene_function(name))["return"] is TrainingScene
 
 

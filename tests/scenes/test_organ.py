@@ -21,7 +21,7 @@ def liver():
     return pt.liver_surface(0.004)
 
 
-def test_the_liver_is_one_closed_solid_of_the_wished_volume(liver):
+def test_the_liver_is_one_closed_solid_of_the_given_volume(liver):
     found = pt.io.check_surface(liver)
     assert found.problems == ()
     assert (found.components, found.euler) == (1, 2)
@@ -34,7 +34,7 @@ def test_a_smaller_liver_has_the_same_shape(liver):
     np.testing.assert_allclose(np.ptp(smaller.vertices, axis=0), np.ptp(liver.vertices, axis=0) / 2, rtol=1e-3)
 
 
-def test_it_has_a_livers_proportions(liver):
+def test_the_liver_has_human_proportions(liver):
     # adults: 20 to 25 cm wide, 13 to 17 high and deep; most of it in the right lobe
     wide, deep, high = np.ptp(liver.vertices, axis=0)
     assert 0.19 < wide < 0.25
@@ -45,12 +45,12 @@ def test_it_has_a_livers_proportions(liver):
     assert 0.6 < cloud.volumes[cloud.points[:, 0] < middle].sum() / 1.5e-3 < 0.85
 
 
-def test_it_converges_with_the_resolution(liver):
+def test_the_area_of_the_liver_converges_with_the_resolution(liver):
     areas = [pt.liver_surface(h).area for h in (0.008, 0.002)]
     assert abs(liver.area - areas[1]) < 0.5 * abs(areas[0] - areas[1])
 
 
-def test_it_is_the_same_every_time(liver):
+def test_the_liver_is_the_same_every_time(liver):
     again = pt.liver_surface(0.004)
     assert np.array_equal(again.vertices, liver.vertices)
     assert np.array_equal(again.triangles, liver.triangles)
@@ -70,14 +70,14 @@ def test_the_published_liver_comes_from_the_cache(tmp_path):
     assert pt.io.check_surface(body).errors == ()
 
 
-def test_another_file_in_its_place_is_not_taken(tmp_path):
+def test_a_download_with_another_checksum_is_refused(tmp_path):
     (tmp_path / "other.glb").write_bytes(b"another file")
     with pytest.raises(pt.FileFormatError, match="SHA-256 differs"):
         pt.io.fetch_liver(tmp_path / "kept", source=(tmp_path / "other.glb").as_uri())
     assert not (tmp_path / "kept").exists()
 
 
-def test_what_was_kept_is_downloaded_again_if_it_is_another_file(tmp_path, monkeypatch):
+def test_a_damaged_cached_file_is_downloaded_again(tmp_path, monkeypatch):
     cube = Path(tmp_path, "cube.stl")
     cube.write_bytes(b"what is published")
     monkeypatch.setattr(published, "SHA256", hashlib.sha256(b"what is published").hexdigest())
@@ -88,7 +88,7 @@ def test_what_was_kept_is_downloaded_again_if_it_is_another_file(tmp_path, monke
         cube.unlink(missing_ok=True)  # the second time, the file that was kept is taken
 
 
-def test_an_address_that_is_none_or_leads_nowhere_is_an_error(tmp_path):
+def test_invalid_and_unreachable_addresses_are_errors(tmp_path):
     with pytest.raises(pt.InputError, match="source must be an address, got 'liver'"):
         pt.io.fetch_liver(tmp_path, source="liver")
     with pytest.raises(OSError, match="No such file"):

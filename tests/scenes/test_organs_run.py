@@ -18,7 +18,7 @@ needs_data = pytest.mark.skipif(not organs.DATA.is_dir(), reason="the organ surf
 
 
 @pytest.mark.parametrize("name", ["generated", pytest.param("HRA female 6k", marks=needs_data)])
-def test_a_poked_organ_stays_stable_untuned(name):
+def test_a_poked_organ_is_stable_with_default_settings(name):
     found = organs.run(name, 1500, 0.49, "energy", duration=0.1)
     assert found["stable"], found
     assert found["nodes"] == pytest.approx(1500, rel=0.05)

@@ -20,7 +20,7 @@ def way(scene, seed, times):
     return np.array([load.displacement(np.zeros((1, 2)), time) for time in times])
 
 
-def test_a_path_starts_and_ends_at_rest_and_stays_within_its_swings(scene):
+def test_a_path_starts_and_ends_at_rest_and_stays_within_its_amplitudes(scene):
     for seed in range(5):
         path = way(scene, seed, np.linspace(0.0, 0.2, 101))
         np.testing.assert_allclose(path[[0, -1]], 0.0, atol=1e-15)
@@ -36,7 +36,7 @@ def test_equal_seeds_are_equal_paths_and_others_are_not(scene):
     assert np.abs(way(scene, 3, times) - way(scene, 4, times)).max() > 1e-3
 
 
-def test_the_sheet_is_taut_and_the_tool_holds_its_middle(scene):
+def test_the_sheet_is_taut_and_its_middle_is_prescribed(scene):
     model = scene.model
     assert scene.tools == (GROUP,)
     held = np.linalg.norm(model.cloud.points[model.cloud.group(GROUP)], axis=1)

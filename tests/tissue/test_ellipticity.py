@@ -153,7 +153,7 @@ def test_polyconvex_laws_are_stable(poisson):
 
 
 @pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
-def test_stiffness_scales_what_is_measured_and_no_verdict():
+def test_a_stiffer_law_has_scaled_moduli_and_the_same_limits():
     soft, hard = (material_stability(Softening(mu=mu, density=1000, poisson=0.4)) for mu in (1.0, 1e9))
     assert soft.min_modulus / soft.shear_modulus == pytest.approx(hard.min_modulus / hard.shear_modulus, rel=1e-4)
     for kind in soft.limits:
@@ -170,13 +170,13 @@ def test_a_law_with_stress_at_rest_is_refused():
     assert material_stability(Pressed(density=1000, poisson=0.5)).stable
 
 
-def test_a_law_that_ends_is_refused_where_it_does():
+def test_a_law_with_a_limiting_stretch_is_reported_at_that_stretch():
     report = material_stability(Limited(b=2.0, density=1000, poisson=0.5), (0.6, 1.8))
     assert any(finding.startswith("not finite, nearest to rest at principal stretches") for finding in report.findings)
     end = brentq(lambda s: s**2 + 2 / s - 3 - 0.5, 1, 3)
     assert report.limits["uniaxial"][1] == pytest.approx(
         end, abs=0.011
-    )  # a step of the path, beyond which W is no number
+    )  # a step of the path, beyond which W is not a number
     assert material_stability(Limited(b=2.0, density=1000, poisson=0.5), (0.85, 1.15)).stable
 
 
@@ -200,7 +200,7 @@ def test_a_range_without_rest_is_refused(ranges, message):
 
 
 @pytest.mark.parametrize("ends", [(0.8,), 3, "ab", (1e-300, 1e300), (0.8, np.nan), (0.8, 1e9), (0.8, 1.2, 1.3)])
-def test_a_range_that_is_none_is_refused(ends):
+def test_ranges_that_are_not_intervals_are_refused(ends):
     with pytest.raises(pt.InputError, match="stretches must be"):
         material_stability(pt.materials.NeoHookean(C1=5e3, density=1000, poisson=0.4), ends)
 

@@ -125,7 +125,7 @@ def test_two_families_add_up():
     )
 
 
-def test_the_hearts_exponent_is_the_printed_one():
+def test_the_exponent_of_the_heart_law_is_the_printed_one():
     a = units(60)
     b = np.cross(a, units(60, seed=9))
     b /= np.linalg.norm(b, axis=1, keepdims=True)
@@ -146,7 +146,7 @@ def test_the_hearts_exponent_is_the_printed_one():
         pt.materials.Guccione(C=1.0, bf=8.0, bt=2.0, bfs=4.0, directions=X),
     ],
 )
-def test_a_steep_exponential_goes_on_as_a_parabola(law):
+def test_a_steep_exponential_continues_as_a_parabola(law):
     stretches = np.linspace(1.0, 8.0, 4001)
     F = np.eye(3) * np.stack([stretches, stretches**-0.5, stretches**-0.5], axis=-1)[:, None, :]
     law = law.at(np.zeros((4001, 3)))

@@ -103,7 +103,7 @@ def stiff(poisson=0.5):
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "shear"])
 @pytest.mark.parametrize("poisson", [0.3, 0.49, 0.5])
-def test_curves_without_noise_give_back_their_parameters(kind, poisson):
+def test_parameters_are_recovered_from_curves_without_noise(kind, poisson):
     if kind != "planar":  # which tells C1 + C2 only
         found = fit(pt.materials.MooneyRivlin, curves(rubbery(poisson=poisson), [kind], noise=0), poisson=poisson)
         assert found.parameters == pytest.approx({"C1": 8e3, "C2": 3e3}, rel=1e-5)
@@ -128,7 +128,7 @@ def test_a_linear_fit_is_the_one_of_the_normal_equations():
     assert len(found.starts) == 1  # of a law linear in its parameters
 
 
-def test_deviations_weigh_points():
+def test_points_are_weighted_by_their_deviations():
     first, second = curves(rubbery(), noise=0)
     wrong = Measurement(kind="shear", deformation=second.deformation, stress=2 * second.stress, deviation=1e3 * NOISE)
     found = fit(pt.materials.MooneyRivlin, [first, wrong])
@@ -140,7 +140,7 @@ def test_deviations_weigh_points():
 @pytest.mark.parametrize(
     ("law", "truth", "start"), [(pt.materials.MooneyRivlin, rubbery(), {}), (Stiffening, stiff(), {"b": 1.0})]
 )
-def test_standard_errors_hold_the_truth_as_often_as_they_should(law, truth, start):
+def test_standard_errors_cover_the_true_parameters_at_their_level(law, truth, start):
     seeds = 200
     z = np.empty((seeds, 2))
     for seed in range(seeds):
@@ -176,7 +176,7 @@ def pulled():
     return Measurement(kind="uniaxial", deformation=deformation, stress=nominal_stress(truth, "uniaxial", deformation))
 
 
-def test_several_starts_find_the_least_minimum_where_one_does_not():
+def test_several_starts_find_the_global_minimum_that_one_start_misses():
     options = {"start": {"terms": ((1.0, 3.0),)}, "fixed": HELD}
     alone = fit(Powers, pulled(), starts=1, **options)
     assert alone.parameters["terms[0][1]"] > 0
@@ -197,7 +197,7 @@ def test_the_same_seed_gives_the_same_starts_and_another_one_others():
     assert begun[0] != begun[2]
 
 
-def test_parameters_in_nested_sequences_are_found_and_named_by_their_place():
+def test_parameters_in_nested_sequences_are_fitted_and_named_by_index():
     truth = Powers(terms=((500.0, 4.0), (300.0, -5.0)), density=1060.0, poisson=0.5)
     made = curves(truth, ("uniaxial", "equibiaxial", "shear"), noise=0)
     found = fit(Powers, made, start={"terms": ((1.0, 2.0), (1.0, -2.0))}, fixed=HELD)
@@ -210,7 +210,7 @@ def test_parameters_in_nested_sequences_are_found_and_named_by_their_place():
     assert held.parameters["terms[1][1]"] == pytest.approx(-5.0, rel=1e-4)
 
 
-def test_bounds_hold_and_a_parameter_on_one_is_said():
+def test_bounds_are_kept_and_a_parameter_at_a_bound_is_reported():
     found = fit(Stiffening, curves(stiff()), bounds={"b": (2.0, 9.0)})
     assert found.parameters["b"] == 2.0
     assert np.isnan(found.standard_errors["b"])
@@ -222,7 +222,7 @@ def test_bounds_hold_and_a_parameter_on_one_is_said():
     assert within.remarks == ()
 
 
-def test_a_laws_own_bound_is_kept():
+def test_the_range_of_a_parameter_of_a_law_is_kept():
     truth = curves(rubbery(C2=0.0), ("uniaxial", "equibiaxial"))
     # less stress than any C2 of the law's could make
     pressed = [
@@ -236,7 +236,7 @@ def test_a_laws_own_bound_is_kept():
     assert found.standard_errors["C1"] == pytest.approx(2 * only.standard_errors["C1"], rel=1e-4)
 
 
-def test_a_fixed_parameter_is_left_alone():
+def test_a_fixed_parameter_is_not_changed():
     found = fit(pt.materials.MooneyRivlin, curves(rubbery()), fixed={"C2": 1e3})
     assert found.material.C2 == 1e3
     assert list(found.parameters) == ["C1"]
@@ -245,7 +245,7 @@ def test_a_fixed_parameter_is_left_alone():
 
 
 @pytest.mark.parametrize("kind", ["planar", "shear"])  # which tell C1 + C2 only
-def test_parameters_that_curves_do_not_tell_apart_are_named(kind):
+def test_parameters_that_the_curves_do_not_determine_are_reported(kind):
     found = fit(pt.materials.MooneyRivlin, curves(rubbery(), [kind]))
     assert "the curves do not determine C1, C2" in found.remarks
     assert found.standard_errors == {"C1": np.inf, "C2": np.inf}
@@ -256,7 +256,7 @@ def test_parameters_that_curves_do_not_tell_apart_are_named(kind):
     assert better.remarks == ()
 
 
-def test_a_parameter_lost_in_noise_is_said_to_be():
+def test_a_parameter_lost_in_noise_is_reported():
     noisy = curves(stiff(), noise=0.0, points=8)
     small = [
         Measurement(
@@ -272,7 +272,7 @@ def test_a_parameter_lost_in_noise_is_said_to_be():
     )
 
 
-def test_a_law_of_another_shape_is_said_to_miss():
+def test_systematic_residuals_of_a_wrong_law_are_reported():
     made = curves(stiff(), ("uniaxial",), noise=1.0, points=40)
     wrong, right = fit(pt.materials.NeoHookean, made), fit(Stiffening, made)
     assert wrong.curves[0].correlation > 0.8
@@ -280,7 +280,7 @@ def test_a_law_of_another_shape_is_said_to_miss():
     assert right.remarks == ()
 
 
-def test_the_report_says_how_curves_are_met_and_whether_the_law_is_stable():
+def test_the_report_has_the_errors_of_the_curves_and_the_stability_of_the_law():
     made = curves(rubbery(), ("uniaxial", "shear"))
     found = fit(pt.materials.MooneyRivlin, made)
     for curve, measured in zip(found.curves, made, strict=True):
@@ -299,7 +299,7 @@ def test_the_report_says_how_curves_are_met_and_whether_the_law_is_stable():
         assert part in text
 
 
-def test_rubber_fits_give_treloars_moduli():
+def test_fits_of_treloars_rubber_give_the_published_moduli():
     """Treloar (Trans. Faraday Soc. 40, 59, 1944) compares his curves with Gaussian theory of 4 kg/cm^2."""
     measured = read_measurements(EXAMPLES / "rubber_treloar.csv")
     small = [
@@ -335,7 +335,7 @@ def test_rubber_fits_give_treloars_moduli():
         ({"measurements": []}, "measurements must have at least one curve"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(options, message):
+def test_invalid_fits_are_refused(options, message):
     options = {"measurements": curves(rubbery())} | options
     with pytest.raises(pt.InputError, match=message):
         fit(pt.materials.MooneyRivlin, **options)

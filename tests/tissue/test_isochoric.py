@@ -55,7 +55,7 @@ def test_derivatives_are_those_of_the_energy_at_random_states(name, deformations
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_rest_is_free_of_stress_and_the_volume_is_held_by_its_own_part_alone(name):
+def test_rest_has_no_stress_and_a_change_of_volume_only_the_volumetric_stress(name):
     material = made(name, volumetric="mixed")
     assert material.lame == material.bulk_modulus
     np.testing.assert_allclose(material.stress(np.eye(3)), 0, atol=1e-9 * material.shear_modulus)
@@ -68,7 +68,7 @@ def test_rest_is_free_of_stress_and_the_volume_is_held_by_its_own_part_alone(nam
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_it_is_the_coupled_law_of_the_strain_without_its_volume(name, deformations):
+def test_an_isochoric_law_is_the_coupled_law_of_the_isochoric_strain(name, deformations):
     whole = deformations / np.cbrt(np.linalg.det(deformations))[:, None, None]
     coupled = made(name, split="coupled").shear_energy(whole)
     np.testing.assert_allclose(made(name).shear_energy(whole), coupled, rtol=1e-12)
@@ -95,14 +95,14 @@ def test_an_energy_that_is_written_down_may_be_isochoric():
     np.testing.assert_allclose(own.stress(F), bars.stress(F), rtol=1e-9)
 
 
-def test_laws_are_told_apart_where_they_are_compiled():
+def test_coupled_and_isochoric_laws_have_different_digests():
     laws = [made(name, split=split).law for name in ("NeoHookean", "Gent") for split in ("coupled", "isochoric")]
     assert len({law_digest(law.first) for law in laws}) == 4
     assert made("Gent").law is made("Gent", poisson=0.3).law
 
 
 @pytest.mark.parametrize("split", ["coupled", "isochoric"])
-def test_a_file_keeps_the_split(split):
+def test_the_split_of_a_law_is_stored(split):
     material = made("Gent", split=split)
     said = describe_material(material)
     again = material_of(said["material"], json.loads(said["parameters"]), said["expression"], {})
@@ -117,6 +117,6 @@ def test_a_file_keeps_the_split(split):
         (pt.materials.LinearElastic, "isochoric", "split must be 'coupled' for small strain"),
     ],
 )
-def test_other_splits_are_refused(law, split, message):
+def test_unknown_splits_are_refused(law, split, message):
     with pytest.raises(pt.InputError, match=message):
         law(**({"C1": 1.0} if law is pt.materials.NeoHookean else {"mu": 1.0}), density=1.0, poisson=0.4, split=split)

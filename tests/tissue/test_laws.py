@@ -51,7 +51,7 @@ def test_the_energy_is_the_printed_one_where_the_volume_stays(name):
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_pulling_one_way_and_two_ways_is_the_slope_of_the_printed_energy(name):
+def test_uniaxial_and_equibiaxial_stress_are_derivatives_of_the_printed_energy(name):
     """With the volume kept, t_1 - t_3 = l1 dw/dl1 of the energy w(l1, l2) of the printed law."""
     material = made(name)
     step = 1e-6
@@ -91,7 +91,7 @@ def test_laws_with_a_limit_become_neo_hookean_far_from_it(deformations):
 
 
 @pytest.mark.parametrize(("name", "change"), [("Gent", {"Jm": 3.0}), ("Logarithmic", {"C2": 1 / 3, "C3": 0.0})])
-def test_beyond_the_limit_energy_stress_and_stiffness_go_on(name, change):
+def test_energy_stress_and_stiffness_continue_beyond_the_limit(name, change):
     """The two laws with the exponent 2 are the same; their limit is x = 3."""
     material = made(name, **change)
     share = np.linspace(0.9, 1.5, 4001)
@@ -113,7 +113,7 @@ def _pulled(x):
     return max(np.roots([1.0, 0.0, -3.0 - x, 2.0]).real)
 
 
-def test_every_law_is_listed_with_what_it_needs():
+def test_every_law_is_listed_with_its_parameters():
     for law in LAWS:
         assert getattr(pt.materials, law.name) is law.kind
         assert [p.name for p in law.parameters] == list(law.example)
@@ -133,7 +133,7 @@ def test_every_public_law_is_in_the_catalogue():
     assert {law.kind for law in LAWS} == set(laws) - {pt.materials.VolumeOnly}
 
 
-def test_ranges_are_read_off_the_laws():
+def test_listed_ranges_are_those_of_the_laws():
     (C, alpha) = KINDS["Ogden"].parameters
     assert (C.unit, C.range) == ("Pa", "(0, inf)")
     assert (alpha.unit, alpha.range) == ("", "[-100, 100]")

@@ -139,7 +139,7 @@ def test_cauchy_stress_is_symmetric(material, deformations):
     np.testing.assert_allclose(cauchy, np.swapaxes(cauchy, 1, 2), atol=1e-11 * np.abs(cauchy).max())
 
 
-def test_poissons_ratio_and_bulk_modulus_say_the_same(material, law):
+def test_poissons_ratio_and_bulk_modulus_give_the_same_law(material, law):
     kind, parameters = law
     again = kind(**parameters, density=1000.0, bulk=material.bulk_modulus, volumetric=material.volumetric)
     assert again.poisson == pytest.approx(material.poisson, abs=1e-12)
@@ -148,12 +148,12 @@ def test_poissons_ratio_and_bulk_modulus_say_the_same(material, law):
     assert material.bulk_modulus == pytest.approx(2 * mu * (1 + nu) / (3 * (1 - 2 * nu)))
 
 
-def test_squeezing_flat_costs_ever_more_energy(material):
+def test_energy_increases_monotonically_as_tissue_is_squeezed_flat(material):
     energies = [float(material.strain_energy(np.diag([1, 1, s]))) for s in (1.0, 1e-1, 1e-5, 1e-10)]
     assert np.diff(energies).min() > 0
 
 
-def test_pulling_and_shearing_cost_ever_more_energy(material):
+def test_energy_increases_monotonically_under_tension_and_shear(material):
     if material.lame < 0:
         pytest.skip("at this Poisson's ratio Mooney and Rivlin's I2 holds the volume more than is asked for")
     amounts = np.linspace(0, 2, 41)
@@ -163,7 +163,7 @@ def test_pulling_and_shearing_cost_ever_more_energy(material):
         assert np.diff(energies).min() > 0
 
 
-def test_shearing_a_whole_volume_costs_convexly(material):
+def test_energy_is_convex_in_the_logarithmic_strain_at_constant_volume(material):
     strains = np.linspace(-0.7, 0.7, 29)
     for rates in ((1.0, -0.5, -0.5), (1.0, 0.0, -1.0)):
         energies = material.strain_energy(np.exp(strains[:, None] * rates)[:, :, None] * EYE)
@@ -172,7 +172,7 @@ def test_shearing_a_whole_volume_costs_convexly(material):
 
 
 @pytest.mark.parametrize("pair", [(1.0, 1.0), (1.3, 1.3), (0.7, 0.7)], ids=str)
-def test_equal_stretches_are_no_special_case(material, pair, rotations):
+def test_stress_is_continuous_at_equal_stretches(material, pair, rotations):
     """The stress at equal stretches is that of almost equal ones, and neither is a nan."""
     third = 1 / (pair[0] * pair[1])
     for turn in rotations[:2]:

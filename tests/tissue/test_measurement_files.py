@@ -97,7 +97,7 @@ def test_one_file_may_hold_several_curves(read):
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.csv")), ids=lambda path: path.stem)
-def test_every_example_is_read_and_says_where_it_comes_from(path):
+def test_every_example_is_read_and_has_a_source(path):
     for curve in read_measurements(path):
         assert len(curve.stress) > 10
         assert "Synthetic, not measured" in curve.source or "Trans. Faraday Soc." in curve.source
@@ -150,12 +150,12 @@ HEADER = "# kind: uniaxial\nstretch [-], nominal stress [Pa]\n"
         ("# kind: compression\nstrain [-], nominal stress [Pa]\n-.1, 0\n.1, 1\n", "strain must have one sign"),
     ],
 )
-def test_a_file_that_is_no_curve_is_refused_by_line_and_what_is_allowed(read, text, message):
+def test_files_that_are_not_a_curve_are_refused_with_line_and_allowed_values(read, text, message):
     with pytest.raises(pt.FileFormatError, match=message):
         read(text)
 
 
-def test_a_file_that_is_no_text_is_refused(tmp_path):
+def test_files_that_are_not_text_are_refused(tmp_path):
     (tmp_path / "picture.csv").write_bytes(b"\x89PNG\xff\xfe\x00")
     with pytest.raises(pt.FileFormatError, match="is not text in UTF-8"):
         read_measurements(tmp_path / "picture.csv")
@@ -178,13 +178,13 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
         ({"deviation": [1.0, 2.0, -1.0]}, "deviation must be .*, got -1 at point 3"),
     ],
 )
-def test_a_curve_that_cannot_be_is_refused(change, message):
+def test_invalid_curves_are_refused(change, message):
     curve = {"kind": "uniaxial", "deformation": [1.0, 1.1, 1.2], "stress": [0.0, 1.0, 2.0]}
     with pytest.raises(pt.InputError, match=message):
         Measurement(**(curve | change))
 
 
-def test_a_curve_cannot_be_changed_through_what_it_was_made_of():
+def test_a_curve_copies_its_arrays_and_is_read_only():
     stress = np.array([0.0, 1.0])
     curve = Measurement(kind="shear", deformation=[0.0, 0.1], stress=stress)
     stress[1] = 7.0
@@ -221,7 +221,7 @@ HARMFUL = {
 
 
 @pytest.mark.parametrize("case", HARMFUL)
-def test_a_file_that_would_harm_is_refused_in_one_short_line(read, case):
+def test_harmful_files_are_refused_in_one_short_line(read, case):
     text, message = HARMFUL[case]
     with pytest.raises(pt.FileFormatError, match=message) as refusal:
         read(text)
@@ -229,13 +229,13 @@ def test_a_file_that_would_harm_is_refused_in_one_short_line(read, case):
     assert len(str(refusal.value)) < 500
 
 
-def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
+def test_a_pipe_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     with pytest.raises(pt.FileFormatError, match="is not a regular file"):
         read_measurements(tmp_path / "pipe.csv")
 
 
-def test_damaged_files_are_curves_or_refused(tmp_path):
+def test_damaged_files_give_curves_or_are_refused(tmp_path):
     rng, path = np.random.default_rng(0), tmp_path / "damaged.csv"
     text = (
         "# Doe, 2001\n# kind: compression\nkind; curve; strain [%]; nominal stress [kPa]; standard deviation [kPa]\n"

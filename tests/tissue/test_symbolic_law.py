@@ -1,4 +1,4 @@
-"""Laws of one's own: their functions are those of the same built-in law, and what is no energy is refused."""
+"""Symbolic laws: their functions are those of the equal built-in law, and invalid texts are refused."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TWINS = {
 
 
 @pytest.mark.parametrize("name", TWINS)
-def test_it_is_the_built_in_law_of_the_same_energy(name, deformations):
+def test_a_symbolic_law_equals_the_built_in_law_of_the_same_energy(name, deformations):
     text, parameters, built_in = TWINS[name]
     own, other = Hyperelastic(text, **parameters, **REST), built_in(parameters)
     np.testing.assert_allclose(own.strain_energy(deformations), other.strain_energy(deformations), rtol=1e-10)
@@ -48,7 +48,7 @@ def test_it_is_the_built_in_law_of_the_same_energy(name, deformations):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), [("mooney", "strong"), ("ogden", "energy")])
-def test_a_body_of_it_has_the_forces_of_the_built_in_law(name, form):
+def test_a_body_of_a_symbolic_law_has_the_forces_of_the_built_in_law(name, form):
     text, parameters, built_in = TWINS[name]
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     own = pt.Solid(cloud, Hyperelastic(text, **parameters, **REST), "x-", form=form, stiffness_damping=1e-5)
@@ -75,7 +75,7 @@ def test_the_stress_is_the_slope_of_the_energy(deformations):
             assert own.stress(F)[i] == pytest.approx(slope, rel=1e-6, abs=1e-2)
 
 
-def test_one_text_is_one_class_whatever_its_parameters_and_spaces():
+def test_equal_texts_share_one_class_for_any_parameters_and_spaces():
     one, two = (Hyperelastic("C1 * (I1bar-3)", C1=c, **REST) for c in (1.0, 2.0))
     assert type(one) is type(two)
     assert (one.C1, two.C1) == (1.0, 2.0)
@@ -105,7 +105,7 @@ REFUSED = {
 }
 
 
-def test_a_law_that_gives_way_is_refused_with_a_report_unless_it_is_wanted():
+def test_an_unstable_law_is_refused_with_a_report_unless_it_is_allowed():
     text, parameters = "C1*(I1bar - 3) - C2*(I1bar - 3)**2", {"C1": 5e3, "C2": 3e4}
     with pytest.raises(pt.InputError, match=r"not elliptic, worst at principal stretches"):
         Hyperelastic(text, **parameters, **REST)
@@ -114,7 +114,7 @@ def test_a_law_that_gives_way_is_refused_with_a_report_unless_it_is_wanted():
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_no_energy_is_refused(case):
+def test_texts_that_are_not_an_energy_are_refused(case):
     text, parameters, message = REFUSED[case]
     with pytest.raises(pt.InputError, match=message):
         Hyperelastic(text, **parameters, **REST)
@@ -159,7 +159,7 @@ LONG = {
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_derivatives_are_those_of_a_computer_algebra(name):
+def test_derivatives_equal_those_of_sympy(name):
     sympy = pytest.importorskip("sympy")
     law = law_of(LONG[name])
     stretches = law.variables == "stretches"
@@ -232,7 +232,7 @@ HARMFUL = {
 
 
 @pytest.mark.parametrize("case", HARMFUL)
-def test_a_text_that_would_harm_is_refused_in_one_line(case):
+def test_harmful_texts_are_refused_in_one_line(case):
     begun = process_time()
     with pytest.raises(pt.InputError) as refusal:
         Hyperelastic(HARMFUL[case], **REST, **{f"c{i}": 1.0 for i in range(33) if f"c{i}*" in HARMFUL[case]})
@@ -249,14 +249,14 @@ TAKEN = [
 
 
 @pytest.mark.parametrize("name", TAKEN)
-def test_a_parameter_may_not_have_a_name_that_is_taken(name):
+def test_parameters_with_reserved_names_are_refused(name):
     with pytest.raises(pt.InputError, match=r"reserved name|a keyword of Python|must be an expression of"):
         law_of(f"{name}*(I1bar - 3)")
     with pytest.raises(pt.InputError, match=r"reserved name|a keyword of Python|must be an expression of"):
         law_of(f"{name}*(l1 + l2 + l3 - 3 - log(l1*l2*l3))")
 
 
-def test_names_that_are_used_in_making_a_law_are_free():
+def test_parameters_may_have_the_names_used_in_generated_code():
     text = "MISSING*(I1bar - 3) + self*(I2bar - 3) + c*(J - 1)**2 + np*(J - 1)**4 + s3*(J - 1)**6 + match*(J - 1)**2"
     names = dict.fromkeys(("MISSING", "self", "c", "np", "s3", "match"), 1e3)
     law = law_of(text)
@@ -273,7 +273,7 @@ def test_names_that_are_used_in_making_a_law_are_free():
         "c[0:1]", "J == J", "J and J", "{J}", "np.exp(x=J)", "1j", "~c[0]", "J.real", "(yield J)",
     ],
 )  # fmt: skip
-def test_code_is_not_run_unless_it_is_arithmetic(code, monkeypatch):
+def test_generated_code_that_is_not_arithmetic_is_not_executed(code, monkeypatch):
     monkeypatch.setattr(Tape, "_row_source", lambda tape, row: code)
     before = len(linecache.cache)
     with pytest.raises(pt.InputError, match="it is not executed"):
@@ -295,7 +295,7 @@ def test_code_is_not_run_unless_it_is_arithmetic(code, monkeypatch):
         "def energy(I1, I2, J, c):\n    c[0] = J\n    return J\n", "def energy(np, I2, J, c):\n    return J\n",
     ],
 )  # fmt: skip
-def test_sources_are_functions_of_the_variables_alone(source):
+def test_sources_that_use_other_names_are_not_executed(source):
     with pytest.raises(pt.InputError, match="it is not executed"):
         compile_functions({"energy": source}, ("I1", "I2", "J"))
 
@@ -308,7 +308,7 @@ WORDS = (
 
 
 @pytest.mark.filterwarnings("ignore::palpate.faults.UnitWarning")
-def test_any_text_is_a_law_or_refused():
+def test_random_texts_give_a_law_or_are_refused():
     rng, made = np.random.default_rng(0), 0
     for _ in range(1500):
         text = "".join(WORDS[i] for i in rng.integers(len(WORDS), size=rng.integers(1, 12)))
@@ -324,6 +324,6 @@ def test_any_text_is_a_law_or_refused():
     assert made > 3
 
 
-def test_a_law_of_a_chain_of_cancelling_numbers_is_evaluated_without_them():
+def test_cancelling_factors_do_not_change_the_law():
     law = law_of("C1*(I1bar - 3)*exp(I2bar/I2bar - 1)**99")
     assert law(C1=1.0, **REST).shear_modulus == pytest.approx(2.0)

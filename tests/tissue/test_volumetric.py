@@ -37,14 +37,14 @@ def test_slopes_are_those_of_the_measure_and_the_energy(form):
     np.testing.assert_allclose(bend * np.ones_like(VOLUMES), (ahead - behind) / (2 * step), rtol=1e-6)
 
 
-def test_all_forms_are_one_at_rest(form):
+def test_all_forms_have_the_same_value_and_slopes_at_rest(form):
     rest = np.zeros(1)
     assert form.measure(rest)[0] == 0
     assert form.measure(rest)[1] == pytest.approx(1, abs=1e-15)
     assert form.pressure(rest)[1] == pytest.approx(1, abs=1e-15)
 
 
-def test_the_measure_has_no_noise_near_rest(form):
+def test_the_measure_is_accurate_near_rest(form):
     x = np.array([-1e-9, 1e-9, 1e-5, 0.0199999, 0.0200001])
     measure, slope = form.measure(x)
     bend = {"quadratic": 0.0, "logarithmic": -1.0, "mixed": -1 / 3}[form.name]

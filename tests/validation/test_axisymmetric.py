@@ -24,14 +24,14 @@ def assert_same(shape, elements, rel):
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize(("tool_radius", "prestretch"), [(0.001, 1.0), (0.02, 1.0), (0.01, 1.1)])
-def test_a_poked_sheet_has_the_least_energy(law, tool_radius, prestretch):
+def test_a_poked_sheet_minimises_the_energy(law, tool_radius, prestretch):
     shape = poke(RADIUS, THICKNESS, LAWS[law], 0.01, tool_radius, prestretch)
     found = minimise(RADIUS, THICKNESS, LAWS[law], 100, 0.01, tool_radius, prestretch=prestretch)
     assert_same(shape, found, rel=1e-6)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_an_inflated_sheet_has_the_least_energy(law):
+def test_an_inflated_sheet_minimises_the_energy(law):
     shape = inflate(RADIUS, THICKNESS, LAWS[law], 10.0)
     assert_same(shape, minimise(RADIUS, THICKNESS, LAWS[law], 100, pressure=10.0), rel=1e-6)
 
@@ -50,7 +50,7 @@ def test_a_slightly_poked_sheet_is_linearly_elastic(law, tool_radius):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_slightly_inflated_sheet_rises_as_by_hencky(law):
+def test_a_slightly_inflated_sheet_rises_by_henckys_formula(law):
     """Height goes as pressure^(1/3), strains as its square."""
 
     def gap(pressure):
@@ -61,7 +61,7 @@ def test_a_slightly_inflated_sheet_rises_as_by_hencky(law):
     assert gap(1e-2) / gap(1e-4) == pytest.approx(100 ** (2 / 3), rel=0.02)
 
 
-def test_the_needle_is_that_of_the_literature():
+def test_the_force_of_a_point_load_is_that_of_the_literature():
     assert point_load_small_strain(1.0, 1.0, 1.0, 1.0) == pytest.approx(komaragiri(0.5), rel=2e-3)
 
 
@@ -69,7 +69,7 @@ def test_the_needle_is_that_of_the_literature():
     ("law", "depth", "prestretch"),
     [*((law, 0.01, prestretch) for law in LAWS.values() for prestretch in (1.0, 1.1)), (CREASED, 0.03, 0.95)],
 )
-def test_the_tool_works_against_the_energy(law, depth, prestretch):
+def test_the_force_of_the_tool_is_the_derivative_of_the_energy(law, depth, prestretch):
     """The slope of the energy over depth, by central differences of fourth order, is the force."""
 
     def energy(change):
@@ -95,14 +95,14 @@ def cords(depth, tool_radius, prestretch):
     return 2 * np.pi * THICKNESS * K * depth / length
 
 
-def test_a_sheet_wrinkled_all_over_consists_of_cords():
+def test_a_sheet_wrinkled_everywhere_has_the_force_of_radial_cords():
     shape = poke(RADIUS, THICKNESS, CREASED, 0.03, 0.02, prestretch=0.95)
     assert np.all(shape.l2 * np.sqrt(shape.l1) < 1)
     assert shape.force == pytest.approx(cords(0.03, 0.02, 0.95), rel=1e-8)
     np.testing.assert_allclose(shape.z, 0.03 * (RADIUS - shape.r) / 0.08, atol=1e-10)
 
 
-def test_a_sheet_wrinkled_at_its_rim_has_the_least_energy():
+def test_a_sheet_wrinkled_at_its_rim_minimises_the_energy():
     shape = poke(RADIUS, THICKNESS, CREASED, 0.03, 0.02, prestretch=0.98)
     wrinkled = shape.l2 * np.sqrt(shape.l1) < 1 - 1e-6
     assert wrinkled[-1]

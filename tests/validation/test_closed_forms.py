@@ -1,4 +1,4 @@
-"""The references of the torsion and the sphere, and the full model beside them on coarse clouds."""
+"""The references of the torsion and the sphere, compared with the full model on coarse clouds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_spheres_pressure_is_the_printed_one_of_neo_hookean_tissue():
 
 
 @pytest.mark.parametrize("reference", [closed_forms.torsion_reference, closed_forms.sphere_reference])
-def test_the_differential_equation_nears_the_closed_form_as_the_volume_is_held(reference):
+def test_the_differential_equation_converges_to_the_incompressible_closed_form(reference):
     missed = []
     for poisson in (0.49, 0.499):
         _, found, closed = reference(closed_forms.law_of("MooneyRivlin", poisson))
@@ -52,7 +52,7 @@ def test_the_clouds_have_their_bodys_volume_and_a_closed_surface(cloud, volume):
     np.testing.assert_allclose(areas.sum(axis=0), 0, atol=0.02 * cloud.face_areas.sum())
 
 
-def test_the_full_model_twists_and_blows_up_as_the_law_says(tissue):
+def test_torsion_and_inflation_of_the_full_model_follow_the_law(tissue):
     """At four rings and layers; docs/laws.md has the errors over the spacing."""
     for case, count, allowed in (("torsion", 4, 0.03), ("sphere", 4, 0.04)):
         reference, solved, _, _ = closed_forms.CASES[case]
@@ -62,7 +62,7 @@ def test_the_full_model_twists_and_blows_up_as_the_law_says(tissue):
             assert found[name] == pytest.approx(value, rel=allowed), (case, name)
 
 
-def test_newton_says_when_it_finds_no_rest():
+def test_newtons_method_raises_without_an_equilibrium():
     cloud = closed_forms.cylinder(3)
     model = pt.Solid(
         cloud, closed_forms.law_of("MooneyRivlin", 0.49), ("x-", "x+"), form="energy", stiffness_damping=0.0

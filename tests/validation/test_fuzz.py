@@ -31,7 +31,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("group", KINDS)
-def test_no_damage_or_lie_is_believed(group):
+def test_damaged_and_forged_files_are_refused(group):
     done = run("fuzz.py", *KINDS[group], "--trials", "80", "--seconds", "60", "--seed", "7")
     assert done.returncode == 0, done.stdout + done.stderr
     found = [json.loads(line) for line in done.stdout.splitlines()]
@@ -42,7 +42,7 @@ def test_no_damage_or_lie_is_believed(group):
         assert set(each["counts"]) <= {"refused", "equal", "accepted"}
 
 
-def test_a_loader_that_believes_damage_is_found_out(tmp_path):
+def test_the_fuzz_study_fails_on_a_loader_without_checks(tmp_path):
     """The study itself: a loader without its check of checksums, and one that raises something else."""
     (tmp_path / "broken.py").write_text(
         "import sys\n"
@@ -62,7 +62,7 @@ def test_a_loader_that_believes_damage_is_found_out(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_no_killed_writer_leaves_half_a_file():
+def test_killed_writers_leave_whole_files_or_none():
     done = run("kill_writers.py", "--kills", "4", "--seed", "3")
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(done.stdout.splitlines()) == 9

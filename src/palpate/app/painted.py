@@ -24,7 +24,7 @@ from palpate.files import regular_file, shortened
 __all__ = ["read_painted"]
 
 FORMATS = (".ply", ".vtk", ".vtp", ".vtu")
-LARGEST = 300_000_000  # bytes of a file
+MAX_FILE_BYTES = 300_000_000  # bytes of a file
 MEMORY, SECONDS = 400 << 20, 30  # of the reader, with which it begins; more for larger files
 PER_BYTE, RATE = 20, 1_000_000  # of memory, and bytes a second
 
@@ -54,7 +54,7 @@ def read_painted(path: str | Path, name: str) -> tuple[Floats, Floats]:
         It has no such field, or one that is not a scalar; or PyVista is not installed.
     """
     path = Path(path)
-    size = regular_file(path, "painted mesh", LARGEST)
+    size = regular_file(path, "painted mesh", MAX_FILE_BYTES)
     if path.suffix.lower() not in FORMATS:
         raise FileFormatError(f"{path}: a painted mesh is one of {', '.join(FORMATS)}")
     require("pyvista", "reading a painted mesh")

@@ -52,7 +52,7 @@ class DummyDevice:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def prepare(self, engine: Engine, duration: float) -> DeviceLog:
+    def run(self, engine: Engine, duration: float) -> DeviceLog:
         """Send poses and read forces for `duration` [s], once per period of the engine if Python is fast enough.
 
         Raises

@@ -189,7 +189,7 @@ class ObservableModel(NamedTuple):
 def make_observable(model: RealtimeModel) -> ObservableModel:
     """Return an observable model that shares the data of a real-time model."""
     advance, stiffness = _compile(model.advance, model.stiffness)
-    contacts = min(MAX_CONTACT_NODES, len(model.data.contact_state.node))
+    contacts = min(MAX_CONTACT_NODES, len(model.data.contact_work.node))
     values = np.zeros(COORDINATES + len(model.rest) + CONTACT_SIZE * contacts)
     tools = len(model.tool)
     data = ObservableData(
@@ -249,7 +249,7 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         report[STRAIN] *= ratio
         for k in range(FORCES, report.shape[0]):
             report[k] *= ratio
-        contact_state = data.inner.contact_state
+        contact = data.inner.contact_work
         for i in range(3):
             coupling.force[i] = -report[FORCES + i]
             values[TOOL_POSITION + i] = moved[i]
@@ -258,12 +258,12 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         for m in range(q.shape[0]):
             values[COORDINATES + m] = q[m]
         at = COORDINATES + q.shape[0]
-        count = min(contact_state.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
+        count = min(contact.numbers[PAIRS], (values.shape[0] - at) // CONTACT_SIZE)
         values[CONTACT_COUNT], values[MODULUS_RATIO] = count, ratio
         for e in range(count):
-            values[at] = contact_state.node[e]
+            values[at] = contact.node[e]
             for i in range(3):
-                values[at + 1 + i] = contact_state.push[e, i]  # for the model's own moduli
+                values[at + 1 + i] = contact.push[e, i]  # for the model's own moduli
             at += CONTACT_SIZE
         publish(data.slot, values[:at])
 

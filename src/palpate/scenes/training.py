@@ -16,9 +16,9 @@ from palpate.scenes.scene import TrainingScene
 
 __all__ = ["scene_function", "search_current_folder", "training_scene", "typed"]
 
-KNOWN = f"{', '.join(map(repr, SCENES))}, or 'module:function' of your own"
+SCENE_NAMES = f"{', '.join(map(repr, SCENES))}, or 'module:function' of your own"
 KINDS = (bool, int, float, str)  # of parameters
-LONGEST = 200  # characters of a text
+MAX_TEXT_CHARACTERS = 200  # characters of a text
 
 
 def training_scene(name: str, parameters: Mapping[str, Any]) -> TrainingScene:
@@ -91,7 +91,7 @@ def _converted(key: str, given: Any, default: Any) -> Any:
     try:
         if isinstance(default, bool):
             return {"true": True, "1": True, "false": False, "0": False}[str(given).lower()]
-        if isinstance(default, str) and not (isinstance(given, str) and len(given) <= LONGEST):
+        if isinstance(default, str) and not (isinstance(given, str) and len(given) <= MAX_TEXT_CHARACTERS):
             raise ValueError
         value = kind(given)
         if isinstance(value, float) and not math.isfinite(value):
@@ -110,10 +110,10 @@ def scene_function(name: str) -> Callable[..., Any]:
         return cast(Callable[..., Any], getattr(import_module(f"palpate.scenes.{file}"), function))
     module, _, function = name.partition(":")
     if not (function.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-        raise InputError(f"scene must be {KNOWN}, got {brief(name)}; correct its name")
+        raise InputError(f"scene must be {SCENE_NAMES}, got {brief(name)}; correct its name")
     found = getattr(_own(name, "cannot be imported", lambda: import_module(module)), function, None)
     if not callable(found):
-        raise InputError(f"scene must be {KNOWN}, got {name!r}: module {module!r} has no function {function!r}")
+        raise InputError(f"scene must be {SCENE_NAMES}, got {name!r}: module {module!r} has no function {function!r}")
     return found
 
 
@@ -125,5 +125,5 @@ def _own(name: str, what: str, call: Callable[[], Any]) -> Any:
         raise
     except (Exception, SystemExit) as error:
         raise InputError(
-            f"scene must be {KNOWN}, got {name!r}, which {what} ({type(error).__name__}: {error})"
+            f"scene must be {SCENE_NAMES}, got {name!r}, which {what} ({type(error).__name__}: {error})"
         ) from error

@@ -42,7 +42,7 @@ def test_calls_take_turns_and_the_median_ignores_a_slow_round(monkeypatch):
 
 
 @pytest.mark.parametrize("count", [4, 37, 400])
-def test_nodes_in_several_parts_leave_force_and_energy_as_they_are(sampled, count):
+def test_evaluating_nodes_in_several_parts_keeps_force_and_energy(sampled, count):
     own = len(sampled.data.cubature.nodes)
     model = _with_samples(sampled, count)
     assert len(model.data.cubature.nodes) == count
@@ -55,7 +55,7 @@ def test_nodes_in_several_parts_leave_force_and_energy_as_they_are(sampled, coun
         assert count / own < kept < 1  # the heaviest ones
 
 
-def test_times_of_compiled_loops_are_positive_and_leave_the_model_as_it_was(sampled, pull):
+def test_timing_compiled_loops_does_not_change_the_model(sampled, pull):
     prepared = sampled.prepare([pull])
     state = sampled.state(prepared)
     before = sampled.advance(state, prepared, 1e-5, 10)[0]
@@ -72,7 +72,7 @@ def small(monkeypatch):
     monkeypatch.setattr(
         "palpate.app.bench.cases.beam", lambda spacing: replace(beam(spacing=0.02 / 3, load=2.0), duration=0.05)
     )
-    for name, value in {"BODIES": (4, 5), "MANY": 6, "SAMPLED": 24, "FEW": 3}.items():
+    for name, value in {"BODIES": (4, 5), "MANY": 6, "SAMPLED": 24, "BEAM_MODES": 3}.items():
         monkeypatch.setattr(f"palpate.app.bench.cases.{name}", value)
 
 
@@ -106,7 +106,7 @@ def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, c
     assert f"{100 * fast['ratio']['strong']:.2g} % (strong form)" in "".join(table)
 
 
-def test_what_was_measured_before_a_run_diverged_is_kept(small, tmp_path, capsys, monkeypatch):
+def test_measurements_before_a_diverged_run_are_kept(small, tmp_path, capsys, monkeypatch):
     def diverged(*_):
         raise pt.DivergenceError("no step is stable at t = 0.1 s")
 
@@ -118,6 +118,6 @@ def test_what_was_measured_before_a_run_diverged_is_kept(small, tmp_path, capsys
     assert "5 mm: failed: no step is stable" in capsys.readouterr().err
 
 
-def test_no_rounds_are_refused_before_anything_is_measured(tmp_path, assert_refused):
+def test_zero_repeats_are_refused_before_any_measurement(tmp_path, assert_refused):
     assert_refused(["bench", "--repeats", "0", "--out", str(tmp_path / "bench")], "--repeats", "an integer in [1, ")
     assert not (tmp_path / "bench").exists()

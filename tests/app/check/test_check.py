@@ -53,7 +53,7 @@ def test_an_open_surface_is_reported_not_filled(liver, tmp_path, capsys):
     assert not (tmp_path / "out" / "cloud.png").exists()
 
 
-def test_a_spacing_that_is_too_coarse_is_said(liver, tmp_path, capsys):
+def test_a_spacing_that_is_too_coarse_is_reported(liver, tmp_path, capsys):
     assert main(["check", str(liver), "--spacing", "0.06", "--json", "--out", str(tmp_path / "out")]) == 1
     assert "too coarse" in json.loads(capsys.readouterr().out)["refused"]
 

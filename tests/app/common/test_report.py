@@ -33,12 +33,12 @@ def delivered(tmp_path, capsys):
     return tmp_path, report, capsys.readouterr().out
 
 
-def test_the_report_for_machines_is_the_report(delivered):
+def test_the_json_report_equals_the_report(delivered):
     out, report, _ = delivered
     assert json.loads((out / "report.json").read_text()) == report
 
 
-def test_the_report_for_people_holds_tables_sentences_and_pictures(delivered):
+def test_the_markdown_report_has_tables_sentences_and_pictures(delivered):
     text = (delivered[0] / "report.md").read_text()
     expected = (
         "# Study\n\n| quantity | here |\n|---|---:|\n| a \\| b | 1 |\n\n- It holds.\n- It ends.\n\n## More\n\n"
@@ -48,12 +48,12 @@ def test_the_report_for_people_holds_tables_sentences_and_pictures(delivered):
     assert f"palpate {machine()['versions']['palpate']}" in text
 
 
-def test_what_is_printed_ends_with_the_files_that_are_there(delivered):
+def test_printed_output_ends_with_the_written_files(delivered):
     out, _, printed = delivered
     assert "It holds." in printed
     assert printed.splitlines()[-1] == f"In {out}: report.json, report.md, a_curve.png"
 
 
 @pytest.mark.parametrize("files", FILES, ids=" ".join)
-def test_every_study_leaves_both_reports(files):
+def test_every_study_writes_both_reports(files):
     assert set(REPORTS) <= set(files)

@@ -52,7 +52,7 @@ def test_vtk_reads_back_the_mesh_and_two_times(tmp_path, cloud, fields):
         assert first == list(cloud.triangles[0])
 
 
-def test_a_field_of_another_shape_is_refused_and_leaves_nothing(tmp_path, cloud, fields):
+def test_a_field_of_a_wrong_shape_is_refused_and_no_file_is_left(tmp_path, cloud, fields):
     with pytest.raises(pt.InputError, match="'von_mises' has shape"):
         write_vtkhdf(tmp_path / "body.vtkhdf", cloud, TIMES, {"von_mises": fields["von_mises"][:, :-1]})
     assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,7 @@ from palpate.app.compare.report import summary
 
 pytestmark = pytest.mark.slow
 
-LASTING = 0.02
+RUN_SECONDS = 0.02
 
 
 @pytest.fixture
@@ -25,18 +25,18 @@ def small_bar(bar, tissue, monkeypatch):
     model = pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=2e-5)
 
     def loads(size):
-        return (pt.SurfaceForce("x+", force=lambda t: (size * np.sin(np.pi * t / LASTING) ** 2, 0.0, 0.0)),)
+        return (pt.SurfaceForce("x+", force=lambda t: (size * np.sin(np.pi * t / RUN_SECONDS) ** 2, 0.0, 0.0)),)
 
     def make(spacing=0.005, poisson=0.45):
         return ComparedBody(
-            "A bar", model, loads, 1e-4, 3.0, "N", ("x+",), LASTING, 0.001,
+            "A bar", model, loads, 1e-4, 3.0, "N", ("x+",), RUN_SECONDS, 0.001,
             lambda run, modes: pt.galerkin(model, run, modes=modes), "POD of the nonlinear run",
         )  # fmt: skip
 
     monkeypatch.setitem(bodies.BODIES, "beam", make)
 
 
-def test_it_leaves_a_report_with_figures(small_bar, tmp_path, capsys):
+def test_the_comparison_writes_a_report_with_figures(small_bar, tmp_path, capsys):
     pytest.importorskip("pymor", reason="pyMOR is not installed: pip install 'palpate[linear]'")
     out = tmp_path / "out"
     words = ["compare", "beam", "--modes", "4", "9", "--methods", "modal", "pod", "hankel", "balanced", "irka"]
@@ -62,7 +62,7 @@ def test_it_leaves_a_report_with_figures(small_bar, tmp_path, capsys):
     assert "| modal 4 |" in (out / "report.md").read_text(encoding="utf-8")
 
 
-def test_methods_without_pymor_need_none(small_bar, tmp_path, capsys, monkeypatch):
+def test_methods_that_do_not_use_pymor_run_without_it(small_bar, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pymor", None)
     monkeypatch.setitem(sys.modules, "pymor.core.logger", None)
     words = ["compare", "beam", "--modes", "4", "--condense", "40", "--out", str(tmp_path / "out")]
@@ -83,7 +83,7 @@ def test_bad_requests_are_refused(words, message, capsys):
     assert message in capsys.readouterr().err
 
 
-def test_the_summary_names_what_is_unstable():
+def test_the_summary_names_unstable_models():
     entry = {
         "failed": False, "method": "sobt-v", "modes": 4, "stable": False, "response_error": 3.0,
         "errors": {"small": None, "large": None},

@@ -25,7 +25,7 @@ def left(run_study, tmp_path_factory):
     return run_study(["fit", "mooney-rivlin", UNIAXIAL, SHEAR], tmp_path_factory.mktemp("fit") / "results" / "liver")
 
 
-def test_every_file_is_there_and_no_other(left, assert_drawn):
+def test_the_listed_files_are_written_and_no_others(left, assert_drawn):
     out, report, stdout, stderr = left
     assert {path.name for path in out.iterdir()} == set(FILES)
     assert json.loads(stdout) == report
@@ -33,7 +33,7 @@ def test_every_file_is_there_and_no_other(left, assert_drawn):
     assert_drawn(out / "fit.png")
 
 
-def test_the_report_is_the_fit(left):
+def test_the_report_has_the_parameters_of_the_fit(left):
     report = left[1]
     measured = [curve for path in (UNIAXIAL, SHEAR) for curve in read_measurements(path)]
     found = fit(pt.materials.MooneyRivlin, measured)
@@ -52,14 +52,14 @@ def test_the_report_is_the_fit(left):
     assert report["machine"]["versions"]["palpate"] == pt.__version__
 
 
-def test_a_law_that_stiffens_less_than_the_tissue_is_said_to_miss(left):
+def test_a_law_that_stiffens_less_than_the_tissue_is_reported_to_miss(left):
     assert [remark.split(" are systematic")[0] for remark in left[1]["remarks"]] == [
         "the residuals of liver_synthetic_uniaxial, uniaxial",
         "the residuals of liver_synthetic_shear, simple shear",
     ]
 
 
-def test_a_person_reads_parameters_curves_and_stability(tmp_path, capsys):
+def test_the_printed_report_has_parameters_curves_and_stability(tmp_path, capsys):
     assert main(["fit", "NeoHookean", RUBBER, "--out", str(tmp_path), "--poisson", "0.49"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     for part in ("NeoHookean", "C1", "standard error", "equibiaxial", "Poisson's ratio 0.49", "stable for principal"):

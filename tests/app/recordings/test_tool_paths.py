@@ -43,7 +43,7 @@ def recording(model, snapshots, tools=(BALL,)):
     return Recording("Bar", model, times, list(snapshots), list(tools), {})
 
 
-def test_a_touch_is_a_path_from_just_before_it(model):
+def test_a_path_begins_just_before_the_touch(model):
     touching = [False] * 4 + [True] * 3 + [False] * 3 + [True] * 4 + [False]
     found = tool_paths(recording(model, [snapshot(k, touching=on, trust=k) for k, on in enumerate(touching)]))
     assert [path.trust for path in found] == [6, 13]
@@ -57,7 +57,7 @@ def test_a_touch_is_a_path_from_just_before_it(model):
     np.testing.assert_allclose(positions[1], [0.4, 0.0, 0.05], atol=1e-12)
 
 
-def test_resets_changes_of_tools_and_short_touches_end_a_path(model):
+def test_resets_and_changes_of_tools_end_a_path_and_short_touches_give_none(model):
     reset = [snapshot(k) for k in range(4)] + [snapshot(k) for k in range(3)]
     assert [path.duration for path in tool_paths(recording(model, reset))] == pytest.approx([3 * EVERY, 2 * EVERY])
     larger = BALL | {"radius": 0.006, "start": 3}
@@ -67,14 +67,14 @@ def test_resets_changes_of_tools_and_short_touches_end_a_path(model):
     assert not tool_paths(recording(model, [snapshot(k, tool="none") for k in range(6)]))
 
 
-def test_a_pause_is_left_out_and_long_paths_end(model):
+def test_pauses_are_left_out_and_long_paths_are_cut(model):
     paused = [snapshot(k) for k in (0, 1, 2, 2, 2, 3)]
     assert tool_paths(recording(model, paused))[0].duration == pytest.approx(3 * EVERY)
     long = [snapshot(100 * k) for k in range(30)]
     assert tool_paths(recording(model, long))[0].duration == pytest.approx(10.0)
 
 
-def test_forceps_and_a_held_group_act_without_a_touch(model):
+def test_paths_of_forceps_and_prescribed_groups_need_no_touch(model):
     forceps = BALL | {"kind": "grasp", "radius": 0.01}
     (path,) = tool_paths(recording(model, [snapshot(k, tool="grasp", touching=False) for k in range(4)], [forceps]))
     assert isinstance(path.load, Grasp)

@@ -27,7 +27,7 @@ def short():
     """Let training take few short runs."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in {
-            "run.grasp.LASTING": 0.04,
+            "run.grasp.RUN_SECONDS": 0.04,
             "run.grasp.EVERY": 0.002,
             "models.quick_training.TRAINING": 2,
             "models.quick_training.HELD_OUT": 1,
@@ -49,7 +49,7 @@ def file(grasped, tmp_path_factory):
     return path
 
 
-def test_a_hand_starts_and_ends_at_rest_and_moves_smoothly():
+def test_the_path_of_the_hand_is_smooth_and_starts_and_ends_at_rest():
     hand = Hand(3, 0.4)
     for time in (0.0, 0.4, 0.8):
         moved, quaternion = hand(time)
@@ -60,7 +60,7 @@ def test_a_hand_starts_and_ends_at_rest_and_moves_smoothly():
     assert np.linalg.norm(hand(0.13)[0]) > 1e-3
 
 
-def test_the_load_of_a_hand_is_the_rigid_motion_of_its_pose(bar):
+def test_the_load_of_the_hand_is_the_rigid_motion_of_its_pose(bar):
     hand, nodes = Hand(5, 0.4), bar.group(GROUP)
     points, centre = bar.points[nodes], bar.points[nodes].mean(axis=0)
     displacement = hand.load(bar).displacement
@@ -72,7 +72,7 @@ def test_the_load_of_a_hand_is_the_rigid_motion_of_its_pose(bar):
     np.testing.assert_allclose(placed, centre + moved + turned, atol=1e-12)
 
 
-def test_a_trained_model_puts_the_end_where_the_hand_is(grasped):
+def test_a_trained_model_moves_the_prescribed_end_with_the_hand(grasped):
     hand = Hand(9, 0.04)
     loads = [hand.load(grasped.cloud)]
     run = pt.rollout(grasped, loads, duration=0.02, every=0.005)
@@ -85,7 +85,7 @@ def test_a_trained_model_puts_the_end_where_the_hand_is(grasped):
 
 
 @pytest.mark.parametrize("modes", [None, 4])
-def test_one_run_leaves_trajectories_and_a_report(tmp_path, capsys, monkeypatch, modes):
+def test_a_run_writes_trajectories_and_a_report(tmp_path, capsys, monkeypatch, modes):
     monkeypatch.setattr("palpate.app.run.command.beam", lambda **given: replace(beam(**given), duration=0.05))
     (tmp_path / "reduced.h5").write_text("of an earlier run")
     options = [] if modes is None else ["--modes", str(modes)]
@@ -117,12 +117,12 @@ def realtime(short, file, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_every_period_is_counted_and_its_times_are_told_apart(realtime):
+def test_histograms_count_every_period(realtime):
     out, report = realtime
     assert {path.name for path in out.iterdir()} == set(FILES)
     timing = report["timing"]
     assert timing["period"] == pytest.approx(0.005)
-    assert timing["periods"] + timing["dropped"] >= 90  # the tool is driven for 100 periods
+    assert timing["periods"] + timing["dropped"] >= 90  # the tool moves for 100 periods
     assert timing["missed_by_computing"] <= timing["missed"] <= timing["periods"]
     for kind in ("computing", "lateness"):
         times = timing[kind]
@@ -135,7 +135,7 @@ def test_every_period_is_counted_and_its_times_are_told_apart(realtime):
 
 
 @pytest.mark.slow
-def test_what_the_tool_felt_is_that_of_all_periods(realtime):
+def test_the_reported_force_and_trust_are_those_of_all_periods(realtime):
     out, report = realtime
     tool = report["tool"]
     with h5py.File(out / "black_box.h5") as file:
@@ -163,7 +163,7 @@ def test_a_model_is_trained_where_none_is_given_and_the_verdict_is_printed(short
 
 
 @pytest.mark.slow
-def test_a_state_that_runs_away_is_told(short, file, tmp_path, capsys, monkeypatch):
+def test_a_diverged_state_is_reported(short, file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("palpate.app.run.realtime.Engine.state", property(lambda engine: "diverged"))
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 1
     assert "the state diverged" in capsys.readouterr().err
@@ -187,6 +187,6 @@ def test_a_state_that_runs_away_is_told(short, file, tmp_path, capsys, monkeypat
         (["--realtime", "--model", __file__, "--modes", "3"], ["--modes must be left out with --model"]),
     ],
 )
-def test_bad_options_are_refused_in_one_line_and_leave_nothing(tmp_path, assert_refused, options, parts):
+def test_bad_options_are_refused_in_one_line_and_no_file_is_left(tmp_path, assert_refused, options, parts):
     assert_refused([*RUN, *options, "--out", str(tmp_path / "out")], *parts)
     assert not (tmp_path / "out").exists()

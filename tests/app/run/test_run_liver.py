@@ -34,13 +34,13 @@ def trained(tmp_path_factory):
 @pytest.fixture
 def swift(monkeypatch):
     """Let a press take half a second."""
-    monkeypatch.setattr(liver, "LASTING", 0.5)
+    monkeypatch.setattr(liver, "PRESS_SECONDS", 0.5)
 
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     """An empty cache, into which next to nothing will be trained."""
-    small = {"SMALL": COARSE, "PATHS": 1, "HELD_OUT": 1, "MODES": 6, "MOST_WORKERS": 1}
+    small = {"SCENE_PARAMETERS": COARSE, "PATHS": 1, "HELD_OUT": 1, "MODES": 6, "MAX_WORKERS": 1}
     for name, value in small.items():
         monkeypatch.setattr(cached_models, name, value)
     monkeypatch.setattr(cached_models, "user_cache_path", lambda name: tmp_path / name)
@@ -48,7 +48,7 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_campaign_presses_the_liver_and_its_report_says_how_many_nodes_it_sampled_and_why(trained):
+def test_a_campaign_on_the_liver_reports_its_sampled_nodes_and_the_tolerance(trained):
     report = json.loads((trained / "report.json").read_text())
     model = pt.load(trained / "model.rom")
     assert report["failed"] == []
@@ -65,7 +65,7 @@ def test_a_campaign_presses_the_liver_and_its_report_says_how_many_nodes_it_samp
 
 
 @pytest.mark.slow
-def test_the_report_says_what_the_ball_and_the_surface_under_it_miss(trained):
+def test_the_report_has_the_errors_of_the_tool_force_and_the_surface(trained):
     report, scene = json.loads((trained / "report.json").read_text()), pressed_liver(**COARSE)
     model, found = pt.load(trained / "model.rom"), report["model"]["held_out"]
     loads, duration = scene.path(next(run["seed"] for run in report["runs"] if run["kind"] == "held_out"))
@@ -78,10 +78,10 @@ def test_the_report_says_what_the_ball_and_the_surface_under_it_miss(trained):
 
 
 @pytest.mark.slow
-def test_the_ball_comes_from_outside_presses_as_deep_as_was_trained_and_leaves(trained):
+def test_the_ball_starts_outside_presses_to_the_trained_depth_and_leaves(trained):
     model = pt.load(trained / "model.rom")
     poses, ball = liver.pressing_ball(model, trained / "model.rom")
-    times = np.linspace(0.0, 2 * liver.LASTING, 81)
+    times = np.linspace(0.0, 2 * liver.PRESS_SECONDS, 81)
     moved, turned = (np.array(part) for part in zip(*map(poses, times), strict=True))
     np.testing.assert_array_equal(turned, np.tile([1.0, 0.0, 0.0, 0.0], (81, 1)))
     np.testing.assert_allclose(moved[[0, 40, 80]], 0.0, atol=1e-15)  # again and again from one place
@@ -93,7 +93,7 @@ def test_the_ball_comes_from_outside_presses_as_deep_as_was_trained_and_leaves(t
 
 
 @pytest.mark.slow
-def test_a_model_from_a_file_is_pressed_and_the_force_is_told(trained, swift, tmp_path, capsys):
+def test_a_model_from_a_file_is_pressed_and_the_force_is_reported(trained, swift, tmp_path, capsys):
     file = trained / "model.rom"
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 0
     told = " ".join(capsys.readouterr().out.split())
@@ -113,7 +113,7 @@ def test_a_model_from_a_file_is_pressed_and_the_force_is_told(trained, swift, tm
 
 
 @pytest.mark.slow
-def test_the_first_start_trains_a_model_a_stop_keeps_its_runs_and_then_it_is_there(
+def test_the_first_start_trains_and_caches_a_model_and_resumes_after_an_interrupt(
     cache, swift, tmp_path, capsys, monkeypatch
 ):
     def interrupted(self, outcome):
@@ -150,13 +150,13 @@ def test_the_first_start_trains_a_model_a_stop_keeps_its_runs_and_then_it_is_the
     assert not cached_models.cache_folder().exists()
 
 
-def test_a_cache_that_cannot_be_written_is_told(cache, tmp_path, assert_refused):
+def test_a_cache_that_cannot_be_written_is_reported(cache, tmp_path, assert_refused):
     cache.parent.write_text("no folder")
     assert_refused([*REALTIME, "--out", str(tmp_path / "out")], "cache = ", "is not a folder", "--model FILE")
     assert not (tmp_path / "out").exists()
 
 
-def test_a_model_that_knows_no_contact_is_refused(run, held, tmp_path, assert_refused):
+def test_a_model_without_contact_is_refused(run, held, tmp_path, assert_refused):
     file, out = tmp_path / "bar.rom", tmp_path / "out"
     pt.save(pt.hyper_reduce(held, run, modes=2), file)
     assert_refused([*REALTIME, "--model", str(file), "--out", str(out)], str(file), "palpate train liver")
@@ -173,6 +173,6 @@ def test_a_model_that_knows_no_contact_is_refused(run, held, tmp_path, assert_re
         (["--realtime", "--model", __file__], [__file__, "not a palpate reduced model"]),
     ],
 )
-def test_bad_options_are_refused_in_one_line_and_leave_nothing(cache, tmp_path, assert_refused, options, parts):
+def test_bad_options_are_refused_in_one_line_and_no_file_is_left(cache, tmp_path, assert_refused, options, parts):
     assert_refused(["run", "liver", *options, "--out", str(tmp_path / "out")], *parts)
     assert list(tmp_path.iterdir()) == []

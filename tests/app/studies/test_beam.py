@@ -25,14 +25,14 @@ def study(run_study, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_every_file_is_there_and_no_other(study):
+def test_the_listed_files_are_written_and_no_others(study):
     out = study[0]
     assert {path.name for path in out.iterdir()} == set(FILES)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
-def test_every_figure_is_a_picture_with_something_on_it(study, assert_drawn, name):
+def test_no_figure_is_blank(study, assert_drawn, name):
     assert_drawn(study[0] / name)
 
 
@@ -45,7 +45,7 @@ def test_standard_output_is_the_report_and_nothing_else(study):
 
 
 @pytest.mark.slow
-def test_the_report_says_what_was_run_and_on_what(study):
+def test_the_report_has_the_parameters_and_the_machine(study):
     report = study[1]
     expected = {"spacing": 0.02 / 3, "load": 2.0, "poisson": 0.49, "duration": 1.0, "every": 0.01}
     assert report["parameters"] == pytest.approx(expected)
@@ -57,7 +57,7 @@ def test_the_report_says_what_was_run_and_on_what(study):
 
 
 @pytest.mark.slow
-def test_the_pulled_end_moves_as_a_slender_bar_does(study):
+def test_the_pulled_end_moves_as_that_of_a_slender_bar(study):
     full = study[1]["full"]
     young = 2 * 61.2e3 * 1.49
     assert full["peak_tip_displacement"] == pytest.approx(2.0 * 0.2 / (young * 0.02**2), rel=0.05)
@@ -92,7 +92,7 @@ def test_every_reduced_model_of_both_series_is_reported_once_in_order(study):
 
 
 @pytest.mark.slow
-def test_projected_models_know_all_nodes_and_hyper_reduced_ones_few(study):
+def test_projected_models_evaluate_all_nodes_and_hyper_reduced_ones_few(study):
     report = study[1]
     projected, sampled = by_series(report)
     assert all(entry["nodes"] == report["nodes"] for entry in projected)
@@ -100,7 +100,7 @@ def test_projected_models_know_all_nodes_and_hyper_reduced_ones_few(study):
 
 
 @pytest.mark.slow
-def test_the_energy_form_stands_beside_the_strong_form_and_says_what_hyper_reduced_models_follow(study):
+def test_the_report_compares_the_energy_form_with_the_strong_form(study):
     report = study[1]
     energy = report["energy_form"]
     # two discretisations of one body, which shrink to one with the spacing
@@ -150,7 +150,7 @@ def test_the_snapshots_and_the_export_agree(study):
         (["--modes", "two"], "--modes must be a whole number", "'two'"),
     ],
 )
-def test_bad_values_are_refused_in_one_line_and_leave_nothing(tmp_path, assert_refused, option, named, allowed):
+def test_bad_values_are_refused_in_one_line_and_no_file_is_left(tmp_path, assert_refused, option, named, allowed):
     out = tmp_path / "results"
     assert_refused([*COARSE, "--out", str(out), *option], named, allowed)
     assert not out.exists()
@@ -187,7 +187,7 @@ def test_a_disk_without_room_is_refused(tmp_path):
         (pt.DivergenceError("ran away"), 1, "diverged: ran away"),
     ],
 )
-def test_a_full_run_that_stops_keeps_its_frames_and_says_where(tmp_path, capsys, stop_after, error, code, said):
+def test_an_interrupted_full_run_keeps_its_frames_and_names_their_file(tmp_path, capsys, stop_after, error, code, said):
     stop_after(0.045, error)
     assert main([*COARSE, "--out", str(tmp_path)]) == code
     captured = capsys.readouterr()
@@ -201,7 +201,7 @@ def test_a_full_run_that_stops_keeps_its_frames_and_says_where(tmp_path, capsys,
     np.testing.assert_allclose(kept.times, np.arange(5) * 0.01)
 
 
-def test_a_machine_that_cannot_draw_is_told_what_to_install(monkeypatch):
+def test_a_machine_that_cannot_draw_raises_with_the_packages_to_install(monkeypatch):
     monkeypatch.setattr("palpate.app.common.rendering.PROBE", "import os; os.abort()")
     with pytest.raises(DrawingError, match="apt-get install libegl1 libgl1-mesa-dri"):
         check_drawing()

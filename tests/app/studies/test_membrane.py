@@ -32,13 +32,13 @@ def model():
 
 
 @pytest.mark.slow
-def test_every_file_is_there_and_no_other(study):
+def test_the_listed_files_are_written_and_no_others(study):
     assert {path.name for path in study[0].iterdir()} == set(FILES)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
-def test_every_figure_is_a_picture_with_something_on_it(study, assert_drawn, name):
+def test_no_figure_is_blank(study, assert_drawn, name):
     assert_drawn(study[0] / name)
 
 
@@ -51,7 +51,7 @@ def test_standard_output_is_the_report_and_nothing_else(study):
 
 
 @pytest.mark.slow
-def test_the_report_says_what_was_run(study, model):
+def test_the_report_has_the_parameters_of_the_run(study, model):
     report = study[1]
     numbers = {"spacing": COARSE, "tool_radius": 0.0, "prestretch": 1.0, "jitter": 0.0, "seed": 0}
     expected = numbers | {"duration": 0.2, "every": 0.002, "after": "return", "layout": "rings"}
@@ -62,7 +62,7 @@ def test_the_report_says_what_was_run(study, model):
 
 
 @pytest.mark.slow
-def test_the_tool_does_the_work_that_moves_and_stretches_the_sheet(study):
+def test_the_reported_work_is_that_of_the_tool_force(study):
     push, after = (study[1]["full"][name] for name in ("push", "after"))
     assert (push["end_time"], after["end_time"]) == pytest.approx((0.1, 0.2))
     assert push["centre_deflection_at_end"] == pytest.approx(0.01)
@@ -112,7 +112,7 @@ def test_singular_values_descend(study):
 
 
 @pytest.mark.slow
-def test_claims_of_the_paper_are_judged_by_the_push(study):
+def test_claims_of_the_paper_are_compared_during_the_push(study):
     report = study[1]
     two, eight = (entry["phases"]["push"]["errors"]["displacement"] for entry in report["reduced"][:2])
     fast = report["reduced"][0]["phases"]["push"]["ratio"] < 0.1
@@ -173,7 +173,7 @@ def test_vtk_reads_the_sheet_and_its_stresses(study, model):
         (["--out", __file__], "--out ", "is not a folder"),
     ],
 )
-def test_bad_values_are_refused_in_one_line_and_leave_nothing(tmp_path, assert_refused, option, named, allowed):
+def test_bad_values_are_refused_in_one_line_and_no_file_is_left(tmp_path, assert_refused, option, named, allowed):
     out = tmp_path / "results"
     assert_refused([*COARSEST, "--out", str(out), *option], named, allowed)
     assert not out.exists()
@@ -187,7 +187,7 @@ def test_bad_values_are_refused_in_one_line_and_leave_nothing(tmp_path, assert_r
         (pt.DivergenceError("ran away"), 1, "diverged: ran away"),
     ],
 )
-def test_a_full_run_that_stops_keeps_the_frames_of_both_phases(tmp_path, capsys, stop_after, error, code, said):
+def test_an_interrupted_full_run_keeps_the_frames_of_both_phases(tmp_path, capsys, stop_after, error, code, said):
     stop_after(0.109, error)
     assert main([*COARSEST, "--out", str(tmp_path)]) == code
     last = capsys.readouterr().err.splitlines()[-1]
@@ -200,7 +200,7 @@ def test_a_full_run_that_stops_keeps_the_frames_of_both_phases(tmp_path, capsys,
 
 
 @pytest.mark.slow
-def test_a_tool_lets_go_one_size_fails_and_a_picture_is_missing_but_the_study_goes_on(tmp_path, capsys, monkeypatch):
+def test_the_study_continues_when_one_reduced_model_and_the_picture_fail(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("palpate.app.common.rendering.PROBE", "raise SystemExit(3)")
     (tmp_path / "after.partial.h5").write_text("of a run that was stopped")
     assert main([*COARSEST, "--after", "release", "--modes", "4", "50", "--out", str(tmp_path)]) == 0
@@ -229,5 +229,5 @@ def test_figures_are_drawn_when_every_reduced_run_failed(tmp_path):
 
 
 @pytest.mark.parametrize("after", AFTER)
-def test_the_command_knows_all_that_the_tool_can_do(after, tmp_path, assert_refused):
+def test_every_motion_of_the_tool_is_an_option(after, tmp_path, assert_refused):
     assert_refused([*COARSEST, "--after", after, "--modes", "0", "--out", str(tmp_path)], "--modes")

@@ -96,16 +96,16 @@ def alive(pid):
         return False
 
 
-def test_a_campaign_leaves_its_runs_a_model_and_a_report(whole, assert_drawn):
+def test_a_campaign_writes_its_runs_a_model_and_a_report(whole, assert_drawn):
     report = json.loads((whole / "report.json").read_text())
     assert sorted(path.name for path in (whole / "runs").iterdir()) == sorted(RUNS)
-    assert [run["seed"] for run in report["runs"]] == [0, 1, 2, 3, folders.MOST_PATHS]
+    assert [run["seed"] for run in report["runs"]] == [0, 1, 2, 3, folders.MAX_PATHS]
     assert report["failed"] == []
     assert report["model"]["training_runs"] == 4
     assert report["model"]["snapshots"] == 44
     model = pt.load(whole / "model.rom")
     held, scene = report["model"]["held_out"]["runs"], training_scene(SCENE, {})
-    loads, duration = scene.path(folders.MOST_PATHS)
+    loads, duration = scene.path(folders.MAX_PATHS)
     again = pt.rollout(model, loads, duration=duration, every=scene.every)
     expected = pt.relative_errors(pt.Trajectory.load(whole / "runs" / RUNS[-1]), again)
     assert len(held) == 1
@@ -120,7 +120,7 @@ def test_a_campaign_leaves_its_runs_a_model_and_a_report(whole, assert_drawn):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills processes as POSIX does")
-def test_a_campaign_that_is_killed_goes_on_where_it_was(whole, tmp_path):
+def test_a_killed_campaign_resumes_where_it_stopped(whole, tmp_path):
     folder = tmp_path / "killed"
     runs = folder / "runs"
     with (tmp_path / "log").open("w") as log:
@@ -148,7 +148,7 @@ def test_a_campaign_that_is_killed_goes_on_where_it_was(whole, tmp_path):
 
 
 @pytest.mark.slow
-def test_one_worker_makes_the_same_runs_as_two_in_one_go_or_more(whole, tmp_path, capsys):
+def test_runs_do_not_depend_on_the_number_of_workers_and_restarts(whole, tmp_path, capsys):
     folder = tmp_path / "grown"
     assert main(command(folder, "--paths", "1", "--held-out", "0")) == 0
     stamp = (folder / "runs" / RUNS[0]).stat().st_mtime_ns
@@ -161,7 +161,7 @@ def test_one_worker_makes_the_same_runs_as_two_in_one_go_or_more(whole, tmp_path
 
 
 @pytest.mark.skipif(os.name != "posix", reason="interrupts processes as POSIX does")
-def test_an_interrupt_keeps_what_is_done(tmp_path, capsys, monkeypatch):
+def test_an_interrupt_keeps_finished_runs(tmp_path, capsys, monkeypatch):
     def interrupted(self, outcome):
         raise KeyboardInterrupt
 
@@ -173,7 +173,7 @@ def test_an_interrupt_keeps_what_is_done(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-def test_runs_that_fail_are_recorded_and_the_others_go_on(tmp_path, capsys):
+def test_failed_runs_are_recorded_and_the_others_continue(tmp_path, capsys):
     folder = tmp_path / "failing"
     options = ["--set", "diverging=1", "--set", "deadly=2"]
     assert main(command(folder, *options, "--json")) == 0
@@ -196,7 +196,7 @@ def test_runs_that_fail_are_recorded_and_the_others_go_on(tmp_path, capsys):
     assert changed == ["train_000002.failed.json"]  # only a process that died is tried again
 
 
-def test_errors_of_forces_are_told_apart_by_kinds_of_loads():
+def test_errors_of_forces_are_reported_by_kind_of_load():
     kinds = [["Contact"], ["Grasp"], ["Contact"], ["Grasp"], ["Contact"], ["Grasp"]]
     runs = [{"kind": "train", "failed": False, "loads": ["Grasp"]}]
     runs += [{"kind": "held_out", "failed": k == 4, "loads": loads} for k, loads in enumerate(kinds)]
@@ -208,7 +208,7 @@ def test_errors_of_forces_are_told_apart_by_kinds_of_loads():
 
 
 @pytest.mark.slow
-def test_a_tolerance_chooses_paths_until_it_is_kept(tmp_path, capsys):
+def test_with_a_tolerance_paths_are_added_until_it_is_met(tmp_path, capsys):
     folder = tmp_path / "chosen"
     argv = ["train", SCENE, "--paths", "9", "--held-out", "2", "--modes", "6", "--workers", "2", "--out", str(folder)]
     assert main([*argv, "--tolerance", "1e-6", "--json"]) == 0
@@ -231,7 +231,7 @@ def test_a_tolerance_chooses_paths_until_it_is_kept(tmp_path, capsys):
     assert pt.load(folder / "model.rom").report["training_runs"] == 4
 
 
-def test_chosen_paths_are_unlike_the_training_and_each_other(whole):
+def test_chosen_paths_differ_from_the_training_and_each_other(whole):
     """Of four candidates, one of the training and two that are the same: the two others."""
     model, scene = pt.load(whole / "model.rom"), training_scene(SCENE, {})
     far = [np.zeros(3), np.array([0.0, 0.006, 0.0]), np.array([0.0, 0.0061, 0.0]), np.array([0.0, 0.0, 0.005])]
@@ -263,7 +263,7 @@ def further(model, reach, duration=0.2):
     return Recording("Bar", model, np.arange(21) * duration / 20, snapshots, [tool], {})
 
 
-def test_a_recorded_path_beyond_trust_is_learned(whole, tmp_path, capsys, assert_refused):
+def test_a_recorded_path_beyond_trust_is_added_to_the_training(whole, tmp_path, capsys, assert_refused):
     folder, file = tmp_path / "more", tmp_path / "session.h5"
     shutil.copytree(whole, folder)
     before = pt.load(folder / "model.rom")
@@ -295,7 +295,7 @@ def test_a_recorded_path_beyond_trust_is_learned(whole, tmp_path, capsys, assert
     assert_refused([*other, "--more", str(file)], "campaign's body")
 
 
-def test_without_any_run_there_is_no_model(tmp_path, capsys):
+def test_no_model_is_written_if_all_runs_fail(tmp_path, capsys):
     options = ["--set", "diverging=0", "--paths", "1", "--held-out", "0"]
     assert main(command(tmp_path / "none", *options)) == 1
     assert "no training run was finished; the first: " in capsys.readouterr().err
@@ -312,7 +312,7 @@ def test_without_any_run_there_is_no_model(tmp_path, capsys):
         ([], {"format": "recipes"}, ["campaign.json: this is not a palpate campaign", "another folder"]),
     ],
 )
-def test_the_folder_of_another_campaign_is_refused_untouched(tmp_path, assert_refused, options, edit, parts):
+def test_the_folder_of_another_campaign_is_refused_and_not_changed(tmp_path, assert_refused, options, edit, parts):
     manifest = {
         "format": "palpate campaign", "version": 2, "palpate": pt.__version__, "scene": SCENE,
         "parameters": {"lasting": 0.01, "diverging": "", "deadly": ""}, "seed": 0, "every": 0.001, "nodes": 112,
@@ -378,7 +378,7 @@ def test_a_damaged_record_of_a_failed_run_is_refused_in_one_line(whole, tmp_path
     assert_stopped(command(tmp_path / "copy"), capsys, "train_000001.failed.json", "delete the file")
 
 
-def test_runs_that_changed_places_are_refused(whole, tmp_path, capsys):
+def test_swapped_run_files_are_refused(whole, tmp_path, capsys):
     shutil.copytree(whole, tmp_path / "copy")
     one, two = (tmp_path / "copy" / "runs" / f"train_00000{k}.h5" for k in (0, 1))
     content = one.read_bytes()
@@ -396,7 +396,7 @@ def test_a_damaged_run_is_refused(whole, tmp_path, capsys):
     assert_stopped(command(tmp_path / "copy"), capsys, "train_000001.h5", "does not match its checksum")
 
 
-def test_runs_of_nobody_are_refused(tmp_path, assert_refused):
+def test_runs_without_a_campaign_file_are_refused(tmp_path, assert_refused):
     (tmp_path / "runs").mkdir()
     assert_refused(command(tmp_path), "holds runs, but no campaign.json")
 
@@ -420,7 +420,7 @@ def test_bad_options_are_refused(tmp_path, assert_refused, argv, part):
     assert not (tmp_path / "new").exists()
 
 
-def test_a_cluster_without_dask_says_how_to_install_it(tmp_path, assert_refused, monkeypatch):
+def test_without_dask_a_cluster_is_refused_with_the_way_to_install_it(tmp_path, assert_refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert_refused(command(tmp_path / "new", "--cluster", "tcp://localhost:1"), "pip install 'palpate[cluster]'")
 
@@ -458,7 +458,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_runs(whole, tmp_path, clus
     np.testing.assert_array_equal(*both)
 
 
-def test_a_cluster_that_is_not_there_is_refused(tmp_path, assert_refused, monkeypatch):
+def test_an_unreachable_cluster_is_refused(tmp_path, assert_refused, monkeypatch):
     pytest.importorskip("distributed", reason="dask.distributed is not installed: palpate[cluster]")
     monkeypatch.setattr("palpate.app.train.cluster.ANSWER_SECONDS", 0.5)
     assert_refused(
@@ -466,14 +466,14 @@ def test_a_cluster_that_is_not_there_is_refused(tmp_path, assert_refused, monkey
     )
 
 
-def test_a_run_with_times_that_no_run_has_is_refused(whole, tmp_path, capsys, forge):
+def test_a_run_file_with_forged_times_is_refused(whole, tmp_path, capsys, forge):
     shutil.copytree(whole, tmp_path / "copy")
     path = tmp_path / "copy" / "runs" / "train_000000.h5"
     forge(path, lambda header, arrays: arrays["times"].__imul__(1e9), FORMAT, VERSION)
     assert_stopped(command(tmp_path / "copy"), capsys, "train_000000.h5 has other times", "delete it")
 
 
-def test_a_lock_that_is_a_pipe_is_refused_and_not_waited_for(whole, tmp_path, capsys):
+def test_a_lock_file_that_is_a_pipe_is_refused_without_waiting(whole, tmp_path, capsys):
     shutil.copytree(whole, tmp_path / "copy")
     (tmp_path / "copy" / ".lock").unlink(missing_ok=True)
     os.mkfifo(tmp_path / "copy" / ".lock")

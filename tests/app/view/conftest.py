@@ -17,7 +17,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parent))
 
-from view_scenes import BALL, EVERY, LASTING, MIDDLE, block, press
+from view_scenes import BALL, EVERY, MIDDLE, PRESS_SECONDS, block, press
 from websockets.asyncio.client import connect
 
 import palpate as pt
@@ -35,7 +35,7 @@ SECONDS = 20.0  # to wait for what takes a fraction of one on an idle machine
 @pytest.fixture(scope="session")
 def model():
     body = block().model
-    runs = [pt.rollout(body, press(seed)[0], duration=LASTING, every=EVERY) for seed in range(2)]
+    runs = [pt.rollout(body, press(seed)[0], duration=PRESS_SECONDS, every=EVERY) for seed in range(2)]
     made = pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 12)[0])
     report = {**made.report, "scene": {"name": "view_scenes:block", "parameters": {}}}
     return pt.ReducedModel(replace(made.data, report=report))

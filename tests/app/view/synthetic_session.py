@@ -1,4 +1,4 @@
-"""A session of the page's protocol without an engine: a surface that dents where a tool is, by a formula.
+"""A session of the page's protocol without an engine: a surface that a tool indents, by a formula.
 
 It answers as the real server does as far as the page can tell, on a port of its own, in a thread.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 TOKEN = "synthetic"
-STIFFNESS = 400.0  # [N/m] of the dent
+STIFFNESS = 400.0  # [N/m] of the indentation
 RATE = 60.0  # [Hz] of states
 
 
@@ -36,7 +36,7 @@ def sphere(rows=48, columns=96, radius=0.05):
 
 
 class SyntheticSession:
-    """Serves the page and a body that dents; a context manager."""
+    """Serves the page and a body that yields to the tool; a context manager."""
 
     def __init__(self, folder: Path, surface=None, **hello):
         self.folder, self.more = folder, hello

@@ -80,6 +80,6 @@ def test_the_command_measures_a_press(model, tmp_path, capsys):
     assert report["engine"]["periods"] > 100
 
 
-def test_a_bench_of_no_vertices_is_refused(tmp_path, capsys):
+def test_a_benchmark_without_vertices_is_refused(tmp_path, capsys):
     assert main(["bench", "page", "--vertices", "7", "--out", str(tmp_path)]) == 2
     assert "--vertices must be an integer in [100, 1e+06], got 7" in capsys.readouterr().err

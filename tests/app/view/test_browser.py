@@ -52,6 +52,13 @@ def test_the_body_is_drawn_in_its_colour_on_a_calm_ground(opened):
     assert image.std() > 0.05
 
 
+def test_the_near_plane_follows_the_camera(opened):
+    tab = opened()
+    tab.wait("palpate.ready")
+    tab.evaluate("palpate.scene.orbitCamera.zoom(0.01)")
+    tab.wait("palpate.scene.camera.near < 0.015 * palpate.scene.size")
+
+
 def test_a_drag_presses_and_letting_go_ends_the_force(opened):
     tab = opened()
     assert tab.evaluate("palpate.force") == 0
@@ -73,7 +80,7 @@ def test_the_force_has_its_error_bound(opened):
     tab.wait("document.getElementById('force-bound').textContent === '± 0.12 N'")
 
 
-def test_what_is_pressed_moves_in_the_picture(opened, synthetic):
+def test_the_pressed_surface_moves_in_the_picture(opened, synthetic):
     tab = opened()
     sleep(0.5)
     before = tab.evaluate("[...palpate.scene.body.positions]")
@@ -97,7 +104,7 @@ def test_the_wheel_presses_deeper_while_held_and_zooms_otherwise(opened):
     tab.wait(f"palpate.scene.orbitCamera.goal.distance > {1.05 * eye}")
 
 
-def test_the_right_button_turns_the_eye_and_presses_nothing(opened):
+def test_the_right_button_rotates_the_view_and_does_not_press(opened):
     tab = opened()
     x, y = middle(tab)
     before = tab.evaluate("palpate.scene.orbitCamera.goal.azimuth")
@@ -108,7 +115,7 @@ def test_the_right_button_turns_the_eye_and_presses_nothing(opened):
     assert tab.evaluate("palpate.force") == 0
 
 
-def test_forceps_pull(opened, synthetic):
+def test_forceps_pull_the_body(opened, synthetic):
     tab = opened()
     tab.key("3")
     tab.wait("document.querySelector('#kinds [value=grasp]').ariaChecked === 'true'")
@@ -139,10 +146,11 @@ def test_keys_press_move_let_go_and_reset(opened, synthetic):
     assert {"type": "control", "action": "reset"} in synthetic.received
     tab.key("p")
     tab.wait("document.getElementById('pause-text').textContent === 'Resume'")
+    assert tab.evaluate("document.getElementById('pause').getAttribute('aria-pressed')") == "true"
 
 
-def test_one_finger_presses_and_two_zoom(opened):
-    tab = opened(NARROW, contact_state=True)
+def test_one_finger_presses_and_two_fingers_zoom(opened):
+    tab = opened(NARROW, touch_screen=True)
     x, y = middle(tab)
     tab.touch("Start", (x, y))
     tab.touch("Move", (x, y + 20))
@@ -157,7 +165,7 @@ def test_one_finger_presses_and_two_zoom(opened):
     assert tab.evaluate("palpate.force") == 0
 
 
-def test_the_reset_button_says_so(opened, synthetic):
+def test_the_reset_button_sends_a_reset_and_ends_the_force(opened, synthetic):
     tab = opened()
     press(tab)
     tab.wait("palpate.force > 0.05")
@@ -182,7 +190,7 @@ def test_a_second_viewer_watches(opened):
     second.mouse("Released", own_x, own_y)
 
 
-def test_a_dropped_connection_comes_back(opened, synthetic):
+def test_a_dropped_connection_is_restored(opened, synthetic):
     tab = opened()
     synthetic.drop()
     tab.wait("document.getElementById('connection').textContent === 'Not connected'")
@@ -194,13 +202,13 @@ def test_a_dropped_connection_comes_back(opened, synthetic):
     tab.errors.clear()  # the browser's own note of the failed connection
 
 
-def test_an_address_with_another_token_is_said_to_have_expired(browser, synthetic):
+def test_an_address_with_another_token_shows_that_it_has_expired(browser, synthetic):
     tab = browser.open(synthetic.address[:-2], *WIDE)
     tab.wait("!!document.getElementById('message')?.textContent.includes('expired')", 60)  # the page may be loading yet
     tab.close()
 
 
-def test_a_phone_shows_everything_without_scrolling_sideways(opened):
+def test_a_narrow_screen_needs_no_horizontal_scrolling(opened):
     tab = opened(NARROW)
     wide = "[...document.querySelectorAll('body *')].filter(e => e.getBoundingClientRect().right > innerWidth + 0.5"
     assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
@@ -208,7 +216,7 @@ def test_a_phone_shows_everything_without_scrolling_sideways(opened):
     assert tab.evaluate("document.getElementById('panel').scrollHeight > innerHeight / 3")
 
 
-def test_it_is_dark_where_the_system_is_and_the_switch_changes_it(opened):
+def test_colours_follow_the_system_and_the_switch(opened):
     tab = opened(dark=True)
     assert around(picture(tab), 20, WIDE[1] // 2).max() < 0.2
     tab.evaluate("document.getElementById('theme').click()")
@@ -217,7 +225,7 @@ def test_it_is_dark_where_the_system_is_and_the_switch_changes_it(opened):
     tab.evaluate("document.getElementById('theme').click()")
 
 
-def test_every_control_has_a_name(opened):
+def test_every_control_has_an_accessible_name(opened):
     tab = opened()
     tree = tab.call("Accessibility.getFullAXTree")["nodes"]
     asked = {"button", "slider", "radio", "combobox", "checkbox", "radiogroup", "application"}
@@ -226,7 +234,7 @@ def test_every_control_has_a_name(opened):
     assert [node for node in nodes if not node.get("name", {}).get("value")] == []
 
 
-def test_the_panel_sends_what_is_chosen(opened, synthetic):
+def test_the_panel_sends_the_chosen_values(opened, synthetic):
     tab = opened()
     tab.evaluate("document.querySelector('#kinds [value=capsule]').click()")
     tab.evaluate("document.querySelector('#scalars [value=pressure]').click()")
@@ -245,7 +253,7 @@ def test_the_panel_sends_what_is_chosen(opened, synthetic):
     assert told["speed"]["factor"] == 0.25
 
 
-def test_a_replay_has_a_line_of_time_and_no_tools(browser):
+def test_a_replay_has_a_time_line_and_no_tools(browser):
     with SyntheticSession(PAGE, mode="replay", duration=4.0, overlay=True) as replay:
         tab = browser.open(replay.address, *WIDE)
         tab.wait("window.palpate?.ready", 60)
@@ -260,7 +268,7 @@ def test_a_replay_has_a_line_of_time_and_no_tools(browser):
         tab.close()
 
 
-def test_a_page_that_draws_no_pictures_still_says_that_it_is_there(opened, synthetic):
+def test_a_hidden_page_still_acknowledges_frames(opened, synthetic):
     tab = opened()
     tab.evaluate("window.requestAnimationFrame = () => 0")  # what a browser does with a tab that is hidden
     sleep(1.0)

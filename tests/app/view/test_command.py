@@ -85,7 +85,7 @@ def test_a_recording_of_the_page_survives_the_end_of_the_server(file, tmp_path, 
     assert "recorded" in capsys.readouterr().err
 
 
-def test_a_recording_costs_no_other_file(file, tmp_path, assert_refused):
+def test_a_recording_overwrites_no_other_file(file, tmp_path, assert_refused):
     view = ["view", str(file), "--headless", "--seconds", "0.1", "--record"]
     content = file.read_bytes()
     assert_refused([*view, str(file)], "record must end in .h5")
@@ -99,10 +99,10 @@ def test_a_recording_costs_no_other_file(file, tmp_path, assert_refused):
     assert_refused([*view, str(tmp_path / "other.h5")], "other.h5 is another file")
     (tmp_path / "folder.h5").mkdir()
     assert_refused([*view, str(tmp_path / "folder.h5")], "folder.h5 is another file")
-    (tmp_path / "beside.vtkhdf").write_text("precious")
-    assert_refused([*view, str(tmp_path / "beside.h5")], "beside.vtkhdf is another file")
+    (tmp_path / "other.vtkhdf").write_text("precious")
+    assert_refused([*view, str(tmp_path / "other.h5")], "other.vtkhdf is another file")
     assert file.read_bytes() == content
-    assert (tmp_path / "text.h5").read_text() == (tmp_path / "beside.vtkhdf").read_text() == "precious"
+    assert (tmp_path / "text.h5").read_text() == (tmp_path / "other.vtkhdf").read_text() == "precious"
     assert main([*view, str(tmp_path / "new.h5")]) == 0
     assert main([*view, str(tmp_path / "new.h5")]) == 0  # an earlier recording gives way
 
@@ -117,7 +117,7 @@ def test_a_recording_costs_no_other_file(file, tmp_path, assert_refused):
         (b'{"time": 0, "type": "force", "rate": 1}', "in a script"),
     ],
 )
-def test_scripts_that_are_none_are_refused(file, tmp_path, assert_refused, content, said):
+def test_invalid_scripts_are_refused(file, tmp_path, assert_refused, content, said):
     (tmp_path / "script.jsonl").write_bytes(content)
     assert_refused(["view", str(file), "--headless", "--script", str(tmp_path / "script.jsonl")], said)
 

@@ -9,7 +9,7 @@ from palpate.scenes.scene import TrainingScene
 
 SIZE, SPACING, BALL, DEPTH = (0.048, 0.048, 0.024), 0.006, 0.015, 0.004
 MIDDLE = np.array([0.024, 0.024, SIZE[2]])
-LASTING, EVERY = 0.12, 0.005
+PRESS_SECONDS, EVERY = 0.12, 0.005
 
 
 def press(seed: int):
@@ -17,10 +17,10 @@ def press(seed: int):
     x, y = MIDDLE[:2] + 0.006 * np.random.default_rng(seed).uniform(-1, 1, 2)
 
     def motion(time):
-        share = np.sin(np.pi * min(time / LASTING, 1.0)) ** 2
+        share = np.sin(np.pi * min(time / PRESS_SECONDS, 1.0)) ** 2
         return x, y, SIZE[2] + BALL + 0.001 - share * (DEPTH + 0.001)
 
-    return (pt.tools.Contact(pt.tools.Sphere(BALL), motion),), LASTING
+    return (pt.tools.Contact(pt.tools.Sphere(BALL), motion),), PRESS_SECONDS
 
 
 def block() -> TrainingScene:

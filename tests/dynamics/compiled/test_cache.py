@@ -81,7 +81,7 @@ for pressure in sys.argv[1:]:
 
 
 @pytest.mark.slow
-def test_code_compiled_by_two_processes_is_not_mixed_up_by_a_third(tmp_path):
+def test_a_third_process_does_not_mix_up_code_of_two_others(tmp_path):
     def forces(*pressures):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
         command = [sys.executable, "-c", FORCES, *pressures]
@@ -199,21 +199,21 @@ def test_editing_a_kernel_source_recompiles_what_uses_it_and_nothing_else(copied
     assert module_of(path) in changed
 
 
-def test_a_change_of_one_form_leaves_the_other_forms_compiled_code():
+def test_a_change_of_one_form_does_not_recompile_other_forms():
     """An edit of the strong form must not recompile membranes, or the energy form."""
     for other in ("palpate.dynamics.membrane.passes", "palpate.dynamics.solid.energy_form"):
         importlib.import_module(other)
         assert "palpate.dynamics.solid.strong_form" not in kernel_sources(other)
 
 
-def test_a_constant_of_a_module_without_kernels_counts_by_its_value():
+def test_a_changed_constant_of_a_module_without_kernels_recompiles():
     importlib.import_module("palpate.dynamics.nodal.central_difference")
     sources = kernel_sources("palpate.dynamics.nodal.central_difference")
     assert sources["palpate.dynamics.loads.supports:FIXED"] == repr(FIXED)
     assert "palpate.dynamics.loads.supports" not in sources
 
 
-def test_functions_that_only_numba_caches_call_compiled_functions_of_their_own_file_alone():
+def test_functions_cached_by_numba_call_compiled_functions_of_their_own_file_only():
     """Numba's own cache notices a change of the function's own file only."""
     checked = 0
     for path in SOURCES:

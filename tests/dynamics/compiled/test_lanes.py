@@ -70,7 +70,7 @@ def test_nodes_of_a_shared_block_share_their_row(stencils):
         assert len(np.unique(stencils.row[nodes])) == 1
 
 
-def test_values_of_a_plain_fit_are_kept():
+def test_lanes_keep_the_values_of_a_fit_that_does_not_interpolate():
     points = CLOUDS["shared"].points
     smoother = pt.moving_least_squares(points, order=1, neighbours=27, interpolating=False)
     lanes, (value,) = table(smoother, "value")

@@ -81,7 +81,7 @@ def test_the_normal_is_the_slope_of_the_distance_and_leads_to_the_surface(tool):
         (pt.tools.Punch(0.01), (0.0, 0.012, 0.05), 0.002),
     ],
 )
-def test_distances_that_are_known(tool, place, distance):
+def test_signed_distances_are_those_of_elementary_geometry(tool, place, distance):
     assert signed_distance(tool.kind, np.array(tool.sizes), *place)[0] == pytest.approx(distance, abs=1e-15)
 
 
@@ -118,7 +118,7 @@ def test_the_tools_moment_is_the_angular_momentum_that_a_free_body_gains(loose):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_the_energy_balance_closes_with_the_tools_work_and_what_friction_takes(cube, friction):
+def test_the_energy_balance_closes_with_the_work_of_tools_and_friction(cube, friction):
     slide = lambda t: press(0.002)(t) + np.array([0.1 * max(t - 0.02, 0.0), 0.0, 0.0])  # noqa: E731
     trajectory = run(cube, pt.tools.Contact(BALL, slide, friction=friction), duration=0.06, step=5e-5)
     assert np.abs(trajectory.balance).max() < 2e-3 * trajectory.external.max()
@@ -128,7 +128,7 @@ def test_the_energy_balance_closes_with_the_tools_work_and_what_friction_takes(c
 
 
 @pytest.mark.parametrize("until", [np.inf, 0.015])
-def test_the_energy_balance_closes_where_a_tool_presses_beside_forceps(cube, until):
+def test_the_energy_balance_closes_with_a_tool_next_to_forceps(cube, until):
     grasp = pt.tools.Grasp((0.0, 0.0, SIDE), 0.006, lambda t: np.array([-0.05 * t, 0.0, SIDE + 0.05 * t]), until=until)
     trajectory = run(cube, pt.tools.Contact(BALL, press(0.003), friction=0.3), grasp, step=5e-5)
     held = cube.cloud.within("near", (0.0, 0.0, SIDE), 0.006).group("near")
@@ -156,14 +156,14 @@ def test_a_balls_force_is_that_of_hertz(tissue):
     assert -trajectory.reactions["tool"][-3:, 2].mean() == pytest.approx(hertz, rel=0.08)
 
 
-def test_friction_takes_energy_and_frictionless_contact_none(cube):
+def test_friction_dissipates_energy_and_frictionless_contact_does_not(cube):
     slide = lambda t: press(0.002)(t) + np.array([0.1 * max(t - 0.02, 0.0), 0.0, 0.0])  # noqa: E731
     lost = [run(cube, pt.tools.Contact(BALL, slide, mu), duration=0.05).dissipated for mu in (0.0, 0.3)]
     assert np.diff(lost[1])[25:].min() > 0
     assert lost[1][-1] - lost[1][20] > 5 * (lost[0][-1] - lost[0][20])
 
 
-def test_a_support_bears_what_the_tool_gives(cube):
+def test_the_support_bears_the_force_of_the_tool(cube):
     trajectory = run(cube, pt.tools.Contact(BALL, press(0.002)), duration=0.1)
     rest = trajectory.reactions["tool"][-30:].mean(axis=0)
     assert rest[2] < -1e-3
@@ -173,7 +173,7 @@ def test_a_support_bears_what_the_tool_gives(cube):
 # what contact must not do
 
 
-def test_a_tool_never_pulls_and_lets_go_at_once(cube):
+def test_a_tool_never_pulls_and_separates_at_once(cube):
     there = press(0.003)
     back = lambda t: there(t) + np.array([0.0, 0.0, 0.8 * max(t - 0.02, 0.0)])  # noqa: E731
     trajectory = run(cube, pt.tools.Contact(BALL, back), duration=0.04)
@@ -207,7 +207,7 @@ def test_no_patch_enters_a_small_fast_tool(tissue):
     assert trajectory.displacements[-1, under, 2] < -0.005  # it went with the tool
 
 
-def test_a_tool_that_slips_between_the_nodes_is_noticed(tissue):
+def test_a_tool_that_passes_between_nodes_raises(tissue):
     block = pt.box((0.02, 0.02, 0.016), spacing=0.002)
     model = pt.Solid(block, tissue, fixed="z-", form="energy")
     drop = lambda t: np.array([0.011, 0.011, 0.016 + 0.0021 - 2.0 * t])  # noqa: E731
@@ -230,7 +230,7 @@ def test_two_tools_pinch_and_their_forces_add_up(loose):
     assert np.allclose(below[:, 2], -above[:, 2], rtol=0.01, atol=1e-3 * abs(above).max())
 
 
-def test_patches_between_two_planes_keep_out_of_both(loose):
+def test_patches_between_two_planes_enter_neither(loose):
     turned = np.array([0.0, np.pi / 2, 0.0])  # its normal is +x
     start = np.tile([-0.1, 0.0, -0.1], (len(loose.cloud), 1))
     walls = [
@@ -284,7 +284,7 @@ def test_a_plane_dragged_over_the_body_has_forces_on_coulombs_cone(cube):
     assert force[:, 0].min() > 0
 
 
-def test_a_turning_tool_turns_what_sticks_to_it(cube):
+def test_a_turning_tool_turns_sticking_tissue(cube):
     def twist(t):
         return [SIDE / 2, SIDE / 2, SIDE - 0.001 * min(t / 0.02, 1)], [0.0, 0.0, 5.0 * max(t - 0.02, 0.0)]
 
@@ -339,7 +339,7 @@ def test_sampled_turns_are_interpolated_on_the_great_arc():
     assert np.allclose(quaternion, [np.cos(0.25), 0, np.sin(0.25), 0])
 
 
-def test_forceps_hold_turn_and_let_go(cube):
+def test_forceps_hold_turn_and_release_tissue(cube):
     def lift(t):
         return TOP + np.array([0, 0, 0.1 * min(t, 0.02)]), [0, 0, 10.0 * min(t, 0.02)]
 
@@ -356,7 +356,7 @@ def test_forceps_hold_turn_and_let_go(cube):
     assert np.abs(trajectory.displacements[-1, near] - turned).max() > 5e-4
 
 
-def test_a_tool_touches_what_forceps_have_let_go(cube):
+def test_a_tool_touches_nodes_that_forceps_have_released(cube):
     grasp = pt.tools.Grasp(TOP, 0.004, lambda t: TOP + np.array([0, 0, -0.002 * min(t / 0.01, 1)]), until=0.012)
     roof = pt.tools.Contact(pt.tools.Plane(), ([0, 0, SIDE - 0.0005], [0.0, 1.0, 0, 0]), group="grasp")
     with_group = grasp.with_group(cube.cloud)
@@ -367,7 +367,7 @@ def test_a_tool_touches_what_forceps_have_let_go(cube):
     assert trajectory.displacements[-1, with_group.group("grasp"), 2].max() <= -0.0005 + 1e-9
 
 
-def test_moments_are_kept_in_files_and_joined(cube, tmp_path):
+def test_moments_of_tools_are_stored_and_joined(cube, tmp_path):
     loads = [pt.tools.Contact(BALL, press(0.002), friction=0.3)]
     first = run(cube, *loads, duration=0.01)
     kept = first.displacements[-1], first.velocities[-1]
@@ -414,7 +414,7 @@ def test_moments_are_kept_in_files_and_joined(cube, tmp_path):
         ),
     ],
 )
-def test_tools_that_cannot_be_are_refused_by_name(cube, make, message):
+def test_invalid_tools_are_refused_by_name(cube, make, message):
     with pytest.raises(pt.InputError, match=message):
         run(cube, make(), duration=2e-3)
 

@@ -51,7 +51,7 @@ def spread_of(run, cloud):
     return float(np.mean(run.displacements[-1, nodes, 1] * side))
 
 
-def test_the_full_model_is_pinched_and_its_work_is_the_forces_work(body, run):
+def test_a_user_dead_load_does_the_work_of_its_forces_on_the_full_model(body, run):
     assert spread_of(run, body.cloud) > 1e-5
     balance = run.kinetic + run.strain + run.dissipated - run.external
     assert np.abs(balance).max() < 1e-2 * run.external[-1]
@@ -59,7 +59,7 @@ def test_the_full_model_is_pinched_and_its_work_is_the_forces_work(body, run):
 
 @pytest.mark.quick(reduce=[pt.galerkin])
 @pytest.mark.parametrize("reduce", [pt.galerkin, pt.hyper_reduce])
-def test_a_reduced_model_follows(body, run, reduce):
+def test_a_user_dead_load_acts_on_reduced_models(body, run, reduce):
     own = pt.rollout(reduce(body, run, modes=4), [Pinch("x+", 0.05)], duration=4e-3, every=4e-4, progress=False)
     assert spread_of(own, body.cloud) == pytest.approx(spread_of(run, body.cloud), rel=0.05)
 
@@ -74,7 +74,7 @@ def test_the_inputs_of_a_linear_system_are_the_nodal_forces_of_unit_amplitudes(b
     np.testing.assert_allclose(load.amplitudes(np.zeros(1))[0] @ columns, expected, atol=1e-12)
 
 
-def test_a_linear_model_acts_on_the_amplitudes(body):
+def test_the_amplitudes_of_a_dead_load_are_inputs_of_a_linear_model(body):
     """Twice the load, twice the motion."""
     model = pt.lti.reduce_linear(pt.lti.linearise(body, [Pinch("x+", 0.05)], outputs=["x+"]), "modal", modes=20)
     runs = [

@@ -23,7 +23,7 @@ def mean_motion(model, trajectory):
 
 
 @pytest.mark.parametrize("damping", [0.0, 20.0])
-def test_a_block_on_soft_springs_swings_as_a_mass_does(loose, damping):
+def test_a_block_on_soft_springs_oscillates_as_a_mass(loose, damping):
     stiffness = 2e4  # so soft that the block hardly deforms
     speed = np.tile([0.0, 0.0, 0.05], (len(loose.cloud), 1))
     trajectory = pt.rollout(
@@ -36,7 +36,7 @@ def test_a_block_on_soft_springs_swings_as_a_mass_does(loose, damping):
     assert np.allclose(mean_motion(loose, trajectory)[:, 2], expected, atol=0.02 * 0.05 / omega)
 
 
-def test_springs_give_back_what_they_store(loose):
+def test_springs_return_the_stored_energy(loose):
     speed = np.tile([0.02, 0.0, 0.05], (len(loose.cloud), 1))
     trajectory = pt.rollout(loose, [pt.Foundation("z-", 2e4)], duration=0.1, every=1e-3, velocity=speed, progress=False)
     assert np.abs(trajectory.balance).max() < 1e-3 * trajectory.kinetic[0]
@@ -75,7 +75,7 @@ def test_a_patch_of_several_faces_has_all_their_areas(small_cloud, tissue):
         (lambda: pt.Foundation("inside", 1.0), "must be on the surface, got 'inside' with inner nodes 21"),
     ],
 )
-def test_foundations_that_cannot_be_are_refused_by_name(small_cloud, tissue, make, message):
+def test_invalid_foundations_are_refused_by_name(small_cloud, tissue, make, message):
     inside = np.setdiff1d(np.arange(len(small_cloud)), small_cloud.face_nodes)
     cloud = replace(small_cloud, groups={**small_cloud.groups, "inside": inside})
     model = pt.Solid(cloud, tissue, form="energy")

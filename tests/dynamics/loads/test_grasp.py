@@ -30,7 +30,7 @@ def on_nodes(trajectory):
 
 
 @pytest.fixture
-def beside():
+def press():
     """A ball that rubs the edge of what is held, so that its patches share nodes with the forceps."""
     way = lambda time: (0.0, 0.0, SIDE + 0.0075 - 0.1 * min(time, 0.02))  # noqa: E731
     return pt.tools.Contact(pt.tools.Sphere(0.006), way, friction=0.3)
@@ -41,9 +41,9 @@ def forceps():
     return pt.tools.Grasp(TOP, 0.0085, lift, name="forceps")
 
 
-def test_forces_on_nodes_are_the_tools_forces_and_what_a_free_body_gains(small_cloud, tissue, forceps, beside):
+def test_nodal_forces_sum_to_the_tool_forces_and_the_momentum_of_a_free_body(small_cloud, tissue, forceps, press):
     model = pt.Solid(small_cloud, tissue, form="energy")
-    trajectory = run(model, forceps, beside)
+    trajectory = run(model, forceps, press)
     of_tools = sum(trajectory.reactions[name] for name in ("forceps", "tool"))
     size = np.abs(of_tools).max()
     held = forceps.with_group(small_cloud).group("forceps")
@@ -55,7 +55,7 @@ def test_forces_on_nodes_are_the_tools_forces_and_what_a_free_body_gains(small_c
     np.testing.assert_allclose(np.cumsum(of_tools, axis=0) * EVERY, momentum, atol=1e-9 * size * EVERY)
 
 
-def test_a_body_at_rest_pulls_at_every_held_node_by_its_own_force(small_cloud, tissue, forceps):
+def test_at_rest_the_force_on_every_bonded_node_is_its_internal_force(small_cloud, tissue, forceps):
     model = pt.Solid(small_cloud, tissue, "z-", form="energy", stiffness_damping=1e-4)
     trajectory = run(model, forceps, duration=0.1)
     held = forceps.with_group(small_cloud).group("forceps")
@@ -65,7 +65,7 @@ def test_a_body_at_rest_pulls_at_every_held_node_by_its_own_force(small_cloud, t
     np.testing.assert_allclose(last[:, 2:], own, atol=1e-4 * np.abs(own).max())
 
 
-def test_forceps_that_let_go_within_a_frame_give_the_momentum_until_then(small_cloud, tissue, forceps):
+def test_forceps_that_release_within_a_frame_give_the_momentum_until_then(small_cloud, tissue, forceps):
     model = pt.Solid(small_cloud, tissue, form="energy")
     until = 0.0074
     trajectory = run(model, pt.tools.Grasp(TOP, 0.0085, lift, until=until), duration=0.012)
@@ -89,14 +89,14 @@ def test_forces_on_nodes_are_those_of_a_grasp_in_the_energy_form_alone(small_clo
         assert trajectory.reactions["forceps"][-1].any()
 
 
-def test_runs_tell_touched_nodes_from_held_ones_in_memory_and_in_files(small_cloud, tissue, forceps, beside, tmp_path):
+def test_trajectories_and_files_distinguish_touched_from_bonded_nodes(small_cloud, tissue, forceps, press, tmp_path):
     model = pt.Solid(small_cloud, tissue, "z-", form="energy")
-    first = run(model, forceps, beside, duration=0.02, file=tmp_path / "first.h5")
+    first = run(model, forceps, press, duration=0.02, file=tmp_path / "first.h5")
     held = forceps.with_group(small_cloud).group("forceps")
     np.testing.assert_array_equal(first.bonded, np.isin(first.contact_forces[:, 1], held))
     assert not first.bonded.all()
     kept = first.displacements[-1], first.velocities[-1]
-    second = run(model, forceps, beside, duration=0.01, start=0.02, displacement=kept[0], velocity=kept[1])
+    second = run(model, forceps, press, duration=0.01, start=0.02, displacement=kept[0], velocity=kept[1])
     both = first.concatenate(second)
     both.save(tmp_path / "both.h5")
     np.testing.assert_array_equal(both.bonded, np.isin(both.contact_forces[:, 1], held))

@@ -20,12 +20,9 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
         (lambda: pt.SurfaceForce("x-", force=(1, 0, 0)), "got 'x-', which is all fixed or prescribed"),
         (lambda: pt.PrescribedMotion("x-", (0, 0, 0)), "got 'x-', whose nodes 0, 1, .* already fixed or prescribed"),
         (lambda: pt.PrescribedMotion("y-", (0, 0, 0)), "got 'y-'.*already fixed or prescribed"),
-        (lambda: pt.SurfaceForce("x+"), "'x+' must have a force .* or a pressure"),
-        (lambda: pt.SurfaceForce("x+", force=(1, 0, 0), pressure=1.0), "'x+' must have a force .* or a pressure"),
-        (
-            lambda: pt.SurfaceForce("x+", moment=(1, 0, 0), pressure=1.0),
-            "'x+' must have .* moment .* or both, or a pressure",
-        ),
+        (lambda: pt.SurfaceForce("x+"), "'x+' must have a force .* or a moment .*, got neither; .* Pressure"),
+        (lambda: pt.Pressure("top", 1.0), "group must be one of .*, got 'top'"),
+        (lambda: pt.Pressure("x-", 1.0), "group of Pressure must have free nodes, got 'x-'"),
         (lambda: pt.SurfaceForce("x+", moment=(1, 0)), "moment of SurfaceForce on 'x+' must be "),
         (lambda: pt.SurfaceForce("x+", moment=2.0), "moment of SurfaceForce on 'x+' must be "),
         (
@@ -43,16 +40,16 @@ MOVE = pt.PrescribedMotion("tip", (0, 0, 1e-4))
             lambda: pt.SurfaceForce("x+", force=lambda t: (1 / (t < 1e-4) if t < 1e-4 else np.inf, 0, 0)),
             "must be finite, got .* at t = ",
         ),
-        (lambda: pt.SurfaceForce("x+", pressure=lambda t: np.inf), r"pressure of SurfaceForce on 'x\+' must be finite"),
-        (lambda: pt.SurfaceForce("x+", pressure=np.nan), r"pressure of SurfaceForce on 'x\+' must be finite"),
+        (lambda: pt.Pressure("x+", lambda t: np.inf), r"pressure of Pressure on 'x\+' must be finite"),
+        (lambda: pt.Pressure("x+", np.nan), r"pressure of Pressure on 'x\+' must be finite"),
         (lambda: pt.Gravity((0, 0)), "acceleration of Gravity must be "),
         (lambda: pt.Gravity((0, 0, np.inf)), "acceleration of Gravity must be finite"),
         (lambda: pt.PrescribedMotion("tip", (np.nan, 0, 0)), "PrescribedMotion of 'tip' must be finite"),
         (lambda: pt.PrescribedMotion("tip", lambda p, t: p * np.nan), "PrescribedMotion of 'tip' must be finite"),
-        (lambda: "push", "loads must be of SurfaceForce, Gravity, PrescribedMotion, .* got 'push'"),
+        (lambda: "push", "loads must be of SurfaceForce, .*Pressure, Gravity, PrescribedMotion, .* got 'push'"),
     ],
 )
-def test_a_load_that_cannot_be_is_refused_by_name(held, load, message):
+def test_invalid_loads_are_refused_by_name(held, load, message):
     with pytest.raises(pt.InputError, match=message.replace("'x+'", r"'x\+'")):
         pt.rollout(held, [load()], duration=1e-3, every=5e-4)
 
@@ -63,11 +60,12 @@ def test_a_load_that_cannot_be_is_refused_by_name(held, load, message):
         pt.PrescribedMotion("tip", (0, 0)),
         pt.PrescribedMotion("tip", "down"),
         pt.PrescribedMotion("tip", lambda p, t: np.zeros((7, 3))),
-        pt.SurfaceForce("x+", pressure="high"),
-        pt.SurfaceForce("x+", pressure=lambda t: (1, 2, 3)),
+        pt.Pressure("x+", "high"),
+        pt.Pressure("x+", None),
+        pt.Pressure("x+", lambda t: (1, 2, 3)),
     ],
 )
-def test_a_load_of_the_wrong_shape_is_refused_by_name(held, load):
+def test_loads_of_a_wrong_shape_are_refused_by_name(held, load):
     with pytest.raises(pt.InputError, match=load.group.replace("+", r"\+")):
         pt.rollout(held, [load], duration=1e-3, every=5e-4)
 
@@ -83,16 +81,16 @@ def test_a_surface_force_on_a_prescribed_group_is_refused(held):
         pt.rollout(held, loads, duration=1e-3, every=5e-4)
 
 
-def test_a_traction_on_nodes_that_are_no_face_is_refused(bar, tissue):
+def test_a_surface_force_on_nodes_that_are_not_a_face_is_refused(bar, tissue):
     inside = replace(bar, groups={**bar.groups, "deep": np.array([21, 22])})
     model = pt.Solid(inside, tissue, form="strong", stiffness_damping=0.0)
     with pytest.raises(pt.InputError, match="'deep' must lie on one face"):
         model.prepare([pt.SurfaceForce("deep", force=(1, 0, 0))])
 
 
-def test_tractions_on_one_group_add_up(held):
+def test_surface_forces_and_pressures_on_one_group_add_up(held):
     loads = [pt.SurfaceForce("x+", force=(1, 0, 0)), pt.SurfaceForce("x+", force=(0, 2, 0)), pt.Gravity((0, 0, 1))]
-    loads.append(pt.SurfaceForce("x+", pressure=1000.0))
+    loads.append(pt.Pressure("x+", 1000.0))
     prepared = held.prepare(loads)
     total = held.external_force(held.state(prepared), prepared).sum(axis=0)
     np.testing.assert_allclose(total, (1 - 1000 * 0.015**2, 2, held.masses.sum()), rtol=1e-12)
@@ -100,7 +98,7 @@ def test_tractions_on_one_group_add_up(held):
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("group", ["x+", "y+", "z-", "patch"])
-def test_a_moment_sums_to_itself_and_to_no_force(bar, tissue, group, axis):
+def test_forces_of_a_moment_sum_to_the_moment_and_to_zero_force(bar, tissue, group, axis):
     patch = bar.group("x+")[[0, 1, 6, 11]]  # lies skew to the axes, its centroid at no node
     model = pt.Solid(replace(bar, groups={**bar.groups, "patch": patch}), tissue, form="strong", stiffness_damping=0.0)
     moment = 2.0 * np.eye(3)[axis]
@@ -114,16 +112,16 @@ def test_a_moment_sums_to_itself_and_to_no_force(bar, tissue, group, axis):
     np.testing.assert_array_equal(np.delete(force, model.cloud.group(group), axis=0), 0)
 
 
-def test_a_force_and_a_moment_of_one_traction_and_of_two_are_the_same(held):
+def test_force_and_moment_in_one_load_equal_two_loads(held):
     force, moment = (1.0, 2.0, 3.0), (0.1, -0.2, 0.3)
     both = pt.SurfaceForce("x+", force=lambda t: force, moment=lambda t: moment)
     apart = [
         pt.SurfaceForce("x+", force=force),
-        pt.SurfaceForce("z+", pressure=10.0),
+        pt.Pressure("z+", 10.0),
         pt.SurfaceForce("x+", moment=moment),
     ]
     fields = []
-    for loads in ([pt.SurfaceForce("z+", pressure=10.0), both], apart):
+    for loads in ([pt.Pressure("z+", 10.0), both], apart):
         prepared = held.prepare(loads)
         fields.append(held.external_force(held.state(prepared), prepared))
     np.testing.assert_allclose(fields[0], fields[1], rtol=1e-12, atol=1e-12)
@@ -175,7 +173,7 @@ def twist_rate(cells, tissue, moment, width=0.015):
     return (turns[1] - turns[0]) / (2 * width / cells)
 
 
-def test_a_square_bar_twists_as_saint_venant_has_it(tissue):
+def test_a_square_bar_twists_by_saint_venants_formula(tissue):
     """G J per turn with J = 0.1406 width^4 [Timoshenko and Goodier, Theory of Elasticity, section 109]."""
     moment = 1e-6
     expected = moment / (tissue.shear_modulus * 0.1406 * 0.015**4)

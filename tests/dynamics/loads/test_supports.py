@@ -48,7 +48,7 @@ def test_a_pulled_bar_on_rollers_has_the_stretch_of_the_law():
     np.testing.assert_allclose(found.reactions["y-"], 0.0, atol=1e-7)
 
 
-def test_a_turned_body_moves_as_the_body_turned():
+def test_the_motion_of_a_turned_body_is_the_turned_motion():
     """Normals are those of the turned faces; no direction of space is special."""
     cloud = bar()
     straight, oblique = on_rollers(cloud), on_rollers(turned(cloud))
@@ -146,7 +146,7 @@ def test_a_reduced_model_on_rollers_keeps_its_supports_and_forces(tmp_path):
     np.testing.assert_array_equal(pt.rollout(again, [load], **options).displacements, found.displacements)
 
 
-def test_the_compliance_of_the_surface_knows_rollers():
+def test_the_surface_compliance_respects_rollers():
     """Modes and residual flexibility together are the inverse of the stiffness, also in pieces of the body."""
     model = pt.Solid(bar(), SOFT, ["x-", pt.Roller("y-", (0.1, 0.9, 0.2))])
     cloud, free = model.cloud, model.free_directions
@@ -188,7 +188,7 @@ def test_a_rail_is_two_rollers():
         pt.Rail("x+", "x")
 
 
-def test_wrong_supports_are_refused():
+def test_invalid_supports_are_refused():
     cloud = bar()
     with pytest.raises(
         pt.InputError, match=r"normal of Roller on 'y-' must be three finite numbers .* got \(0, 0, 0\)"

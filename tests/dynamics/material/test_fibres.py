@@ -63,7 +63,7 @@ def test_forces_are_minus_the_slope_of_the_energy(name):
 
 
 @pytest.mark.slow
-def test_a_body_squeezed_along_its_fibres_is_one_without():
+def test_fibres_squeezed_along_their_direction_have_no_force():
     F = np.diag([0.8, 0.8**-0.5, 0.8**-0.5])
     with_, without = block(pt.materials.Fibres(**{**HGO, "dispersion": 0.0}, directions=X)), block(None)
     u = with_.cloud.points @ (F - np.eye(3)).T
@@ -94,7 +94,7 @@ def test_a_pulled_bar_stretches_as_its_laws_say():
 
 
 @pytest.mark.slow
-def test_energy_is_kept_while_fibres_come_and_go():
+def test_energy_is_conserved_while_fibres_become_taut_and_slack():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     bar = pt.Solid(
         cloud, TISSUE, "x-", form="energy", stiffness_damping=0.0,
@@ -109,7 +109,7 @@ def test_energy_is_kept_while_fibres_come_and_go():
 
 
 @pytest.mark.slow
-def test_the_step_knows_fibres_that_are_slack():
+def test_the_stable_step_accounts_for_slack_fibres():
     """At rest half of all small motions leave them slack; a step for that half lets stiff fibres blow up."""
     tight = block(pt.materials.Fibres(k1=2e6, k2=1.0, directions=X))
     both, _ = tight.highest_frequency(np.zeros_like(tight.cloud.points), tight.fixed_mask)
@@ -119,7 +119,7 @@ def test_the_step_knows_fibres_that_are_slack():
 
 
 @pytest.mark.slow
-def test_projected_models_have_the_fibres():
+def test_galerkin_models_have_the_fibres():
     body = block(KINDS["two"], fixed="x-", stiffness_damping=1e-5)
     push = [pt.SurfaceForce("x+", force=lambda t: (0.3 * np.sin(200 * t), 0.1, 0.0))]
     run = pt.rollout(body, push, duration=0.01, every=0.0005, progress=False)
@@ -129,7 +129,7 @@ def test_projected_models_have_the_fibres():
     assert found.displacement < 0.02
 
 
-def test_what_cannot_have_fibres_is_refused():
+def test_fibres_in_unsupported_models_are_refused():
     fibres = KINDS["one"]
     with pytest.raises(pt.InputError, match="form='energy'"):
         block(fibres, form="strong")

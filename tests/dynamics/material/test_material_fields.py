@@ -68,7 +68,7 @@ def test_forces_are_the_slope_of_the_energy(prony):
 
 
 @pytest.mark.slow
-def test_materials_that_are_multiples_are_a_stiffness():
+def test_materials_that_are_multiples_equal_stiffness_factors():
     stiff = pt.materials.Gent(mu=3 * SOFT.mu, Jm=SOFT.Jm, **GIVEN)
     one = body({"": SOFT, "far": stiff})
     other = body(SOFT, stiffness={"far": 3.0})
@@ -89,7 +89,7 @@ def test_the_stiffness_at_rest_is_that_of_the_forces():
 
 
 @pytest.mark.slow
-def test_a_material_for_every_node_is_one_by_group():
+def test_materials_by_node_equal_materials_by_group():
     cloud = cloud_of()
     far = np.isin(np.arange(len(cloud)), cloud.group("far"))
     by_node = body([FIRM if there else SOFT for there in far])
@@ -100,7 +100,7 @@ def test_a_material_for_every_node_is_one_by_group():
 
 
 @pytest.mark.slow
-def test_a_reduced_model_knows_the_parts(tmp_path):
+def test_a_reduced_model_has_the_materials_of_the_parts(tmp_path):
     prony = pt.materials.Prony(shares=0.5, times=0.02)
     model = body({"": replace_prony(SOFT, prony), "far": replace_prony(FIRM, prony)})
     loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(150 * t) ** 2 * np.array([0.3, 0.1, 0.0]))]
@@ -134,12 +134,12 @@ def test_a_reduced_model_knows_the_parts(tmp_path):
         ([SOFT, FIRM], "must have one entry for each of the 225 nodes, got 2"),
     ],
 )
-def test_materials_that_do_not_go_together_are_refused(materials, message):
+def test_incompatible_materials_are_refused(materials, message):
     with pytest.raises(pt.InputError, match=message):
         body(materials)
 
 
-def test_the_strong_form_and_membranes_refuse_them():
+def test_the_strong_form_and_membranes_refuse_several_materials():
     with pytest.raises(pt.InputError, match="form='energy'"):
         pt.Solid(cloud_of(), {"": SOFT, "far": FIRM}, "x-", form="strong")
     with pytest.raises(pt.InputError, match="one material"):

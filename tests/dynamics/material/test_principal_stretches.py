@@ -110,7 +110,7 @@ def point(request):
 
 
 @pytest.mark.slow
-def test_a_point_that_is_whole_has_the_laws_energy_and_stress(point):
+def test_a_point_that_is_not_crushed_has_the_energy_and_stress_of_the_law(point):
     law, stress, density = point
     for seed in range(20):
         F = np.eye(3) + np.random.default_rng(seed).uniform(-0.3, 0.3, (3, 3))
@@ -147,7 +147,7 @@ def test_energy_and_stress_have_no_jump_where_a_point_counts_as_crushed(point):
 
 
 @pytest.mark.slow
-def test_a_point_of_no_size_has_finite_energy_and_stress(point):
+def test_a_point_of_zero_volume_has_finite_energy_and_stress(point):
     law, stress, density = point
     crushed = (-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0)
     assert np.isfinite(density(*crushed, law.coefficients)).all()

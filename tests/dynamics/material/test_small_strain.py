@@ -34,7 +34,7 @@ def test_forces_are_linear_in_the_displacements(cloud, form, pressure):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("form", "pressure"), FORMS)
-def test_it_is_the_tangent_of_neo_hookean_at_rest(form, pressure):
+def test_small_strain_is_the_tangent_of_neo_hookean_at_rest(form, pressure):
     cloud = pt.box((SIDE,) * 3, spacing=SIDE / 3, jitter=0.1)
     one, other = (
         stiffness(body(cloud, law, form, pressure, "x-")) for law in (LAW, pt.materials.NeoHookean(C1=MU / 2, **GIVEN))
@@ -72,7 +72,7 @@ def test_uniform_strain_has_hookes_stress(cloud):
         np.testing.assert_allclose(stress, np.broadcast_to(expected, stress.shape), atol=1e-8 * MU)
 
 
-def test_a_membrane_refuses_it():
+def test_a_membrane_refuses_the_small_strain_law():
     law = pt.materials.LinearElastic(mu=MU, density=1000.0, poisson=0.5)
     with pytest.raises(pt.InputError, match="must be a law of large strains"):
         pt.Membrane(pt.disc(0.1, 0.02), law, 1e-3)

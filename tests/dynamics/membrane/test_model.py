@@ -188,7 +188,7 @@ def test_a_free_sheet_keeps_its_momenta():
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("stretch", [1.0, 1.001, 1.2, 2.0])
-def test_simple_tension_and_equal_tension(law, stretch):
+def test_stress_in_simple_and_equal_tension_is_that_of_the_energy(law, stretch):
     model, W = sheet(law=law), LAWS[law]
     step = 1e-5
     above, below = (stretch + step, stretch - step)
@@ -202,7 +202,7 @@ def test_simple_tension_and_equal_tension(law, stretch):
     np.testing.assert_allclose(found, stretch * slope / 2, atol=1e-4 * C1)
 
 
-def test_no_stress_is_compressive_unless_asked_for():
+def test_no_stress_is_compressive_by_default():
     rng = np.random.default_rng(4)
     model, plain = sheet("jittered"), sheet("jittered", relaxed=False)
     u = 0.004 * rng.standard_normal((len(model.cloud), 3))
@@ -211,7 +211,7 @@ def test_no_stress_is_compressive_unless_asked_for():
     assert plain.principal_stress(u).min() < -0.1 * C1
 
 
-def test_tension_and_the_wrinkled_area():
+def test_tension_states_and_the_wrinkled_area_are_those_of_the_stretches():
     model = sheet()
     area = np.pi * RADIUS**2
     for F, state in ((STRETCHED, 2), (NARROWED, 1), (SHRUNK, 0)):
@@ -223,7 +223,7 @@ def test_tension_and_the_wrinkled_area():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("prestretch", [1.0, 1.01, 1.5])
-def test_prestretch_tightens_a_sheet_of_the_same_matter(prestretch):
+def test_prestretch_tightens_a_sheet_of_the_same_mass(prestretch):
     model = sheet(law="MooneyRivlin", prestretch=prestretch)
     assert model.volumes.sum() == pytest.approx(np.pi * RADIUS**2 / prestretch**2 * THICKNESS, rel=1e-9)
     rest = np.zeros((len(model.cloud), 3))
@@ -235,7 +235,7 @@ def test_prestretch_tightens_a_sheet_of_the_same_matter(prestretch):
 @pytest.mark.slow
 @pytest.mark.parametrize(("form", "bound"), [("energy", 0.005), ("strong", 0.025)])
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
-def test_a_taut_sheet_sounds_at_the_zeros_of_bessel(cloud, form, bound):
+def test_a_taut_sheet_vibrates_at_the_zeros_of_bessel(cloud, form, bound):
     prestretch = 1.05
     model = sheet(cloud, prestretch=prestretch, form=form, stiffness_damping=0.0)
     free, step = inside(model), 1e-8
@@ -290,7 +290,7 @@ def test_an_inflated_sheet_rises_as_high_as_the_axisymmetric_one(cloud, axisymme
     model = sheet(cloud)
     u = np.zeros((len(model.cloud), 3))
     u[:, 2] = 0.03 * (1 - np.sum(model.cloud.points**2, axis=1) / RADIUS**2)
-    state, _ = settle(model, [pt.SurfaceForce("face", pressure=-10.0)], u)
+    state, _ = settle(model, [pt.Pressure("face", -10.0)], u)
     assert state.coordinates[model.cloud.group("centre")[0], 2] == pytest.approx(expected, rel=0.01)
 
 
@@ -319,7 +319,7 @@ def run(cloud="rings", after="return", duration=0.15, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize("after", ["return", "hold", "release"])
 @pytest.mark.parametrize("cloud", ["rings", "hexagonal", "jittered"])
-def test_a_slack_sheet_keeps_its_energy_whatever_the_tool_does(cloud, after):
+def test_a_slack_sheet_keeps_its_energy_under_every_motion_of_the_tool(cloud, after):
     _, found = run(cloud, after)
     energy, pushed = found.kinetic + found.strain, found.times <= 0.1 + 1e-9
     assert np.abs(found.balance[pushed]).max() < 2e-3 * found.external[pushed].max()
@@ -338,7 +338,7 @@ def test_jittered_sheets_are_stable(seed):
 
 
 @pytest.mark.slow
-def test_a_returned_sheet_strays_in_the_strong_form():
+def test_the_strong_form_gains_energy_after_the_tool_returns():
     """Why the energy form is the default: the strong form makes energy where the sheet wrinkles."""
     _, right = run("jittered", "return", 0.11)
     try:
@@ -360,7 +360,7 @@ def test_the_sheet_keeps_the_symmetry_of_its_rings():
 
 
 @pytest.mark.slow
-def test_all_layouts_deflect_alike():
+def test_all_layouts_have_nearly_the_same_deflection():
     means = []
     for layout, jitter in (("rings", 0.0), ("hexagonal", 0.0), ("rings", 0.1)):
         cloud = pt.disc(RADIUS, 0.005, layout, jitter, 1)
@@ -371,7 +371,7 @@ def test_all_layouts_deflect_alike():
     assert np.ptp(means) < 0.02 * np.mean(means)
 
 
-def test_a_tool_that_lets_go_feels_nothing_and_leaves_the_sheet_to_itself():
+def test_a_released_tool_has_no_force_and_the_sheet_moves_freely():
     _, held = run("rings", "hold", 0.12)
     model, let = run("rings", "release", 0.12)
     until = let.times <= 0.1 + 1e-9
@@ -383,7 +383,7 @@ def test_a_tool_that_lets_go_feels_nothing_and_leaves_the_sheet_to_itself():
 
 
 @pytest.mark.slow
-def test_threads_do_not_change_a_bit():
+def test_any_number_of_threads_gives_the_same_bits():
     one, threads = None, get_num_threads()
     try:
         for count in (1, threads):
@@ -395,7 +395,7 @@ def test_threads_do_not_change_a_bit():
         set_num_threads(threads)
 
 
-def test_consistent_weights_differentiate_and_balance():
+def test_consistent_weights_differentiate_linear_fields_and_balance_uniform_stress():
     cloud = CLOUDS["jittered"]
     stencils = pt.moving_least_squares(cloud.points, order=2, neighbours=14)
     edges = cloud.boundary_vectors() * cloud.volumes[:, None]
@@ -414,7 +414,7 @@ def test_consistent_weights_differentiate_and_balance():
     assert np.abs(weights - fitted).max() > 1e-3 * np.abs(fitted).max()
 
 
-def test_a_sheet_that_is_slack_all_over_just_drifts():
+def test_a_sheet_that_is_slack_everywhere_only_drifts():
     model = sheet(fixed=())
     shrunk = -0.1 * np.column_stack([model.cloud.points, np.zeros(len(model.cloud))])
     speed = np.broadcast_to([0.0, 0.0, 0.5], shrunk.shape)
@@ -443,7 +443,7 @@ def test_a_cloud_without_a_boundary_is_refused():
         ({"neighbours": 3}, "neighbours"),
     ],
 )
-def test_bad_input_is_named(change, message):
+def test_invalid_arguments_are_refused_by_name(change, message):
     options = {"cloud": CLOUDS["rings"], "material": LAWS["NeoHookean"], "thickness": THICKNESS, "fixed": "rim"}
     with pytest.raises(pt.InputError, match=message):
         pt.Membrane(**(options | change))
@@ -456,19 +456,19 @@ def test_a_solid_refuses_an_incompressible_material():
         LAWS["NeoHookean"].stress(np.eye(3))
 
 
-def test_a_driven_node_on_the_rim_is_refused():
+def test_a_prescribed_node_on_the_rim_is_refused():
     model = sheet(CLOUDS["rings"].within("tool", (RADIUS, 0.0), 0.011))
     with pytest.raises(pt.InputError, match="already fixed"):
         model.prepare([pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))])
 
 
-def test_a_tool_that_holds_the_whole_sheet_is_refused():
+def test_a_tool_that_prescribes_all_nodes_is_refused():
     model = sheet(CLOUDS["rings"].within("tool", (0.0, 0.0), 0.095))
     with pytest.raises(pt.InputError, match="must have free nodes, got all"):
         model.prepare([pt.PrescribedMotion("tool", (0.0, 0.0, 0.01))])
 
 
-def test_a_tool_cannot_let_go_before_it_began():
+def test_a_release_before_the_start_is_refused():
     for until in (-1.0, np.nan, "later", None):
         with pytest.raises(pt.InputError, match="until"):
             pt.PrescribedMotion("tool", (0.0, 0.0, 0.01), until=until)

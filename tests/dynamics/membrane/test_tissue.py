@@ -62,13 +62,13 @@ def test_a_held_equibiaxial_stretch_relaxes_as_the_series_says(relaxing, stretch
     np.testing.assert_allclose(lost[2:], gone[2:], rtol=1e-6)
 
 
-def test_a_prestretched_sheet_is_mounted_at_ease():
+def test_a_prestretched_sheet_starts_fully_relaxed():
     model = made(True, prestretch=1.2)
     stress = model.stress(np.zeros((len(model.cloud), 3)))
     np.testing.assert_allclose(stress[:, 0, 0], MU * (1.2 - 1.2**-5), rtol=1e-9)
 
 
-def test_work_is_stored_or_lost_and_never_made(relaxing):
+def test_work_is_stored_or_dissipated(relaxing):
     """Over a course in which a relaxed sheet is taut, wrinkled and slack."""
     random = np.random.default_rng(3)
     knots = np.array([np.eye(3, 2), *(np.eye(3, 2) + random.uniform(-0.3, 0.35, (10, 3, 2)))])
@@ -106,7 +106,7 @@ def test_forces_are_the_slope_of_the_energy_taut_and_wrinkled(relaxing):
     assert work == pytest.approx(slope, rel=5e-6)
 
 
-def test_a_sheet_let_go_loses_energy_to_its_branches_and_balances():
+def test_a_released_sheet_dissipates_energy_in_its_branches_and_balances():
     model = made(True)
     F = np.diag([1.2, 1.1, 1.0])[:, :2]
     run = pt.rollout(model, [], duration=0.02, every=0.002, displacement=uniform(model, F), progress=False)
@@ -166,7 +166,7 @@ def test_turned_fibres_in_a_bent_sheet_pull_by_the_slope_of_the_energy():
         ({"form": "strong"}, "form='energy'"),
     ],
 )
-def test_sheets_that_cannot_have_them_are_refused(options, message):
+def test_fibres_and_relaxation_in_unsupported_sheets_are_refused(options, message):
     prony = None if "fibres" in options else SERIES
     with pytest.raises(pt.InputError, match=message):
         pt.Membrane(pt.sheet(SHEET, 0.01), pt.materials.NeoHookean(**LAW, prony=prony), 1e-3, **options)
@@ -178,7 +178,7 @@ def test_a_volume_that_relaxes_is_refused():
         made(True, prony=prony)
 
 
-def test_sampled_membranes_refuse_them():
+def test_hyper_reduced_membranes_refuse_fibres_and_relaxation():
     model = made(True)
     run = pt.rollout(model, [], duration=1e-4, every=1e-4, progress=False)
     with pytest.raises(pt.InputError, match="leave out fibres= and prony="):

@@ -96,7 +96,7 @@ def test_a_cube_under_pressure_from_all_sides_shrinks_as_its_law_says(small_clou
     ratio = 0.97
     cauchy = tissue.stress(ratio * np.eye(3)[None])[0, 0, 0] / ratio**2
     sides = ("x-", "x+", "y-", "y+", "z-", "z+")
-    loads = [pt.SurfaceForce(side, pressure=-cauchy) for side in sides]
+    loads = [pt.Pressure(side, -cauchy) for side in sides]
     loads += [pt.Foundation(side, 1e-2) for side in sides]  # far softer than the tissue, against rigid motions
     found = pt.equilibrium(pt.Solid(small_cloud, tissue, form="energy"), loads)
     arms = small_cloud.points - small_cloud.points.mean(axis=0)
@@ -123,7 +123,7 @@ def test_a_mirrored_load_has_the_mirrored_equilibrium(body, bar):
     np.testing.assert_allclose(down.displacements, up.displacements[order] * [1, 1, -1], atol=1e-7)
 
 
-def test_half_the_load_is_a_start_for_the_whole(body, pulled):
+def test_the_solution_of_half_the_load_is_a_valid_start(body, pulled):
     half = pt.equilibrium(body, [pt.SurfaceForce("x+", force=[x / 2 for x in PULL])])
     found = pt.equilibrium(body, [pt.SurfaceForce("x+", force=PULL)], displacement=half.displacements)
     np.testing.assert_allclose(found.displacements, pulled.displacements, atol=1e-7)
@@ -133,7 +133,7 @@ def test_a_taut_sheet_sags_under_pressure_as_a_paraboloid():
     cloud = pt.disc(0.1, 0.01)
     tissue = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.5)
     sheet = pt.Membrane(cloud, tissue, 1e-3, "rim", prestretch=1.1)
-    found = pt.equilibrium(sheet, [pt.SurfaceForce("face", pressure=-0.1)])
+    found = pt.equilibrium(sheet, [pt.Pressure("face", -0.1)])
     nominal = 2 * tissue.C1 * (1.1 - 1.1**-5)
     tension = nominal * 1e-3 / 1.1  # force per mounted length
     radius = np.linalg.norm(cloud.points, axis=1)
@@ -141,7 +141,7 @@ def test_a_taut_sheet_sags_under_pressure_as_a_paraboloid():
     np.testing.assert_allclose(np.abs(found.displacements[:, 2]), expected, atol=0.02 * expected.max())
 
 
-def test_a_slack_sheet_is_not_believed_and_the_message_says_how_far_the_load_went():
+def test_a_slack_sheet_raises_with_the_converged_part_of_the_load():
     tissue = pt.materials.NeoHookean(C1=5e3, density=1000.0, poisson=0.5)
     sheet = pt.Membrane(pt.disc(0.1, 0.02), tissue, 1e-3, "rim")
     with pytest.raises(pt.DivergenceError, match=r"converged up to 0\.0% of the load"):
@@ -160,7 +160,7 @@ def test_relaxing_tissue_is_fully_relaxed(bar, tissue):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "force"), [("axial", (100, 0, 0)), ("sideways", (0, 0, 0.1))])
-def test_the_papers_beam_is_where_finite_elements_have_it(kind, force):
+def test_the_beam_of_the_paper_agrees_with_finite_elements(kind, force):
     path = Path(__file__).parents[3] / "validation" / "reference" / "finite_elements.json"
     rows = [row for row in json.loads(path.read_text())[kind] if row["poisson"] == 0.49]
     expected = next(row["mean_tip"] for row in rows if row["force"] == pytest.approx(max(force)))
@@ -199,7 +199,7 @@ def test_the_preconditioner_is_symmetric_and_positive_and_a_good_inverse(body, p
     np.testing.assert_allclose(tangent(found), forces, atol=0.05)
 
 
-def test_moduli_are_those_of_the_law_and_added_ones_belong_to_the_stress(body, bar, tissue):
+def test_moduli_are_those_of_the_law_plus_those_of_the_stress(body, bar, tissue):
     F = np.eye(3) + 0.1 * np.random.default_rng(1).standard_normal((3, 3))
     u = bar.points @ (F - np.eye(3)).T
     balance = StaticBalance(body, body.prepare([]), 0.0, np.zeros_like(u))
@@ -224,7 +224,7 @@ def test_moduli_are_those_of_the_law_and_added_ones_belong_to_the_stress(body, b
 # refusals
 
 
-def test_what_has_no_static_force_or_no_support_is_refused_by_name(body, bar, tissue):
+def test_loads_without_static_force_and_unsupported_bodies_are_refused_by_name(body, bar, tissue):
     tool = pt.tools.Contact(pt.tools.Sphere(0.01), lambda t: (np.array([0.0, 0.0, 1.0]), np.array([1.0, 0, 0, 0])))
     with pytest.raises(pt.InputError, match=r"loads of equilibrium must be one of .*, got Contact"):
         pt.equilibrium(body, [tool])
@@ -239,6 +239,6 @@ def test_what_has_no_static_force_or_no_support_is_refused_by_name(body, bar, ti
 
 
 def test_a_load_below_rounding_is_in_equilibrium_at_once(body):
-    found = pt.equilibrium(body, [pt.SurfaceForce("x+", pressure=1e-12)])
+    found = pt.equilibrium(body, [pt.Pressure("x+", 1e-12)])
     assert found.iterations == 0
     assert not found.displacements.any()

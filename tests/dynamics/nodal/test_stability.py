@@ -56,7 +56,7 @@ def test_power_iterations_follow_the_body_as_it_stretches(model):
     assert found == pytest.approx(np.sqrt(np.abs(spectrum(model, u)).max()), rel=0.1)
 
 
-def test_damping_by_stepping_agrees_with_the_spectrum(bar, tissue, eigenvalues):
+def test_the_damping_found_by_stepping_agrees_with_the_spectrum(bar, tissue, eigenvalues):
     model = pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=0.0)
     found, growth = _damping_by_steps(model, model.neighbours, model.stability.highest_frequency)
     needed = needed_stiffness_damping(eigenvalues)
@@ -73,7 +73,7 @@ def test_the_needed_damping_stops_the_fastest_growth():
         assert (roots.real.max() > 0) == grows
 
 
-def test_the_report_says_what_decided(model, eigenvalues):
+def test_the_report_has_method_eigenvalue_and_damping(model, eigenvalues):
     report = model.stability
     assert report.method == "dense spectrum"
     assert report.worst_real_part == pytest.approx(eigenvalues.real.min(), rel=1e-3)
@@ -85,7 +85,7 @@ def test_the_report_says_what_decided(model, eigenvalues):
         assert word in str(report)
 
 
-def test_a_given_damping_is_used(bar, tissue):
+def test_the_given_damping_is_used(bar, tissue):
     model = pt.Solid(bar, tissue, form="strong", fixed="x-", stiffness_damping=1.25e-4)
     assert model.stiffness_damping == model.stability.used == 1.25e-4
     assert "not computed" in str(model.stability)
@@ -134,7 +134,7 @@ def test_the_stable_step_shrinks_as_the_body_stretches(model):
 
 
 @pytest.mark.slow
-def test_a_body_that_no_damping_can_calm_is_refused_with_the_node():
+def test_a_body_that_no_damping_stabilises_is_refused_with_the_node():
     cloud = pt.box((0.02,) * 3, spacing=0.005, jitter=0.2)
     tissue = pt.materials.MooneyRivlin(C1=40e3, C2=0, density=1000, poisson=0.499)
     with pytest.raises(pt.CloudError, match=r"unstable at rest.*node \d+.*more neighbours \(now 27\)"):
@@ -142,7 +142,7 @@ def test_a_body_that_no_damping_can_calm_is_refused_with_the_node():
 
 
 @pytest.mark.slow
-def test_large_clouds_are_examined_by_the_step_map(tissue):
+def test_stability_of_large_clouds_is_computed_by_the_step_map(tissue):
     cloud = pt.box((0.04, 0.02, 0.02), spacing=0.0025)
     model = pt.Solid(cloud, tissue, form="strong", fixed="x-")
     report = model.stability

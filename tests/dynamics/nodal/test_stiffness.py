@@ -54,7 +54,7 @@ def test_a_bar_of_two_parts_stretches_as_the_closed_form_says(ratio, cells):
 
 
 @pytest.mark.slow
-def test_one_stiffness_everywhere_is_another_law():
+def test_a_uniform_stiffness_factor_equals_a_stiffer_law():
     cloud = pt.box((0.03, 0.01, 0.01), 0.0025)
     u = 5e-4 * np.sin(150 * cloud.points)
     stiff = pt.materials.NeoHookean(C1=15e3, density=1000.0, poisson=0.45)
@@ -80,7 +80,7 @@ def test_forces_are_the_slope_of_the_energy_at_an_interface():
 
 
 @pytest.mark.slow
-def test_a_reduced_model_knows_the_stiffer_part(tmp_path):
+def test_a_reduced_model_has_the_stiffer_part(tmp_path):
     model = bar(0.005, 5.0, stiffness_damping=2e-5)
     loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(150 * t) ** 2 * np.array([0.05, 0.01, 0.0]))]
     run = pt.rollout(model, loads, duration=0.03, every=0.001, progress=False)
@@ -130,6 +130,6 @@ def test_bad_stiffness_is_refused(stiffness, message):
         pt.Solid(cloud, TISSUE, "x-", form="energy", stiffness=stiffness)
 
 
-def test_the_strong_form_refuses_it():
+def test_the_strong_form_refuses_stiffness_factors():
     with pytest.raises(pt.InputError, match="form='energy'"):
         pt.Solid(pt.box((0.06, 0.01, 0.01), 0.0025), TISSUE, "x-", form="strong", stiffness={"x+": 2.0})

@@ -38,7 +38,7 @@ def test_a_refused_run_leaves_no_file(held, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_snapshots_stand_at_the_times_asked_for(run):
+def test_snapshots_are_at_the_requested_times(run):
     np.testing.assert_allclose(run.times, np.arange(61) * 0.0005, rtol=1e-12, atol=1e-15)
     assert run.displacements.shape == run.velocities.shape == (61, 112, 3)
     assert run.reactions["x-"].shape == (61, 3)
@@ -59,7 +59,7 @@ def test_halving_the_step_changes_little(held, pull):
     np.testing.assert_allclose(ends[1], ends[2], atol=5e-3 * np.abs(ends[2]).max())
 
 
-def test_divergence_says_when_where_and_with_what_and_keeps_the_frames(held, tmp_path):
+def test_a_divergence_names_time_node_step_and_damping_and_keeps_the_frames(held, tmp_path):
     path = tmp_path / "run.h5"
     strong = pt.SurfaceForce("x+", force=lambda t: (1.0, 0, 0) if t < 2e-3 else (5e4, 0, 0))
     with pytest.raises(pt.DivergenceError) as caught, np.errstate(all="ignore"):
@@ -80,7 +80,7 @@ def test_a_step_far_too_long_diverges(held):
         pt.rollout(held, [PULL], duration=0.1, every=5e-4, step=5e-4)
 
 
-def test_a_body_that_runs_away_is_stopped(free):
+def test_a_run_of_a_diverging_body_is_stopped(free):
     with pytest.raises(pt.DivergenceError, match="more than 100 times its size"):
         pt.rollout(free, velocity=np.full((64, 3), 1e3), duration=0.01, every=0.005)
 
@@ -103,7 +103,7 @@ def crushed():
 
 
 @pytest.mark.slow
-def test_crushed_tissue_is_let_go_with_as_short_steps_as_it_needs(crushed, monkeypatch):
+def test_steps_are_shortened_as_crushed_tissue_is_released(crushed, monkeypatch):
     model, poke = crushed
     run = pt.rollout(model, poke, duration=0.2, every=0.01, progress=False)
     assert run.complete
@@ -149,7 +149,7 @@ def test_an_interrupted_run_keeps_its_frames(held, tmp_path):
     np.testing.assert_allclose(kept.displacements[-1], whole.displacements[-1], atol=1e-12)
 
 
-def test_a_streamed_run_is_what_was_returned(held, tmp_path):
+def test_a_streamed_run_equals_the_returned_run(held, tmp_path):
     path = tmp_path / "run.h5"
     returned = pt.rollout(held, [PULL], duration=2e-3, every=5e-4, file=path)
     read = pt.Trajectory.load(path)
@@ -169,14 +169,14 @@ def test_a_streamed_run_is_what_was_returned(held, tmp_path):
     np.testing.assert_array_equal(read.reactions["x-"], returned.reactions["x-"])
 
 
-def test_no_bar_is_shown_where_nobody_watches(held, capfd):
+def test_no_progress_bar_is_shown_without_a_terminal(held, capfd):
     pt.rollout(held, [PULL], duration=1e-3, every=5e-4)
     out, err = capfd.readouterr()
     assert out == ""
     assert err.strip() == ""
 
 
-def test_progress_is_told_at_every_snapshot(held):
+def test_progress_is_called_at_every_snapshot(held):
     told = []
     run = pt.rollout(
         held, [PULL], duration=1e-3, every=2.5e-4, start=0.1, progress=lambda *reached: told.append(reached)

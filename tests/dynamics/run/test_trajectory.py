@@ -35,7 +35,7 @@ def path(tmp_path):
     return tmp_path / "run.h5"
 
 
-def test_what_is_saved_is_loaded(run, path):
+def test_a_loaded_trajectory_equals_the_saved_one(run, path):
     run.save(path)
     again = pt.Trajectory.load(path)
     for field in fields(pt.Trajectory):
@@ -140,7 +140,7 @@ def test_a_frame_that_is_not_finite_is_refused_when_it_is_read(run, path, forge)
         ("another", 1, "header must have"),
     ],
 )
-def test_what_no_header_says_is_refused(run, path, forge, name, value, message):
+def test_forged_headers_are_refused(run, path, forge, name, value, message):
     run.save(path)
     forge(path, lambda header, arrays: header.update({name: value}), FORMAT, VERSION)
     with pytest.raises(pt.FileFormatError, match=rf"run\.h5.*{message}"):
@@ -161,7 +161,7 @@ def test_what_no_header_says_is_refused(run, path, forge, name, value, message):
         ("kinetic", np.zeros(2, dtype="<f4")),
     ],
 )
-def test_arrays_that_no_run_has_are_refused(run, path, forge, name, value):
+def test_forged_arrays_are_refused(run, path, forge, name, value):
     run.save(path)
 
     def change(header, arrays):
@@ -211,7 +211,7 @@ def cut(path, run, label=""):
     return ends
 
 
-def test_a_run_that_was_cut_off_keeps_its_frames(run, path):
+def test_a_truncated_run_keeps_its_frames(run, path):
     ends = cut(path, run, "mine")
     kept, stored = pt.Trajectory.load(path), StoredTrajectory(path)
     assert (kept.complete, kept.label, stored.label) == (False, "mine", "mine")
@@ -226,7 +226,7 @@ def test_a_run_that_was_cut_off_keeps_its_frames(run, path):
         cut(path, run, "mine")
 
 
-def test_a_damaged_journal_is_refused_and_not_shortened(run, path):
+def test_a_damaged_journal_is_refused_and_not_truncated(run, path):
     ends = cut(path, run)
     data, generator = path.read_bytes(), np.random.default_rng(6)
     for place in [*range(0, 30, 5), ends[4], ends[4] + 9, *generator.integers(len(data), size=60)]:
@@ -276,14 +276,14 @@ def test_an_unwritable_place_is_named(run, held, tmp_path):
         pt.rollout(held, duration=1e-3, every=1e-3, file=path)
 
 
-def test_a_folder_is_not_a_file(run, tmp_path):
+def test_a_folder_in_place_of_a_file_is_refused(run, tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(OSError, match="folder"):
         run.save(tmp_path / "folder")
     assert os.listdir(tmp_path) == ["folder"]
 
 
-def test_a_full_disk_leaves_the_old_file_and_nothing_else(run, path, disk):
+def test_a_full_disk_leaves_only_the_old_file(run, path, disk):
     replace(run, model="old").save(path)
     disk(0)
     with pytest.raises(OSError, match=f"cannot write {path}.*the disk is full"):
@@ -324,7 +324,7 @@ def test_the_balance_is_kinetic_and_strain_and_dissipated_less_external(run):
     [["a", "a/b"], ["a/b", "a"], ["."], [".."], ["", "%"], ["a//b", "a/b"], ["a", "./a", "/a", "a/"], ["a\0b", "a"],
      ["a%2Fb", "a/b"], ["Leber \u4e2d"], ["x" * 70_000]],
 )  # fmt: skip
-def test_groups_of_any_name_keep_their_forces(run, path, names):
+def test_forces_of_groups_of_any_name_are_stored(run, path, names):
     forces = {name: np.full((len(run.times), 3), float(k)) for k, name in enumerate(names)}
     replace(run, reactions=forces, moments=forces, label="\0").save(path)
     loaded = pt.Trajectory.load(path)
@@ -334,7 +334,7 @@ def test_groups_of_any_name_keep_their_forces(run, path, names):
         np.testing.assert_array_equal(loaded.moments[name], force)
 
 
-def test_a_name_that_cannot_be_read_again_is_refused_before_the_run(run, held, path):
+def test_a_label_that_cannot_be_stored_is_refused_before_the_run(run, held, path):
     with pytest.raises(pt.InputError, match="surrogate"):
         replace(run, label="\ud800").save(path)
     with pytest.raises(pt.InputError, match="surrogate"):
@@ -342,7 +342,7 @@ def test_a_name_that_cannot_be_read_again_is_refused_before_the_run(run, held, p
     assert not list(path.parent.iterdir())
 
 
-def test_a_signal_between_a_time_and_its_frame_costs_no_other_frame(held, path, monkeypatch):
+def test_a_signal_during_a_frame_loses_no_other_frame(held, path, monkeypatch):
     class Interrupted(list):
         def append(self, frame):
             if len(self) == 2:
@@ -364,12 +364,12 @@ def test_a_signal_between_a_time_and_its_frame_costs_no_other_frame(held, path, 
 
 
 @pytest.mark.parametrize("name", ["", ".", "a\0b.h5"])
-def test_what_is_no_name_of_a_file_is_refused(run, name):
+def test_names_that_are_not_file_names_are_refused(run, name):
     with pytest.raises(OSError, match="not a file name"):
         run.save(name)
 
 
-def test_displacements_that_no_run_has_are_refused(run, path, forge):
+def test_forged_displacements_are_refused(run, path, forge):
     run.save(path)
     forge(path, lambda header, arrays: arrays["displacements"].__setitem__(3, 1e160), FORMAT, VERSION)
     with pytest.raises(pt.FileFormatError, match="displacements must be at most"):

@@ -62,7 +62,7 @@ def test_pressure_all_around_shrinks_a_body_evenly(small_cloud, tissue):
     model = pt.Solid(small_cloud, tissue, form="strong", stiffness_damping=0.0)
     F = 0.95 * np.eye(3)
     cauchy = (tissue.stress(F) @ F.T / np.linalg.det(F))[0, 0]
-    prepared = model.prepare([pt.SurfaceForce(side, pressure=-cauchy) for side in ("x-", "x+", "y-", "y+", "z-", "z+")])
+    prepared = model.prepare([pt.Pressure(side, -cauchy) for side in ("x-", "x+", "y-", "y+", "z-", "z+")])
     rates = model.acceleration(model.state(prepared, -0.05 * small_cloud.points), prepared)
     np.testing.assert_allclose(rates, 0, atol=1e-9 * abs(cauchy) / (1000 * 0.005))
 
@@ -70,7 +70,7 @@ def test_pressure_all_around_shrinks_a_body_evenly(small_cloud, tissue):
 def test_pressure_follows_the_face_as_it_stretches_and_turns(small_cloud, tissue, rotation):
     model = pt.Solid(small_cloud, tissue, form="strong", stiffness_damping=0.0)
     F = rotation @ np.diag([1.1, 0.9, 1.3])
-    prepared = model.prepare([pt.SurfaceForce("x+", pressure=lambda t: 100.0)])
+    prepared = model.prepare([pt.Pressure("x+", lambda t: 100.0)])
     state = model.state(prepared, small_cloud.points @ (F - np.eye(3)).T)
     normal, area = rotation[:, 0], 0.015**2 * 0.9 * 1.3
     np.testing.assert_allclose(model.external_force(state, prepared).sum(axis=0), -100 * area * normal, rtol=1e-10)
@@ -79,7 +79,7 @@ def test_pressure_follows_the_face_as_it_stretches_and_turns(small_cloud, tissue
 def test_a_pressure_at_rest_is_a_force_against_the_normal(small_cloud, tissue):
     model = pt.Solid(small_cloud, tissue, form="strong", stiffness_damping=0.0)
     forces = []
-    for load in (pt.SurfaceForce("x+", pressure=100.0), pt.SurfaceForce("x+", force=(-100 * 0.015**2, 0, 0))):
+    for load in (pt.Pressure("x+", 100.0), pt.SurfaceForce("x+", force=(-100 * 0.015**2, 0, 0))):
         prepared = model.prepare([load])
         forces.append(model.external_force(model.state(prepared), prepared))
     np.testing.assert_allclose(forces[0], forces[1], rtol=1e-12, atol=1e-18)
@@ -89,7 +89,7 @@ def test_a_small_following_pressure_acts_like_a_fixed_force(held):
     area = 0.015**2
     runs = [
         pt.rollout(held, [load], duration=0.005, every=0.005).displacements[-1]
-        for load in (pt.SurfaceForce("x+", pressure=10.0), pt.SurfaceForce("x+", force=(-10 * area, 0, 0)))
+        for load in (pt.Pressure("x+", 10.0), pt.SurfaceForce("x+", force=(-10 * area, 0, 0)))
     ]
     strain = 10 / held.material.shear_modulus
     assert np.abs(runs[1]).max() > 1e-7

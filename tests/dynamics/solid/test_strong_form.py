@@ -134,7 +134,7 @@ def test_the_split_form_is_exact_where_the_pressure_is_linear(cloud, material):
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_the_split_form_is_close_where_the_pressure_bends(cloud, material):
+def test_the_split_form_is_close_where_the_pressure_is_not_linear(cloud, material):
     model = pt.Solid(cloud, material, form="strong", stiffness_damping=0.0)
     deformation = Quadratic(seed=1, amount=0.05)
     expected = balance(model, deformation)

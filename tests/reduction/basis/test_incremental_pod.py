@@ -56,7 +56,7 @@ def blocks(snapshots, size=BLOCK):
 
 
 @pytest.mark.parametrize("allowed", [0.0, 1e-8, 1e-4])
-def test_singular_values_keep_to_the_bound_and_never_exceed(snapshots, weights, allowed):
+def test_singular_values_are_within_the_bound_and_never_too_large(snapshots, weights, allowed):
     roots = np.repeat(np.sqrt(weights), 3)
     rows = snapshots.reshape(70, -1) * roots
     exact = np.linalg.svd(rows, compute_uv=False)
@@ -72,7 +72,7 @@ def test_singular_values_keep_to_the_bound_and_never_exceed(snapshots, weights, 
 
 @pytest.mark.parametrize("count", [3, 10, 20])
 @pytest.mark.parametrize("allowed", [0.0, 1e-8])
-def test_what_modes_miss_is_what_is_told(snapshots, weights, allowed, count):
+def test_the_reported_projection_error_is_the_true_one(snapshots, weights, allowed, count):
     roots = np.repeat(np.sqrt(weights), 3)
     rows = snapshots.reshape(70, -1) * roots
     found = decompose(blocks(snapshots), lambda u: u * weights[:, None], allowed, least=count)
@@ -83,7 +83,7 @@ def test_what_modes_miss_is_what_is_told(snapshots, weights, allowed, count):
     assert missed <= best + found.dropped + 1e-14
 
 
-def test_a_pod_by_blocks_is_that_of_all(snapshots, weights, small_blocks, monkeypatch):
+def test_a_pod_by_blocks_equals_that_of_all_snapshots(snapshots, weights, small_blocks, monkeypatch):
     found = pt.pod(snapshots, weights, modes=12)
     monkeypatch.setattr(incremental, "MAX_BLOCK", 800)
     exact = pt.pod(snapshots, weights, modes=12)
@@ -96,7 +96,7 @@ def test_a_pod_by_blocks_is_that_of_all(snapshots, weights, small_blocks, monkey
     assert found.dropped > 0
 
 
-def test_snapshots_read_from_files_are_those_in_memory(run, files):
+def test_snapshots_from_files_equal_those_in_memory(run, files):
     stored = Snapshots(files)
     assert (len(stored), stored.lengths, stored.nodes) == (61, [20, 41], len(run.points))
     np.testing.assert_array_equal(np.concatenate(list(stored.blocks(9))), run.displacements)
@@ -118,7 +118,7 @@ def test_the_products_of_strain_are_those_of_the_gradients(held):
     assert abs(found - expected) < 1e-12 * size
 
 
-def test_modes_of_strain_by_blocks_span_those_of_all(run, held, monkeypatch):
+def test_modes_of_strain_by_blocks_span_those_of_all_snapshots(run, held, monkeypatch):
     whole, _ = main_modes(held, run.displacements, 6)
     monkeypatch.setattr(incremental, "MAX_BLOCK", BLOCK)
     found, lost = main_modes(held, Snapshots(run), 6)
@@ -127,7 +127,7 @@ def test_modes_of_strain_by_blocks_span_those_of_all(run, held, monkeypatch):
     assert cosines.min() > 1 - 1e-6
 
 
-def test_a_model_trained_on_files_is_that_trained_in_memory(bar, tissue, files, calm):
+def test_a_model_trained_on_files_equals_one_trained_in_memory(bar, tissue, files, calm):
     body = pt.Solid(bar, tissue, fixed="x-", form="energy", stiffness_damping=calm)
     stored = pt.hyper_reduce(body, files, modes=4)
     loaded = pt.hyper_reduce(body, [pt.Trajectory.load(path) for path in files], modes=4)
@@ -136,7 +136,7 @@ def test_a_model_trained_on_files_is_that_trained_in_memory(bar, tissue, files, 
 
 
 @pytest.mark.parametrize("change", ["missing", "truncated", "text"])
-def test_files_that_hold_no_run_are_refused(files, tmp_path, held, change):
+def test_files_that_are_not_a_run_are_refused(files, tmp_path, held, change):
     path = tmp_path / "run.h5"
     content = files[0].read_bytes()
     if change != "missing":

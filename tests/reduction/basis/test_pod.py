@@ -36,7 +36,7 @@ def test_modes_are_orthonormal_in_the_inner_product(snapshots, weights):
 
 
 @pytest.mark.parametrize("modes", [1, 3, 7, 11])
-def test_what_modes_leave_is_the_sum_of_the_other_eigenvalues_27(snapshots, weights, modes):
+def test_the_projection_error_is_the_sum_of_the_other_eigenvalues_27(snapshots, weights, modes):
     basis = pt.pod(snapshots, weights, modes=modes)
     left = snapshots - basis.lift(basis.project(snapshots))
     total = norms(snapshots, weights).sum()
@@ -55,7 +55,7 @@ def test_singular_values_and_modes_are_those_of_numpy(weights, count):
     np.testing.assert_allclose(np.abs(cosine), 1, rtol=1e-9)
 
 
-def test_small_singular_values_keep_their_digits(snapshots, weights):
+def test_small_singular_values_are_accurate(snapshots, weights):
     roots = np.repeat(np.sqrt(weights), 3)
     exact = np.linalg.svd(snapshots.reshape(12, -1) * roots, compute_uv=False)
     found = pt.pod(snapshots, weights, modes=1).singular_values
@@ -63,20 +63,20 @@ def test_small_singular_values_keep_their_digits(snapshots, weights):
 
 
 @pytest.mark.parametrize("tolerance", [0.3, 1e-2, 1e-5])
-def test_a_tolerance_takes_the_fewest_modes_that_meet_it(snapshots, weights, tolerance):
+def test_a_tolerance_selects_the_fewest_modes_that_meet_it(snapshots, weights, tolerance):
     basis = pt.pod(snapshots, weights, tolerance=tolerance)
     assert np.sqrt(basis.lost_energy) <= tolerance
     assert len(basis) == 1 or np.sqrt(basis.truncated(len(basis) - 1).lost_energy) > tolerance
 
 
-def test_no_other_basis_of_that_size_holds_more(snapshots, weights):
+def test_no_other_basis_of_that_size_has_a_smaller_projection_error(snapshots, weights):
     basis = pt.pod(snapshots, weights, modes=3)
     other = pt.pod(snapshots[:6], weights, modes=3)
     left = norms(snapshots - other.lift(other.project(snapshots)), weights).sum()
     assert basis.lost_energy * norms(snapshots, weights).sum() <= left
 
 
-def test_projecting_what_was_lifted_gives_the_coordinates(snapshots, weights):
+def test_projecting_lifted_coordinates_gives_the_coordinates(snapshots, weights):
     basis = pt.pod(snapshots, weights, modes=5)
     coordinates = np.random.default_rng(0).normal(size=(4, 5))
     np.testing.assert_allclose(basis.project(basis.lift(coordinates)), coordinates, atol=1e-12)
@@ -103,7 +103,7 @@ def test_several_trajectories_count_as_one_set_of_snapshots(run, held):
     assert apart.snapshots == 61
 
 
-def test_many_snapshots_of_many_nodes_stay_in_memory():
+def test_many_snapshots_of_many_nodes_use_bounded_memory():
     resource = pytest.importorskip("resource")
     snapshots = np.random.default_rng(0).normal(size=(100, 5000, 3))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -132,7 +132,7 @@ def test_arguments_that_do_not_fit_are_refused(snapshots, weights, change, messa
         pt.pod(change.pop("snapshots", snapshots), weights, **change)
 
 
-def test_copies_of_one_snapshot_hold_one_mode(snapshots, weights):
+def test_copies_of_one_snapshot_have_one_mode(snapshots, weights):
     copies = np.repeat(snapshots[:1], 5, axis=0)
     assert len(pt.pod(copies, weights, tolerance=1e-6)) == 1
     with pytest.raises(pt.InputError, match="modes must be at most 1"):

@@ -53,23 +53,20 @@ def moved(tools, before, after):
     tools.frames[0, 0, :, 3], tools.frames[0, 1, :, 3] = before, after
 
 
-def gaps(contact_state, tools):
-    count = contact_state.numbers[0]
+def gaps(contact, tools):
+    count = contact.numbers[0]
     return np.array(
-        [
-            gap(0, tools.sizes[t], tools.frames[t, 1], *contact_state.now[e])
-            for e, t in enumerate(contact_state.tool[:count])
-        ]
+        [gap(0, tools.sizes[t], tools.frames[t, 1], *contact.now[e]) for e, t in enumerate(contact.tool[:count])]
     )
 
 
-def test_no_node_stays_inside_and_no_force_pulls():
+def test_no_node_is_inside_the_tool_and_no_force_pulls():
     of = flat_skin()
-    contact_state, tools = contact_scratch(of, 1), ball(of)
+    contact, tools = contact_scratch(of, 1), ball(of)
     moved(tools, (0, 0, RADIUS), (0.0005, 0, RADIUS - 0.002))
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
-    found, forces = gaps(contact_state, tools), contact_state.push[: contact_state.numbers[0]]
-    assert contact_state.numbers[0] > 20
+    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    found, forces = gaps(contact, tools), contact.push[: contact.numbers[0]]
+    assert contact.numbers[0] > 20
     assert found[:, 0].min() > -2e-3 * 0.002
     along = np.sum(forces * found[:, 1:], axis=1)
     assert along.min() >= 0
@@ -79,13 +76,13 @@ def test_no_node_stays_inside_and_no_force_pulls():
     np.testing.assert_allclose(found[on, 0], 0.0, atol=2e-3 * 0.002)  # where it is pushed it touches
 
 
-def test_what_the_tool_gets_is_what_the_nodes_and_coordinates_get():
+def test_tool_forces_equal_those_on_nodes_and_coordinates():
     of = flat_skin()
-    contact_state, tools = contact_scratch(of, 1), ball(of, friction=0.4)
+    contact, tools = contact_scratch(of, 1), ball(of, friction=0.4)
     moved(tools, (0, 0, RADIUS), (0.001, 0.0004, RADIUS - 0.002))
     step = 1e-3
-    work, lost = settle(of, contact_state, tools, np.zeros(3), np.zeros(3), step, HELD, 3)
-    forces, places = contact_state.force[0], contact_state.place[0]
+    work, lost = settle(of, contact, tools, np.zeros(3), np.zeros(3), step, HELD, 3)
+    forces, places = contact.force[0], contact.place[0]
     np.testing.assert_allclose(tools.impulses[0, :3], step * forces.sum(axis=0), rtol=1e-12)
     on = forces.any(axis=1)
     arms = places[on] - tools.frames[0, 1, :, 3]
@@ -99,33 +96,33 @@ def test_what_the_tool_gets_is_what_the_nodes_and_coordinates_get():
 
 def test_a_dragged_ball_slides_at_coulombs_limit_and_sticks_below_it():
     of = flat_skin()
-    contact_state, tools = contact_scratch(of, 1), ball(of, friction=0.3)
+    contact, tools = contact_scratch(of, 1), ball(of, friction=0.3)
     place = np.array([0.0, 0.0, RADIUS])
     for way in [np.array([0, 0, -0.00025])] * 8 + [np.array([0.0002, 0, 0])] * 30:
         moved(tools, place, place + way)
-        settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+        settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
         place = place + way
-        found, forces = gaps(contact_state, tools), contact_state.push[: contact_state.numbers[0]]
+        found, forces = gaps(contact, tools), contact.push[: contact.numbers[0]]
         along = np.sum(forces * found[:, 1:], axis=1)
         across = np.linalg.norm(forces - along[:, None] * found[:, 1:], axis=1)
         assert np.all(across <= 0.3 * along + 2e-3 * along.max())
     np.testing.assert_allclose(across.sum(), 0.3 * along.sum(), rtol=0.05)
 
 
-def test_two_tools_and_none():
+def test_two_equal_tools_have_equal_forces_and_a_tool_without_contact_has_none():
     of = flat_skin()
-    contact_state, tools = contact_scratch(of, 2), ball(of, tools=2)
+    contact, tools = contact_scratch(of, 2), ball(of, tools=2)
     for t, x in enumerate((-0.006, 0.006)):
         tools.frames[t, :, :, 3] = (x, 0, RADIUS - 0.001)
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
     np.testing.assert_allclose(tools.impulses[0, 2], tools.impulses[1, 2], rtol=2e-3)  # alike
     tools.frames[:, :, 2, 3] += 1.0
-    settle(of, contact_state, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
-    assert not contact_state.force.any()
+    settle(of, contact, tools, np.zeros(3), np.zeros(3), 1e-3, HELD, 3)
+    assert not contact.force.any()
     assert not tools.load.any()
 
 
-def test_dents_are_the_compliance_times_the_forces():
+def test_contact_displacements_are_the_compliance_times_the_forces():
     points = np.random.default_rng(1).random((30, 3))
     compliance = falling(points, np.arange(5, 30), [0.1, 0.4], [2.0, 3.0], 1.0)
     forces = np.zeros((30, 3))
@@ -161,7 +158,7 @@ def pressed():
     return body, runs, model
 
 
-def test_runs_tell_which_nodes_tools_touched(pressed, tmp_path):
+def test_contact_forces_of_a_run_sum_to_the_reactions_and_are_stored(pressed, tmp_path):
     _, (run, *_), _ = pressed
     pushes = np.zeros((len(run.times), 3))
     np.add.at(pushes, run.contact_forces[:, 0].astype(int), run.contact_forces[:, 2:])
@@ -185,7 +182,7 @@ def test_force_and_surface_of_a_press_it_was_not_trained_on(pressed):
     assert np.abs(own.balance).max() < 0.05 * own.external.max()
 
 
-def test_the_inside_moves_with_its_dents(pressed):
+def test_interior_nodes_follow_the_contact_displacements(pressed):
     """Where the modes alone are half the press away, and the surface, forces and energy are what they were."""
     body, runs, model = pressed
     alone = pt.ReducedModel(replace(model.data, compliance=model.data.compliance._replace(interior=None)))
@@ -213,7 +210,7 @@ def test_the_inside_moves_with_its_dents(pressed):
     assert pt.relative_errors(runs[-1], own).displacement < pt.relative_errors(runs[-1], bare).displacement
 
 
-def test_forces_are_made_those_of_runs(pressed):
+def test_calibration_matches_the_forces_of_full_runs(pressed):
     body, runs, model = pressed
     trials = [(press(0.021, 0.027), runs[0])]
     measured = pt.hyper_reduce(body, runs[:-1], modes=0, enrichment=pt.vibration_modes(body, 24)[0], repeated=trials)
@@ -269,7 +266,7 @@ def test_a_large_body_with_tools_requires_a_coarse_one(pressed, monkeypatch):
 
 
 @pytest.mark.parametrize("longer", [0.0, 1e9, -1.0])
-def test_runs_that_no_model_can_follow_are_refused(pressed, longer):
+def test_training_runs_that_no_model_can_follow_are_refused(pressed, longer):
     body, runs, _ = pressed
     with pytest.raises(pt.InputError, match="runs that the model can follow"):
         pt.hyper_reduce(
@@ -277,7 +274,7 @@ def test_runs_that_no_model_can_follow_are_refused(pressed, longer):
         )
 
 
-def test_the_surface_of_its_own_is_needed(pressed):
+def test_without_surface_compliance_the_force_is_far_too_large(pressed):
     """What the modes alone, without the surface's compliance, make of it: a far too large force."""
     _body, runs, model = pressed
     stiff = pt.ReducedModel(replace(model.data, compliance=model.data.compliance.scaled(1e-3)))
@@ -285,7 +282,7 @@ def test_the_surface_of_its_own_is_needed(pressed):
     assert np.abs(own.reactions["tool"]).max() > 1.3 * np.abs(runs[-1].reactions["tool"]).max()
 
 
-def test_saved_and_loaded_it_runs_the_same(pressed, tmp_path):
+def test_a_loaded_model_has_the_same_run(pressed, tmp_path):
     _, _, model = pressed
     pt.save(model, tmp_path / "block.rom")
     first, second = (
@@ -295,7 +292,7 @@ def test_saved_and_loaded_it_runs_the_same(pressed, tmp_path):
     np.testing.assert_array_equal(first.reactions["tool"], second.reactions["tool"])
 
 
-def test_what_cannot_be_touched_is_refused(pressed):
+def test_invalid_contact_of_a_reduced_model_is_refused(pressed):
     body, runs, model = pressed
     with pytest.raises(pt.InputError, match="must start outside the body"):
         pt.rollout(model, [pt.tools.Contact(pt.tools.Sphere(BALL), (0.03, 0.03, SIZE[2]))], duration=0.01, every=0.01)
@@ -317,8 +314,8 @@ def run_without(run):
     return replace(run, contact_forces=np.zeros((0, 5)))
 
 
-def test_the_engine_feels_what_a_run_feels(pressed):
-    """Periods of the engine's compiled step beside `rollout`: the same ball, the same way, the same force."""
+def test_the_engine_has_the_tool_force_of_a_run(pressed):
+    """Periods of the compiled step of the engine and `rollout`: equal paths of a ball give equal forces."""
     _, _, model = pressed
     depth, rate, home = 0.004, 1000, (0.024, 0.038, SIZE[2] + BALL + 0.001)
     slow = pt.tools.Contact(
@@ -369,7 +366,7 @@ def test_the_engine_turns_a_tool_from_its_pose_at_the_start(pressed):
     np.testing.assert_allclose(means, run.reactions["tool"][1:], atol=0.05 * peak)
 
 
-def test_a_stiffening_surface_makes_no_energy():
+def test_a_stiffening_surface_produces_no_energy():
     """A model of one press, whose surface stiffens fifty times: its force must not lag behind its depth."""
     tissue = pt.materials.MooneyRivlin(C1=1e3, C2=0.0, density=1000.0, poisson=0.45)
     body = pt.Solid(pt.box((0.06, 0.06, 0.03), spacing=0.006), tissue, "z-", form="energy", stiffness_damping=1e-4)
@@ -394,7 +391,7 @@ def grasped(lift=0.003, until=np.inf):
     return [pt.tools.Grasp((0.024, 0.038, SIZE[2]), 0.010, motion, until=until)]
 
 
-def test_a_grasp_anywhere_pulls_as_the_full_models(pressed):
+def test_a_grasp_at_any_point_agrees_with_the_full_model(pressed):
     body, _, model = pressed
     full, own = (pt.rollout(m, grasped(), duration=0.2, every=0.01) for m in (body, model))
     late = full.times > 0.05
@@ -409,7 +406,7 @@ def test_a_grasp_anywhere_pulls_as_the_full_models(pressed):
     assert np.quantile(missed, 0.95) < 0.07 * 0.003
 
 
-def test_a_grasp_lets_go_and_stands_beside_a_ball(pressed):
+def test_a_grasp_is_released_and_acts_together_with_a_ball(pressed):
     _, _, model = pressed
     loads = [*grasped(until=0.1), replace(press(0.042, 0.02)[0], name="ball")]
     run = pt.rollout(model, loads, duration=0.2, every=0.01)
@@ -422,7 +419,7 @@ def test_a_grasp_lets_go_and_stands_beside_a_ball(pressed):
     np.testing.assert_allclose(pushes, run.reactions["grasp"] + run.reactions["ball"], atol=1e-9)
 
 
-def test_a_grasp_of_what_is_fixed_or_of_nothing_is_refused(pressed):
+def test_a_grasp_of_fixed_nodes_or_of_no_nodes_is_refused(pressed):
     _, _, model = pressed
     with pytest.raises(pt.InputError, match="fixed nodes within"):
         pt.rollout(model, [pt.tools.Grasp((0.0, 0.0, 0.0), 0.01, (0.0, 0.0, 0.0))], duration=0.01, every=0.01)
@@ -432,7 +429,7 @@ def test_a_grasp_of_what_is_fixed_or_of_nothing_is_refused(pressed):
         pt.rollout(model, [pt.tools.Grasp((0.03, 0.03, 0.05), 0.001, (0.03, 0.03, 0.05))], duration=0.01, every=0.01)
 
 
-def test_an_engine_presses_and_lets_go(pressed):
+def test_an_engine_presses_and_releases(pressed):
     _, _, model = pressed
     home = (0.03, 0.03, SIZE[2] + BALL + 0.001)
     with pt.Engine(

@@ -1,4 +1,4 @@
-"""What dents do inside a body: the statics that modes leave, carried to finer nodes."""
+"""Displacements of interior nodes under contact forces: residual statics, interpolated to finer nodes."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def pressed(compliance, points):
     return forces, compliance.nodes[middle], contact_displacements(compliance, points, forces[None], [True])[0]
 
 
-def test_every_free_node_is_either_touched_or_follows(own, fine):
+def test_every_free_node_is_a_surface_node_or_follows_the_surface(own, fine):
     cloud = fine[0].cloud
     assert not np.intersect1d(own.nodes, own.interior.nodes).size
     np.testing.assert_array_equal(
@@ -64,7 +64,7 @@ def test_every_free_node_is_either_touched_or_follows(own, fine):
     assert np.isin(own.nodes, surface_nodes(cloud)).all()
 
 
-def test_dents_of_statics_go_on_inside_as_statics_do(own, fine):
+def test_interior_displacements_of_statics_are_those_of_the_static_response(own, fine):
     body, modes = fine
     forces, _, found = pressed(own, body.cloud.points)
     load = np.zeros((len(body.cloud), 3))
@@ -75,7 +75,7 @@ def test_dents_of_statics_go_on_inside_as_statics_do(own, fine):
     np.testing.assert_allclose(found[every], wanted, atol=1e-3 * np.abs(wanted).max())
 
 
-def test_the_surface_and_the_energy_know_nothing_of_it(own, fine):
+def test_the_interior_does_not_change_the_surface_and_the_energy(own, fine):
     forces, _, found = pressed(own, fine[0].cloud.points)
     bare, energy = contact_displacements(own._replace(interior=None), fine[0].cloud.points, forces[None], [True])
     np.testing.assert_array_equal(found[own.nodes], bare[own.nodes])
@@ -83,7 +83,7 @@ def test_the_surface_and_the_energy_know_nothing_of_it(own, fine):
     assert contact_displacements(own, fine[0].cloud.points, forces[None], [True])[1] == energy
 
 
-def test_two_tools_add_up(own, fine):
+def test_interior_displacements_of_two_tools_add_up(own, fine):
     points = fine[0].cloud.points
     forces, _, one = pressed(own, points)
     other = np.roll(forces, 3, axis=0)
@@ -92,7 +92,7 @@ def test_two_tools_add_up(own, fine):
     np.testing.assert_allclose(both, one + alone, atol=1e-12)
 
 
-def test_a_softer_surface_leaves_the_inside_at_its_statics(own, fine):
+def test_scaling_the_surface_compliance_does_not_change_the_interior(own, fine):
     body, modes = fine
     carried = compliance_from(block(0.0075), body, modes)
     for compliance in (own, carried):
@@ -104,7 +104,7 @@ def test_a_softer_surface_leaves_the_inside_at_its_statics(own, fine):
         )
 
 
-def test_linear_fields_are_carried_over():
+def test_linear_fields_are_interpolated_exactly():
     """By fits to known nodes; those that lie in a plane leave no slope undefined."""
     random = np.random.default_rng(0)
     known, points = random.random((400, 3)), 0.2 + 0.6 * random.random((50, 3))
@@ -118,7 +118,7 @@ def test_linear_fields_are_carried_over():
     assert np.abs(shares).max() < 2.0
 
 
-def test_a_coarser_model_tells_how_a_finer_ones_inside_follows(own, fine):
+def test_the_interior_of_a_coarser_model_agrees_with_that_of_the_finer(own, fine):
     body, modes = fine
     carried = compliance_from(block(0.0075), body, modes)
     _, _, wanted = pressed(own, body.cloud.points)

@@ -42,7 +42,7 @@ def surfaces():
 
 @pytest.mark.parametrize("radius", [0.002, 0.005, 0.009])  # of the patch that is pressed [m]: one node, and more
 @pytest.mark.parametrize("place", [(0.02, 0.02, 0.02), (0.032, 0.012, 0.02), (0.04, 0.02, 0.012)])
-def test_with_it_a_coarser_surface_dents_as_the_fine_one(surfaces, radius, place):
+def test_with_the_near_field_a_coarser_surface_agrees_with_the_fine_one(surfaces, radius, place):
     fine, nodes, own, compliance = surfaces
     pressed = np.linalg.norm(fine.cloud.points[nodes] - place, axis=1) < radius
     force = np.zeros((len(nodes), 3))
@@ -58,7 +58,7 @@ def test_with_it_a_coarser_surface_dents_as_the_fine_one(surfaces, radius, place
     assert missed["with it"] < 0.5 * missed["alone"]
 
 
-def test_it_is_symmetric_and_positive_with_the_coarser_surface(surfaces):
+def test_near_field_plus_coarser_flexibility_is_symmetric_and_positive(surfaces):
     _, nodes, _, compliance = surfaces
     count = len(nodes)
     spread = np.zeros((count, len(compliance.flexibility) // 3))
@@ -81,7 +81,7 @@ def test_it_is_symmetric_and_positive_with_the_coarser_surface(surfaces):
     assert 0 < lowest[1] < 1e-3 * own
 
 
-def test_blocks_of_stiffness_are_those_of_the_whole():
+def test_stiffness_blocks_are_those_of_the_whole_matrix():
     from palpate.reduction.basis.linear_modes import stiffness_blocks
 
     body = block(SIDE / 8)

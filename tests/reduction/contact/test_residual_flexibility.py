@@ -57,14 +57,14 @@ def loaded(body, modes, nodes):
     return load, whole.reshape(-1, 3), modal.reshape(-1, 3)
 
 
-def test_modes_and_what_they_leave_are_the_whole_statics(solved):
+def test_modes_plus_residual_flexibility_are_the_static_response(solved):
     body, modes, nodes, rest = solved
     load, whole, modal = loaded(body, modes, nodes)
     both = modal[nodes] + (rest @ load[nodes].reshape(-1)).reshape(-1, 3)
     np.testing.assert_allclose(both, whole[nodes], atol=1e-9 * np.abs(whole).max())
 
 
-def test_modes_and_what_they_leave_are_the_whole_statics_inside_too(solved):
+def test_modes_plus_residual_flexibility_are_the_static_response_of_interior_nodes(solved):
     body, modes, nodes, rest = solved
     within = np.setdiff1d(np.flatnonzero(~body.fixed_mask), nodes)
     both = residual_flexibility(body, nodes, body.cloud.points, modes, within[::2])
@@ -74,7 +74,7 @@ def test_modes_and_what_they_leave_are_the_whole_statics_inside_too(solved):
     np.testing.assert_allclose(found, (whole - modal)[within[::2]], atol=1e-9 * np.abs(whole).max())
 
 
-def test_it_is_positive_and_smaller_with_more_modes(solved):
+def test_residual_flexibility_is_positive_definite_and_decreases_with_more_modes(solved):
     body, modes, nodes, rest = solved
     values = np.linalg.eigvalsh(rest)
     assert values[0] > 0
@@ -83,8 +83,8 @@ def test_it_is_positive_and_smaller_with_more_modes(solved):
 
 
 @pytest.mark.slow
-def test_a_coarser_surface_stands_for_a_finer_one():
-    """The dent under a patch of even pressure, by a coarser model and by the body's own statics."""
+def test_residual_flexibility_of_a_coarser_model_agrees_with_that_of_the_finer():
+    """The displacement under a patch of uniform pressure, by a coarser model and by the body's own statics."""
     coarse, fine = block(0.005), block(0.04 / 12)
     modes = vibration_modes(fine, 10)[0]
     those, nodes = free_surface(coarse), free_surface(fine)
@@ -102,7 +102,7 @@ def test_a_coarser_surface_stands_for_a_finer_one():
     assert carried[middle, 2].mean() == pytest.approx(own[middle, 2].mean(), rel=0.15)
 
 
-def test_what_cannot_be_solved_is_refused(solved):
+def test_bodies_without_supports_and_too_large_bodies_are_refused(solved):
     body, modes, nodes, _ = solved
     with pytest.raises(pt.InputError, match="must have supports"):
         residual_flexibility(block(0.005, fixed=()), nodes, body.cloud.points, modes)
@@ -111,7 +111,7 @@ def test_what_cannot_be_solved_is_refused(solved):
         residual_flexibility(large, nodes, large.cloud.points, np.zeros((1, len(large.cloud), 3)))
 
 
-def test_what_is_kept_between_touched_nodes_stays_right_as_they_come_and_go(solved):
+def test_cached_blocks_stay_correct_as_touched_nodes_change(solved):
     body, _, nodes, rest = solved
     count = len(nodes)
     nearby = (np.arange(count)[:, None] + np.array([0, 1, 2, -2, -1])) % count  # in a ring, each twice as far again
@@ -141,7 +141,7 @@ def test_what_is_kept_between_touched_nodes_stays_right_as_they_come_and_go(solv
     np.testing.assert_allclose(found[nodes[order[7]]], block_ @ force[order[3]], rtol=1e-3)
 
 
-def test_hardening_is_found_again_and_its_energy_is_the_work():
+def test_a_fit_recovers_the_stiffening_and_its_energy_is_the_work():
     force = np.linspace(0.01, 3.0, 60)
     stiffening = np.array([0.3, 1.5])
     linear = force**2
@@ -155,7 +155,7 @@ def test_hardening_is_found_again_and_its_energy_is_the_work():
 
 
 @pytest.mark.parametrize("exponent", [0.0, 0.3, 0.8])
-def test_the_force_of_a_stiffening_compliance_is_found(exponent):
+def test_the_stiffened_force_solves_its_equation(exponent):
     stiffening = np.array([exponent, 0.02])
     for force in (0.0, 1e-9, 1e-3, 0.02, 1.0, 1e4):
         factor = secant_factor(stiffening, force)

@@ -1,4 +1,4 @@
-"""How the force on a tool rises with its displacement: beside what a slow hand feels, and beside dense equations.
+"""How the force on a tool rises with its displacement: compared with the force of slow motion and with dense equations.
 
 Springs under a pressed block stand here as well, as its force and stiffness know them.
 """
@@ -69,11 +69,9 @@ class Hand:
 
     def pushed(self):
         """Return the patches or nodes that the tool pushes."""
-        contact_state = self.ready.data.contact_state
+        contact = self.ready.data.contact_work
         return {
-            int(i)
-            for i, force in zip(contact_state.point, contact_state.push[: contact_state.numbers[0]], strict=False)
-            if force.any()
+            int(i) for i, force in zip(contact.point, contact.push[: contact.numbers[0]], strict=False) if force.any()
         }
 
     def feels(self, place, by):
@@ -102,7 +100,7 @@ class Hand:
 
 
 @HANDS
-def test_the_stiffness_is_what_a_slow_hand_feels(pressed, friction, foundations):
+def test_the_contact_stiffness_is_the_derivative_of_the_force_in_slow_motion(pressed, friction, foundations):
     hand = Hand(
         slow(pressed[1]), pt.tools.Contact(pt.tools.Sphere(BALL), HOME, friction=friction), foundations=foundations
     )
@@ -119,7 +117,7 @@ def test_the_stiffness_is_what_a_slow_hand_feels(pressed, friction, foundations)
 
 
 @HANDS
-def test_on_a_way_on_which_patches_come_to_the_tool_its_sum_is_the_force(pressed, friction, foundations):
+def test_the_stiffness_integrates_to_the_force_while_patches_come_into_contact(pressed, friction, foundations):
     hand = Hand(
         slow(pressed[1]), pt.tools.Contact(pt.tools.Sphere(BALL), HOME, friction=friction), foundations=foundations
     )
@@ -134,7 +132,7 @@ def test_on_a_way_on_which_patches_come_to_the_tool_its_sum_is_the_force(pressed
     assert rise == pytest.approx(forces[-1] - forces[0], rel=0.02)
 
 
-def test_so_it_is_of_forceps(pressed):
+def test_the_stiffness_of_forceps_is_the_derivative_of_their_force(pressed):
     hand = Hand(slow(pressed[1]), pt.tools.Grasp(AT, 0.010, AT))
     up = np.array((0.0, 0.001, 0.003))
     hand.presses(up)
@@ -146,27 +144,27 @@ def test_so_it_is_of_forceps(pressed):
 def dense(hand):
     """Return the stiffness where all patches stick, by inverses of whole matrices."""
     data = hand.ready.data
-    contact_state, stiffening = data.contact_state, data.contact_surface.compliance.stiffening
-    on = [e for e in range(contact_state.numbers[0]) if contact_state.push[e].any()]
-    pushes, block = contact_state.push[on], np.zeros((3, 3))
+    contact, stiffening = data.contact_work, data.contact_surface.compliance.stiffening
+    on = [e for e in range(contact.numbers[0]) if contact.push[e].any()]
+    pushes, block = contact.push[on], np.zeros((3, 3))
     matrix = np.zeros((len(on), 3, len(on), 3))
     for i, e in enumerate(on):
         for j, f in enumerate(on):
-            pair(data.contact_surface.compliance, contact_state.point[e], contact_state.point[f], block)
-            matrix[i, :, j] = contact_state.factor[0] * block
-    columns = data.contact_surface.columns[contact_state.node[on]].reshape(-1, data.modes).astype(float)
+            pair(data.contact_surface.compliance, contact.point[e], contact.point[f], block)
+            matrix[i, :, j] = contact.factor[0] * block
+    columns = data.contact_surface.columns[contact.node[on]].reshape(-1, data.modes).astype(float)
     matrix = (
         matrix.reshape(3 * len(on), -1) - 1e-6 * columns @ data.constrained_inverse_mass @ columns.T
     )  # steps of 1 ms
     matrix += columns @ np.linalg.solve(0.5 * (data.tangent + data.tangent.T), columns.T)
     each, whole = np.tile(np.eye(3), (len(on), 1)), pushes.sum(axis=0)
     size = np.linalg.norm(whole)
-    dent = (contact_state.now[on] - contact_state.modal[on]).ravel()
-    matrix += np.outer(-stiffening[0] / (stiffening[1] + size) * dent, each @ whole / size)
+    displacement = (contact.now[on] - contact.modal[on]).ravel()
+    matrix += np.outer(-stiffening[0] / (stiffening[1] + size) * displacement, each @ whole / size)
     return each.T @ np.linalg.solve(matrix, each), 3 * len(on)
 
 
-def test_many_patches_take_several_calls_and_give_what_dense_equations_give(pressed):
+def test_the_stiffness_of_many_patches_equals_that_of_dense_equations_after_several_calls(pressed):
     softening = pressed[1].data.compliance._replace(stiffening=np.array([0.3, 5.0]))
     above = (0.03, 0.03, SIZE[2] + 0.001), (np.pi, 0.0, 0.0)  # facing down
     hand = Hand(slow(pressed[1], compliance=softening), pt.tools.Contact(pt.tools.Plane(), above, friction=2.0))
@@ -181,7 +179,7 @@ def test_many_patches_take_several_calls_and_give_what_dense_equations_give(pres
 # springs
 
 
-def test_a_pressed_block_on_springs_is_the_full_one(pressed):
+def test_a_pressed_reduced_block_on_springs_agrees_with_the_full_one(pressed):
     body, model = pressed
     loads = [press(0.024, 0.038), SPRINGS]
     full, own = (pt.rollout(m, loads, duration=0.2, every=0.005, progress=False) for m in (body, model))
@@ -192,7 +190,7 @@ def test_a_pressed_block_on_springs_is_the_full_one(pressed):
     assert np.abs(own.balance).max() < 0.05 * np.abs(own.external).max()
 
 
-def test_the_engine_feels_a_block_on_springs_as_a_run_does(pressed):
+def test_the_engine_has_the_force_of_a_run_on_springs(pressed):
     _, model = pressed
     hand = Hand(model, pt.tools.Contact(pt.tools.Sphere(BALL), HOME), foundations=[SPRINGS])
     down = lambda time: -(DEPTH + 0.001) * min(time / 0.1, 1.0)  # noqa: E731

@@ -44,7 +44,7 @@ def model(body) -> pt.ReducedModel:
     return pt.hyper_reduce(body, runs, modes=0, enrichment=pt.vibration_modes(body, 16)[0], held_out=held)
 
 
-def test_presses_of_the_kind_of_the_training_keep_the_bound_of_the_force(model, body):
+def test_presses_like_those_of_the_training_keep_the_bound_of_the_force(model, body):
     loads = press(0.024, 0.022, 0.0045)
     own, full = run(model, loads), run(body, loads)
     apart = np.linalg.norm(own.reactions["ball"] - full.reactions["ball"], axis=1)
@@ -67,7 +67,7 @@ def test_a_tool_on_another_side_than_in_training_is_not_trusted(model):
     assert np.isinf(own.force_bounds[-1])
 
 
-def test_the_engine_counts_the_surface_compliance_as_the_run_does(model):
+def test_the_engine_has_the_same_trust_number_as_a_run(model):
     """All other measures are made small, so that the compliance alone counts."""
     alone = pt.ReducedModel(replace(model.data, distance_scale=1e9, residual_scale=1e9))
     home = press(0.024, 0.03, 0.0, axis=0)[0].motion(0.0)

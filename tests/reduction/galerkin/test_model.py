@@ -12,7 +12,7 @@ from palpate.dynamics.nodal.stability import stiffness
 
 LOADS = [
     pt.SurfaceForce("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.6, 0.15, 0.05])),
-    pt.SurfaceForce("z+", pressure=lambda t: 300 * np.sin(200 * t)),
+    pt.Pressure("z+", lambda t: 300 * np.sin(200 * t)),
     pt.Gravity((0.0, 2.0, -9.81)),
 ]
 
@@ -108,7 +108,7 @@ def test_the_reduced_step_is_stable_and_a_third_more_is_not(model, run):
     assert not sizes[1] < 1e-6
 
 
-def test_displacements_lift_only_where_asked(model, run):
+def test_displacements_of_a_subset_of_nodes_are_those_of_all(model, run):
     rom = pt.galerkin(model, run, modes=4)
     prepared = rom.prepare(())
     state = rom.state(prepared, run.displacements[20], run.velocities[20])
@@ -166,7 +166,7 @@ def lifted(bar, tissue, calm, prescribed, motion):
     return rom, pt.rollout(rom, [motion], duration=0.03, every=0.0005)
 
 
-def test_a_lifted_tool_is_where_it_should_be(bar, prescribed, lifted):
+def test_lifted_nodes_follow_the_prescribed_motion(bar, prescribed, lifted):
     tool = bar.group("x+")
     scale = np.abs(prescribed.displacements[:, tool]).max()
     np.testing.assert_allclose(lifted[1].displacements[:, tool], prescribed.displacements[:, tool], atol=1e-9 * scale)
@@ -197,7 +197,7 @@ def test_a_motion_that_was_not_trained_is_refused(lifted, model, run):
         pt.rollout(pt.galerkin(model, run, modes=3), [sideways], duration=0.01, every=0.005)
 
 
-def test_training_that_cannot_be_is_refused(model, run, body):
+def test_invalid_training_is_refused(model, run, body):
     with pytest.raises(pt.InputError, match="independent shapes of 61 snapshots, got 62"):
         pt.galerkin(model, run, modes=62)
     with pytest.raises(pt.InputError, match="trajectories must hold at least one"):

@@ -18,7 +18,7 @@ def test_a_sparse_positive_solution_is_found_exactly():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_solution_is_that_of_lawson_and_hanson(seed):
+def test_the_solution_equals_that_of_scipy_nnls(seed):
     rng = np.random.default_rng(seed)
     columns, target = rng.standard_normal((40, 25)), rng.standard_normal(40)
     x, left = sparse_nnls(columns, target, 0.0)
@@ -28,7 +28,7 @@ def test_the_solution_is_that_of_lawson_and_hanson(seed):
     np.testing.assert_allclose(x, expected, atol=1e-6)
 
 
-def test_it_stops_as_soon_as_it_is_good_enough():
+def test_the_solver_stops_at_the_tolerance():
     rng = np.random.default_rng(1)
     columns = np.abs(rng.standard_normal((80, 400)))
     target = columns.sum(axis=1)
@@ -41,7 +41,7 @@ def test_it_stops_as_soon_as_it_is_good_enough():
     assert counts[0] < counts[1] < counts[2] <= 80
 
 
-def test_no_more_columns_are_taken_than_asked():
+def test_the_number_of_columns_is_limited():
     rng = np.random.default_rng(2)
     columns = np.abs(rng.standard_normal((80, 400)))
     x, left = sparse_nnls(columns, columns.sum(axis=1), 0.0, max_columns=17)
@@ -49,13 +49,13 @@ def test_no_more_columns_are_taken_than_asked():
     assert left > 0
 
 
-def test_nothing_is_found_where_nothing_helps():
+def test_without_improving_columns_the_solution_is_zero():
     x, left = sparse_nnls(-np.eye(3), np.ones(3), 1e-6)
     assert not x.any()
     assert left == 1.0
 
 
-def test_a_sketch_keeps_norms_on_average():
+def test_a_sketch_preserves_norms_on_average():
     rng = np.random.default_rng(3)
     vector = rng.standard_normal(500)
     sizes = [np.linalg.norm(sketch(40, 500, rng) @ vector) ** 2 for _ in range(200)]
@@ -63,7 +63,7 @@ def test_a_sketch_keeps_norms_on_average():
     np.testing.assert_array_equal(sketch(500, 500, rng), np.eye(500))
 
 
-def test_moments_that_samples_can_make_are_made():
+def test_representable_moments_are_fitted_exactly():
     rng = np.random.default_rng(4)
     sampled, wanted = rng.standard_normal((30, 400)), rng.standard_normal((5, 30))
     np.testing.assert_allclose(fit_moments(sampled, wanted @ sampled), wanted, atol=1e-8)

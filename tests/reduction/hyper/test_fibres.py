@@ -70,7 +70,7 @@ def test_with_all_nodes_fibres_add_their_work_on_the_columns(body, run):
         assert model.body.energy(a) - bare.body.energy(a) == pytest.approx(energy, rel=1e-7)
 
 
-def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
+def test_a_hyper_reduced_model_reproduces_the_full_run(body, run, tmp_path):
     loads, expected = run
     model = pt.hyper_reduce(body, expected, modes=12)
     assert model.report["nodes"] < len(body.cloud) / 2
@@ -99,14 +99,14 @@ def test_a_sampled_model_repeats_the_full_one(body, run, tmp_path):
     np.testing.assert_array_equal(loaded.stress(u), model.stress(u))
 
 
-def test_a_model_without_its_fibres_is_another_one(body, run):
+def test_without_fibres_the_forces_differ(body, run):
     model = pt.hyper_reduce(body, run[1], modes=12)
     bare = pt.ReducedModel(replace(model.data, tissue=replace(model.data.tissue, fibres=None)))
     a = model.data.training_states[20]
     assert np.linalg.norm(bare.body.force(a) - model.body.force(a)) > 0.1 * np.linalg.norm(model.body.force(a))
 
 
-def test_fibres_of_ones_own_are_not_saved(tmp_path):
+def test_user_defined_fibres_are_not_saved(tmp_path):
     class Hair(pt.materials.Fibres):
         pass
 

@@ -1,4 +1,4 @@
-"""Reduced bodies on springs: beside the full model, in both steps, in real time, and their energy."""
+"""Reduced bodies on springs: compared with the full model, in both steps, in real time, and their energy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def rom(beam):
 LOADS = [pull(3.0, 0.2, -0.6), SPRINGS]
 
 
-def test_a_reduced_beam_on_springs_bends_as_the_full_one(beam, rom):
+def test_a_reduced_beam_on_springs_agrees_with_the_full_one(beam, rom):
     full, own, bare = rollout(beam, LOADS), rollout(rom, LOADS), rollout(rom, LOADS[:1])
     assert pt.relative_errors(full, own).displacement < 0.05
     assert pt.relative_errors(full, own).reaction < 0.02
@@ -57,7 +57,7 @@ def test_projected_springs_are_those_at_the_nodes(beam, rom):
 
 
 @pytest.mark.parametrize("step", [None, 1e-4])
-def test_springs_give_back_what_they_store_and_dashpots_take(rom, step):
+def test_springs_return_stored_energy_and_dashpots_dissipate(rom, step):
     model = rom.with_step(step)
     speed = np.zeros((len(rom.cloud), 3))
     speed[:, 2] = 2.0 * rom.cloud.points[:, 0]
@@ -73,7 +73,7 @@ def test_springs_give_back_what_they_store_and_dashpots_take(rom, step):
     assert (slowed.kinetic + slowed.strain)[-1] < (run.kinetic + run.strain)[-1]
 
 
-def test_both_steps_agree(rom):
+def test_explicit_and_implicit_steps_agree_on_springs(rom):
     explicit, implicit = rollout(rom, LOADS), rollout(rom.with_step(2e-5), LOADS)
     assert pt.relative_errors(explicit, implicit).displacement < 5e-3
 
@@ -90,7 +90,7 @@ def test_the_step_is_short_enough_for_stiff_springs(rom, load):
 
 
 @pytest.mark.slow
-def test_a_loose_block_on_springs_swings_as_a_mass_does():
+def test_an_unsupported_block_on_springs_oscillates_as_a_mass():
     cloud = pt.box((0.015, 0.015, 0.015), 0.005)
     loose = pt.Solid(cloud, TISSUE, form="energy")
     stiffness, speed = 2e4, np.tile([0.01, 0.0, 0.05], (len(cloud), 1))
@@ -120,7 +120,7 @@ def grasped(beam):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [None, 1e-4])
-def test_a_tool_feels_the_springs(grasped, step):
+def test_the_force_of_a_tool_includes_the_springs(grasped, step):
     loads, full, rom = grasped
     own, bare = (rollout(rom.with_step(step), some, step=None if step else 5e-5) for some in (loads, loads[:1]))
     peak = np.abs(full.reactions["x+"]).max()
@@ -131,7 +131,7 @@ def test_a_tool_feels_the_springs(grasped, step):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [None, 2e-4])
-def test_so_does_a_hand_in_real_time(grasped, step):
+def test_the_force_of_a_tool_in_real_time_includes_the_springs(grasped, step):
     rom = grasped[2].with_step(step)
     ready = pt.realtime_model(rom, foundations=[SPRINGS])
     q, v, report = np.zeros(len(ready.rest)), np.zeros(len(ready.rest)), np.zeros(8 + len(ready.tool))
@@ -154,6 +154,6 @@ def test_so_does_a_hand_in_real_time(grasped, step):
     assert report[1] == pytest.approx(rom.trust(pt.State(q, v, 0.3), prepared), rel=1e-3)
 
 
-def test_in_real_time_there_is_no_other_load(grasped):
+def test_other_loads_are_refused_in_real_time(grasped):
     with pytest.raises(pt.InputError, match="must be Foundation objects, got Gravity"):
         pt.realtime_model(grasped[2], foundations=[pt.Gravity((0.0, 0.0, -9.81))])

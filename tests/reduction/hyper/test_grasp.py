@@ -14,12 +14,12 @@ from palpate.reduction.training.fit_compliance import _follow_run
 
 pytestmark = pytest.mark.slow
 
-SIZE, BALL, LASTING = (0.06, 0.06, 0.03), 0.015, 0.16
+SIZE, BALL, PRESS_SECONDS = (0.06, 0.06, 0.03), 0.015, 0.16
 
 
 def share(time):
     """Of a way: out and back again."""
-    return np.sin(np.pi * min(time / LASTING, 1.0)) ** 2
+    return np.sin(np.pi * min(time / PRESS_SECONDS, 1.0)) ** 2
 
 
 def press(x, y, depth=0.004):
@@ -76,13 +76,13 @@ def missed(own, full):
 
 
 @pytest.mark.parametrize(("kind", "most"), [("grasp", 0.04), ("press", 0.15)])
-def test_a_model_of_one_press_and_one_grasp_answers_others(body, model, kind, most):
+def test_a_model_trained_on_one_press_and_one_grasp_predicts_others(body, model, kind, most):
     full, own = run(body, OTHERS[kind]), run(model, OTHERS[kind])
     assert np.quantile(missed(own, full), 0.95) < most
     assert np.abs(own.balance).max() < 0.05 * own.external.max()
 
 
-def test_forces_on_nodes_lead_a_model_through_a_grasp(runs, model):
+def test_nodal_forces_of_a_run_reproduce_a_grasp(runs, model):
     """Its modes are where those of the full run are; without these forces they would stay at rest."""
     full = runs[1]
     expected = model.body.project(full.displacements)
@@ -93,7 +93,7 @@ def test_forces_on_nodes_lead_a_model_through_a_grasp(runs, model):
     assert np.linalg.norm(bare - expected) > 0.9 * size
 
 
-def test_pulls_do_not_harden_the_surface_and_presses_are_scaled_apart(body, runs, smooth, model):
+def test_pulls_do_not_stiffen_the_surface_and_have_their_own_scale(body, runs, smooth, model):
     compliance = model.data.compliance
     assert 0.5 < compliance.bonded_scale < 2.0
     points, push = body.cloud.points, np.zeros((1, len(compliance.nodes), 3))
@@ -110,7 +110,7 @@ def test_pulls_do_not_harden_the_surface_and_presses_are_scaled_apart(body, runs
     )
 
 
-def test_forceps_are_given_the_forces_of_runs(runs, model):
+def test_calibration_matches_the_forces_of_forceps(runs, model):
     compliance = model.data.compliance
     off = pt.ReducedModel(
         replace(model.data, compliance=compliance._replace(bonded_scale=1.4 * compliance.bonded_scale))
@@ -125,7 +125,7 @@ def test_forceps_are_given_the_forces_of_runs(runs, model):
     np.testing.assert_array_equal(made.data.compliance.stiffening, compliance.stiffening)
 
 
-def test_a_run_that_errs_far_more_than_the_others_moves_the_correction_little(model):
+def test_an_outlier_run_changes_the_calibration_little(model):
     compliance = model.data.compliance._replace(stiffening=np.array([0.3, 1.0]))
     theirs = np.tile(np.linspace(0.1, 2.0, 40), 8)
     few = 1.03 * theirs
@@ -135,7 +135,7 @@ def test_a_run_that_errs_far_more_than_the_others_moves_the_correction_little(mo
     np.testing.assert_allclose(change, 1.03**1.4, atol=0.015)  # by the mean it would be 0.98
 
 
-def test_grip_and_held_nodes_are_kept(model, tmp_path):
+def test_bonded_scale_and_bonded_nodes_are_stored(model, tmp_path):
     pt.save(model, tmp_path / "block.rom")
     loaded = pt.load(tmp_path / "block.rom")
     assert loaded.data.compliance.bonded_scale == model.data.compliance.bonded_scale

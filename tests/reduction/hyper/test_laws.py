@@ -53,7 +53,7 @@ def shaped(body, count=6):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [law for law in SOLID if law.name in COMPILED], ids=lambda law: law.name)
-def test_stress_and_energy_of_a_point_go_together_crushed_or_not(law):
+def test_stress_is_the_derivative_of_the_energy_of_a_point_crushed_or_not(law):
     material = law.kind(**law.example, **REST)
     point, coefficients = material_point(material, Kinematics())
     rng = np.random.default_rng(0)
@@ -123,7 +123,7 @@ def test_a_sampled_body_in_another_form_has_the_slope_of_its_energy_crushed_or_n
 
 
 @pytest.mark.slow
-def test_a_reduced_model_in_another_form_repeats_the_full_one_and_is_kept(tmp_path):
+def test_a_reduced_model_in_another_form_reproduces_the_full_run_and_is_stored(tmp_path):
     body = block(pt.materials.NeoHookean(C1=5e3, **REST, volumetric="mixed"))
     run = rollout(body, step=2.5e-5)
     model = pt.hyper_reduce(body, run, modes=12)
@@ -136,7 +136,7 @@ def test_a_reduced_model_in_another_form_repeats_the_full_one_and_is_kept(tmp_pa
 
 
 @pytest.mark.parametrize("law", SOLID, ids=lambda law: law.name)
-def test_every_law_is_kept_in_words_and_numbers(law):
+def test_every_law_is_restored_from_its_description(law):
     held = REST | {"volumetric": "logarithmic"}
     for rest in (REST, held, {"density": 1000.0, "bulk": 123456.789}, {"density": 1000.0, "poisson": 0.5}):
         material = law.kind(**law.example, **rest, prony=SERIES)
@@ -148,7 +148,7 @@ def test_every_law_is_kept_in_words_and_numbers(law):
 
 
 @pytest.mark.slow
-def test_an_energy_of_ones_own_is_kept_as_text(tmp_path):
+def test_a_symbolic_law_is_stored_as_text(tmp_path):
     law = pt.materials.Hyperelastic("C1*(I1bar - 3) + C2*(exp(I1bar - 3) - 1)", C1=4e3, C2=1e3, prony=SERIES, **REST)
     body = block(law)
     model = pt.hyper_reduce(body, shaped(body), modes=4)
@@ -161,7 +161,7 @@ def test_an_energy_of_ones_own_is_kept_as_text(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_sheet_takes_laws_of_the_stretches():
+def test_a_hyper_reduced_sheet_supports_laws_of_the_stretches():
     cloud = pt.disc(0.1, 0.0125).within("tool", (0.0, 0.0), 1e-6)
     law = pt.materials.Ogden(C=(0.05e6, 0.02e6), alpha=(2.0, 4.0), density=1200.0, poisson=0.5)
     sheet = pt.Membrane(cloud, law, 1e-5, "rim")
@@ -187,7 +187,7 @@ def relaxing():
 
 
 @pytest.mark.slow
-def test_a_relaxing_reduced_model_repeats_the_full_one(relaxing):
+def test_a_relaxing_reduced_model_reproduces_the_full_run(relaxing):
     body, run, model = relaxing
     again = rollout(model)
     found = pt.relative_errors(run, again)
@@ -203,7 +203,7 @@ def test_a_relaxing_reduced_model_repeats_the_full_one(relaxing):
 
 
 @pytest.mark.slow
-def test_with_all_nodes_the_branches_hold_the_energy_of_the_full_model(relaxing):
+def test_with_all_nodes_the_branches_have_the_energy_of_the_full_model(relaxing):
     body, run, _ = relaxing
     whole = pt.ReducedModel(pt.hyper_reduce(body, run, modes=8, cubature=0.0, pressures=1000).data, single=False)
     prepared, loads = whole.prepare(PULL), body.prepare(PULL)
@@ -225,7 +225,7 @@ def test_with_all_nodes_the_branches_hold_the_energy_of_the_full_model(relaxing)
 
 
 @pytest.mark.slow
-def test_the_engine_remembers_and_forgets():
+def test_the_engine_updates_the_history_and_a_reset_clears_it():
     body = block(pt.materials.NeoHookean(C1=5e3, prony=pt.materials.Prony(shares=0.5, times=0.1), **REST))
     grasp = [pt.PrescribedMotion("x+", lambda points, t: (2e-3 * course(t), 0.0, 0.0))]
     model = pt.hyper_reduce(body, rollout(body, grasp), modes=10, prescribed="x+")
@@ -250,7 +250,7 @@ def test_the_engine_remembers_and_forgets():
 
 
 @pytest.mark.slow
-def test_trust_and_forces_of_a_state_are_those_of_what_it_remembers(relaxing):
+def test_trust_and_forces_of_a_state_are_those_of_its_history(relaxing):
     body, run, _ = relaxing
     model = pt.hyper_reduce(body, run, modes=12, held_out=[(PULL, run)])
     prepared = model.prepare(PULL)
@@ -267,7 +267,7 @@ def test_trust_and_forces_of_a_state_are_those_of_what_it_remembers(relaxing):
 
 
 @pytest.mark.slow
-def test_relaxing_tissue_has_explicit_steps_to_choose_from(relaxing):
+def test_step_selection_for_relaxing_tissue_has_explicit_steps(relaxing):
     _, _, model = relaxing
     chosen = pt.select_time_step(model, PULL, duration=0.004, tolerance=0.5)
     assert chosen.step is None
@@ -275,7 +275,7 @@ def test_relaxing_tissue_has_explicit_steps_to_choose_from(relaxing):
 
 
 @pytest.mark.slow
-def test_what_cannot_relax_is_refused(relaxing):
+def test_unsupported_relaxation_is_refused(relaxing):
     body, run, model = relaxing
     with pytest.raises(pt.InputError, match="stepped explicitly"):
         model.with_step(1e-3)

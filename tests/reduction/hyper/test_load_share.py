@@ -92,7 +92,7 @@ def test_the_trained_load_has_a_small_share(pulled, beam):
     assert pulled.data.load_scale >= MIN_LOAD_SCALE
 
 
-def test_no_calibration_trusts_a_load_that_the_coordinates_cannot_feel():
+def test_no_calibration_trusts_a_load_outside_the_coordinates():
     """Held-out frames with large shares and a wide tail."""
     random = np.random.default_rng(0)
     numbers = random.random((20, 50)) ** -2.0
@@ -138,7 +138,7 @@ def test_a_free_body_counts_the_rigid_motion_that_its_modes_lack():
     assert model.load_share(rest, model.prepare([pt.Gravity((0.0, 0.0, -9.81))])) > 0.9
 
 
-def test_springs_to_the_ground_hold_a_body_in_the_response(beam):
+def test_foundations_support_a_body_in_the_static_response(beam):
     """On stiff springs at its end the static response of a beam is nearly that of the beam clamped there."""
     springs = np.zeros(len(beam.cloud))
     springs[beam.cloud.group("x-")] = 1e6
@@ -193,7 +193,7 @@ def test_the_training_motion_itself_is_trusted_without_held_out_runs(beam, modes
 
 
 @pytest.mark.slow
-def test_no_wrong_answer_is_trusted():
+def test_wrong_predictions_under_untrained_loads_are_not_trusted():
     """Random symmetric bars, each trained on a symmetric load, under random loads outside the span."""
     random, wrong = np.random.default_rng(0), 0
     for _ in range(12):

@@ -107,7 +107,7 @@ def test_transfer_functions_match_at_the_expansion_points(points, form, request)
     np.testing.assert_allclose(slopes[1], slopes[0], atol=2e-3 * size)
 
 
-def test_pymor_interpolates_the_handed_over_body_tangentially(system):
+def test_the_model_exported_to_pymor_interpolates_tangentially(system):
     """Second-order Hermite interpolation, the step of its rational Krylov method.
 
     pyMOR divides directions by their norms over the points, one for every input and output, which turns them.
@@ -160,14 +160,14 @@ def test_pymor_s_time_stepping_gives_the_same_result(method, reduction):
 
 @pytest.mark.parametrize("method", ["modal", "moments", "pod", "sobt-fv", "balanced", "hankel"])
 @pytest.mark.parametrize("modes", [1, 3, 6, 9])
-def test_what_keeps_a_symmetric_body_stable_does(method, modes, reduction):
+def test_methods_that_preserve_stability_give_stable_models_of_the_energy_form(method, modes, reduction):
     need(method)
     assert reduction.model(method, modes).stable
 
 
 @pytest.mark.parametrize("method", ["modal", "balanced", "hankel"])
 @pytest.mark.parametrize("modes", [1, 3, 6])
-def test_what_keeps_a_strong_form_stable_does(method, modes, strong_reduction):
+def test_methods_that_preserve_stability_give_stable_models_of_the_strong_form(method, modes, strong_reduction):
     need(method)
     assert strong_reduction.model(method, modes).stable
 
@@ -189,7 +189,7 @@ def test_modal_truncation_keeps_the_slowest_poles(form, request):
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 20, 61, 120])
-def test_left_and_right_modes_belong_together_where_twins_are(count, strong_system):
+def test_left_and_right_modes_of_double_frequencies_are_not_separated(count, strong_system):
     """The bar is as wide as high: frequencies of its bending come in twos, and sets of them must not be parted."""
     _, right, left = eigenvectors(strong_system, count)
     assert count <= right.shape[1] == left.shape[1]
@@ -199,7 +199,7 @@ def test_left_and_right_modes_belong_together_where_twins_are(count, strong_syst
 
 
 @pytest.mark.parametrize("form", ["reduction", "strong_reduction"])
-def test_every_method_comes_nearer_with_more_modes(form, request, soft_pull):
+def test_errors_of_every_method_decrease_with_more_modes(form, request, soft_pull):
     own = request.getfixturevalue(form)
     full = pt.rollout(own.system.model, [soft_pull], duration=0.02, every=0.0005, progress=False)
     for method in METHODS:
@@ -227,7 +227,7 @@ def test_irka_meets_the_slowest_resonance(modes, reduction):
     assert missed < 0.02 * np.linalg.norm(response, 2)
 
 
-def test_condensing_keeps_poles_and_the_static_response(system):
+def test_condensation_preserves_poles_and_the_static_response(system):
     reduced, (wide, test) = condense(system, 30)
     np.testing.assert_allclose(
         reduced.transfer(0.0), system.transfer(0.0), atol=1e-9 * np.abs(system.transfer(0.0)).max()
@@ -263,7 +263,7 @@ def test_the_low_rank_solver_balances_what_is_strongly_damped(bar, tissue, soft_
 
 
 @pytest.mark.slow
-def test_the_low_rank_solver_is_not_believed_where_it_did_not_converge(system):
+def test_a_low_rank_solver_that_does_not_converge_is_refused(system):
     pytest.importorskip("pymor", reason=WHY)
     with pytest.raises(pt.InputError, match=r"residual of .* must be below .* too lightly damped"):
         pt.lti.reduce_linear(system, "balanced-low-rank", 4)
@@ -271,7 +271,7 @@ def test_the_low_rank_solver_is_not_believed_where_it_did_not_converge(system):
         pt.lti.reduce_linear(system, "balanced-low-rank", 4, budget=Budget(seconds=1e-3))
 
 
-def test_the_residual_tells_a_solution():
+def test_the_residual_distinguishes_a_solution_from_a_wrong_one():
     random = np.random.default_rng(0)
     e = np.diag(random.uniform(0.5, 2.0, 40))
     a, b = e @ (0.1 * random.normal(size=(40, 40)) - np.eye(40)), random.normal(size=(40, 3))
@@ -280,7 +280,7 @@ def test_the_residual_tells_a_solution():
     assert residual(csr_array(a), csr_array(e), b, 1.1 * factor) > 0.1
 
 
-def test_what_costs_too_much_is_refused_with_an_estimate(system):
+def test_too_expensive_reductions_are_refused_with_an_estimate(system):
     small = Reduction(system, condense=0, budget=Budget(memory=1e6))
     with pytest.raises(
         pt.InputError, match=r"must cover about .* MB and \d+ s for dense .* of order 576.*condense=240"
@@ -294,7 +294,7 @@ def test_what_costs_too_much_is_refused_with_an_estimate(system):
     Reduction(system, condense=30, budget=Budget(memory=1e6)).model("hankel", 2)  # a small body's is cheap
 
 
-def test_tools_are_reduced_too(tool_system):
+def test_reduced_systems_with_a_tool_are_stable(tool_system):
     own = Reduction(tool_system, condense=30)
     for method in ("modal", "moments", "hankel"):
         model = own.model(method, 6)
@@ -333,7 +333,7 @@ def test_without_pymor_the_message_says_how_to_install_it(system, monkeypatch):
     assert pt.lti.reduce_linear(system, "modal", 4).stable  # needs none
 
 
-def test_emphasis_lets_one_input_count_more(system, soft_pull):
+def test_emphasis_on_an_input_reduces_its_error(system, soft_pull):
     names = list(system.inputs)
     emphasis = [1.0 if name == "force x on x+" else 1e-3 for name in names]
     alike, along = Reduction(system, condense=CONDENSED), Reduction(system, condense=CONDENSED, emphasis=emphasis)

@@ -30,7 +30,7 @@ def whole(system):
     return LinearModel(system, project(system, np.diag(1 / np.sqrt(system.mass.diagonal()))))
 
 
-def test_a_step_is_exact_for_inputs_that_go_evenly():
+def test_steps_are_exact_for_inputs_linear_in_time():
     a, b = np.array([[0.0, 1.0], [-9.0, -0.3]]), np.array([[0.0], [1.0]])
     long, short = first_order_hold(a, b, 0.5), first_order_hold(a, b, 0.5 / 64)
     x = np.array([0.3, -1.0])
@@ -41,7 +41,7 @@ def test_a_step_is_exact_for_inputs_that_go_evenly():
     np.testing.assert_allclose(long[0] @ x + long[1] @ [2.0] + long[2] @ [3.0], fine, rtol=1e-12)
 
 
-def test_with_every_mode_it_moves_as_the_full_body_under_small_loads(whole, energetic, soft_pull):
+def test_with_all_modes_the_linear_model_equals_the_full_model_under_small_loads(whole, energetic, soft_pull):
     full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (energetic, whole))
     found = pt.relative_errors(full, own)
     assert max(found.displacement, found.velocity, found.energy, found.reaction) < 5e-3
@@ -50,14 +50,14 @@ def test_with_every_mode_it_moves_as_the_full_body_under_small_loads(whole, ener
 
 
 @pytest.mark.slow
-def test_with_every_mode_it_moves_as_the_strong_form(strong_system, strong, soft_pull):
+def test_with_all_modes_the_linear_model_equals_the_strong_form_under_small_loads(strong_system, strong, soft_pull):
     whole = LinearModel(strong_system, project(strong_system, np.diag(1 / np.sqrt(strong_system.mass.diagonal()))))
     full, own = (pt.rollout(model, [soft_pull], **HOLD) for model in (strong, whole))
     found = pt.relative_errors(full, own)
     assert max(found.displacement, found.velocity, found.reaction) < 1e-2
 
 
-def test_a_tool_moves_it_as_it_moves_the_full_body(tool_system, energetic):
+def test_a_tool_moves_the_linear_model_as_the_full_model(tool_system, energetic):
     tool = pt.PrescribedMotion("tip", swing)
     model = LinearModel(tool_system, project(tool_system, np.diag(1 / np.sqrt(tool_system.mass.diagonal()))))
     full, own = (pt.rollout(body, [tool], **HOLD) for body in (energetic, model))
@@ -72,7 +72,7 @@ def test_a_tool_moves_it_as_it_moves_the_full_body(tool_system, energetic):
     )
 
 
-def test_one_long_step_is_many_short_ones(system):
+def test_one_long_step_equals_many_short_ones(system):
     model = pt.lti.reduce_linear(system, "modal", 5)
     ramp = pt.SurfaceForce("x+", force=lambda t: (1e-4 * t, 0.0, 2e-5))
     prepared = model.prepare([ramp])
@@ -91,7 +91,7 @@ def test_initial_states_are_projected(whole, energetic):
 
 
 @pytest.mark.parametrize("method", ["modal", "hankel"])
-def test_a_tool_that_moves_from_the_start_is_followed(method, tool_system, energetic):
+def test_a_tool_with_initial_velocity_is_followed(method, tool_system, energetic):
     tool = pt.PrescribedMotion("tip", lambda points, time: (1e-5 * time, 0.0, 0.0))
     model = pt.lti.reduce_linear(tool_system, method, 20, condense=60)
     full, own = (pt.rollout(body, [tool], **HOLD) for body in (energetic, model))
@@ -122,12 +122,12 @@ def test_forces_energy_and_stress_are_those_of_the_linear_body(whole, energetic)
         ([pt.tools.Contact(pt.tools.Sphere(0.01), (0.0, 0.0, 0.1))], "linear model must be one of .* got Contact"),
     ],
 )
-def test_other_loads_are_refused(whole, loads, message):
+def test_loads_that_are_not_inputs_of_the_system_are_refused(whole, loads, message):
     with pytest.raises(pt.InputError, match=message):
         whole.prepare(loads)
 
 
-def test_a_tool_that_turns_far_is_refused(tool_system):
+def test_large_rotations_of_a_tool_are_refused(tool_system):
     model = pt.lti.reduce_linear(tool_system, "modal", 4)
 
     def turn(points, time):
@@ -138,7 +138,7 @@ def test_a_tool_that_turns_far_is_refused(tool_system):
         model.state(model.prepare([pt.PrescribedMotion("tip", turn)]))
 
 
-def test_the_engine_s_period_is_the_run(tool_system):
+def test_periods_of_the_engine_equal_the_run(tool_system):
     model = pt.lti.reduce_linear(tool_system, "modal", 8)
     ready, period = pt.realtime_model(model, period=1e-3), 1e-3
     q, v, report = ready.rest.copy(), ready.rest.copy(), np.zeros(8 + model.lifting_count)
@@ -175,7 +175,7 @@ def test_the_engine_s_period_is_the_run(tool_system):
     np.testing.assert_allclose(half[0], q, atol=1e-10 * np.abs(q).max())
 
 
-def test_the_engine_runs_it(tool_system):
+def test_the_engine_steps_a_linear_model(tool_system):
     model = pt.lti.reduce_linear(tool_system, "modal", 8)
     with pt.Engine(pt.realtime_model(model), 500.0) as engine:
         engine.set_pose((1e-6, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
@@ -188,12 +188,12 @@ def test_the_engine_runs_it(tool_system):
     np.testing.assert_allclose(reading.force, -tool_system.static[3:6, 0] * 1e-6, rtol=0.05, atol=1e-8)
 
 
-def test_the_engine_takes_one_tool_and_no_load(system):
+def test_the_engine_requires_one_tool(system):
     with pytest.raises(pt.InputError, match="one tool"):
         pt.realtime_model(pt.lti.reduce_linear(system, "modal", 4))
 
 
-def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
+def test_the_linear_range_ends_where_the_force_is_nonlinear_by_a_tenth(tool_system):
     from palpate.reduction.lti.realtime import linear_range
 
     found = linear_range(pt.lti.reduce_linear(tool_system, "modal", 4))
@@ -213,7 +213,7 @@ def test_the_trust_number_tells_where_the_body_is_no_longer_linear(tool_system):
 
 
 @pytest.mark.parametrize("method", ["modal", "hankel"])
-def test_a_saved_model_is_the_model(method, system, tool_system, soft_pull, tmp_path):
+def test_a_loaded_model_equals_the_saved_one(method, system, tool_system, soft_pull, tmp_path):
     model = pt.lti.reduce_linear(system, method, 5, condense=40)
     pt.save(model, tmp_path / "bar.lti")
     loaded = pt.load(tmp_path / "bar.lti", system)
@@ -225,7 +225,7 @@ def test_a_saved_model_is_the_model(method, system, tool_system, soft_pull, tmp_
         pt.load(tmp_path / "bar.lti", tool_system)
 
 
-def test_the_header_of_a_file_says_which_kind_of_model_is_read(system, tmp_path):
+def test_the_header_of_a_file_selects_the_kind_of_model(system, tmp_path):
     pt.save(pt.lti.reduce_linear(system, "modal", 3), tmp_path / "bar.lti")
     write_sealed(tmp_path / "bar.rom", REDUCED, 1, {}, {})
     with pytest.raises(pt.FileFormatError, match=r"system must be given for the linear model .*bar\.lti"):
@@ -236,7 +236,7 @@ def test_the_header_of_a_file_says_which_kind_of_model_is_read(system, tmp_path)
         pt.load(tmp_path / "bar.rom")
 
 
-def test_files_that_hold_no_linear_model_are_refused(system, tmp_path):
+def test_files_that_are_not_a_linear_model_are_refused(system, tmp_path):
     with pytest.raises(FileNotFoundError):
         pt.load(tmp_path / "none.lti", system)
     (tmp_path / "text.lti").write_text("no model", encoding="utf-8")
@@ -263,7 +263,7 @@ def test_files_that_hold_no_linear_model_are_refused(system, tmp_path):
         (lambda header, arrays: header.update(report=[]), "header is not that of a linear model"),
     ],
 )
-def test_what_no_linear_model_has_is_refused_even_with_right_checksums(system, tmp_path, forge, change, message):
+def test_forged_linear_models_are_refused_even_with_right_checksums(system, tmp_path, forge, change, message):
     pt.save(pt.lti.reduce_linear(system, "modal", 3), tmp_path / "lie.lti")
     forge(tmp_path / "lie.lti", change, FORMAT, VERSION)
     with pytest.raises(pt.FileFormatError, match=rf"lie\.lti: .*{message}"):

@@ -1,4 +1,4 @@
-"""The drawing surface of a reduced model beside what the model itself tells of its nodes."""
+"""The displayed surface of a reduced model, compared with the displacements of the model."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def pressed():
     return model, prepared, state
 
 
-def test_vertices_are_where_the_model_says(pressed):
+def test_vertices_are_at_the_displacements_of_the_model(pressed):
     model, prepared, state = pressed
     surface = Surface(model)
     push = state.contact_state.surface_forces[0]
@@ -50,7 +50,7 @@ def test_vertices_are_where_the_model_says(pressed):
     assert nodal[middle, 2] < -0.004
 
 
-def test_held_nodes_get_their_forces_themselves(pressed):
+def test_bonded_nodes_have_their_forces_without_smoothing(pressed):
     model, _, _ = pressed
     surface, load = Surface(model), pt.tools.Grasp((0.024, 0.024, SIZE[2]), 0.008, (0.024, 0.024, SIZE[2] + 0.002))
     prepared = model.prepare([load])
@@ -65,7 +65,7 @@ def test_held_nodes_get_their_forces_themselves(pressed):
     np.testing.assert_allclose(seen, nodal, atol=2e-3 * np.abs(nodal).max())
 
 
-def test_triangles_are_the_clouds(pressed):
+def test_triangles_are_those_of_the_cloud(pressed):
     model, _, _ = pressed
     surface = Surface(model)
     np.testing.assert_array_equal(surface.nodes[surface.triangles], model.cloud.triangles)

@@ -42,7 +42,7 @@ def said_of(material):
 
 
 @pytest.mark.parametrize("material", MATERIALS, ids=lambda m: type(m).__name__)
-def test_a_material_comes_back_from_what_is_said_of_it(material):
+def test_a_material_is_restored_from_its_description(material):
     assert material_of(*said_of(material)) == material
 
 
@@ -103,7 +103,7 @@ def made_or_refused(make):
     return None
 
 
-def test_anything_in_the_place_of_a_material_is_a_material_or_refused():
+def test_forged_descriptions_give_a_material_or_are_refused():
     rng, made = np.random.default_rng(0), 0
     for _ in range(4000):
         said = list(said_of(MATERIALS[rng.integers(len(MATERIALS))]))
@@ -119,7 +119,7 @@ def test_anything_in_the_place_of_a_material_is_a_material_or_refused():
     assert 20 < made < 2000
 
 
-def test_anything_in_the_place_of_regions_is_regions_or_refused():
+def test_forged_descriptions_give_regions_or_are_refused():
     first = MATERIALS[0]
     materials = (first, replace(first, C1=9e3, bulk=None), replace(first, C1=2e3, bulk=None))
     which = np.array([0, 1, 2, 1, 0])
@@ -130,7 +130,7 @@ def test_anything_in_the_place_of_regions_is_regions_or_refused():
         made_or_refused(lambda: regions_of(damaged(rng, said), which, first))
 
 
-def test_there_are_no_more_materials_than_nodes():
+def test_more_materials_than_nodes_are_refused():
     material = MATERIALS[0]
     one = said_of(material)[1]
     with pytest.raises(pt.InputError, match="100000 materials for 3 nodes: allowed is one for each"):
@@ -138,7 +138,7 @@ def test_there_are_no_more_materials_than_nodes():
 
 
 @pytest.mark.parametrize("law", FIBRE_LAWS, ids=lambda law: law.name)
-def test_anything_in_the_place_of_fibres_is_fibres_or_refused(law):
+def test_forged_descriptions_give_fibres_or_are_refused(law):
     fibres = law.kind(**law.example, directions=DIRECTIONS)
     said = json.loads(describe_fibres(fibres))
     assert fibres_of(said, DIRECTIONS).coefficients == fibres.coefficients
@@ -152,7 +152,7 @@ def test_anything_in_the_place_of_fibres_is_fibres_or_refused(law):
     [np.zeros(()), np.zeros((1, 4)), DIRECTIONS * np.nan, 2 * DIRECTIONS, DIRECTIONS[:, :, :2], np.ones((3, 4, 3)),
      np.full((1, 4, 3), "a"), DIRECTIONS * 1j, DIRECTIONS * 1e200],
 )  # fmt: skip
-def test_directions_that_are_none_are_refused(directions):
+def test_invalid_directions_are_refused(directions):
     with pytest.raises(pt.InputError, match="directions of fibres"):
         fibres_of({"law": "Fibres", "k1": 1e3, "k2": 1.0, "dispersion": 0.0}, directions)
 
@@ -170,13 +170,13 @@ def test_directions_that_are_none_are_refused(directions):
         ({"energy": 1.0}, "NeoHookean has the parameters"),
     ],
 )
-def test_a_value_out_of_place_is_named(parameters, message):
+def test_an_invalid_value_is_named(parameters, message):
     name, own, expression, prony = said_of(MATERIALS[0])
     with pytest.raises(pt.InputError, match=message):
         material_of(name, own | parameters, expression, prony)
 
 
-def test_terms_and_branches_are_counted():
+def test_too_many_terms_or_branches_are_refused():
     rest = said_of(pt.materials.Ogden(C=1e3, alpha=2.0, **REST))[1]
     with pytest.raises(pt.InputError, match="C must have at most 16 terms, got 5000"):
         material_of("Ogden", rest | {"C": [1e3] * 5000, "alpha": [2.0] * 5000}, "", {})
@@ -184,7 +184,7 @@ def test_terms_and_branches_are_counted():
         material_of("Ogden", rest, "", {"shares": [0.1] * 5000, "times": [0.1] * 5000})
 
 
-def test_a_law_of_a_file_is_refused_like_one_that_is_written():
+def test_an_invalid_energy_of_a_file_is_refused_as_that_of_a_user():
     with pytest.raises(pt.InputError, match=r"energy must be text, got \['I1bar'\]"):
         material_of("Hyperelastic", {}, ["I1bar"], {})
     with pytest.raises(pt.InputError, match="must be an expression of"):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -119,7 +121,7 @@ def altered(saved, path, forge):
 # there and back
 
 
-def test_what_is_saved_is_loaded(trained, saved):
+def test_a_loaded_model_has_the_arrays_of_the_saved_one(trained, saved):
     assert trained.data.lifting_count > 0
     assert trained.report["held_out"]["mean"]["displacement"] > 0
     assert_equal(pt.load(saved).data, rounded(trained.data))
@@ -140,7 +142,7 @@ def test_a_model_is_loaded_with_its_step_rule_and_precision(trained, path, push,
 
 
 @pytest.mark.parametrize("step", [-1e-3, np.nan, np.inf])
-def test_a_step_that_no_model_has_is_not_saved(trained, path, step):
+def test_invalid_steps_are_not_saved(trained, path, step):
     with pytest.raises(pt.InputError, match=r"step must be .*, got .*"):
         pt.save(ReducedModel(trained.data, step=step), path)
     assert not path.exists()
@@ -157,7 +159,7 @@ def test_the_trust_of_a_loaded_model_is_that_of_the_saved_one(trained, saved, pu
     assert loaded.expected_error(0.5) == trained.expected_error(0.5)
 
 
-def test_a_file_without_what_follows_inside_is_of_a_model_that_dents_at_its_surface(trained, altered):
+def test_a_file_without_interior_gives_a_model_with_compliance_at_its_surface_only(trained, altered):
 
     def drop(header, arrays):
         for name in [name for name in arrays if name.startswith("interior/")]:
@@ -184,7 +186,7 @@ def test_a_loaded_model_runs_as_the_saved_one_to_the_last_bit(trained, saved, pu
             np.testing.assert_array_equal(found.reactions[name], force)
 
 
-def test_single_precision_of_the_columns_changes_no_force_and_no_displacement_one_could_see(trained, saved, push):
+def test_single_precision_of_the_columns_changes_forces_and_displacements_negligibly(trained, saved, push):
     loaded = pt.load(saved)
     state, prepared = trained.state(trained.prepare(push), time=0.004), trained.prepare(push)
     for coordinates in trained.data.training_states[::7]:
@@ -230,7 +232,7 @@ def test_the_law_of_a_material_is_kept(small_cloud, path):
         assert pt.load(path).material == law
 
 
-def test_a_report_keeps_numbers_of_numpy_and_any_length_but_nothing_infinite(small_cloud, tissue, path):
+def test_a_stored_report_has_finite_numbers_of_any_type_and_length(small_cloud, tissue, path):
     report = {"whole": np.int64(3), "number": np.float32(0.5), "array": np.arange(3), "lost": float("inf")}
     data = replace(made_up(small_cloud, tissue, modes=2), report=report | {"runs": [{"x": 1 / 3}] * 20_000})
     pt.save(ReducedModel(data), path)
@@ -293,7 +295,12 @@ def test_a_trajectory_is_refused(path):
         pt.load(path)
 
 
-def test_another_version_is_refused_whatever_follows(saved, path):
+def test_the_documentation_shows_the_version_of_files():
+    text = (Path(__file__).parents[3] / "docs" / "files.md").read_text(encoding="utf-8")
+    assert re.search(rf"{storage.FORMAT}\n +version (\d+)\n", text)[1] == str(storage.VERSION)
+
+
+def test_another_version_is_refused_even_in_a_truncated_file(saved, path):
     path.write_bytes(saved.read_bytes().replace(b"version 12", b"version 11", 1)[:-7])
     with pytest.raises(pt.FileFormatError, match=r"some\.rom: this is of version 11, and version 12 is the one"):
         pt.load(path)
@@ -351,8 +358,8 @@ def parameters(old, new):
 CASES = {
     "an attribute missing": (lambda header, arrays: header.pop("distance_scale"), "header distance_scale is missing"),
     "an attribute of another type": (attribute("modes", "four"), "header modes must be of type int, got 'four'"),
-    "a precision that is no yes or no": (attribute("single", 2), "header single must be of type bool, got 2"),
-    "a witness too many": (attribute("residual_fields", 9), "array basis_vectors has shape"),
+    "a precision that is not a bool": (attribute("single", 2), "header single must be of type bool, got 2"),
+    "a residual field too many": (attribute("residual_fields", 9), "array basis_vectors has shape"),
     "no modes": (attribute("modes", 0), "modes must be .*, got 0"),
     "a basis vector too few": (
         put("basis_vectors", lambda a: a[1:]),
@@ -397,7 +404,7 @@ CASES = {
         parameters("0.45", "0.44"),
         "bulk must be 200000 Pa with poisson = 0.44, got 241667",
     ),
-    "a parameter that is no number": (
+    "a parameter that is not a number": (
         parameters("20000.0", '"a"'),
         "C1 must be a number",
     ),
@@ -416,8 +423,8 @@ CASES = {
         attribute("supports", '[{"kind": "Roller", "group": "x-", "normal": [0, 0, 0]}]'),
         "normal of Roller on 'x-' must be three finite numbers",
     ),
-    "supports that are no list": (attribute("supports", "{}"), "header supports is not a list of mappings"),
-    "a support that is no group": (supports("w-"), "group must be one of .*, got 'w-'"),
+    "supports that are not a list": (attribute("supports", "{}"), "header supports is not a list of mappings"),
+    "a support that is not a group": (supports("w-"), "group must be one of .*, got 'w-'"),
     "fibres of an unknown law": (attribute("fibres", '{"law": "Hair"}'), "unknown law of fibres 'Hair'"),
     "fibres that are code": (attribute("fibres", "exit()"), "header fibres: this is not valid JSON"),
     "fibres without a parameter": (attribute("fibres", '{"law": "Fibres", "k1": 1.0}'), "fibres of Fibres have"),
@@ -432,7 +439,7 @@ CASES = {
     "forces of other carriers": (put("interior/flexibility", lambda a: a[1:]), r"\(11, 15\) .* expected \(12, moved"),
     "a surface that tells nothing": (entry("interior/factor", 0, 0.0), "interior/factor must be .*, got 0.*"),
     "inner nodes alone": (lambda header, arrays: arrays.pop("interior/shares"), "array interior/shares is missing"),
-    "a tool that is no group": (attribute("prescribed", ["w+"]), "group must be one of .*, got 'w\\+'"),
+    "a tool that is not a group": (attribute("prescribed", ["w+"]), "group must be one of .*, got 'w\\+'"),
     "volumes that are not positive": (entry("volumes", 3, 0.0), "volumes holds volumes that are not positive"),
     "a node without volume": (entry("cloud/volumes", 3, 0.0), "volumes must be positive"),
     "columns that are all zero": (entry("basis_vectors", slice(None), 0.0), "Singular matrix"),
@@ -446,7 +453,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_what_no_model_has_is_refused_even_with_a_right_checksum(altered, case):
+def test_forged_models_are_refused_even_with_a_right_checksum(altered, case):
     change, message = CASES[case]
     with pytest.raises(pt.FileFormatError, match=rf"some\.rom: .*{message}"):
         pt.load(altered(change))
@@ -494,7 +501,7 @@ def test_a_file_sealed_again_is_read(altered, trained):
 
 
 @pytest.mark.parametrize("name", ["basis_vectors", "gradients", "training_states"])
-def test_what_could_not_be_loaded_is_not_saved(trained, saved, path, name):
+def test_models_that_could_not_be_loaded_are_not_saved(trained, saved, path, name):
     values = getattr(trained.data, name).copy()
     values.flat[0] = np.nan
     path.write_bytes(saved.read_bytes())
@@ -504,7 +511,7 @@ def test_what_could_not_be_loaded_is_not_saved(trained, saved, path, name):
     assert os.listdir(path.parent) == ["some.rom"]
 
 
-def test_a_material_of_ones_own_is_not_saved(small_cloud, path):
+def test_a_user_defined_material_is_not_saved(small_cloud, path):
     class Jelly(pt.materials.NeoHookean):
         pass
 
@@ -527,9 +534,7 @@ def test_a_material_of_ones_own_is_not_saved(small_cloud, path):
 )
 @pytest.mark.parametrize("old", [True, False])
 @pytest.mark.parametrize("stage", ["fsync", "replace"])
-def test_a_save_that_fails_leaves_the_old_file_and_nothing_else(
-    trained, saved, path, monkeypatch, stage, old, error, message
-):
+def test_a_failed_save_leaves_only_the_old_file(trained, saved, path, monkeypatch, stage, old, error, message):
     if old:
         path.write_bytes(saved.read_bytes())
 
@@ -561,7 +566,7 @@ def test_an_unwritable_place_is_named(trained, tmp_path):
     assert os.listdir(tmp_path) == ["folder"]
 
 
-def test_a_surface_whose_patches_are_all_of_one_node_is_drawn(altered):
+def test_a_surface_with_single_node_patches_is_drawn(altered):
     model = pt.load(altered(put("compliance/patches", np.zeros_like)))
     surface = Surface(model)
     assert np.isfinite(surface.displacements(np.ones(model.count), np.array([0]), np.ones((1, 3)))).all()

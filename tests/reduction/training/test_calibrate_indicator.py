@@ -70,8 +70,8 @@ def unbalanced(model, state, prepared) -> float:
     return residual_norm(model.data, constraint_forces(model.body, state, prepared))
 
 
-def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, runs):
-    """At rest under a small load: solve with the modes alone, and with modes and witnesses."""
+def test_the_residual_norm_is_the_displacement_that_the_residual_fields_would_add(body, runs):
+    """At rest under a small load: solve with the modes alone, and with modes and residual fields."""
     model = pt.hyper_reduce(body, runs, modes=8, cubature=0.0)
     prepared, modes, columns = (
         model.prepare([pt.SurfaceForce("x+", force=(0, 1e-4, 0))]),
@@ -94,7 +94,7 @@ def test_an_imbalance_is_the_displacement_that_the_witnesses_would_add(body, run
 
 
 @pytest.mark.slow
-def test_the_samples_measure_the_imbalance_that_all_nodes_measure(body, runs, rom, held):
+def test_the_integration_points_give_the_residual_norm_of_all_nodes(body, runs, rom, held):
     every = pt.hyper_reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]
     prepared = rom.prepare(loads)
@@ -103,7 +103,7 @@ def test_the_samples_measure_the_imbalance_that_all_nodes_measure(body, runs, ro
     assert np.linalg.norm(found - expected) < 0.25 * np.linalg.norm(expected)
 
 
-def test_witnesses_add_no_nodes_and_change_no_motion(body, rom):
+def test_residual_fields_add_no_nodes_and_do_not_change_the_motion(body, rom):
     count = rom.count
     bare = replace(
         rom.data, residual_fields=0, basis_vectors=rom.data.basis_vectors[:-8], gradients=rom.data.gradients[:, :-8],
@@ -127,7 +127,7 @@ def test_a_load_that_the_modes_cannot_follow_is_not_trusted_however_little_the_b
     assert rom.trust(state, prepared) > 1
 
 
-def test_the_engines_report_tells_the_same_number(body):
+def test_the_report_of_the_engine_has_the_same_trust_number(body):
     turn = [pt.PrescribedMotion("x+", lambda _, t: 1e-3 * np.sin(200 * t) ** 2 * np.array([1.0, 1.0, 0.0]))]
     rom = pt.hyper_reduce(body, rollout(body, turn), modes=6, prescribed="x+")
     for model in (rom, rom.with_step(2.5e-4)):
@@ -163,7 +163,7 @@ def keeps(run: Frames, scales: Scales, curves) -> bool:
 
 
 @pytest.mark.parametrize(("count", "level"), [(4, 0.8), (19, 0.95), (39, 0.95)])
-def test_a_bound_keeps_its_level_over_runs(count, level):
+def test_error_bounds_hold_for_their_level_of_new_runs(count, level):
     """Many calibrations on few runs each, judged on runs of the same kind."""
     random, kept = np.random.default_rng(0), []
     for _ in range(60):
@@ -175,7 +175,7 @@ def test_a_bound_keeps_its_level_over_runs(count, level):
     assert level - 0.03 < np.mean(kept) < level + (0.03 if count > 4 else 0.1)  # few runs leave more unknown
 
 
-def test_a_bound_follows_the_trust_number_and_is_unknown_beyond_all_that_was_met():
+def test_an_error_bound_increases_with_the_trust_number_and_is_infinite_beyond_calibration():
     random = np.random.default_rng(1)
     runs = [drawn_run(random, spread=0.1) for _ in range(19)]
     scales = calibrate_scales([run.measures for run in runs], 0.95)
@@ -189,7 +189,7 @@ def test_a_bound_follows_the_trust_number_and_is_unknown_beyond_all_that_was_met
     assert expected_error(report, 1.01 * curve["largest_trust"]) == (np.inf, np.inf, 0.95)
 
 
-def test_most_runs_stay_at_most_at_a_trust_number_of_1():
+def test_trust_numbers_are_at_most_1_in_most_calibration_runs():
     random = np.random.default_rng(2)
     runs = [
         Measures(*(random.gamma(2.0, scale, (4, 30)) * np.array([1.0, 1e-3, 0.02, 1e-6])[:, None]))
@@ -199,14 +199,14 @@ def test_most_runs_stay_at_most_at_a_trust_number_of_1():
     assert sum(trust_numbers(run, scales).max() <= 1 + 1e-9 for run in runs) in (38, 39, 40)
 
 
-def test_runs_without_error_expect_none_and_one_run_states_its_level():
+def test_runs_without_error_have_a_zero_bound_and_one_run_has_level_one_half():
     still = Frames(Measures(*np.zeros((4, 5))), {"displacement": np.zeros(5)}, {"displacement": np.zeros(5)})
     curves = error_curves([still], calibrate_scales([still.measures], 0.95))
     assert curves["level"] == 0.5
     assert curves["displacement"]["bound"] == 0.0
 
 
-def test_expected_errors_of_a_model(rom):
+def test_expected_errors_of_a_model_are_those_of_its_held_out_runs(rom):
     curve = rom.report["held_out"]["expected_error"]["displacement"]
     known = rom.expected_error(0.9 * curve["largest_trust"])
     assert 0 < known.median <= known.bound < 1
@@ -244,7 +244,7 @@ def test_no_error_is_expected_without_held_out_runs(body, runs):
         pt.hyper_reduce(body, runs, modes=4).expected_error(0.5)
 
 
-def test_a_basis_that_holds_all_snapshots_leaves_no_witness(body, runs):
+def test_a_basis_that_spans_all_snapshots_has_no_residual_fields(body, runs):
     short = replace(runs[0], displacements=runs[0].displacements[[10, 20]], times=runs[0].times[[10, 20]])
     model = pt.hyper_reduce(body, short, modes=2)
     assert model.data.residual_fields == 0

@@ -15,7 +15,7 @@ def test_a_run_has_no_error_against_itself(run):
     assert pt.relative_errors(run, run).as_dict() == {"displacement": 0, "velocity": 0, "energy": 0, "reaction": 0}
 
 
-def test_a_scaled_run_is_wrong_by_its_scale(run):
+def test_the_error_of_a_scaled_run_is_its_scale(run):
     other = replace(
         run,
         displacements=1.03 * run.displacements,
@@ -43,13 +43,13 @@ def test_the_displacement_error_is_equation_34(run):
     assert pt.relative_errors(run, other).displacement == pytest.approx(np.mean(per_snapshot))
 
 
-def test_a_single_wrong_snapshot_counts_with_its_share(run):
+def test_a_single_wrong_snapshot_counts_as_one_of_all(run):
     wrong = run.displacements.copy()
     wrong[7] *= 2
     assert pt.relative_errors(run, replace(run, displacements=wrong)).displacement == pytest.approx(1 / 60)
 
 
-def test_the_worst_support_counts(run):
+def test_the_reaction_error_is_that_of_the_worst_support(run):
     force = run.reactions["x-"]
     one = replace(run, reactions={"a": force, "b": force})
     other = replace(run, reactions={"a": force, "b": 2 * force})
@@ -102,7 +102,7 @@ def test_the_surface_is_measured_by_its_largest_displacement(run):
     assert found.force == found.force_95 == 0
 
 
-def test_tools_that_touch_nothing_have_no_errors(run):
+def test_tools_without_contact_have_no_errors(run):
     full = contact_scratch(run)
     assert contact_errors(full, full, ["idle"], np.arange(3)) is None
     assert contact_errors(full, full, [], np.arange(3)) is None

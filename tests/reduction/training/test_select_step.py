@@ -50,7 +50,7 @@ def test_errors_are_those_against_small_steps_and_fall_with_the_step(rom):
         assert errors[0] > 2 * errors[1] > 4 * errors[2] > 0
 
 
-def test_the_quickest_of_those_that_keep_the_tolerance_is_taken(rom):
+def test_the_fastest_rule_within_the_tolerance_is_selected(rom):
     seconds = (4.0, 1.0, 2.0, 3.0)  # explicit; 1, 0.5, 0.25 ms
     errors = [max(row["velocity"], row["displacement"]) for row in chosen(rom, *seconds).report["stepping"]["rules"]]
     for k in (1, 2, 3):
@@ -60,13 +60,13 @@ def test_the_quickest_of_those_that_keep_the_tolerance_is_taken(rom):
     assert chosen(rom, 0.5, *seconds[1:], tolerance=1.0).step is None
 
 
-def test_of_several_times_the_shortest_counts(rom):
+def test_the_shortest_of_repeated_times_counts(rom):
     found = chosen(rom, 5, 6, 7, 8, 9, 1, 8, 7, repeats=2, tolerance=1.0)
     assert [row["seconds"] for row in found.report["stepping"]["rules"]] == [5, 1, 7, 7]
     assert found.step == 1e-3
 
 
-def test_the_model_is_otherwise_the_same_and_the_given_one_is_left_alone(rom, tmp_path):
+def test_the_selected_model_differs_only_in_its_step_and_the_given_one_is_not_changed(rom, tmp_path):
     double = pt.ReducedModel(rom.data, single=False)
     found = chosen(double, 2, 1, 2, 2, tolerance=1.0)
     assert (found.step, found.single) == (1e-3, False)
@@ -78,13 +78,13 @@ def test_the_model_is_otherwise_the_same_and_the_given_one_is_left_alone(rom, tm
     assert loaded.report["stepping"] == found.report["stepping"]
 
 
-def test_a_tolerance_that_no_rule_keeps_is_refused_with_what_each_reaches():
+def test_a_tolerance_that_no_rule_meets_is_refused_with_the_errors_of_all():
     table = [{"step": step, "seconds": 1.0, "velocity": 0.02, "displacement": 0.03} for step in STEPS]
     with pytest.raises(pt.InputError, match=r"tolerance of 1.00% .*\(explicit: 2.00% and 3.00%, 1 ms: 2.00% and"):
         _fastest_step(table, 0.01)
 
 
-def test_a_rule_that_fails_is_not_taken(rom, monkeypatch):
+def test_a_rule_that_fails_is_not_selected(rom, monkeypatch):
     advance = pt.ReducedModel.advance
 
     def failing(self, *arguments):
@@ -101,6 +101,6 @@ def test_a_rule_that_fails_is_not_taken(rom, monkeypatch):
 
 
 @pytest.mark.parametrize("options", [{"tolerance": 0.0}, {"tolerance": 2.0}, {"repeats": 0}, {"duration": -1.0}])
-def test_bad_arguments_are_named(rom, options):
+def test_invalid_arguments_are_refused_by_name(rom, options):
     with pytest.raises(pt.InputError, match=f"{next(iter(options))} must be .*, got .*"):
         pt.select_time_step(rom, LOADS, **{"duration": DURATION} | options)

@@ -33,7 +33,7 @@ def body():
     )
 
 
-def test_with_all_nodes_and_all_pressures_it_is_the_galerkin_model(body):
+def test_all_nodes_and_all_pressures_with_fibres_and_relaxation_are_the_galerkin_model(body):
     """The pressures of the snapshots do not span those of other states: they miss 0.3 % of the forces there, or 3 %."""
     loads = [pt.SurfaceForce("x+", force=lambda t: np.sin(300 * t) ** 2 * np.array([0.3, 0.05, -0.02]))]
     run = pt.rollout(body, loads, duration=0.01, every=0.0005, progress=False)

@@ -28,13 +28,14 @@ from palpate.tissue.materials import MooneyRivlin
 __all__ = ["beam_case", "large_case"]
 
 
-FEW = 8  # modes for the beam
+BEAM_MODES = 8  # modes for the beam
 MANY, SAMPLED = 64, 256  # modes and nodes of the large model
 BODIES = (10, 27)  # nodes along the edges of a block: 1,000 and 19,683 nodes
 EDGE = 0.05  # [m]
-FRAMES, LASTING, STEP = 24, 0.006, 0.9  # of a training run of the block: snapshots, time [s], share of the stable step
-LOOSE = 0.1  # tolerance of the cubature: the model is for timing alone, and its nodes are repeated up to SAMPLED
-LARGE = 256_000_000  # bytes that no cache holds
+# of a training run of the block: snapshots, time [s], share of the stable step
+FRAMES, RUN_SECONDS, STEP = 24, 0.006, 0.9
+CUBATURE_TOLERANCE = 0.1  # of a model for timing alone; its nodes are repeated up to SAMPLED
+BYTES_BEYOND_CACHES = 256_000_000  # bytes that no cache holds
 CHUNK = 50  # steps that `rollout` takes at once
 
 # forces [N] and moments [N m] on the block's face, each with its own number of swings
@@ -63,7 +64,7 @@ def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Conso
     fast: ReducedModel | None = None
     for _ in range(repeats):
         runs = [pull(form, bodies[form]) for form in forms]
-        fast = fast or hyper_reduce(bodies[forms[0]], runs[0], modes=FEW)
+        fast = fast or hyper_reduce(bodies[forms[0]], runs[0], modes=BEAM_MODES)
         pull("reduced", fast)
     assert fast is not None
     prepared = fast.prepare(scene.loads)
@@ -75,7 +76,7 @@ def beam_case(spacing: float, repeats: int, forms: Sequence[str], console: Conso
         "full": measured,
         "hyper_reduced": whole
         | {
-            "modes": FEW,
+            "modes": BEAM_MODES,
             "nodes": len(fast.data.cubature.nodes),
             "seconds_per_step": whole["wall_seconds"] / whole["steps"],
             "compiled_seconds_per_step": step_seconds((fast, prepared, fast.state(prepared)))[0],
@@ -106,7 +107,7 @@ def large_case(repeats: int, console: Console) -> dict[str, Any]:
     small, rounds = found[0][0], max(repeats, 15)
     force, reading = force_seconds(small, rounds)
     table = small.body.points.table.nbytes
-    from_memory = table * read_seconds(np.ones(LARGE // 8), repeats=rounds) / LARGE
+    from_memory = table * read_seconds(np.ones(BYTES_BEYOND_CACHES // 8), repeats=rounds) / BYTES_BEYOND_CACHES
     steps = step_seconds(*found, repeats=rounds)
     chunks = median_seconds(*(_chunk(*each) for each in found), repeats=rounds)
     return {
@@ -139,7 +140,7 @@ def _load(k: int) -> Load:
     force, twist = PULLS[k]
 
     def share(time: float) -> float:
-        return math.sin((1 + k) * math.pi * time / LASTING / 2) ** 2
+        return math.sin((1 + k) * math.pi * time / RUN_SECONDS / 2) ** 2
 
     def pull(time: float) -> list[float]:
         return [share(time) * part for part in force]
@@ -151,10 +152,10 @@ def _trained_on_block(nodes: int) -> ReducedModel:
     """Train on a few short runs of a block."""
     law = MooneyRivlin(C1=60e3, C2=1.2e3, density=1120.0, poisson=0.45)
     body = Solid(box((EDGE,) * 3, EDGE / (nodes - 1)), law, "x-", form="energy")
-    every = LASTING / FRAMES
+    every = RUN_SECONDS / FRAMES
     step = every / np.ceil(every / (STEP * body.stability.step))
-    runs = [rollout(body, [_load(k)], duration=LASTING, every=every, step=step) for k in range(len(PULLS))]
-    return hyper_reduce(body, runs, modes=MANY, cubature=LOOSE)
+    runs = [rollout(body, [_load(k)], duration=RUN_SECONDS, every=every, step=step) for k in range(len(PULLS))]
+    return hyper_reduce(body, runs, modes=MANY, cubature=CUBATURE_TOLERANCE)
 
 
 def _with_samples(model: ReducedModel, count: int) -> ReducedModel:

@@ -76,9 +76,9 @@ class Chromium:
         self._folder.cleanup()
 
     def open(
-        self, address: str, width: int = 1280, height: int = 800, *, dark: bool = False, contact_state: bool = False
+        self, address: str, width: int = 1280, height: int = 800, *, dark: bool = False, touch_screen: bool = False
     ) -> Tab:
-        """Open a page in a new window of a size [px]."""
+        """Open a page in a new window of a size [px], by default with a mouse and in light colours."""
         target = self.call("Target.createTarget", {"url": "about:blank", "newWindow": True})["targetId"]
         session = self.call("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]
         tab = self._tabs[session] = Tab(self, session, target)
@@ -87,7 +87,7 @@ class Chromium:
         tab.resize(width, height)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         tab.call("Emulation.setEmulatedMedia", {"features": [scheme]})
-        if contact_state:
+        if touch_screen:
             tab.call("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
         tab.call("Emulation.setFocusEmulationEnabled", {"enabled": True})  # each window behaves as the focused one
         tab.call("Page.navigate", {"url": address})
@@ -123,7 +123,7 @@ def _connection(process: subprocess.Popen[bytes], port_file: Path) -> Any:
 
 
 class Tab:
-    """A page in the browser; `relative_errors` has the errors of its console and scripts."""
+    """A page in the browser; `errors` holds the error messages of its console and scripts."""
 
     def __init__(self, browser: Chromium, session: str, target: str) -> None:
         self._browser, self._session, self._target = browser, session, target

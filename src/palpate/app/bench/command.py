@@ -14,7 +14,7 @@ from palpate.files import check_folder, plain
 __all__ = ["FILES", "bench"]
 
 FILES = REPORTS
-MOST_REPEATS = 1000
+MAX_REPEATS = 1000
 # spacings [m], rounds (0: as many as asked for) and forms of the full model
 SMALL, FINE = (0.005, 0, ("strong", "energy")), (0.0025, 1, ("energy",))
 
@@ -45,7 +45,7 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
     OSError
         A file could not be written.
     """
-    repeats = integer_in_range("repeats", repeats, 1, MOST_REPEATS)
+    repeats = integer_in_range("repeats", repeats, 1, MAX_REPEATS)
     check_folder(out)
     console = Console()
     report: dict[str, Any] = {

@@ -24,10 +24,10 @@ __all__ = [
 Command = Callable[..., int]  # takes the options by name, and returns the exit code
 
 LOAD, PARSER = " load", " parser"  # names that no option has
-LONGEST_WORD, LONGEST_NAME = 4095, 255  # characters; bytes of a name in a folder
+MAX_ARGUMENT_CHARACTERS, MAX_NAME_BYTES = 4095, 255  # characters; bytes of a name in a folder
 UNPRINTABLE = ("Cc", "Cs")  # categories of characters: controls, halves of surrogate pairs
-LARGEST_WHOLE = 2**53  # whole numbers beyond are not exact in the reports
-COMPLAINTS = {  # of argparse, in the form of palpate's own messages
+MAX_EXACT_INTEGER = 2**53  # whole numbers beyond are not exact in the reports
+ARGPARSE_MESSAGES = {  # of argparse, in the form of palpate's own messages
     r"argument (\S+): (must .*)": r"\1 \2",
     r"argument (\S+): expected one argument": r"\1 must be followed by a value",
     r"argument (\S+): expected at least one argument": r"\1 must be followed by at least one value",
@@ -69,7 +69,7 @@ class Parser(argparse.ArgumentParser):
         self.assignments: dict[str, str] = {}
 
     def error(self, message: str) -> NoReturn:
-        for pattern, words in COMPLAINTS.items():
+        for pattern, words in ARGPARSE_MESSAGES.items():
             if re.fullmatch(pattern, message, re.DOTALL):
                 message = re.sub(pattern, words, message, flags=re.DOTALL)
                 break
@@ -150,8 +150,8 @@ def add_json(parser: argparse.ArgumentParser, what: str) -> None:
 
 def path(text: str) -> Path:
     """Return a path that a file system takes."""
-    if not text or any(len(os.fsencode(part)) > LONGEST_NAME for part in text.split("/")):
-        raise argparse.ArgumentTypeError(f"must be a path of names of 1 to {LONGEST_NAME} bytes, got {text!r:.60}")
+    if not text or any(len(os.fsencode(part)) > MAX_NAME_BYTES for part in text.split("/")):
+        raise argparse.ArgumentTypeError(f"must be a path of names of 1 to {MAX_NAME_BYTES} bytes, got {text!r:.60}")
     return Path(text)
 
 
@@ -176,8 +176,8 @@ def whole(text: str) -> int:
     try:
         value = int(text)
     except ValueError:
-        value = LARGEST_WHOLE + 1
-    if abs(value) > LARGEST_WHOLE:
+        value = MAX_EXACT_INTEGER + 1
+    if abs(value) > MAX_EXACT_INTEGER:
         raise argparse.ArgumentTypeError(f"must be a whole number of at most 2^53, got {text!r:.60}")
     return value
 
@@ -193,9 +193,9 @@ def number(text: str) -> float:
 def unprintable_word(words: Sequence[str]) -> str | None:
     """Return a complaint about the first word that is not printable text of a sensible length, or None."""
     for k, word in enumerate(words):
-        if len(word) > LONGEST_WORD or any(category(letter) in UNPRINTABLE for letter in word):
+        if len(word) > MAX_ARGUMENT_CHARACTERS or any(category(letter) in UNPRINTABLE for letter in word):
             return (
-                f"argument {k + 1} must be printable text of at most {LONGEST_WORD} characters, got "
+                f"argument {k + 1} must be printable text of at most {MAX_ARGUMENT_CHARACTERS} characters, got "
                 f"{word!r:.60}; rename the file or leave such characters out"
             )
     return None

@@ -102,7 +102,7 @@ def _call(parser: Parser, load: Callable[[], Callable[..., int]], options: dict[
 
 
 def _failed(error: Exception, parser: Parser, options: Mapping[str, Any]) -> int:
-    """Print one line about an error; one of no known kind is a defect of palpate."""
+    """Print one line about an error; an unexpected one is a defect of palpate."""
     from palpate.faults import DivergenceError, InputError
 
     if isinstance(error, InputError):

@@ -13,7 +13,7 @@ __all__ = [
 
 DONE, FAILED, BAD_INPUT, DEFECT, INTERRUPTED = 0, 1, 2, 70, 130
 DEBUG = "PALPATE_DEBUG"  # environment variable: 1 prints the traceback of an internal error
-LONGEST_COMPLAINT = 1000  # characters
+MAX_MESSAGE_CHARACTERS = 1000  # characters
 
 
 class RunError(RuntimeError):
@@ -30,7 +30,7 @@ def complain(message: str, code: int) -> int:
 def one_line(message: str) -> str:
     """Return a message as one line of printable characters."""
     line = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in " ".join(message.split()))
-    return line if len(line) <= LONGEST_COMPLAINT else line[: LONGEST_COMPLAINT - 3] + "..."
+    return line if len(line) <= MAX_MESSAGE_CHARACTERS else line[: MAX_MESSAGE_CHARACTERS - 3] + "..."
 
 
 def system_error(error: OSError) -> str:
@@ -43,7 +43,7 @@ def system_error(error: OSError) -> str:
 
 
 def report_defect(error: Exception) -> int:
-    """Report an error that is none of the known ones, and leave its traceback in a file; return the exit code."""
+    """Report an unexpected error, and write its traceback to a file; return the exit code."""
     import tempfile
     import traceback
 
@@ -59,7 +59,7 @@ def report_defect(error: Exception) -> int:
 
 
 def silence_output() -> int:
-    """Discard what is still written to a standard output that takes nothing; return the exit code."""
+    """Ignore output to a closed stdout; return the exit code."""
     with suppress(OSError, ValueError, AttributeError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return FAILED

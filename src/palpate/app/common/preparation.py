@@ -15,7 +15,7 @@ FIGURES_SIZE = 5_000_000  # [bytes] of all figures of a study, about
 
 
 def prepare(build: Callable[[], Scene], out: Path, doubles: int, console: Console) -> Scene:
-    """Build a scene, and make the folder for its results once it is known that they can be written there.
+    """Build a scene, and make the folder for its results once a check finds that they can be written there.
 
     Parameters
     ----------

@@ -26,8 +26,8 @@ __all__ = ["BODIES", "ComparedBody", "compared_beam", "compared_liver"]
 SMALL_PULL, LARGE_PULL = 0.1, 100.0  # [N] of the beam; the large one is the paper's
 SMALL_WAY, LARGE_WAY = 2e-4, 0.02  # [m] of the liver's tool; the large one is the training's deepest press
 TOOL = "tool"
-LASTING = 0.6  # [s] of the liver's tool, out and back
-GRIP = 2.0  # [spacings] radius of the nodes that the tool holds
+TOOL_SECONDS = 0.6  # [s] of the liver's tool, out and back
+GRIP_SPACINGS = 2.0  # [spacings] radius of the nodes that the tool holds
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> ComparedBod
     if not len(reachable):
         raise InputError(f"spacing = {spacing!r}: no place of this liver is away from its back")
     at = reachable[np.argmin(cloud.points[reachable, 1])]
-    near = surface[np.linalg.norm(cloud.points[surface] - cloud.points[at], axis=1) <= GRIP * spacing]
+    near = surface[np.linalg.norm(cloud.points[surface] - cloud.points[at], axis=1) <= GRIP_SPACINGS * spacing]
     model = Solid(
         cloud.with_group(TOOL, near), bare.material, "back", form="energy", stiffness_damping=bare.stiffness_damping
     )
@@ -102,13 +102,13 @@ def compared_liver(spacing: float = 0.012, poisson: float = 0.45) -> ComparedBod
 
     def loads(size: float) -> tuple[Load, ...]:
         def pulled(points: Floats, time: float) -> Floats:
-            return np.asarray(size * np.sin(np.pi * min(time, LASTING) / LASTING) ** 2 * along)
+            return np.asarray(size * np.sin(np.pi * min(time, TOOL_SECONDS) / TOOL_SECONDS) ** 2 * along)
 
         return (PrescribedMotion(TOOL, pulled),)
 
     return ComparedBody(
         f"A liver pulled at its front, {1e3 * spacing:g} mm", model, loads, SMALL_WAY, LARGE_WAY, "m", (),
-        LASTING, 0.01, lambda run, modes: hyper_reduce(model, run, modes=modes, prescribed=TOOL),
+        TOOL_SECONDS, 0.01, lambda run, modes: hyper_reduce(model, run, modes=modes, prescribed=TOOL),
         "POD of that run, hyper-reduced",
     )  # fmt: skip
 

@@ -33,7 +33,7 @@ POINTS, WHOLE, RESONANCES = (
     24,
 )  # frequencies: of the condensed body, of the whole one, and resonances among them
 ROUNDS, STEPS = 7, 2000  # of the timing of a step
-LEAST_WEIGHT = 1e-2  # least weight of an input, over that of the input that the run drives most
+MIN_INPUT_WEIGHT = 1e-2  # least weight of an input, over that of the input that the run drives most
 PERIOD = 1e-3  # [s] of the step that is timed
 
 
@@ -82,7 +82,7 @@ def prepare_comparison(body: ComparedBody, condense: int | None, console: Consol
     console.say(f"linearised {system.order} unknowns: {perf_counter() - start:.1f} s")
     training = (body.loads(body.small), body.duration, body.every)
     sizes = input_sizes(system, body.loads(body.small), body.duration)
-    emphasis = np.maximum(sizes / sizes.max(), LEAST_WEIGHT)
+    emphasis = np.maximum(sizes / sizes.max(), MIN_INPUT_WEIGHT)
     made = Comparison(body, system, Reduction(system, condense=condense, training=training, emphasis=emphasis))
     for name, size in zip(LOADS, (body.small, body.large), strict=True):
         run = rollout(body.model, body.loads(size), duration=body.duration, every=body.every)

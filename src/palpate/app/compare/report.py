@@ -18,7 +18,7 @@ HEADINGS = (
     "states", "offline s", "shared s", "us/step", "step kB", "stable", "small: displ.", "velocity", "energy", "force",
     "response", "large: displ.", "velocity", "energy", "force",
 )  # fmt: skip
-WHEN = {
+ADVICE = {
     "pod": "motions like the run it learnt from; blind to what that run did not excite",
     "moments": "slow loads: exact statics, no run needed; resonances come last",
     "balanced": "the response at the outputs over all frequencies, with a bound, and stable",
@@ -28,7 +28,7 @@ WHEN = {
     "modal": "resonances, whose poles it keeps; statics converge slowly",
     "irka": "few modes, where its poles turn out stable and its errors small",
 }
-PRINTED = (1, 3, 5, 6, 9, 10, 11, 14)  # of these, the columns that fit into a terminal
+TERMINAL_COLUMNS = (1, 3, 5, 6, 9, 10, 11, 14)  # of these, the columns that fit into a terminal
 NAMED = {6: "small: displ.", 9: "force", 11: "large: displ.", 14: "force"}
 QUANTITIES = ("displacement", "velocity", "energy", "reaction")
 
@@ -108,8 +108,8 @@ def _rows(report: dict[str, Any]) -> dict[str, list[str]]:
 
 def tables(report: dict[str, Any]) -> list[Table | str]:
     """Return a table of what matters most, and the summary; `full_table` has all figures."""
-    rows = {name: [cells[k] for k in PRINTED] for name, cells in _rows(report).items()}
-    headings = [HEADINGS[k] if k not in NAMED else NAMED[k] for k in PRINTED]
+    rows = {name: [cells[k] for k in TERMINAL_COLUMNS] for name, cells in _rows(report).items()}
+    headings = [HEADINGS[k] if k not in NAMED else NAMED[k] for k in TERMINAL_COLUMNS]
     return [quantities_table(report["title"], headings, rows, first="method"), *report["summary"]]
 
 
@@ -154,7 +154,7 @@ def summary(report: dict[str, Any]) -> list[str]:
             f"{percent(last['errors']['large']['displacement'])}, at the small load by "
             f"{percent(last['errors']['small']['displacement']) if last['errors']['small'] else 'nothing finite'}."
         )
-    lines += [f"{name}: {what}." for name, what in WHEN.items() if any(e["method"] == name for e in done)]
+    lines += [f"{name}: {what}." for name, what in ADVICE.items() if any(e["method"] == name for e in done)]
     lines.append("None is for large motions: nonlinear reduced models are.")
     lines.append(
         f"Condensing {about['unknowns']} unknowns to {about['condensed_to']} before balancing changed the frequency "

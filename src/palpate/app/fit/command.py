@@ -24,7 +24,7 @@ from palpate.tissue.parameters import field_metadata, is_sequence, own_fields
 __all__ = ["FILES", "fit_law"]
 
 FILES = (*REPORTS, "fit.png")
-MOST_STARTS = 1000
+MAX_STARTS = 1000
 
 
 def fit_law(
@@ -72,7 +72,7 @@ def fit_law(
     OSError
         A file could not be written.
     """
-    kind, starts = _law(law), integer_in_range("starts", starts, 1, MOST_STARTS)
+    kind, starts = _law(law), integer_in_range("starts", starts, 1, MAX_STARTS)
     curves = [_with_file_name(curve, path, len(data)) for path in data for curve in read_measurements(path)]
     require("matplotlib", "palpate fit")
     check_folder(out)

@@ -24,14 +24,14 @@ from palpate.scenes.training import training_scene, typed
 __all__ = ["LIVER", "cache_file", "cache_folder", "load_cached_liver"]
 
 LIVER = "liver"
-SMALL = {"spacing": 0.009, "radius": 0.0225, "depth": 0.016}  # [m] of the scene
+SCENE_PARAMETERS = {"spacing": 0.009, "radius": 0.0225, "depth": 0.016}  # [m] of the scene
 PATHS, HELD_OUT, MODES = 10, 3, 40
-MOST_WORKERS = 4
+MAX_WORKERS = 4
 
 
 def cache_folder() -> Path:
     """Return the folder of the user's cache for the small liver of this version with these parameters."""
-    about = {"scene": typed(LIVER, SMALL), "training": [PATHS, HELD_OUT, MODES], "file": storage.VERSION}
+    about = {"scene": typed(LIVER, SCENE_PARAMETERS), "training": [PATHS, HELD_OUT, MODES], "file": storage.VERSION}
     digest = hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:8]
     return user_cache_path("palpate") / f"{LIVER}-{__version__}-{digest}"
 
@@ -58,9 +58,9 @@ def load_cached_liver(console: Console) -> ReducedModel:
         raise InputError(f"{error}, or give a model of your own: palpate train liver, then --model FILE") from error
     console.say(f"a small model of the liver is trained, once, and kept in {folder}")
     with console.status("making the full model ready (the first run on a machine compiles it: a minute or two)"):
-        scene = training_scene(LIVER, SMALL)
+        scene = training_scene(LIVER, SCENE_PARAMETERS)
     with open_campaign(folder, manifest_of(LIVER, scene, 0)) as own:
-        campaign = Campaign(own, scene, console, MODES, workers=min(os.cpu_count() or 1, MOST_WORKERS))
+        campaign = Campaign(own, scene, console, MODES, workers=min(os.cpu_count() or 1, MAX_WORKERS))
         body = campaign.train(campaign.jobs(range(PATHS), HELD_OUT))
         shutil.rmtree(own.runs)
     console.say(f"trained {MODES} modes, {count_nodes(body.report['nodes'])} sampled")

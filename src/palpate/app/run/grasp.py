@@ -17,8 +17,8 @@ from palpate.scenes.scene import TrainingScene
 
 __all__ = ["run_grasp"]
 
-LASTING, EVERY = 0.4, 0.005  # [s] of a training run
-MOST_MODES = 96
+RUN_SECONDS, EVERY = 0.4, 0.005  # [s] of a training run
+MAX_MODES = 96
 SEED, SLOW = 1000, 3.0  # seed and duration [s] of a motion of the tool that was not trained on
 
 
@@ -58,10 +58,10 @@ def run_grasp(
     OSError
         A file could not be read or written.
     """
-    modes = integer_in_range("modes", modes, 1, MOST_MODES)
+    modes = integer_in_range("modes", modes, 1, MAX_MODES)
 
     def scene() -> TrainingScene:
-        return grasped_beam(spacing, poisson, LASTING, EVERY)
+        return grasped_beam(spacing, poisson, RUN_SECONDS, EVERY)
 
     def make(console: Console) -> tuple[ReducedModel, Poses, None]:
         body = load(model) if model is not None else train_quickly(scene, modes, console)

@@ -22,7 +22,7 @@ from palpate.scenes.training import typed
 
 __all__ = ["pressing_ball", "run_liver"]
 
-SEED, LASTING = 1000, 2.0  # of a press that was not trained on; its duration [s]
+SEED, PRESS_SECONDS = 1000, 2.0  # of a press that was not trained on; its duration [s]
 DEEPEST, SHALLOWEST = 0.015, 2 / 3  # [m] depth of the press; least depth over that, or over the trained one if less
 
 
@@ -80,7 +80,7 @@ def pressing_ball(body: ReducedModel, file: Path) -> tuple[Poses, Contact]:
     home = ball.poses(np.zeros(1))[0, :3]
 
     def poses(time: float) -> Any:
-        place = ball.poses(np.array([time % LASTING * duration / LASTING]))[0]
+        place = ball.poses(np.array([time % PRESS_SECONDS * duration / PRESS_SECONDS]))[0]
         return place[:3] - home, place[3:]
 
     return poses, Contact(ball.tool, home, friction=ball.friction)

@@ -29,7 +29,7 @@ Poses = Callable[[float], Any]  # at times [s], as `palpate.DummyDevice` takes t
 
 BLACK_BOX = "black_box.h5"
 FILES = (*REPORTS, BLACK_BOX)
-LONGEST_RUN, LOWEST_RATE, HIGHEST_RATE = (
+MAX_RUN_SECONDS, MIN_RATE, MAX_RATE = (
     600.0,
     50.0,
     20_000.0,
@@ -82,8 +82,8 @@ def run_realtime(
     OSError
         A file could not be read or written.
     """
-    seconds = number_in_range("seconds", seconds, 0.0, LONGEST_RUN, open_low=True, unit="s")
-    rate = number_in_range("rate", rate, LOWEST_RATE, HIGHEST_RATE, unit="Hz")
+    seconds = number_in_range("seconds", seconds, 0.0, MAX_RUN_SECONDS, open_low=True, unit="s")
+    rate = number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz")
     check_folder(out)
     check_space(out, round(seconds * rate * BYTES_PER_PERIOD))
     console = Console()
@@ -114,7 +114,7 @@ def _step_engine(engine: Engine, poses: Poses, seconds: float, black_box: Path, 
         warnings.simplefilter("ignore", RuntimeWarning)  # about trust: the report has it
         try:
             with engine:
-                DummyDevice(_with_progress(poses, shown)).prepare(engine, seconds)
+                DummyDevice(_with_progress(poses, shown)).run(engine, seconds)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("in real time") from None
     if engine.state == "diverged":

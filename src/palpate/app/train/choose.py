@@ -24,14 +24,14 @@ from palpate.scenes.scene import TrainingScene
 __all__ = ["CANDIDATES_PER_RUN", "FIRST_RUNS", "choose", "next_count"]
 
 FIRST_RUNS = 4  # before the first model
-GROWTH = 0.5  # further runs of a round, over those before
+ROUND_GROWTH = 0.5  # further runs of a round, over those before
 MIN_ROUND = 2
 CANDIDATES_PER_RUN = 4  # paths that the reduced model tries for every path that is chosen
 
 
 def next_count(runs: int, most: int) -> int:
     """Return the number of further runs of the next round."""
-    return min(max(MIN_ROUND, int(np.ceil(GROWTH * runs))), most - runs)
+    return min(max(MIN_ROUND, int(np.ceil(ROUND_GROWTH * runs))), most - runs)
 
 
 def choose(

@@ -9,7 +9,7 @@ from palpate.app.common.console import Console
 from palpate.app.train.campaign import Campaign, Round
 from palpate.app.train.choose import CANDIDATES_PER_RUN
 from palpate.app.train.cluster import check_dask
-from palpate.app.train.folder import MOST_PATHS, manifest_of, open_campaign
+from palpate.app.train.folder import MAX_PATHS, manifest_of, open_campaign
 from palpate.app.train.paths import add_recording
 from palpate.app.train.report import report_campaign
 from palpate.faults import InputError, brief, integer_in_range, number_in_range
@@ -18,9 +18,9 @@ from palpate.scenes.training import search_current_folder, training_scene
 
 __all__ = ["train"]
 
-MOST_SEED = 1_000_000
-MOST_WORKERS = 1024
-MOST_MODES = 1000
+MAX_SEED = 1_000_000
+MAX_WORKERS = 1024
+MAX_MODES = 1000
 
 
 def train(
@@ -83,21 +83,21 @@ def train(
     OSError
         A file could not be written.
     """
-    seed = integer_in_range("seed", seed, 0, MOST_SEED)
-    paths = integer_in_range("paths", paths, 1, MOST_PATHS // CANDIDATES_PER_RUN)
-    held_out = integer_in_range("held_out", held_out, 0, MOST_PATHS)
+    seed = integer_in_range("seed", seed, 0, MAX_SEED)
+    paths = integer_in_range("paths", paths, 1, MAX_PATHS // CANDIDATES_PER_RUN)
+    held_out = integer_in_range("held_out", held_out, 0, MAX_PATHS)
     if tolerance is not None:
         tolerance = number_in_range("tolerance", tolerance, 0.0, 1.0, open_low=True)
         if not held_out:
             raise InputError("held_out must be at least 1 with --tolerance, got 0; the errors are of held-out runs")
-    modes = integer_in_range("modes", modes, 1, MOST_MODES)
+    modes = integer_in_range("modes", modes, 1, MAX_MODES)
     if cubature is not None:
         cubature = number_in_range("cubature", cubature, 0.0, 1.0)
     if cluster is not None:
         check_dask()
         if workers is not None:
             raise InputError(f"workers must be left out with --cluster, got {workers}; a cluster has its own")
-    workers = integer_in_range("workers", 1 if workers is None else workers, 1, MOST_WORKERS)
+    workers = integer_in_range("workers", 1 if workers is None else workers, 1, MAX_WORKERS)
     parameters = _parameters(given)
     check_folder(out)
     console = Console()

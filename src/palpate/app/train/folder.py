@@ -24,12 +24,12 @@ from palpate.files import digest_of, read_sealed_json, regular_file, write_seale
 from palpate.scenes.scene import TrainingScene
 from palpate.sealed import loading
 
-__all__ = ["HELD_OUT", "MOST_PATHS", "RECORDED", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "open_campaign"]
+__all__ = ["HELD_OUT", "MAX_PATHS", "RECORDED", "TRAINED", "Folder", "Job", "jobs", "manifest_of", "open_campaign"]
 
 FORMAT, VERSION = "palpate campaign", 2
-LARGEST_RECORD = 1 << 20  # bytes of a manifest, or of the record of a failed run
+MAX_RECORD_BYTES = 1 << 20  # bytes of a manifest, or of the record of a failed run
 TRAINED, HELD_OUT, RECORDED = "train", "held_out", "recorded"
-STRIDE, MOST_PATHS = 1_000_000, 500_000  # seeds of a campaign, and of either kind of run in it
+STRIDE, MAX_PATHS = 1_000_000, 500_000  # seeds of a campaign, and of either kind of run in it
 
 
 class Job(NamedTuple):
@@ -49,7 +49,7 @@ def jobs(seed: int, paths: Iterable[int], held_out: int) -> list[Job]:
     """Return the runs of a campaign: of training paths by number, and a number of held-out ones."""
     first = seed * STRIDE
     return [Job(TRAINED, k, first + k) for k in paths] + [
-        Job(HELD_OUT, k, first + MOST_PATHS + k) for k in range(held_out)
+        Job(HELD_OUT, k, first + MAX_PATHS + k) for k in range(held_out)
     ]
 
 
@@ -125,7 +125,7 @@ class Folder:
         if not path.exists():
             return None
         with loading(path, "delete the file, and the same command runs it again"):
-            record = read_sealed_json(path, "record of a failed run", LARGEST_RECORD)
+            record = read_sealed_json(path, "record of a failed run", MAX_RECORD_BYTES)
             if record.keys() != {"seed", "reason", "retry"} or not isinstance(record["reason"], str):
                 raise InputError("this is not the record of a failed run")
         return record
@@ -172,7 +172,7 @@ class Folder:
         if not path.exists():
             return []
         with loading(path, "delete the file, and the same command chooses paths again"):
-            found = read_sealed_json(path, "record of chosen paths", LARGEST_RECORD).get("rounds")
+            found = read_sealed_json(path, "record of chosen paths", MAX_RECORD_BYTES).get("rounds")
             if not isinstance(found, list) or not all(_are_numbers(each) for each in found):
                 raise InputError("this is not a record of chosen paths")
         return found
@@ -187,7 +187,7 @@ class Folder:
 
 
 def _are_numbers(paths: Any) -> bool:
-    return isinstance(paths, list) and all(type(k) is int and 0 <= k < MOST_PATHS for k in paths)
+    return isinstance(paths, list) and all(type(k) is int and 0 <= k < MAX_PATHS for k in paths)
 
 
 @contextmanager
@@ -220,7 +220,7 @@ def _read(path: Path) -> dict[str, Any]:
     if not path.exists():
         raise InputError(f"{path} does not exist")
     with loading(path, "choose another folder"):
-        found = read_sealed_json(path, FORMAT, LARGEST_RECORD)
+        found = read_sealed_json(path, FORMAT, MAX_RECORD_BYTES)
         if found.get("format") != FORMAT or not isinstance(found.get("parameters"), dict):
             raise InputError(f"this is not a {FORMAT}")
     return found

@@ -21,7 +21,7 @@ __all__ = ["run_local"]
 
 THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 AT, DONE, STOPPED, DIED = "at", "done", "stopped", "died"
-TRIES = 2  # of a run whose worker dies
+MAX_TRIES = 2  # of a run whose worker dies
 
 
 @dataclass
@@ -81,10 +81,10 @@ def run_local(folder: Folder, jobs: Sequence[Job], workers: int, watch: Watch) -
                     busy.remove(worker)
                     folder.sweep(worker.job)
                     deaths[worker.job] += 1
-                    if deaths[worker.job] < TRIES:
+                    if deaths[worker.job] < MAX_TRIES:
                         waiting.appendleft(worker.job)
                     else:
-                        reason = f"its process died {TRIES} times (exit code {said}); out of memory?"
+                        reason = f"its process died {MAX_TRIES} times (exit code {said}); out of memory?"
                         yield record_fault(folder, worker.job, reason, retry=True)
     finally:
         for worker in busy:

@@ -28,7 +28,7 @@ from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity, p
 __all__ = ["apply_contact_impulses"]
 
 MAX_SWEEPS = 30
-LEAST_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
+MIN_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
 SWEEP_TOLERANCE = 3e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
 
 
@@ -75,7 +75,7 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
                 found = distance < search
                 if found and contacts.slide_of[i] >= 0:
                     nx, ny, nz = project(contacts.slide, contacts.slide_of[i], nx, ny, nz)
-                    found = nx * nx + ny * ny + nz * nz > LEAST_FREEDOM
+                    found = nx * nx + ny * ny + nz * nz > MIN_FREEDOM
             if not found:
                 if impulses[k, 3] != 0.0:
                     impulses[k] = 0.0

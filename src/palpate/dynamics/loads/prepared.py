@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeGuard
+from inspect import isabstract
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import scipy.sparse as sparse
@@ -19,6 +20,7 @@ from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
 from palpate.dynamics.loads.foundation import Foundation, foundation_areas
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.loads.supports import (
     FIXED,
     FREE,
@@ -30,7 +32,7 @@ from palpate.dynamics.loads.supports import (
     supported_nodes,
 )
 from palpate.dynamics.loads.surface_force import SurfaceForce
-from palpate.dynamics.loads.values import arrays_at, scalars_at, vectors_at
+from palpate.dynamics.loads.values import arrays_at, vectors_at
 from palpate.faults import InputError, brief, first_few
 from palpate.meshfree.cloud import Cloud
 
@@ -40,18 +42,12 @@ __all__ = [
     "LoadSites",
     "PreparedLoads",
     "check_kinds",
-    "is_pressure",
     "listed",
     "prepare_loads",
 ]
 
 SUPPORT_TOLERANCE = 1e-9  # largest prescribed displacement across a support, relative to the largest one
-Load = DeadLoad | Gravity | PrescribedMotion | Grasp | Contact | Foundation
-
-
-def is_pressure(load: object) -> TypeGuard[SurfaceForce]:
-    """Return True for a pressure, which follows the deformed face."""
-    return isinstance(load, SurfaceForce) and load.pressure is not None
+Load = DeadLoad | Pressure | Gravity | PrescribedMotion | Grasp | Contact | Foundation
 
 
 class LoadHistory(NamedTuple):
@@ -181,11 +177,7 @@ class PreparedLoads(Described):
             A load's function returned the wrong shape or a value that is not finite.
         """
         motion, constrained = self._motion(times)
-        pressures = [
-            scalars_at(load.pressure or 0.0, times, f"pressure of SurfaceForce on {load.group!r}")
-            for load in self.loads
-            if is_pressure(load)
-        ]
+        pressures = [load.values(times) for load in self.loads if isinstance(load, Pressure)]
         return LoadHistory(
             gravity=self._gravity(times),
             amplitudes=self._amplitudes(times),
@@ -208,8 +200,8 @@ class PreparedLoads(Described):
     def _amplitudes(self, times: Floats) -> Floats:
         amplitudes = np.zeros((len(times), len(self.dead_loads), self.sites.dead_pattern.shape[1]))
         for g, load in enumerate(self.dead_loads):
-            own = load.amplitudes(times)
-            amplitudes[:, g, : own.shape[1]] = own
+            values = load.amplitudes(times)
+            amplitudes[:, g, : values.shape[1]] = values
         return amplitudes
 
     def _motion(self, times: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -235,8 +227,8 @@ class PreparedLoads(Described):
         on_support = np.flatnonzero(sites.slide_of[nodes] >= 0)
         if not on_support.size:
             return
-        own = motion[:, on_support]
-        error = own - np.einsum("pcd,spd->spc", sites.slide[sites.slide_of[nodes[on_support]]], own)
+        sliding = motion[:, on_support]
+        error = sliding - np.einsum("pcd,spd->spc", sites.slide[sites.slide_of[nodes[on_support]]], sliding)
         largest = np.abs(error).max()
         if largest > SUPPORT_TOLERANCE * np.abs(motion).max(initial=0.0):
             raise InputError(
@@ -247,7 +239,7 @@ class PreparedLoads(Described):
     @cached_property
     def dead_loads(self) -> tuple[DeadLoad, ...]:
         """Dead loads, in the order of `LoadSites.dead_start`."""
-        return tuple(load for load in self.loads if isinstance(load, DeadLoad) and not is_pressure(load))
+        return tuple(load for load in self.loads if isinstance(load, DeadLoad))
 
     @cached_property
     def tools(self) -> tuple[Contact, ...]:
@@ -310,19 +302,24 @@ def listed(loads: Any) -> tuple[Load, ...]:
         raise InputError(f"loads must be a list, got one {type(loads).__name__}; put it in brackets, such as [pull]")
     if isinstance(loads, str | bytes | Mapping) or not isinstance(loads, Iterable):
         raise InputError(
-            f"loads must be a list of loads, got {brief(loads)}; use such as [SurfaceForce(...), Gravity()]"
+            f"loads must be a list of loads, got {brief(loads)}; use such as [{SurfaceForce.__name__}(...)]"
         )
     listed = tuple(loads)
     for load in listed:
         if not isinstance(load, Load):
-            raise InputError(
-                "loads must be of SurfaceForce, Gravity, PrescribedMotion, Grasp, Contact or Foundation, got "
-                f"{brief(load)}; replace or remove it"
-            )
+            raise InputError(f"loads must be of {kind_names(get_args(Load))}, got {brief(load)}; replace or remove it")
     return listed
 
 
-def check_kinds(loads: Sequence[Load], allowed: tuple[type, ...], what: str) -> None:
+def kind_names(kinds: Sequence[type]) -> str:
+    """Return the names of kinds of loads for a message; those of an abstract kind are its subclasses."""
+    concrete = [name for kind in kinds for name in (kind.__subclasses__() if isabstract(kind) else [kind])]
+    return ", ".join(kind.__name__ for kind in concrete)
+
+
+def check_kinds(
+    loads: Sequence[Load], allowed: tuple[type, ...], what: str, remedy: str = "run the full model with it"
+) -> None:
     """Refuse loads of other kinds than those that a model has forces for.
 
     Parameters
@@ -331,6 +328,8 @@ def check_kinds(loads: Sequence[Load], allowed: tuple[type, ...], what: str) -> 
     allowed : tuple of types
     what : str
         The argument, and of which model, for the message.
+    remedy : str
+        What to do with a load of another kind, for the message.
 
     Raises
     ------
@@ -339,15 +338,14 @@ def check_kinds(loads: Sequence[Load], allowed: tuple[type, ...], what: str) -> 
     """
     for load in loads:
         if not isinstance(load, allowed):
-            names = ", ".join("SurfaceForce" if kind is DeadLoad else kind.__name__ for kind in allowed)
-            raise InputError(f"{what} must be one of {names}, got {brief(load)}; run the full model with it")
+            raise InputError(f"{what} must be one of {kind_names(allowed)}, got {brief(load)}; {remedy}")
 
 
 def prepare_loads(
     cloud: Cloud,
-    held: Sequence[Support],
+    supports: Sequence[Support],
     loads: Sequence[Load],
-    areas_of: Callable[[DeadLoad], Floats] | None = None,
+    areas_of: Callable[[DeadLoad | Pressure], Floats] | None = None,
     patches: sparse.csr_array | None = None,
 ) -> PreparedLoads:
     """Prepare loads for a cloud with supports.
@@ -355,7 +353,7 @@ def prepare_loads(
     Parameters
     ----------
     cloud : Cloud
-    held : sequence of Support
+    supports : sequence of Support
     loads : sequence of loads
     areas_of : function, optional
         Returns the area vectors (g, 3) [m^2] of a load's group; by default those of the cloud's faces.
@@ -377,7 +375,7 @@ def prepare_loads(
         PrescribedMotion(load.name, load.displacement, load.until) if isinstance(load, Grasp) else load
         for load in loads
     )
-    constraints = _constraints(cloud, held, loads)
+    constraints = _constraints(cloud, supports, loads)
     sites = _load_sites(cloud, loads, constraints, areas_of)
     _check_free_nodes(cloud, loads, constraints)
     tools = [load for load in loads if isinstance(load, Contact)]
@@ -394,14 +392,15 @@ def prepare_loads(
         contacts=contacts(tools, cloud, constraints.until, (sites.slide_of, sites.slide), patches),
         motions=constraints.motions,
         grasps=grasps,
-        directions=constrained_directions(cloud, held),
+        directions=constrained_directions(cloud, supports),
     )
 
 
-def _constraints(cloud: Cloud, held: Sequence[Support], loads: Sequence[Load]) -> _Constraints:
+def _constraints(cloud: Cloud, supports: Sequence[Support], loads: Sequence[Load]) -> _Constraints:
     """Return the constraints of supports and prescribed motions; raise `InputError` for overlaps."""
-    supports, own = {support.group: cloud.group(support.group) for support in held}, supported_nodes(cloud, held)
-    kind = own.kind.copy()
+    groups = {support.group: cloud.group(support.group) for support in supports}
+    supported = supported_nodes(cloud, supports)
+    kind = supported.kind.copy()
     until = np.where(kind == FIXED, np.inf, -np.inf)
     prescribed, motions, count = [np.zeros(0, dtype=np.int64)], [], 0
     for load in loads:
@@ -416,27 +415,27 @@ def _constraints(cloud: Cloud, held: Sequence[Support], loads: Sequence[Load]) -
             )
         kind[nodes] = PRESCRIBED
         until[nodes] = load.until * (1 + 1e-9)
-        supports[load.group] = nodes
+        groups[load.group] = nodes
         prescribed.append(nodes)
         motions.append((load, slice(count, count + len(nodes))))
         count += len(nodes)
-    return _Constraints(kind, own, supports, np.concatenate(prescribed), tuple(motions), until)
+    return _Constraints(kind, supported, groups, np.concatenate(prescribed), tuple(motions), until)
 
 
 def _load_sites(
     cloud: Cloud,
     loads: Sequence[Load],
     constraints: _Constraints,
-    areas_of: Callable[[DeadLoad], Floats] | None,
+    areas_of: Callable[[DeadLoad | Pressure], Floats] | None,
 ) -> LoadSites:
     """Return the nodes and factors of dead loads, pressures and foundations."""
     dead: list[ForcePattern] = []
     pressures: list[tuple[NDArray[np.int64], Floats]] = []
     foundations: list[tuple[NDArray[np.int64], Floats, Floats]] = []
     for load in loads:
-        if isinstance(load, DeadLoad):
+        if isinstance(load, DeadLoad | Pressure):
             areas = cloud.area_vectors(load.group) if areas_of is None else areas_of(load)
-            if is_pressure(load):
+            if isinstance(load, Pressure):
                 pressures.append((cloud.group(load.group), areas))
             else:
                 dead.append(load.pattern(cloud, areas))
@@ -444,7 +443,7 @@ def _load_sites(
             nodes, shares = cloud.group(load.group), foundation_areas(cloud, load)
             foundations.append((nodes, load.stiffness * shares, load.damping * shares))
     no_nodes = np.zeros(0, dtype=np.int64)
-    amplitudes = max((own.forces.shape[1] for own in dead), default=0)
+    amplitudes = max((pattern.forces.shape[1] for pattern in dead), default=0)
     slide_of = np.full(len(cloud), -1, dtype=np.int64)
     slide_of[constraints.nodes.sliding] = np.arange(len(constraints.nodes.sliding))
     return LoadSites(
@@ -452,9 +451,11 @@ def _load_sites(
         sliding=constraints.nodes.sliding,
         slide=constraints.nodes.slide,
         slide_of=slide_of,
-        dead_start=np.cumsum([0, *(len(own.nodes) for own in dead)]),
-        dead_node=np.concatenate([no_nodes, *(own.nodes for own in dead)]),
-        dead_pattern=np.concatenate([np.zeros((0, amplitudes, 3)), *(_pad(own.forces, amplitudes) for own in dead)]),
+        dead_start=np.cumsum([0, *(len(pattern.nodes) for pattern in dead)]),
+        dead_node=np.concatenate([no_nodes, *(pattern.nodes for pattern in dead)]),
+        dead_pattern=np.concatenate(
+            [np.zeros((0, amplitudes, 3)), *(_pad(pattern.forces, amplitudes) for pattern in dead)]
+        ),
         pressure_start=np.cumsum([0, *(len(n) for n, _ in pressures)]),
         pressure_node=np.concatenate([no_nodes, *(n for n, _ in pressures)]),
         pressure_area=np.concatenate([np.zeros((0, 3)), *(a for _, a in pressures)]),
@@ -476,7 +477,7 @@ def _check_free_nodes(cloud: Cloud, loads: Sequence[Load], constraints: _Constra
     kind = constraints.kind
     free = (kind == FREE) | (kind == SLIDING)
     for load in loads:
-        if isinstance(load, DeadLoad) and not free[cloud.group(load.group)].any():
+        if isinstance(load, DeadLoad | Pressure) and not free[cloud.group(load.group)].any():
             raise InputError(
                 f"group of {type(load).__name__} must have free nodes, got {load.group!r}, which is all fixed or "
                 "prescribed; load another group"

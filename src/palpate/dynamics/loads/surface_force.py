@@ -1,8 +1,7 @@
-"""Surface forces: forces, moments and pressures on a face of a body."""
+"""Surface forces: forces and moments on a face of a body."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,41 +20,36 @@ AXES = "xyz"
 
 @dataclass(frozen=True)
 class SurfaceForce(Described, DeadLoad):
-    """A force, a moment or a pressure on the face of a group of nodes (equation 4).
+    """A force, a moment or both on the face of a group of nodes (equation 4), fixed in direction.
 
-    Either a force, a moment or both are required, or a pressure.
+    On a membrane it is distributed over the flat edge of the group, or else over the areas of its
+    nodes. `Pressure` follows the deformed face.
 
     Parameters
     ----------
     group : str
         Nodes of one face of the body.
     force : (3,) sequence, or function of time [s] that returns one, optional [N]
-        Total force, distributed uniformly over the face's reference area, fixed in direction.
+        Total force, distributed uniformly over the face's reference area.
     moment : (3,) sequence, or function of time [s] that returns one, optional [N m]
         Total moment about the centroid of the face's reference area. Its traction is
-        c x (X - centroid) with one c for the face. It is fixed in direction too, and its resultant
-        force is zero.
-    pressure : float, or function of time [s], optional [Pa]
-        Pressure on the deformed face, against its current normal. On a membrane the normal is +z and
-        the face is that of the group's nodes. A force on a membrane is distributed over the flat edge
-        of the group, or else over the areas of its nodes.
+        c x (X - centroid) with one c for the face. Its resultant force is zero.
 
     Raises
     ------
     InputError
-        No load is given, or a pressure together with a force or a moment.
+        Neither a force nor a moment is given.
     """
 
     group: str
     force: Vector | None = None
     moment: Vector | None = None
-    pressure: float | Callable[[float], float] | None = None
 
     def __post_init__(self) -> None:
-        if (self.force is None and self.moment is None) == (self.pressure is None):
+        if self.force is None and self.moment is None:
             raise InputError(
-                f"SurfaceForce on {self.group!r} must have a force [N], a moment [N m] or both, or a pressure [Pa], "
-                f"got force={self.force!r:.60}, moment={self.moment!r:.60}, pressure={self.pressure!r:.60}"
+                f"SurfaceForce on {self.group!r} must have a force [N] or a moment [N m], got neither; "
+                "give one of them, or use Pressure for a pressure [Pa]"
             )
 
     def _facts(self) -> list[Fact]:
@@ -63,7 +57,6 @@ class SurfaceForce(Described, DeadLoad):
             ("group", self.group, ""),
             ("force", self.force, "N"),
             ("moment", self.moment, "N m"),
-            ("pressure", self.pressure, "Pa"),
         ]
 
     @property

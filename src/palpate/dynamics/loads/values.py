@@ -47,8 +47,8 @@ def arrays_at(values: list[Any], shape: tuple[int, ...], times: Floats, name: st
     except (ValueError, TypeError, OverflowError):
         array = np.zeros(0)
     if array.shape != (len(times), *shape):
-        wanted = {(): "a number", (3,): "three numbers"}.get(shape, f"an array of shape {shape}")
-        raise InputError(f"{name} must be {wanted}, got {brief(values[0])}")
+        expected = {(): "a number", (3,): "three numbers"}.get(shape, f"an array of shape {shape}")
+        raise InputError(f"{name} must be {expected}, got {brief(values[0])}")
     bad = np.flatnonzero(~np.isfinite(array.reshape(len(times), -1)).all(axis=1))
     if bad.size:
         raise InputError(f"{name} must be finite, got {brief(values[bad[0]])} at t = {times[bad[0]]:g} s")

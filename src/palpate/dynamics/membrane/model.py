@@ -15,7 +15,8 @@ from palpate.describe import Fact
 from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.rows import Rows, row_table
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, prepare_loads
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, prepare_loads
+from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
 from palpate.dynamics.material.fibres import lay_out_fibres, prepare_fibres
 from palpate.dynamics.material.relaxation import relaxation
@@ -294,10 +295,10 @@ def _validated_fibres(
     return nodal_fibres
 
 
-def load_areas(cloud: Cloud, prestretch: float, load: DeadLoad) -> Floats:
+def load_areas(cloud: Cloud, prestretch: float, load: DeadLoad | Pressure) -> Floats:
     """Return the area vectors (k, 3) of a load: of the face for a pressure, of an edge or the face for a force."""
     face = cloud.volumes[cloud.group(load.group), None] / prestretch**2 * [0.0, 0.0, 1.0]
-    if is_pressure(load):
+    if isinstance(load, Pressure):
         return face
     try:
         return cloud.area_vectors(load.group)

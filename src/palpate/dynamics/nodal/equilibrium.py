@@ -16,6 +16,7 @@ from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import Load, check_kinds, listed
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.nodal.mixed_newton import MixedNewton
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.static_balance import StaticBalance
@@ -27,7 +28,7 @@ from palpate.faults import InputError, brief, integer_in_range, number_in_range
 __all__ = ["Equilibrium", "equilibrium"]
 
 MIN_TOLERANCE, MAX_TOLERANCE = 1e-10, 1e-2
-KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp, Foundation)
+KINDS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp, Foundation)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ FORCING = 1e-3  # relative error of the linear solution of a step
 MAX_LINEAR_ITERATIONS = 500  # of conjugate gradients
 RESTART, MAX_CYCLES = 150, 4  # of GMRES
 MAX_STEPS = 20  # of Newton's method in one increment
-PATIENCE = 6  # steps after which the residual must decrease
+STEPS_WITHOUT_DECREASE = 6  # steps after which the residual must decrease
 INCREMENT_TOLERANCE = 1e-2  # of the residual between two increments, over the increment
 MIN_INCREMENT = 1 / 256  # of the load
 MAX_VOLUME_CHANGE = 4.0  # largest ratio of a node's volumes before and after a step
@@ -102,7 +102,7 @@ class MixedNewton:
             self.residual = float(np.linalg.norm(unbalanced)) / balance.scale(u)
             if not jump.any() and self.residual <= tolerance:
                 return u
-            stuck = step > PATIENCE and self.residual > least
+            stuck = step > STEPS_WITHOUT_DECREASE and self.residual > least
             if not np.isfinite(self.residual) or stuck or self.iterations >= self.max_iterations:
                 return None
             least = min(least, self.residual) if step else np.inf  # prescribed nodes have not moved before

@@ -13,7 +13,7 @@ from palpate.faults import InputError
 
 __all__ = ["StaticBalance"]
 
-LEAST_STRAIN = 1e-8  # smallest strain whose forces are resolved by the largest residual
+MIN_STRAIN = 1e-8  # smallest strain whose forces are resolved by the largest residual
 
 
 class StaticBalance:
@@ -101,12 +101,12 @@ class StaticBalance:
     def scale(self, u: Floats) -> float:
         """Return the norm [N] of the loads without constrained parts, and of the constrained internal forces.
 
-        It is at least that of a strain of `LEAST_STRAIN`, so that rounding does not count.
+        It is at least that of a strain of `MIN_STRAIN`, so that rounding does not count.
         """
         internal = self.internal(u) * self.weights
         loads = (self._load_density() if self._follows else self._dead) * self.weights - self.springs[:, None] * u
         blocked = internal - self.constrain(internal.copy())
-        least = LEAST_STRAIN * self.model.material.shear_modulus / self.model.cloud.spacing * self.weights
+        least = MIN_STRAIN * self.model.material.shear_modulus / self.model.cloud.spacing * self.weights
         return float(np.linalg.norm([np.linalg.norm(part) for part in (self.constrain(loads), blocked, least)]))
 
     def volume_ratios(self, u: Floats) -> Floats:

@@ -408,7 +408,7 @@ def press(data, q, v, at, step, period, share, tool_forces):  # type: ignore[no-
     for m in range(q.shape[0]):
         at[m] = q[m] + step * v[m]
     tools.impulses[:] = 0.0
-    settle(data.contact_surface, data.contact_state, tools, at, v, step, response, q.shape[0])
+    settle(data.contact_surface, data.contact_work, tools, at, v, step, response, q.shape[0])
     for m in range(q.shape[0]):
         for k in range(q.shape[0]):
             v[m] += step * response[m, k] * tools.load[k]

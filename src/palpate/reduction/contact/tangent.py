@@ -88,11 +88,11 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
     (`palpate.reduction.contact.compliance`). They are unchanged where the modes' tangent is not positive
     definite.
     """
-    contact_state, system = data.contact_state, data.system
+    contact, system = data.contact_work, data.system
     numbers, pressed = system.numbers, False
-    for e in range(contact_state.numbers[PAIRS]):
+    for e in range(contact.numbers[PAIRS]):
         for d in range(3):
-            pressed = pressed or contact_state.push[e, d] != 0.0
+            pressed = pressed or contact.push[e, d] != 0.0
     if not pressed:
         out[:] = 0.0
         numbers[:] = 0
@@ -105,7 +105,7 @@ def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
     table = system.table[: size * (size + RIGHT_SIDES)].reshape(size, size + RIGHT_SIDES)
     while numbers[NEXT_PIVOT] < size and work < CALL_WORK:
         remaining = size - numbers[NEXT_PIVOT]
-        if not _eliminate(system, contact_state.active, table, numbers[NEXT_PIVOT], min(PANEL, remaining)):
+        if not _eliminate(system, contact.active, table, numbers[NEXT_PIVOT], min(PANEL, remaining)):
             numbers[:] = 0
             return
         numbers[NEXT_PIVOT] += min(PANEL, remaining)
@@ -180,19 +180,19 @@ def _add_compliance(system, active, table, k):  # type: ignore[no-untyped-def]
 @kernel_njit(inner=True)
 def _assemble(data):  # type: ignore[no-untyped-def]
     """Set up the equations except the surface compliance; return False if there is no room for them."""
-    contact_state, system, modes = data.contact_state, data.system, data.modes
+    contact, system, modes = data.contact_work, data.system, data.modes
     compliance = data.contact_surface.compliance
-    count, numbers, pull = contact_state.numbers[PAIRS], system.numbers, system.pull
-    if not refresh(compliance, contact_state.active, contact_state.point, count):
+    count, numbers, pull = contact.numbers[PAIRS], system.numbers, system.pull
+    if not refresh(compliance, contact.active, contact.point, count):
         return False
     pull[:] = 0.0
     for e in range(count):
         for d in range(3):
-            pull[d] += contact_state.push[e, d]
+            pull[d] += contact.push[e, d]
     total = np.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
     for d in range(3):
         pull[d] /= max(total, 1e-300)
-    pull[SECANT] = contact_state.factor[0]
+    pull[SECANT] = contact.factor[0]
     rows = 0
     for e in range(count):
         rows = _add_directions(data, e, rows)
@@ -210,10 +210,10 @@ def _assemble(data):  # type: ignore[no-untyped-def]
         table[k, k], system.swift[:, k] = system.spring[k], 0.0
         for d in range(3):
             for m in range(modes if direction[d] != 0.0 else 0):
-                table[k, rows + m] += direction[d] * data.contact_surface.columns[contact_state.node[e], d, m]
-                system.swift[m, k] += data.substep[0] * direction[d] * system.columns[contact_state.node[e], d, m]
+                table[k, rows + m] += direction[d] * data.contact_surface.columns[contact.node[e], d, m]
+                system.swift[m, k] += data.substep[0] * direction[d] * system.columns[contact.node[e], d, m]
             table[k, size + d] = direction[d]
-            table[k, size + 3] += softening * direction[d] * (contact_state.now[e, d] - contact_state.modal[e, d])
+            table[k, size + 3] += softening * direction[d] * (contact.now[e, d] - contact.modal[e, d])
     for m in range(modes):
         for k in range(m, modes):
             table[rows + m, rows + k] = -0.5 * (data.tangent[m, k] + data.tangent[k, m])
@@ -223,39 +223,39 @@ def _assemble(data):  # type: ignore[no-untyped-def]
 @kernel_njit(inner=True)
 def _add_directions(data, e, rows):  # type: ignore[no-untyped-def]
     """Append the directions along which the force of a contact pair can change; return the number of rows."""
-    contact_state, tools, system = data.contact_state, data.tools, data.system
-    t, push, place = contact_state.tool[e], contact_state.push[e], contact_state.now[e]
+    contact, tools, system = data.contact_work, data.tools, data.system
+    t, push, place = contact.tool[e], contact.push[e], contact.now[e]
     kind, sizes, frame = tools.kind[t], tools.sizes[t], tools.frames[t, 1]
     if kind == BONDED:
-        return _add_axes(contact_state, system, e, rows)
+        return _add_axes(contact, system, e, rows)
     _, nx, ny, nz = gap(kind, sizes, frame, place[0], place[1], place[2])
     normal = push[0] * nx + push[1] * ny + push[2] * nz
     along = np.sqrt(max(push[0] ** 2 + push[1] ** 2 + push[2] ** 2 - normal * normal, 0.0))
     if normal <= 0.0:
         return rows
     if along < STICK_LIMIT * tools.friction[t] * normal:
-        return _add_axes(contact_state, system, e, rows)
-    rows = _add_row(contact_state, system, e, rows, nx, ny, nz, 0.0)
-    s = contact_state.active.slot[contact_state.point[e]]
-    own = contact_state.active.matrix[s, s]
-    own_compliance = contact_state.factor[t] * (own[0, 0] + own[1, 1] + own[2, 2]) / 3.0
+        return _add_axes(contact, system, e, rows)
+    rows = _add_row(contact, system, e, rows, nx, ny, nz, 0.0)
+    s = contact.active.slot[contact.point[e]]
+    own = contact.active.matrix[s, s]
+    own_compliance = contact.factor[t] * (own[0, 0] + own[1, 1] + own[2, 2]) / 3.0
     for curvature, x, y, z in _curvatures(kind, sizes, frame, place, nx, ny, nz):
         if normal * curvature * own_compliance > MIN_CURVATURE:
-            rows = _add_row(contact_state, system, e, rows, x, y, z, -1.0 / (normal * curvature))
+            rows = _add_row(contact, system, e, rows, x, y, z, -1.0 / (normal * curvature))
     return rows
 
 
 @kernel_njit(inner=True)
-def _add_axes(contact_state, system, e, rows):  # type: ignore[no-untyped-def]
-    rows = _add_row(contact_state, system, e, rows, 1.0, 0.0, 0.0, 0.0)
-    rows = _add_row(contact_state, system, e, rows, 0.0, 1.0, 0.0, 0.0)
-    return _add_row(contact_state, system, e, rows, 0.0, 0.0, 1.0, 0.0)
+def _add_axes(contact, system, e, rows):  # type: ignore[no-untyped-def]
+    rows = _add_row(contact, system, e, rows, 1.0, 0.0, 0.0, 0.0)
+    rows = _add_row(contact, system, e, rows, 0.0, 1.0, 0.0, 0.0)
+    return _add_row(contact, system, e, rows, 0.0, 0.0, 1.0, 0.0)
 
 
 @kernel_njit(inner=True)
-def _add_row(contact_state, system, e, rows, x, y, z, spring):  # type: ignore[no-untyped-def]
+def _add_row(contact, system, e, rows, x, y, z, spring):  # type: ignore[no-untyped-def]
     system.direction[rows, 0], system.direction[rows, 1], system.direction[rows, 2] = x, y, z
-    system.entry[rows], system.point[rows], system.spring[rows] = e, contact_state.point[e], spring
+    system.entry[rows], system.point[rows], system.spring[rows] = e, contact.point[e], spring
     return rows + 1
 
 

@@ -30,7 +30,7 @@ class ContactTools:
     def __init__(self, of: ContactSurface, prepared: PreparedLoads) -> None:
         self.contact_surface, self.prepared = of, prepared
         self.tools: RigidTools = rigid_tools(prepared, of)
-        self.contact_state: ContactScratch = contact_scratch(of, len(prepared.tools))
+        self.scratch: ContactScratch = contact_scratch(of, len(prepared.tools))
 
     def initial_state(self, displacements: Callable[[], Floats], time: float, spacing: float) -> ContactState | None:
         """Return the contact state at the start of a run, without forces; refuse tools inside the body."""
@@ -47,7 +47,7 @@ class ContactTools:
             return np.zeros((0, 0, 7))
         schedule = self.prepared.schedule(times)
         check_tool_step(self.prepared, schedule, spacing)
-        scratch = self.contact_state
+        scratch = self.scratch
         scratch.force[:], scratch.place[:], scratch.busy[:] = before.surface_forces, before.surface_positions, True
         self.tools.impulses[:], self.tools.nodal_impulses[:] = 0.0, 0.0
         for t, tool in enumerate(self.prepared.tools):
@@ -61,11 +61,11 @@ class ContactTools:
             return None
         nodes = self.contact_surface.nodes
         forces, nodal_impulses = np.zeros_like(before.forces), before.nodal_impulses.copy()
-        forces[nodes] = self.contact_state.force.sum(axis=0)
+        forces[nodes] = self.scratch.force.sum(axis=0)
         nodal_impulses[nodes] += self.tools.nodal_impulses
         return ContactState(
             forces, before.impulses + self.tools.impulses, before.start_time, nodal_impulses,
-            self.contact_state.place.copy(), self.contact_state.force.copy(), before.constraint_impulses,
+            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses,
         )  # fmt: skip
 
 

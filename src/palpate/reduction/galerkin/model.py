@@ -15,6 +15,7 @@ from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.pressure import Pressure
 from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.dynamics.nodal.stability import stable_step
@@ -29,7 +30,7 @@ from palpate.reduction.galerkin.step import BasisData, BodyData, GalerkinWork, r
 __all__ = ["GalerkinModel", "galerkin"]
 
 
-KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
+KINDS = (DeadLoad, Pressure, Gravity, PrescribedMotion, Grasp)  # of loads, whose forces the step has
 REFRESH_DISPLACEMENT = 0.1  # displacement after which the tangent is updated, as a fraction of the largest so far
 MIN_SIZE = 1e-3  # of the largest snapshot, below which one has reduced weight in a relative basis
 LIFTING_TOLERANCE = 1e-3  # largest error of a prescribed motion in the lifting vectors, relative

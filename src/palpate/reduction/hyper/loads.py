@@ -99,7 +99,7 @@ def prepare_reduced_loads(
     InputError
         A load is not supported, or was not part of the training.
     """
-    check_kinds(loads, KINDS, "loads of a sampled reduced model")
+    check_kinds(loads, KINDS, "loads of a sampled reduced model", "run the full model or palpate.galerkin with it")
     data = body.data
     kinematics = data.kinematics
     loads = [
@@ -108,10 +108,6 @@ def prepare_reduced_loads(
     ]
     areas = partial(load_areas, data.cloud, kinematics.prestretch) if kinematics.sheet else None
     ready = prepare_loads(data.cloud, data.supports, loads, areas)
-    if len(ready.sites.pressure_node):
-        raise InputError(
-            "loads must hold no follower pressures for a reduced model, got a pressure; use palpate.galerkin"
-        )
     if ready.tools and (data.prescribed or kinematics.sheet):
         raise InputError(
             "loads must hold no Contact or Grasp for a reduced membrane or a model with prescribed groups, got one; "

@@ -236,7 +236,7 @@ class ReducedModel(CoordinateModel):
         contact_data = ContactData(
             poses=contact.poses(times[1:-1], state.contact_state, self.cloud.spacing),
             surface=body.surface,
-            scratch=contact.contact_state,
+            scratch=contact.scratch,
             tools=contact.tools,
         )
         loads = np.ascontiguousarray(ready.forces(times[1:-1])[:, : self.count] + added_forces)

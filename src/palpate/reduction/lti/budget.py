@@ -16,7 +16,7 @@ from palpate.reduction.lti.system import LinearSystem
 
 __all__ = ["Budget", "Estimate", "dense_lyapunov", "sparse_lyapunov"]
 
-TRIAL = 240  # order of the dense equation that is timed
+TIMED_ORDER = 240  # order of the dense equation that is timed
 ARRAYS = 8  # square arrays that a dense solver stores at a time: the Schur form, vectors and work
 STEPS = 100  # smallest number of shifts of an alternating-direction iteration for a lightly damped body
 
@@ -65,17 +65,17 @@ class Budget:
 
 def dense_lyapunov(order: int) -> Estimate:
     """Estimate the two dense Lyapunov equations of a system of first order: O(N^2) numbers, O(N^3) operations."""
-    return Estimate(8.0 * ARRAYS * order**2, 2 * _dense_seconds() * (order / TRIAL) ** 3)
+    return Estimate(8.0 * ARRAYS * order**2, 2 * _dense_seconds() * (order / TIMED_ORDER) ** 3)
 
 
 @cache
 def _dense_seconds() -> float:
-    """Return the time [s] of one dense equation of order `TRIAL`, the shorter of two."""
-    a = np.random.default_rng(0).standard_normal((TRIAL, TRIAL)) - 40 * np.eye(TRIAL)
+    """Return the time [s] of one dense equation of order `TIMED_ORDER`, the shorter of two."""
+    a = np.random.default_rng(0).standard_normal((TIMED_ORDER, TIMED_ORDER)) - 40 * np.eye(TIMED_ORDER)
     times = []
     for _ in range(2):
         start = perf_counter()
-        scipy.linalg.solve_continuous_lyapunov(a, -np.eye(TRIAL))
+        scipy.linalg.solve_continuous_lyapunov(a, -np.eye(TIMED_ORDER))
         times.append(perf_counter() - start)
     return min(times)
 

@@ -23,9 +23,9 @@ __all__ = ["balance_in_low_rank", "dense_solver", "residual"]
 
 
 STEPS, TOLERANCE = 400, 1e-8  # of the iteration
-MISSED = 2e-2  # largest residual of a solution, relative to the right-hand side
+MAX_RESIDUAL = 2e-2  # largest residual of a solution, relative to the right-hand side
 PROBES = 4
-INSTEAD = "balance the body condensed to its slowest modes instead: method 'balanced'"
+REMEDY = "balance the body condensed to its slowest modes instead: method 'balanced'"
 
 
 def dense_solver() -> Any:
@@ -65,7 +65,7 @@ def balance_in_low_rank(
     from pymor.solvers.matrix_equations.adi import ADILyapunovSolver
     from pymor.solvers.matrix_equations.default import MatrixEquationSolvers
 
-    budget.check(sparse_lyapunov(system), "low-rank Lyapunov equations of this body", INSTEAD)
+    budget.check(sparse_lyapunov(system), "low-rank Lyapunov equations of this body", REMEDY)
     outputs, inputs = scales
     b = system.input.toarray() * inputs
     cp, cv = outputs[:, None] * system.output.toarray(), outputs[:, None] * system.rate_output.toarray()
@@ -78,10 +78,10 @@ def balance_in_low_rank(
     a, e = first_order(system)
     b0, c0 = np.vstack([np.zeros_like(b), b]), np.hstack([cp, cv])
     missed = max(residual(a, e, b0, factors[0]), residual(a.T, e.T, c0.T, factors[1]))
-    if not missed < MISSED:
+    if not missed < MAX_RESIDUAL:
         raise InputError(
-            f"residual of the low-rank Lyapunov solver must be below {MISSED:g}, got {missed:.2g} after {STEPS} steps: "
-            f"the body is too lightly damped for it; {INSTEAD}"
+            f"residual of the low-rank Lyapunov solver must be below {MAX_RESIDUAL:g}, got {missed:.2g} after {STEPS} "
+            f"steps: the body is too lightly damped for it; {REMEDY}"
         )
     if 2 * modes > min(factor.shape[1] for factor in factors):
         raise InputError(f"modes must be at most half the number of columns of the Gramians, got {modes}")

@@ -20,7 +20,7 @@ from palpate.faults import InputError, integer_in_range
 __all__ = ["Realisation", "balance", "hankel_norm", "lyapunov_factor", "nearest_fields"]
 
 
-MINIMAL = 1e-10  # relative to the largest Hankel singular value: states below it are rounding errors
+MIN_HANKEL_VALUE = 1e-10  # relative to the largest Hankel singular value: states below it are rounding errors
 EQUAL = 1e-6  # relative difference of Hankel singular values that count as equal
 
 
@@ -53,7 +53,7 @@ def balance(system: Realisation) -> tuple[Realisation, Floats, Floats]:
     """Return a balanced realisation of the largest order above rounding, its Hankel singular values, and T: x = T z."""
     controlled, observed = lyapunov_factor(system.A, system.B), lyapunov_factor(system.A.T, system.C.T)
     left, values, right = np.linalg.svd(observed.T @ controlled)
-    kept = values > MINIMAL * values[0]
+    kept = values > MIN_HANKEL_VALUE * values[0]
     roots = np.sqrt(values[kept])
     into = controlled @ right[: len(values)][kept].T / roots
     back = (observed @ left[:, : len(values)][:, kept] / roots).T

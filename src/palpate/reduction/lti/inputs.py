@@ -8,17 +8,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from palpate.arrays import Floats
-from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, is_pressure
-from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds
 from palpate.faults import InputError
-from palpate.reduction.lti.system import LinearSystem
+from palpate.reduction.lti.system import INPUTS, LinearSystem
 
 __all__ = ["LinearLoads", "linear_loads", "prepare_linear_loads", "tool_accelerations", "tool_coordinates"]
 
-KINDS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # of loads that are inputs
 RIGID_TOLERANCE = 1e-2  # largest error of a tool's motion in small translations and rotations, relative
 
 
@@ -62,25 +59,25 @@ def prepare_linear_loads(system: LinearSystem, loads: Sequence[Load]) -> LinearL
     InputError
         The system does not include one of the loads, or its tools differ.
     """
-    check_kinds(loads, KINDS, "loads of a linear model")
+    check_kinds(loads, INPUTS, "loads of a linear model")
     full = system.model
     ready = full.prepare(loads)
-    known = {_input(load) for load in system.loads if isinstance(load, DeadLoad)}
+    inputs = {_input(load) for load in system.loads if isinstance(load, DeadLoad)}
     weight = any(isinstance(load, Gravity) for load in system.loads)
     for load in ready.loads:
-        if isinstance(load, DeadLoad) and (is_pressure(load) or _input(load) not in known):
-            listed = ", ".join(f"{name} on {group!r}" for name, group, _ in sorted(known)) or "no dead load"
+        if isinstance(load, DeadLoad) and _input(load) not in inputs:
+            listed = ", ".join(f"{name} on {group!r}" for name, group, _ in sorted(inputs)) or "no dead load"
             raise InputError(f"loads must be those of the linear system ({listed}), got {load!r:.200}")
         if isinstance(load, Gravity) and not weight:
             raise InputError("loads must not include Gravity for a system without it; linearise with Gravity")
-    names = {name: nodes for name, nodes in ready.supports.items() if name not in full.fixed}
-    own = full.prepare(system.loads)
-    wanted = {name: nodes for name, nodes in own.supports.items() if name not in full.fixed}
-    same = names.keys() == wanted.keys() and all(np.array_equal(names[name], wanted[name]) for name in wanted)
+    given = {name: nodes for name, nodes in ready.supports.items() if name not in full.fixed}
+    linear = full.prepare(system.loads)
+    expected = {name: nodes for name, nodes in linear.supports.items() if name not in full.fixed}
+    same = given.keys() == expected.keys() and all(np.array_equal(given[name], expected[name]) for name in expected)
     if not same or any(motion.until < np.inf for motion, _ in ready.motions):
         raise InputError(
-            f"loads must prescribe {sorted(wanted) or 'no group'} without release, as in the linear system, "
-            f"got {sorted(names) or 'none'}"
+            f"loads must prescribe {sorted(expected) or 'no group'} without release, as in the linear system, "
+            f"got {sorted(given) or 'none'}"
         )
     return _with_inputs(system, ready)
 

@@ -37,7 +37,7 @@ from palpate.describe import Described, Fact
 from palpate.dynamics.contact.tools import Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
-from palpate.dynamics.loads.prepared import Load, PreparedLoads, is_pressure, listed
+from palpate.dynamics.loads.prepared import Load, PreparedLoads, check_kinds, listed
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.supports import constrained_directions, free_directions
 from palpate.dynamics.nodal.model import NodalModel
@@ -49,6 +49,7 @@ __all__ = ["LinearSystem", "force_inputs", "linearise"]
 
 
 AXES = "xyz"
+INPUTS = (DeadLoad, Gravity, PrescribedMotion, Grasp)  # kinds of loads that are inputs
 MIN_ROTATION = 1e-9  # displacement, in spacings, below which a rotation is left out
 
 
@@ -175,10 +176,10 @@ def linearise(
     model : NodalModel
         `Solid` or `Membrane`.
     loads : sequence of loads
-        The inputs. A `SurfaceForce` with a force has three, along the axes, and so has `Gravity`. A
-        tool that moves nodes (`PrescribedMotion`, `Grasp`) has six: three translations, and three
-        rotations about the mean position of its nodes. Their values in time are not part of the
-        system.
+        The inputs. A `SurfaceForce` has three for its force, along the axes, and three for its
+        moment; `Gravity` has three. A tool that moves nodes (`PrescribedMotion`, `Grasp`) has six:
+        three translations, and three rotations about the mean position of its nodes. Their values in
+        time are not part of the system.
     outputs : sequence of str
         Groups of nodes: the mean displacement of a free group, or the total force of a support on
         the body. The forces of tools, one per coordinate, are always the last outputs.
@@ -196,8 +197,8 @@ def linearise(
     if model.material.prony is not None:
         raise InputError("material must be without prony, which M, D and K do not describe; leave prony out")
     loads = listed(loads)
-    for load in loads:
-        _check_input(load, model)
+    check_kinds(loads, INPUTS, "loads of a linear system", "leave it out, or run the nonlinear body")
+    _check_moved_nodes(loads, model)
     displaced = state.coordinates if isinstance(state, State) else state
     at = np.zeros((len(model.cloud), 3)) if displaced is None else np.array(displaced, dtype=float)
     if at.shape != (len(model.cloud), 3) or not np.isfinite(at).all():
@@ -222,21 +223,14 @@ def linearise(
     return system
 
 
-def _check_input(load: Load, model: NodalModel) -> None:
-    """Refuse loads that are not inputs of a linear system."""
-    if isinstance(load, PrescribedMotion | Grasp):
-        if not model.conservative:
+def _check_moved_nodes(loads: Sequence[Load], model: NodalModel) -> None:
+    """Refuse tools that move nodes of a body in its strong form."""
+    for load in loads:
+        if isinstance(load, PrescribedMotion | Grasp) and not model.conservative:
             raise InputError(
                 "loads must not move nodes of a linearised body in its strong form, "
                 f"got a {type(load).__name__}; give the body form='energy' (docs/linear.md)"
             )
-        return
-    if is_pressure(load) or not isinstance(load, DeadLoad | Gravity):
-        name = "pressure" if is_pressure(load) else type(load).__name__
-        raise InputError(
-            f"loads of a linear system must be forces, moments, Gravity, PrescribedMotion or Grasp, got a {name}; "
-            "leave it out, or run the nonlinear body"
-        )
 
 
 def _rigid_motions(model: NodalModel, prepared: PreparedLoads) -> tuple[Floats, list[str]]:

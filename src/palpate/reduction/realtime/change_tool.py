@@ -34,14 +34,14 @@ def change_tool(model: RealtimeModel, tool: Tool | None, pose: Floats, friction:
         Coulomb's coefficient.
     """
     data: PeriodData = model.data
-    tools, contact_state = data.tools, data.contact_state
+    tools, contact = data.tools, data.contact_work
     tools.kind[0] = CAPSULE if tool is None else tool.kind
     tools.sizes[0] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
     tools.friction[0] = friction
     if isinstance(tool, Forceps):
         tools.origins[0] = tool.point
-    contact_state.force[:], contact_state.place[:], contact_state.busy[:] = 0.0, 0.0, True
-    contact_state.numbers[PAIRS] = 0
+    contact.force[:], contact.place[:], contact.busy[:] = 0.0, 0.0, True
+    contact.numbers[PAIRS] = 0
     rotation(pose, data.home)
     tools.path[:] = np.eye(3, 4)
     tools.path[:, :, 3] = data.home[:, 3]

@@ -113,11 +113,11 @@ def realtime_model(
             "train it with prescribed='GROUP', or give a tool with contact="
         )
     surface, home = model.body.surface, np.eye(3, 4)
-    tools, contact_state = rigid_tools(None, surface), contact_scratch(surface, 0)
+    tools, contact_work = rigid_tools(None, surface), contact_scratch(surface, 0)
     if contact is not None:
         contact_tools = ContactTools(surface, model.prepare([contact]))
         contact_tools.initial_state(lambda: np.zeros((len(model.cloud), 3)), 0.0, model.cloud.spacing)
-        tools, contact_state = contact_tools.tools, contact_tools.contact_state
+        tools, contact_work = contact_tools.tools, contact_tools.scratch
         rotation(contact_tools.prepared.schedule(np.zeros(1)).poses[0, 0], home)
         tools.path[:, :, 3] = home[:, 3]
     number_in_range("step", model.step or longest, longest / MAX_SUBSTEPS, unit="s")
@@ -158,11 +158,11 @@ def realtime_model(
         holds=np.ones(steps, dtype=np.bool_),
         no_loads=np.zeros((steps, count)),
         contact_surface=surface,
-        contact_state=contact_state,
+        contact_work=contact_work,
         tools=tools,
         home=home,
         system=contact_system(
-            surface.columns[:, :, modes], model.body.mass[modes, modes], len(contact_state.active.node)
+            surface.columns[:, :, modes], model.body.mass[modes, modes], len(contact_work.active.node)
         ),
     )
     advance, stiffness = period_functions(model.body.law, model.single)

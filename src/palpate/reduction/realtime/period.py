@@ -93,7 +93,7 @@ class PeriodData(NamedTuple):
         Last explicit step.
     path, holds, no_loads : (s + 3, l), (s,), (s, m) arrays
         Path of the tool during the implicit steps of a period, that it is prescribed, and zero loads.
-    contact_surface, contact_state, tools : tuples
+    contact_surface, contact_work, tools : tuples
         Of a tool in contact (`palpate.reduction.contact.gauss_seidel`); empty for a prescribed group.
     home : (3, 4) array [-], [m]
         Rotation and position of that tool at zero displacement.
@@ -115,7 +115,7 @@ class PeriodData(NamedTuple):
     holds: NDArray[np.bool_]
     no_loads: Floats
     contact_surface: ContactSurface
-    contact_state: ContactScratch
+    contact_work: ContactScratch
     tools: RigidTools
     home: Floats
     system: ContactSystem
@@ -290,7 +290,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         at_rest = not q.any() and not v.any()
         if at_rest:  # the start of a run, or a reset
             reset_history(data.body.scratch.history)
-            data.contact_state.force[:] = 0.0
+            data.contact_work.force[:] = 0.0
             data.system.numbers[:] = 0
         update_tangent(data, q)
         change = vectors[VELOCITY_CHANGE]  # of the velocities, at the start of the period
@@ -327,7 +327,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         for j in range(modes, count):  # remove rounding errors
             q[j] = target[j - modes]
             v[j] = speeds[j]
-        flexible = compliance_energy(data.contact_surface, data.contact_state)
+        flexible = compliance_energy(data.contact_surface, data.contact_work)
         report[TRUST] = max(distance(data, q), residual_norm(data, q, v))
         report[TRUST], report[STEPS] = max(report[TRUST], np.sqrt(flexible / data.indicator.flexibility_scale)), taken
         for m in range(count):

@@ -23,7 +23,7 @@ __all__ = ["describe_fibres", "describe_material", "describe_regions", "fibres_o
 
 KINDS = {law.name: law.kind for law in LAWS} | {"VolumeOnly": VolumeOnly}
 FIBRES: dict[str, Any] = {law.name: law.kind for law in FIBRE_LAWS}
-OWN = "Hyperelastic"
+SYMBOLIC_LAW = "Hyperelastic"
 
 
 def describe_material(material: Material) -> dict[str, str]:
@@ -35,7 +35,7 @@ def describe_material(material: Material) -> dict[str, str]:
         The material is neither one of the library's nor a symbolic law.
     """
     name, expression = type(material).__name__, getattr(material, "expression", "")
-    known = symbolic_law.law_of(expression) if name == OWN and expression else KINDS.get(name)
+    known = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW and expression else KINDS.get(name)
     if type(material) is not known:
         raise InputError(f"the law of {material} is not one of palpate's: it cannot be kept in a file")
     parameters = {f.name: getattr(material, f.name) for f in fields(material) if f.name != "prony"}
@@ -61,9 +61,9 @@ def material_of(name: Any, parameters: Any, expression: Any, prony: Any) -> Mate
     InputError
         The law is unknown, its parameters have other names, or a value is not a number in range.
     """
-    if not isinstance(name, str) or (name != OWN and name not in KINDS):
+    if not isinstance(name, str) or (name != SYMBOLIC_LAW and name not in KINDS):
         raise InputError(f"unknown material {brief(name)}: the laws are {', '.join(sorted(KINDS))}")
-    law: Any = symbolic_law.law_of(expression) if name == OWN else KINDS[name]
+    law: Any = symbolic_law.law_of(expression) if name == SYMBOLIC_LAW else KINDS[name]
     given = _mapping("parameters", parameters)
     forms = {"volumetric": given.pop("volumetric", QUADRATIC), "split": given.pop("split", COUPLED)}
     wanted = {field.name for field in fields(law)} - {"prony", *forms}

@@ -30,8 +30,8 @@ __all__ = ["Frames", "Measures", "Scales", "calibrate_scales", "error_curves", "
 
 
 LEVEL = 0.95  # probability that a run keeps the bound
-ROUNDING = 1.001  # a margin, by which the trust number of a held-out run stays below 1 when it is repeated
-LEAST_SIZE = 0.2  # size in relative errors, over the median of the runs' largest sizes
+REPEAT_MARGIN = 1.001  # a margin, by which the trust number of a held-out run stays below 1 when it is repeated
+MIN_RELATIVE_SIZE = 0.2  # size in relative errors, over the median of the runs' largest sizes
 SMALL_SHARE = 0.1  # of the frames, whose trust numbers and errors are too small to count
 MIN_TRUST = 1e-3  # least trust number that counts, over the largest
 MIN_ERROR = 1e-12  # smallest error in a logarithm, relative
@@ -136,7 +136,7 @@ def calibrate_scales(runs: Sequence[Measures], share: float) -> Scales:
     scales = Scales(*(max(value, 1e-300) for value in found))
     scales = scales._replace(load_scale=max(scales.load_scale, MIN_LOAD_SCALE))
     wider = max(_run_quantile([float(trust_numbers(run, scales).max()) for run in runs], share), 1.0)
-    wider *= ROUNDING
+    wider *= REPEAT_MARGIN
     return Scales(
         wider * scales.distance_scale,
         wider * scales.residual_scale,
@@ -172,14 +172,14 @@ def error_curves(runs: Sequence[Frames], scales: Scales) -> dict[str, Any]:
     k = min(int(np.ceil(LEVEL * (len(runs) + 1))), len(runs))
     result: dict[str, Any] = {"level": min(LEVEL, k / (len(runs) + 1))}
     for of in runs[0].errors:
-        least = max(LEAST_SIZE * float(np.median([run.sizes[of][-1] for run in runs])), 1e-300)
+        least = max(MIN_RELATIVE_SIZE * float(np.median([run.sizes[of][-1] for run in runs])), 1e-300)
         relative = [run.errors[of] / np.maximum(run.sizes[of], least) for run in runs]
         curve = _power_law(worst, relative)
         ratios = np.concatenate([own / curve.at(trust) for own, trust in zip(relative, worst, strict=True)])
         result[of] = {
             "least_size": least,
             "least_trust": curve.least_trust,
-            "largest_trust": ROUNDING**2 * curve.largest_trust,  # at least 1
+            "largest_trust": REPEAT_MARGIN**2 * curve.largest_trust,  # at least 1
             "exponent": curve.exponent,
             "median": curve.factor * float(np.median(ratios)),
             "bound": curve.factor * float(np.sort(_largest_ratios(worst, relative))[k - 1]),

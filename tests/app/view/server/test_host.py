@@ -29,7 +29,7 @@ def served(session, monkeypatch, capsys):
     return serve
 
 
-def test_a_busy_port_is_said(served):
+def test_a_busy_port_is_named(served):
     busy = open_listener(LOOPBACK, 18970)
     port = busy.getsockname()[1]
     first, second, *_ = served(port, browser=False)
@@ -40,7 +40,7 @@ def test_a_busy_port_is_said(served):
     assert second.startswith(f"open http://{LOOPBACK}:{taken}/#")
 
 
-def test_without_a_browser_the_address_is_there_to_be_opened(served, monkeypatch):
+def test_without_a_browser_the_address_is_printed(served, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("palpate.app.view.server.address.sys.platform", "linux")
@@ -49,12 +49,12 @@ def test_without_a_browser_the_address_is_there_to_be_opened(served, monkeypatch
     assert no_browser == "no browser was found: open the address yourself"
 
 
-def test_an_address_that_others_reach_is_warned_of(served, monkeypatch):
+def test_an_address_that_other_machines_reach_prints_a_warning(served, monkeypatch):
     monkeypatch.setattr(host, "is_loopback", lambda name: False)
     assert served(browser=False)[0].startswith(f"WARNING: other machines can reach {LOOPBACK}")
 
 
-def test_a_copy_without_a_page_says_so(served, monkeypatch, tmp_path):
+def test_an_installation_without_the_page_prints_so(served, monkeypatch, tmp_path):
     monkeypatch.setattr(host, "Page", lambda names: Page(names, tmp_path))
     assert served(browser=True)[0].startswith("the page was not built")
 

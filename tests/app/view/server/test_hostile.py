@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("kind", list(hostile.KINDS))
-def test_a_hostile_client_delays_nobody(site, session, kind, caplog, until):
+def test_a_hostile_client_does_not_delay_others(site, session, kind, caplog, until):
     """An honest client hears statistics twice a second all the time, and the session is never paused as asleep."""
     command = [sys.executable, str(VALIDATION / "hostile.py"), site.address]
     with subprocess.Popen([*command, "5", kind]) as harm:
@@ -43,14 +43,14 @@ def test_a_hostile_client_delays_nobody(site, session, kind, caplog, until):
     assert not caplog.records
 
 
-def test_all_of_them_together_stop_nothing_and_cost_no_memory(model):
+def test_all_hostile_clients_together_neither_stop_the_server_nor_use_up_memory(model):
     quiet, harmed = soak.soak(model, 20.0, list(hostile.KINDS))
     assert harmed["came"] == 3
     assert harmed["periods"] > 0
     assert harmed["memory_most_MB"] < quiet["memory_most_MB"] + 60.0
 
 
-def test_who_reads_nothing_is_gone_after_some_seconds(site, until):
+def test_a_client_that_does_not_read_is_disconnected_after_seconds(site, until):
     """By the limits that the server has, not by shortened ones."""
     command = [sys.executable, str(VALIDATION / "hostile.py"), site.address, "60", "reads_nothing"]
     with subprocess.Popen(command) as harm:

@@ -25,17 +25,17 @@ def emptied(*messages):
     return asyncio.run(run())
 
 
-def test_of_poses_that_wait_the_newest_is_left():
+def test_only_the_newest_of_queued_poses_is_kept():
     assert emptied(pose(1), pose(2), pose(3)) == [pose(3)]
 
 
-def test_nothing_overtakes_what_is_no_pose():
+def test_poses_do_not_overtake_other_messages():
     release, ack = {"type": "release"}, {"type": "ack", "sequence": 1}
     said = [pose(1), pose(2), release, pose(3), ack, pose(4), pose(5)]
     assert emptied(*said) == [pose(2), release, pose(3), ack, pose(5)]
 
 
-def test_who_says_too_much_waits():
+def test_a_sender_waits_while_the_queue_is_full():
     async def run():
         queue, release = MessageQueue(), {"type": "release"}
         for _ in range(MAX_MESSAGES):

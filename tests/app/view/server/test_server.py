@@ -36,7 +36,7 @@ def get(site, path, **headers):
 # who is let in
 
 
-def test_hello_tells_the_body(site, session):
+def test_hello_describes_the_body(site, session):
     async def visit():
         async with site.client() as client:
             return client.messages[0], client.geometry
@@ -51,7 +51,7 @@ def test_hello_tells_the_body(site, session):
     assert (hello["vertices"], hello["triangles"]) == (len(points), len(triangles))
 
 
-def test_a_wrong_token_is_turned_away(site):
+def test_a_wrong_token_is_rejected(site):
     async def visit():
         async with site.client(token="guess", greet=False) as client:
             with pytest.raises(ConnectionClosed) as closed:
@@ -62,7 +62,7 @@ def test_a_wrong_token_is_turned_away(site):
     assert not site.server.viewers
 
 
-def test_who_does_not_say_hello_is_turned_away(site, monkeypatch):
+def test_a_client_without_hello_is_rejected(site, monkeypatch):
     monkeypatch.setattr("palpate.app.view.server.server.HELLO_TIMEOUT", 0.1)
 
     async def visit():
@@ -86,7 +86,7 @@ def test_who_does_not_say_hello_is_turned_away(site, monkeypatch):
         ({"subprotocols": ["palpate.v9"]}, 400),
     ],
 )
-def test_pages_of_others_are_turned_away(site, options, status):
+def test_pages_of_other_origins_are_rejected(site, options, status):
     async def visit():
         async with site.client(greet=False, **options):
             pass
@@ -96,7 +96,7 @@ def test_pages_of_others_are_turned_away(site, options, status):
     assert refused.value.response.status_code == status
 
 
-def test_its_own_page_is_let_in(site):
+def test_the_page_of_the_server_is_accepted(site):
     async def visit():
         async with site.client(origin=f"http://localhost:{site.port}") as client:
             return client.messages[0]["type"]
@@ -104,7 +104,7 @@ def test_its_own_page_is_let_in(site):
     assert asyncio.run(visit()) == "hello"
 
 
-def test_files_come_from_a_list(session, site_of, tmp_path):
+def test_only_files_of_the_page_are_served(session, site_of, tmp_path):
     (tmp_path / "page" / "assets").mkdir(parents=True)
     (tmp_path / "secret.txt").write_text("secret")
     (tmp_path / "page" / "index.html").write_text("<p>hello</p>")
@@ -125,7 +125,7 @@ def test_files_come_from_a_list(session, site_of, tmp_path):
     assert get(site, "/", Host=f"localhost:{site.port}")[0] == 200
 
 
-def test_without_a_page_it_says_so(session, site_of, tmp_path):
+def test_without_the_page_the_server_responds_with_a_message(session, site_of, tmp_path):
     status, _, body = get(site_of(session, tmp_path), "/")
     assert status == 503
     assert b"The page was not built" in body
@@ -139,7 +139,7 @@ def test_a_busy_port_gives_the_next():
         each.close()
 
 
-def test_addresses():
+def test_allowed_hosts_and_loopback_addresses():
     assert allowed_hosts(LOOPBACK, 80) == ["127.0.0.1:80", "localhost:80", "[::1]:80"]
     assert allowed_hosts("192.0.2.1", 80) == ["192.0.2.1:80"]
     assert is_loopback(LOOPBACK)
@@ -203,7 +203,7 @@ def test_a_press_is_seen_and_a_release_ends_it(site, session, ball):
     asyncio.run(visit())
 
 
-def test_statistics_come_by_themselves(site):
+def test_statistics_are_sent_regularly(site):
     async def visit():
         async with site.client() as client:
             first = await client.told("statistics")
@@ -216,7 +216,7 @@ def test_statistics_come_by_themselves(site):
     assert set(last) == {"type", "median_ms", "p99_ms", "misses", "periods", "force_bound"}
 
 
-def test_a_program_gets_forces_at_its_rate(site, ball):
+def test_a_client_gets_forces_at_its_rate(site, ball):
     async def visit():
         async with site.client() as client:
             await client.say(**ball)
@@ -249,11 +249,11 @@ def test_force_frames_are_of_one_period_each_and_go_on_in_a_pause(site, ball):
 
 
 def test_a_flood_of_poses_is_merged_and_the_last_one_counts(site, session, ball, monkeypatch):
-    heeded, handle = [], session.handle
+    processed, handle = [], session.handle
 
     def counted(message):
         if message["type"] == "pose":
-            heeded.append(message["sequence"])
+            processed.append(message["sequence"])
         handle(message)
 
     monkeypatch.setattr(session, "handle", counted)
@@ -269,17 +269,17 @@ def test_a_flood_of_poses_is_merged_and_the_last_one_counts(site, session, ball,
             return [int(force[22]) for force in client.forces]
 
     answered = asyncio.run(visit())
-    assert heeded == sorted(heeded)
-    assert heeded[-1] == count
-    assert len(heeded) < count  # the others gave way
+    assert processed == sorted(processed)
+    assert processed[-1] == count
+    assert len(processed) < count  # the others gave way
     assert answered == sorted(answered)
-    assert set(answered) <= {0, *heeded}
+    assert set(answered) <= {0, *processed}
 
 
 # who drives, and what goes wrong
 
 
-def test_another_viewer_watches_and_cannot_drive(site, ball, monkeypatch):
+def test_a_second_viewer_watches_and_cannot_move_the_tool(site, ball, monkeypatch):
     async def visit():
         async with site.client() as first, site.client() as second:
             assert second.messages[0]["driver"] is False
@@ -304,7 +304,7 @@ def test_another_viewer_watches_and_cannot_drive(site, ball, monkeypatch):
     asyncio.run(visit())
 
 
-def test_a_driver_who_leaves_leaves_no_tool_behind(site, session, ball, until):
+def test_the_tool_is_removed_when_its_driver_disconnects(site, session, ball, until):
     async def visit():
         async with site.client() as watching:
             watching_is_driver = watching.messages[0]["driver"]
@@ -327,12 +327,12 @@ def test_a_driver_who_leaves_leaves_no_tool_behind(site, session, ball, until):
     asyncio.run(again())
 
 
-def test_nobody_watching_is_no_work(site, session, until):
+def test_the_session_pauses_without_viewers(site, session, until):
     until(lambda: session.pause_reason == "no viewers")
     assert session.status()["state"] == "paused"
 
 
-def test_malformed_messages_are_answered_and_ten_in_a_row_end_it(site, until):
+def test_malformed_messages_are_answered_and_ten_in_a_row_end_the_connection(site, until):
     async def visit():
         async with site.client() as client:
             for _ in range(9):
@@ -350,7 +350,7 @@ def test_malformed_messages_are_answered_and_ten_in_a_row_end_it(site, until):
     until(lambda: not site.server.viewers)
 
 
-def test_oversized_messages_end_it_and_the_server_lives(site):
+def test_oversized_messages_end_the_connection_and_the_server_continues(site):
     async def visit():
         async with site.client() as client:
             await client.socket.send(" " * (64 * 1024 + 1))
@@ -364,7 +364,7 @@ def test_oversized_messages_end_it_and_the_server_lives(site):
     assert asyncio.run(visit()) == 1009
 
 
-def test_what_cannot_be_is_refused_and_the_session_goes_on(site, ball):
+def test_invalid_requests_are_refused_and_the_session_continues(site, ball):
     async def visit():
         async with site.client() as client:
             await client.say(**{**ball, "position": [0.024, 0.024, 0.01]})
@@ -408,7 +408,7 @@ async def closing(client):
         (" " * (64 * 1024 + 1), 1009),
     ],
 )
-def test_what_is_no_hello_is_turned_away_with_a_reason(site, hello, code, caplog):
+def test_an_invalid_hello_is_rejected_with_a_reason(site, hello, code, caplog):
     from websockets.asyncio.client import connect
 
     async def visit():
@@ -437,7 +437,7 @@ def test_what_is_no_hello_is_turned_away_with_a_reason(site, hello, code, caplog
         (["{", '"type"', ": 1}"], "must be one of hello"),  # in fragments
     ],
 )
-def test_what_is_not_understood_is_answered(site, message, said, caplog):
+def test_unknown_messages_are_answered_with_an_error(site, message, said, caplog):
     async def visit():
         async with site.client() as client:
             await client.socket.send(message)
@@ -449,7 +449,7 @@ def test_what_is_not_understood_is_answered(site, message, said, caplog):
     assert not caplog.records
 
 
-def test_text_that_is_none_ends_the_connection(site, caplog):
+def test_invalid_utf8_ends_the_connection(site, caplog):
     async def visit():
         async with site.client() as client:
             await client.socket.send(b"\xff\xfe", text=True)
@@ -479,7 +479,7 @@ def test_a_rate_is_changed_at_once(site):
     assert after == before
 
 
-def test_who_does_not_read_is_cut_off_and_delays_nobody(site, monkeypatch, until):
+def test_a_client_that_does_not_read_is_disconnected_and_delays_no_other(site, monkeypatch, until):
     monkeypatch.setattr("palpate.app.view.server.viewer.SEND_TIMEOUT", 0.3)
     monkeypatch.setattr("palpate.app.view.server.connection.CLOSE_TIMEOUT", 0.1)
 
@@ -505,7 +505,7 @@ def test_who_does_not_read_is_cut_off_and_delays_nobody(site, monkeypatch, until
     assert asyncio.run(visit()) > 0
 
 
-def test_bytes_that_wait_are_bounded(site, until):
+def test_the_number_of_unsent_bytes_is_bounded(site, until):
     async def visit():
         async with site.client(draws=False) as stuck:
             stuck.socket.transport.pause_reading()
@@ -517,7 +517,7 @@ def test_bytes_that_wait_are_bounded(site, until):
     asyncio.run(visit())
 
 
-def test_who_neither_draws_nor_speaks_is_left_behind(site, monkeypatch):
+def test_a_client_that_neither_acknowledges_nor_sends_is_disconnected(site, monkeypatch):
     monkeypatch.setattr("palpate.app.view.server.viewer.RESPONSE_TIMEOUT", 0.5)
 
     async def visit():
@@ -537,7 +537,7 @@ def test_who_neither_draws_nor_speaks_is_left_behind(site, monkeypatch):
     assert left == [False, False]
 
 
-def test_an_error_of_the_show_ends_one_connection_and_is_said_once(site, session, monkeypatch, caplog):
+def test_an_internal_error_ends_one_connection_and_is_logged_once(site, session, monkeypatch, caplog):
     async def visit():
         async with site.client() as first:
             monkeypatch.setattr(session, "hello", lambda: {}["gone"])
@@ -568,7 +568,7 @@ def test_an_error_of_the_show_ends_one_connection_and_is_said_once(site, session
     assert all(record.exc_info is None for record in caplog.records)
 
 
-def test_a_state_that_ran_away_is_shown_and_reset(site, session, until):
+def test_a_diverged_state_is_shown_and_can_be_reset(site, session, until):
     async def visit():
         async with site.client() as client:
             await client.told("statistics")
@@ -583,7 +583,7 @@ def test_a_state_that_ran_away_is_shown_and_reset(site, session, until):
     asyncio.run(visit())
 
 
-def test_there_is_room_for_so_many_connections(site, monkeypatch, until):
+def test_the_number_of_connections_is_limited(site, monkeypatch, until):
     import socket
 
     monkeypatch.setattr("palpate.app.view.server.connection.MAX_CONNECTIONS", 8)
@@ -595,7 +595,7 @@ def test_there_is_room_for_so_many_connections(site, monkeypatch, until):
     assert get(site, "/")[0] in (200, 503)
 
 
-def test_a_server_ends_although_a_client_does_not_read(session, site_of):
+def test_the_server_closes_while_a_client_does_not_read(session, site_of):
     own = site_of(session)
 
     async def visit():

@@ -10,14 +10,14 @@ import palpate as pt
 from palpate.app.view.session.messages import parse_message
 
 
-def test_what_is_missing_has_its_default_and_what_is_unknown_is_left_out():
+def test_missing_fields_have_defaults_and_unknown_fields_are_dropped():
     message = parse_message('{"type": "pose", "position": [0, 0.01, -0.02], "colour": "red"}')
     assert message == {
         "type": "pose", "position": [0.0, 0.01, -0.02], "quaternion": [1.0, 0.0, 0.0, 0.0], "sequence": 0,
     }  # fmt: skip
 
 
-def test_quaternions_become_unit_ones():
+def test_quaternions_are_normalised():
     turn = parse_message('{"type": "pose", "position": [0, 0, 0], "quaternion": [0, 0, 3, 4]}')["quaternion"]
     assert turn == pytest.approx([0, 0, 0.6, 0.8])
 
@@ -61,22 +61,22 @@ def test_quaternions_become_unit_ones():
         (b"\x00\x01", "binary"),
     ],
 )
-def test_others_are_refused(text, said):
+def test_invalid_messages_are_refused(text, said):
     with pytest.raises(pt.InputError, match=said):
         parse_message(text)
 
 
 @pytest.mark.parametrize("stamp", [None, 0, -1.5, 2**53, "text"])
-def test_a_stamp_comes_back_as_it_is(stamp):
+def test_the_stamp_of_a_latency_message_is_not_changed(stamp):
     assert parse_message(json.dumps({"type": "latency", "stamp": stamp})) == {"type": "latency", "stamp": stamp}
 
 
-def test_rates_are_none_or_from_one_to_a_thousand():
+def test_rates_are_0_or_from_1_to_1000():
     messages = [parse_message(json.dumps({"type": "force", "rate": rate})) for rate in (0, 1, 1000)]
     assert [message["rate"] for message in messages] == [0.0, 1.0, 1000.0]
 
 
-def test_what_is_refused_is_shown_without_what_cannot_be_printed():
+def test_refusals_are_short_and_printable():
     with pytest.raises(pt.InputError) as refused:
         parse_message(json.dumps({"type": "\U0001f9e0" * 1000}))
     assert len(str(refused.value)) < 400

@@ -57,7 +57,7 @@ def recorded(model, tmp_path_factory, until):
     return path, seen, session.surface
 
 
-def test_what_is_loaded_is_what_was_seen(recorded, model):
+def test_a_loaded_recording_equals_the_session(recorded, model):
     path, seen, surface = recorded
     recording = load_recording(path)
     assert recording.title == "Block"
@@ -116,7 +116,7 @@ def test_the_surface_is_written_for_paraview(recorded):
     assert frames > 5
 
 
-def test_the_full_model_feels_nearly_the_same(recorded, capsys, assert_refused):
+def test_the_full_model_has_nearly_the_same_force_and_displacement(recorded, capsys, assert_refused):
     path, _, _ = recorded
     full = replay_on_full_model(load_recording(path), block().model)
     assert full["errors"]["force"] < 0.15
@@ -136,7 +136,7 @@ def test_the_full_model_feels_nearly_the_same(recorded, capsys, assert_refused):
 
 
 @pytest.mark.slow
-def test_pictures_and_films(recorded, tmp_path, assert_drawn, monkeypatch):
+def test_replay_writes_pictures_and_films(recorded, tmp_path, assert_drawn, monkeypatch):
     import imageio.v3 as imageio
 
     path, _, _ = recorded
@@ -151,7 +151,7 @@ def test_pictures_and_films(recorded, tmp_path, assert_drawn, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio's reader leaves pipes open
-def test_a_film_as_mp4(recorded, tmp_path, monkeypatch):
+def test_replay_writes_films_as_mp4(recorded, tmp_path, monkeypatch):
     import imageio.v3 as imageio
 
     pytest.importorskip("imageio_ffmpeg", reason="pip install 'palpate[film]'")
@@ -163,7 +163,7 @@ def test_a_film_as_mp4(recorded, tmp_path, monkeypatch):
     assert np.abs(frames[0].astype(float) - frames[len(frames) // 2]).max() > 50
 
 
-def test_films_that_cannot_be_made_are_refused(recorded, tmp_path, assert_refused, monkeypatch):
+def test_invalid_films_are_refused(recorded, tmp_path, assert_refused, monkeypatch):
     path = recorded[0]
     with monkeypatch.context() as without:
         without.setitem(sys.modules, "imageio_ffmpeg", None)
@@ -171,7 +171,7 @@ def test_films_that_cannot_be_made_are_refused(recorded, tmp_path, assert_refuse
     assert_refused(["replay", str(path), "--movie", str(tmp_path / "press.avi")], ".gif", ".mp4")
 
 
-def test_what_is_no_recording_is_refused(recorded, tmp_path, assert_refused):
+def test_files_that_are_not_a_recording_are_refused(recorded, tmp_path, assert_refused):
     path, _, _ = recorded
     assert_refused(["replay", str(tmp_path / "none.h5")], "FILE.h5 must be an existing file")
     (tmp_path / "text.h5").write_text("hello")
@@ -266,7 +266,7 @@ LIES = {
 
 
 @pytest.mark.parametrize("lie", LIES)
-def test_what_no_session_leaves_is_refused_even_with_right_checksums(recorded, tmp_path, forge, lie):
+def test_forged_recordings_are_refused_even_with_right_checksums(recorded, tmp_path, forge, lie):
     change, message = LIES[lie]
     path = forge(recorded[0], change, FORMAT, VERSION, tmp_path / "lie.h5")
     with pytest.raises(pt.FileFormatError, match=rf"lie\.h5: .*{message}"):
@@ -296,13 +296,13 @@ def slow(header, arrays):
         (slow, "at most 1200 s"),
     ],
 )
-def test_a_path_that_no_tool_took_is_not_run(recorded, tmp_path, forge, change, message):
+def test_a_forged_tool_path_is_not_run_on_the_full_model(recorded, tmp_path, forge, change, message):
     path = forge(recorded[0], change, FORMAT, VERSION, tmp_path / "lie.h5")
     with pytest.raises(pt.InputError, match=message):
         replay_on_full_model(load_recording(path), block().model)
 
 
-def test_what_a_viewer_gets_is_finite_whatever_a_recording_holds(recorded, tmp_path, forge):
+def test_viewers_get_finite_numbers_from_any_recording(recorded, tmp_path, forge):
     def change(header, arrays):
         arrays["coordinates"][:] = 1e9
         arrays["modulus_ratio"][:] = 1e9
@@ -326,13 +326,13 @@ SESSIONS = {
 
 
 @pytest.mark.parametrize("what", SESSIONS)
-def test_what_a_session_leaves_is_loaded(recorded, tmp_path, what):
+def test_recordings_of_every_kind_of_session_are_loaded(recorded, tmp_path, what):
     own = load_recording(recorded[0])
     save_recording(tmp_path / "own.h5", SESSIONS[what](own, own.snapshots))
     assert load_recording(tmp_path / "own.h5").snapshots
 
 
-def test_no_export_replaces_the_recording(recorded, tmp_path, assert_refused):
+def test_exports_do_not_overwrite_the_recording(recorded, tmp_path, assert_refused):
     path = tmp_path / "press.vtkhdf"
     content = recorded[0].read_bytes()
     path.write_bytes(content)
@@ -378,7 +378,7 @@ def test_a_recording_that_names_another_body_is_refused(recorded, tmp_path, forg
         full_model(load_recording(path))
 
 
-def test_several_tools_are_not_run_on_the_full_model(recorded):
+def test_recordings_with_several_tools_are_not_run_on_the_full_model(recorded):
     from dataclasses import replace
 
     recording = load_recording(recorded[0])
@@ -395,7 +395,7 @@ def test_several_tools_are_not_run_on_the_full_model(recorded):
 # without a page
 
 
-def test_a_script_drives_a_session(model, tmp_path, capsys, assert_refused):
+def test_a_script_moves_the_tool_of_a_session(model, tmp_path, capsys, assert_refused):
     pt.save(model, tmp_path / "block.rom")
     ball = {"type": "tool", "kind": "sphere", "radius": BALL, "position": ABOVE.tolist()}
     lines = [

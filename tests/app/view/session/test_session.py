@@ -38,7 +38,7 @@ def pressed(session, ball, until):
     return session
 
 
-def test_a_press_is_felt_and_seen_and_a_release_gives_way(pressed, until):
+def test_a_press_has_force_and_displacement_and_a_release_ends_both(pressed, until):
     moment = pressed.snapshot()
     moved = moment.displacements(pressed.surface)
     assert moment.tool == "sphere"
@@ -59,7 +59,7 @@ def test_forces_on_nodes_are_of_the_same_period_as_the_force_on_the_tool(pressed
         np.testing.assert_allclose(-moment.contact_forces.sum(axis=0), moment.force, atol=0.05 * abs(moment.force[2]))
 
 
-def test_a_released_ball_comes_back_where_it_is_outside(pressed, until):
+def test_a_released_ball_returns_at_a_pose_outside_the_body(pressed, until):
     pressed.release()
     pressed.handle(pose(PRESSED))  # inside: it stays away
     assert pressed.snapshot().tool == "none"
@@ -70,7 +70,7 @@ def test_a_released_ball_comes_back_where_it_is_outside(pressed, until):
     until(lambda: pressed.snapshot().force[2] > 0.01)
 
 
-def test_reset_is_rest(pressed):
+def test_a_reset_restores_rest(pressed):
     pressed.reset()
     moment = pressed.snapshot()
     assert not moment.displacements(pressed.surface).any()
@@ -79,7 +79,7 @@ def test_reset_is_rest(pressed):
     assert moment.state == "running"
 
 
-def test_another_tool_goes_on_from_the_present_state(pressed, until):
+def test_a_change_of_tool_keeps_the_state(pressed, until):
     before, parts = pressed.snapshot(), pressed.model.data
     aside = [0.040, 0.008, SIZE[2] + 0.02]
     capsule = {"type": "tool", "kind": "capsule", "radius": 0.01, "length": 0.01, "position": aside}
@@ -118,7 +118,7 @@ def test_a_grasp_pulls_and_lets_go(session, until):
         ({"kind": "grasp", "position": [0.0, 0.024, 0.006], "radius": 0.008}, "away from the support"),
     ],
 )
-def test_a_tool_is_put_only_where_it_can_be(session, tool, said):
+def test_a_tool_inside_the_body_or_away_from_it_is_refused(session, tool, said):
     with pytest.raises(pt.InputError, match=said):
         session.handle(validate_message({"type": "tool", **tool}))
 
@@ -131,7 +131,7 @@ def test_slow_motion_is_slow(session, until):
     assert last.time - first.time == pytest.approx(1e-4 * (last.steps - first.steps), rel=1e-6)
 
 
-def test_pause_stands_still_and_a_sleeping_machine_pauses(session, monkeypatch, until):
+def test_a_pause_stops_the_steps_and_a_suspended_machine_pauses(session, monkeypatch, until):
     session.handle(validate_message({"type": "control", "action": "pause"}))
     still = session.snapshot().steps
     time.sleep(0.05)
@@ -149,7 +149,7 @@ def test_pause_stands_still_and_a_sleeping_machine_pauses(session, monkeypatch, 
     assert session.status()["pause_reason"] == "sleep"
 
 
-def test_twice_the_moduli_are_twice_the_force_at_the_same_depth(pressed, until):
+def test_twice_the_moduli_give_twice_the_force_at_the_same_depth(pressed, until):
     begun = pressed.snapshot().steps  # a body that swings is still for a moment, too: wait until it has swung out
     until(lambda: pressed.snapshot().steps > begun + 2000 and calm(pressed.snapshot()))
     soft = pressed.snapshot()
@@ -171,7 +171,7 @@ def test_twice_the_moduli_are_twice_the_force_at_the_same_depth(pressed, until):
         pressed.handle(validate_message({"type": "material", "name": "shear modulus", "value": 100.0}))
 
 
-def test_moduli_that_change_to_and_fro_make_no_motion(session, until):
+def test_alternating_moduli_excite_no_motion(session, until):
     """In step with the body's vibrations, jumps would: this body ran away in half a second."""
     session.handle(validate_message({"type": "tool", "kind": "grasp", "radius": 0.008, "position": MIDDLE.tolist()}))
     session.handle(pose(MIDDLE + np.array([-0.0151, -0.0120, 0.0057])))
@@ -187,7 +187,7 @@ def test_moduli_that_change_to_and_fro_make_no_motion(session, until):
     until(lambda: session.snapshot().modulus_ratio == 4.0)
 
 
-def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, until):
+def test_a_coupled_tool_rests_where_spring_and_body_balance(session, ball, until):
     session.handle(validate_message({**ball, "stiffness": 200.0}))
     session.handle(pose(PRESSED))
     until(lambda: session.snapshot().steps > 500 and calm(session.snapshot()))
@@ -197,7 +197,7 @@ def test_a_coupled_tool_stands_where_spring_and_body_balance(session, ball, unti
 
 
 @pytest.mark.slow  # the periods are called from Python, which compiles them for one test
-def test_a_coupling_makes_no_energy(model):
+def test_the_virtual_coupling_produces_no_energy(model):
     """The example's books, in periods of 1 ms without a clock."""
     path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
     example = runpy.run_path(str(path))
@@ -215,7 +215,7 @@ def test_a_model_without_tools_is_refused(model):
         Session(bare, "Bare")
 
 
-def test_recordings_of_one_second_have_names_of_their_own(session, tmp_path, monkeypatch, until):
+def test_recordings_of_the_same_second_have_different_names(session, tmp_path, monkeypatch, until):
     monkeypatch.setattr("palpate.app.view.session.session.time.strftime", lambda form: "recording-now")
     session.folder = tmp_path / "recordings"
     for _ in range(3):
@@ -234,7 +234,7 @@ def test_recordings_of_one_second_have_names_of_their_own(session, tmp_path, mon
     assert all(load_recording(path).snapshots for path in session.folder.glob("*.h5"))
 
 
-def test_a_recording_that_cannot_be_written_leaves_nothing_behind(session, tmp_path, monkeypatch, until):
+def test_a_recording_that_cannot_be_written_leaves_no_file(session, tmp_path, monkeypatch, until):
     def full(path, recording):
         raise OSError("no space left")
 
@@ -246,7 +246,7 @@ def test_a_recording_that_cannot_be_written_leaves_nothing_behind(session, tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_a_recording_stays_where_only_the_file_for_paraview_is_lost(session, tmp_path, monkeypatch, until):
+def test_a_recording_is_kept_if_only_the_paraview_file_fails(session, tmp_path, monkeypatch, until):
     def full(path, recording):
         raise OSError("no space left")
 
@@ -261,7 +261,7 @@ def test_a_recording_stays_where_only_the_file_for_paraview_is_lost(session, tmp
     assert load_recording(path).snapshots
 
 
-def test_a_recording_goes_where_it_was_to_go_whoever_ends_it(session, tmp_path, until):
+def test_a_recording_is_written_to_its_path_whoever_stops_it(session, tmp_path, until):
     session.start_recording(tmp_path / "all.h5")
     until(lambda: len(session._recorder.times) > 1)
     session.handle(validate_message({"type": "record", "action": "stop"}))

@@ -20,9 +20,9 @@ __all__ = ["ENERGY_FORM", "build_report", "tables", "tip_displacement"]
 
 
 ENERGY_FORM = "energy form"  # another run of the same body, next to the study's strong form
-SLIGHT = 0.1  # share of the whole decrease of the error that may still come after 8 modes
+MAX_LATE_DECREASE = 0.1  # share of the whole decrease of the error that may still come after 8 modes
 NEARLY_LINEAR = 0.9  # coefficient of determination
-NEAR = 1.5  # at most this many times the printed ratio of times still is its "almost" or "around"
+MAX_TIME_RATIO = 1.5  # at most this many times the printed ratio of times still is its "almost" or "around"
 
 
 def build_report(study: Study, singular_values: Floats, pod_seconds: float) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def _slight_after_eight(done: dict[int, dict[str, Any]]) -> Claim:
         return "Figure 3", claim, "needs fewer modes, 8, and more", None
     first, eight, last = (done[m]["errors"]["displacement"] for m in (min(done), 8, max(done)))
     here = f"{first:.3%} with {min(done)}, {eight:.3%} with 8, {last:.3%} with {max(done)}"
-    return "Figure 3", claim, here, eight - last <= SLIGHT * (first - last)
+    return "Figure 3", claim, here, eight - last <= MAX_LATE_DECREASE * (first - last)
 
 
 def _linear_time(done: dict[int, dict[str, Any]]) -> Claim:
@@ -168,4 +168,4 @@ def _linear_time(done: dict[int, dict[str, Any]]) -> Claim:
 def _ratio(entry: dict[str, Any] | None, size: int, printed: float, claim: str) -> Claim:
     if entry is None:
         return "Figure 5", claim, f"not run with {size} modes", None
-    return "Figure 5", claim, f"{entry['ratio']:.2%}", entry["ratio"] <= NEAR * printed
+    return "Figure 5", claim, f"{entry['ratio']:.2%}", entry["ratio"] <= MAX_TIME_RATIO * printed

@@ -45,8 +45,8 @@ TITLES = {PROJECTED: "Projected, all nodes (the paper's)", HYPER_REDUCED: "Hyper
 MARKS = {PROJECTED: "o-", HYPER_REDUCED: "s:"}
 AFTERWARDS = {"return": "Tool back at 0", "hold": "Tool holds still", "release": "Tool has let go"}
 STATES = {"slack": YELLOW, "wrinkled": SKY, "taut": BLUE}
-WATCHED = {0.0: "black", 0.25: BLUE, 0.5: GREEN, 0.75: ORANGE}  # shares of the radius whose deflection is drawn
-LARGEST_ERROR = 1000.0  # [%] error up to which an axis reaches
+RADIUS_COLOURS = {0.0: "black", 0.25: BLUE, 0.5: GREEN, 0.75: ORANGE}  # shares of the radius whose deflection is drawn
+MAX_DRAWN_ERROR = 1000.0  # [%] error up to which an axis reaches
 PIXELS = 700  # across a map of states
 
 
@@ -94,7 +94,7 @@ def draw_error(done: dict[str, Done], path: Path) -> None:
                 if entries:
                     plot_errors(axes, entries)
                     percent_axis(axes)
-        grid[0, 0].set_ylim(top=min(grid[0, 0].get_ylim()[1], LARGEST_ERROR))
+        grid[0, 0].set_ylim(top=min(grid[0, 0].get_ylim()[1], MAX_DRAWN_ERROR))
         sizes = [entry["modes"] for entry in next(iter(done[PROJECTED].values()))]
         if sizes:
             _draw_error_claims(grid[0, 0], sizes)
@@ -142,7 +142,7 @@ def _at_radius(cloud: Cloud, share: float) -> NDArray[np.int64]:
 
 
 def _plot_deflections(axes: Axes, cloud: Cloud, run: Trajectory, style: str, label: bool) -> None:
-    for share, colour in WATCHED.items():
+    for share, colour in RADIUS_COLOURS.items():
         name = f"r = {1e3 * share * RADIUS:.0f} mm" if label else None
         deflection = run.displacements[:, _at_radius(cloud, share), 2].mean(axis=1)
         axes.plot(1e3 * run.times, 1e3 * deflection, style, color=colour, lw=1.8, label=name)

@@ -23,10 +23,10 @@ __all__ = ["draw_deflection"]
 
 
 FULL = "Full model"
-TALL = 4.0  # scale of heights over lengths
+HEIGHT_SCALE = 4.0  # scale of heights over lengths
 ELEVATION = 25.0  # [degree] of the camera above the horizon
-VISIBLE = 0.03  # range of deflections over a ring, as a share of the largest, from which it is drawn
-WIDE = 2.1 * RADIUS  # [m] width of a picture
+MIN_DRAWN_RANGE = 0.03  # range of deflections over a ring, as a share of the largest, from which it is drawn
+PICTURE_WIDTH = 2.1 * RADIUS  # [m] width of a picture
 
 
 def draw_deflection(study: Study, path: Path) -> None:
@@ -63,16 +63,16 @@ def draw_deflection(study: Study, path: Path) -> None:
 
 def _picture(axes: Axes, cloud: Cloud, displacement: Floats, limit: float, title: str) -> None:
     """Draw the deflected sheet with bars of 50 mm along it and 5 mm across."""
-    angle, reach = np.radians(ELEVATION), 1e3 * WIDE / 2
+    angle, reach = np.radians(ELEVATION), 1e3 * PICTURE_WIDTH / 2
     low = -1.15 * RADIUS * np.sin(angle)
-    high = max(1.15 * RADIUS * np.sin(angle), TALL * limit * np.cos(angle) + 0.1 * RADIUS)
+    high = max(1.15 * RADIUS * np.sin(angle), HEIGHT_SCALE * limit * np.cos(angle) + 0.1 * RADIUS)
     picture = _render(cloud, displacement, limit, low, high)
     axes.imshow(picture, extent=(-reach, reach, 1e3 * low, 1e3 * high), interpolation="antialiased")
     axes.set(xlim=(-reach, reach), ylim=(1e3 * low, 1e3 * high))
     axes.set_axis_off()
     axes.set_title(title)
     scale_bar(axes, -reach, reach, 0.97e3 * low)
-    tall, at = 5.0 * TALL * np.cos(angle), -0.97 * reach
+    tall, at = 5.0 * HEIGHT_SCALE * np.cos(angle), -0.97 * reach
     axes.plot([at, at], [0.97e3 * low, 0.97e3 * low + tall], color="black", lw=2.5, solid_capstyle="butt")
     placing = {"textcoords": "offset points", "ha": "left", "va": "center", "fontsize": 9}
     axes.annotate("5 mm high", (at, 0.97e3 * low + tall / 2), (5, 0), **placing)  # type: ignore[arg-type]
@@ -82,11 +82,11 @@ def _render(cloud: Cloud, displacement: Floats, limit: float, low: float, high: 
     """Draw the sheet in a parallel projection, from `low` to `high` [m] in the plane of the picture."""
     angle = np.radians(ELEVATION)
     towards = np.array([0.0, -np.cos(angle), np.sin(angle)])  # the camera
-    points = np.column_stack([cloud.points, np.zeros(len(cloud))]) + displacement * (1.0, 1.0, TALL)
+    points = np.column_stack([cloud.points, np.zeros(len(cloud))]) + displacement * (1.0, 1.0, HEIGHT_SCALE)
     sheet = surface(cloud, points)
     sheet["deflection"] = 1e3 * displacement[:, 2]
     middle = np.array([0.0, 0.0, (low + high) / 2 / np.cos(angle)])
-    with off_screen(WIDE, high - low, middle, towards, PIXELS // 2) as plotter:  # two stand side by side
+    with off_screen(PICTURE_WIDTH, high - low, middle, towards, PIXELS // 2) as plotter:  # two stand side by side
         colours = {"scalars": "deflection", "clim": (0.0, 1e3 * limit), "cmap": COLOURS, "show_scalar_bar": False}
         plotter.add_mesh(sheet, ambient=0.75, diffuse=0.25, smooth_shading=True, **colours)
         plotter.reset_camera_clipping_range()
@@ -106,7 +106,7 @@ def _colour_bar(drawn: Figure, views: list[Any], limit: float) -> None:
 
     scale = ScalarMappable(Normalize(0, 1e3 * limit), COLOURS)
     bar = drawn.colorbar(scale, ax=views, orientation="horizontal", shrink=0.5, aspect=45)
-    bar.set_label(f"deflection [mm].   Heights are drawn {TALL:g} times larger than lengths.   Lines: every 1 mm.")
+    bar.set_label(f"deflection [mm].   Heights are scaled by {HEIGHT_SCALE:g}.   Lines: every 1 mm.")
 
 
 def _plot_profile(axes: Axes, cloud: Cloud, drawn_ones: dict[str, Floats]) -> None:
@@ -122,7 +122,7 @@ def _plot_profile(axes: Axes, cloud: Cloud, drawn_ones: dict[str, Floats]) -> No
             low, high = np.full((2, len(radius)), mean)
             np.minimum.at(low, ring, deflection)
             np.maximum.at(high, ring, deflection)
-            if np.max(high - low) > VISIBLE * np.abs(deflection).max():
+            if np.max(high - low) > MIN_DRAWN_RANGE * np.abs(deflection).max():
                 axes.fill_between(radius, low, high, color=BLUE, alpha=0.25, lw=0, label=f"{FULL}, range over a ring")
         style, colour, layer = ("-", BLUE, 2) if full else ("--", ORANGE, 3)
         axes.plot(radius, mean, style, color=colour, lw=2, zorder=layer, label=name)

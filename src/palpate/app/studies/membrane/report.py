@@ -21,9 +21,9 @@ States = NDArray[np.int8]
 
 # How the paper's words of Figures 7 and 8 are read; it prints no numbers
 HIGH_ERROR, SMALL_ERROR = 0.1, 0.03  # displacement error
-DRAMATIC = 0.2  # at most this share of the error with 2 modes is left with 8
-NEGLIGIBLE = 0.01  # change of the displacement error
-LITTLE_TIME = 0.1  # of the full model's
+MAX_REMAINING_ERROR = 0.2  # at most this share of the error with 2 modes is left with 8
+MAX_ERROR_CHANGE = 0.01  # change of the displacement error
+MAX_TIME_SHARE = 0.1  # of the full model's
 
 
 def build_report(
@@ -143,10 +143,10 @@ def _high_with_two(wrong: dict[int, float]) -> Claim:
 
 
 def _dramatically_less(wrong: dict[int, float]) -> Claim:
-    claim = f"more modes reduce it dramatically (read: 8 leave less than {DRAMATIC:.0%} of it)"
+    claim = f"more modes reduce it dramatically (read: 8 leave less than {MAX_REMAINING_ERROR:.0%} of it)"
     if not {2, 8} <= set(wrong):
         return "Figure 7", claim, "needs 2 and 8 modes", None
-    return "Figure 7", claim, f"8 leave {wrong[8] / wrong[2]:.2%} of it", wrong[8] < DRAMATIC * wrong[2]
+    return "Figure 7", claim, f"8 leave {wrong[8] / wrong[2]:.2%} of it", wrong[8] < MAX_REMAINING_ERROR * wrong[2]
 
 
 def _very_small_with_eight(wrong: dict[int, float]) -> Claim:
@@ -157,19 +157,19 @@ def _very_small_with_eight(wrong: dict[int, float]) -> Claim:
 
 
 def _negligible_after_eight(wrong: dict[int, float]) -> Claim:
-    claim = f"after 8 modes its change is negligible (read: less than {NEGLIGIBLE:.0%} of the displacement)"
+    claim = f"after 8 modes its change is negligible (read: less than {MAX_ERROR_CHANGE:.0%} of the displacement)"
     more = [modes for modes in wrong if modes > 8]
     if 8 not in wrong or not more:
         return "Figure 7", claim, "needs 8 modes and more", None
     here = f"{wrong[8]:.2%} with 8, " + ", ".join(f"{wrong[modes]:.2%} with {modes}" for modes in more)
-    return "Figure 7", claim, here, max(abs(wrong[modes] - wrong[8]) for modes in more) < NEGLIGIBLE
+    return "Figure 7", claim, here, max(abs(wrong[modes] - wrong[8]) for modes in more) < MAX_ERROR_CHANGE
 
 
 def _little_time(done: dict[int, dict[str, Any]]) -> Claim:
-    claim = f"few modes reduce the computing time dramatically (read: 2 take less than {LITTLE_TIME:.0%})"
+    claim = f"few modes reduce the computing time dramatically (read: 2 take less than {MAX_TIME_SHARE:.0%})"
     if 2 not in done:
         return "Figure 8", claim, "not run with 2 modes", None
-    return "Figure 8", claim, f"{done[2]['ratio']:.1%} of the full model's", done[2]["ratio"] < LITTLE_TIME
+    return "Figure 8", claim, f"{done[2]['ratio']:.1%} of the full model's", done[2]["ratio"] < MAX_TIME_SHARE
 
 
 def _growing_time(done: dict[int, dict[str, Any]]) -> Claim:

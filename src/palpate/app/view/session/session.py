@@ -43,7 +43,7 @@ RATE = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
 SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
-AWAY = 10.0  # [m] beyond the body, where an absent tool is
+ABSENT_TOOL_DISTANCE = 10.0  # [m] beyond the body, where an absent tool is
 NO_TOOL = SelectedTool("none", None)
 MODULUS = "shear modulus"
 MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
@@ -74,7 +74,7 @@ class Session:
         self.surface = Surface(model)
         self._workspace = ToolWorkspace(self.surface)
         self.accepts_tools = not model.data.prescribed and model.data.compliance is not None
-        away = model.cloud.points.max(axis=0) + AWAY
+        away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
         contact = Contact(Sphere(model.cloud.spacing), away) if self.accepts_tools else None
         self._realtime_model = realtime_model(model, contact=contact)
         self._tool_origin, self._tool_rotation = np.zeros(3), NO_ROTATION  # when the tool was put down

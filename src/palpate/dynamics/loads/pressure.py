@@ -1,0 +1,38 @@
+"""Pressures on the deformed face of a body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from palpate.arrays import Floats
+from palpate.describe import Described, Fact
+from palpate.dynamics.loads.values import scalars_at
+
+__all__ = ["Pressure"]
+
+
+@dataclass(frozen=True)
+class Pressure(Described):
+    """A pressure that follows the deformed face of a group of nodes.
+
+    The nodal forces are -p da, with the area vectors da of the deformed face.
+
+    Parameters
+    ----------
+    group : str
+        Nodes of one face of a solid. On a membrane the face is that of the group's nodes, and its
+        normal is +z.
+    pressure : float, or function of time [s] [Pa]
+        Positive against the outward normal.
+    """
+
+    group: str
+    pressure: float | Callable[[float], float]
+
+    def _facts(self) -> list[Fact]:
+        return [("group", self.group, ""), ("pressure", self.pressure, "Pa")]
+
+    def values(self, times: Floats) -> Floats:
+        """Return the pressure (t,) [Pa] at some times [s]."""
+        return scalars_at(self.pressure, times, f"pressure of {type(self).__name__} on {self.group!r}")
