@@ -634,10 +634,17 @@ def physics_kind(folder: Path) -> Trial:
     return lambda rng, folder: {"ran": "accepted"}.get(physics(rng), "refused")
 
 
+def cost_kind(folder: Path) -> Trial:
+    """Return trials of small surface files that are composed to cost much time or memory."""
+    import fuzz_surfaces
+
+    return fuzz_surfaces.trial
+
+
 KINDS: dict[str, Callable[[Path], Trial]] = {
     "model": reduced_kind, "linear": linear_kind, "trajectory": trajectory_kind, "stored": stored_kind,
     "journal": journal_kind, "recording": recording_kind, "manifest": manifest_kind,
     **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp")},
     "material": material_kind, "curve": curve_kind, "message": message_kind, "command": command_kind,
-    "physics": physics_kind,
+    "physics": physics_kind, "cost": cost_kind,
 }  # fmt: skip
