@@ -105,7 +105,17 @@ def _gltf(rng: Rng) -> bytes:
 
 def _vtp(rng: Rng) -> bytes:
     if rng.random() < 0.3:  # words of the grammar, again and again
-        words = [b"<AppendedData", b"<AppendedData>", b" ", b"_", b"\n", b"<Piece/>", b"<Points>", b"<DataArray>", b"<a>"]
+        words = [
+            b"<AppendedData",
+            b"<AppendedData>",
+            b" ",
+            b"_",
+            b"\n",
+            b"<Piece/>",
+            b"<Points>",
+            b"<DataArray>",
+            b"<a>",
+        ]
         unit = b"".join(words[int(k)] for k in rng.integers(len(words), size=int(rng.integers(1, 4))))
         return (b"<VTKFile>" if rng.random() < 0.5 else b"") + unit * _count(rng, MAX_BYTES // len(unit))
     blocks = _count(rng, 20_000)
@@ -139,7 +149,14 @@ def _ply(rng: Rng) -> bytes:
 
 def _vtk(rng: Rng) -> bytes:
     head = b"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 3 float\n0 0 0 1 0 0 0 1 0\n"
-    units = [b"POLYGONS 0 0\n", b"FIELD f 1\na 0 0 int\n", b"POINTS 0 float\n", b" \n", b"METADATA\n", b"POLYGONS 1 4\n3 0 1 2\n"]
+    units = [
+        b"POLYGONS 0 0\n",
+        b"FIELD f 1\na 0 0 int\n",
+        b"POINTS 0 float\n",
+        b" \n",
+        b"METADATA\n",
+        b"POLYGONS 1 4\n3 0 1 2\n",
+    ]
     unit = units[int(rng.integers(len(units)))]
     return head + unit * _count(rng, MAX_BYTES // len(unit))
 

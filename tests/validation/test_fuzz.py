@@ -24,8 +24,8 @@ def run(script, *options):
 
 
 KINDS = {
-    "sealed": ["model", "linear", "trajectory", "stored", "journal", "recording", "manifest"],
-    "surfaces": ["stl", "obj", "ply", "off", "glb", "vtk", "vtp"],
+    "sealed": ["model", "linear", "trajectory", "stored", "journal", "recording", "recording journal", "manifest"],
+    "surfaces": ["stl", "obj", "ply", "off", "glb", "vtk", "vtp", "cost"],
     "words": ["material", "curve", "message", "command", "physics"],
 }
 

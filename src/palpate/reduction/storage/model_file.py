@@ -32,7 +32,7 @@ from palpate.reduction.storage.material import (
     material_of,
     regions_of,
 )
-from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
+from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 
 __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
 
@@ -207,7 +207,7 @@ def _arrays(data: ReducedData) -> Arrays:
 # reading
 
 
-def model_of(header: Header, file: SealedFile, prefix: str = "") -> ReducedModel:
+def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
     """Return the model of a header and of the arrays of a file whose names begin with a prefix.
 
     Raises
