@@ -665,11 +665,18 @@ def cost_kind(folder: Path) -> Trial:
     return fuzz_surfaces.trial
 
 
+def folder_kind(folder: Path) -> Trial:
+    """Return trials of commands in a working folder with files that other packages look for."""
+    import fuzz_folder
+
+    return fuzz_folder.folder_kind(folder)
+
+
 KINDS: dict[str, Callable[[Path], Trial]] = {
     "model": reduced_kind, "linear": linear_kind, "trajectory": trajectory_kind, "stored": stored_kind,
     "journal": journal_kind, "recording": recording_kind,
     "recording journal": recording_journal_kind, "manifest": manifest_kind,
     **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp")},
     "material": material_kind, "curve": curve_kind, "message": message_kind, "command": command_kind,
-    "physics": physics_kind, "cost": cost_kind,
+    "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
 }  # fmt: skip
