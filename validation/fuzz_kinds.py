@@ -277,15 +277,18 @@ def model() -> pt.ReducedModel:
 
 
 def use_model(found: pt.ReducedModel) -> None:
-    """Show the model's surface as the page would, and run the model for a millisecond."""
+    """Show the model's surface as the page would, and run the model for a millisecond, also under a ball."""
     from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
+    from palpate.app.view.session.tool_control import ToolWorkspace
     from palpate.reduction.realtime.display_surface import Surface
 
     scalar_descriptions(Surface(found))
+    ToolWorkspace(Surface(found))
     training_errors(found)
     json.dumps(found.report)
-    run = pt.rollout(found, [], duration=1e-3, every=1e-3, progress=False)
-    assert np.isfinite(run.displacements).all()
+    for loads in [], [pt.tools.Contact(pt.tools.Sphere(0.008), push)] if found.data.compliance else []:
+        run = pt.rollout(found, loads, duration=1e-3, every=1e-3, progress=False)
+        assert np.isfinite(run.displacements).all()
 
 
 def reduced_kind(folder: Path) -> Trial:
