@@ -21,6 +21,7 @@ import numpy as np
 
 import palpate as pt
 from palpate.app.recordings import recording as recordings
+from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.view.session.messages import parse_message
 from palpate.app.view.session.replay import Replay
@@ -276,15 +277,18 @@ def model() -> pt.ReducedModel:
 
 
 def use_model(found: pt.ReducedModel) -> None:
-    """Show the model's surface as the page would, and run the model for a millisecond."""
+    """Show the model's surface as the page would, and run the model for a millisecond, also under a ball."""
     from palpate.app.recordings.snapshot import scalar_descriptions, training_errors
+    from palpate.app.view.session.tool_control import ToolWorkspace
     from palpate.reduction.realtime.display_surface import Surface
 
     scalar_descriptions(Surface(found))
+    ToolWorkspace(Surface(found))
     training_errors(found)
     json.dumps(found.report)
-    run = pt.rollout(found, [], duration=1e-3, every=1e-3, progress=False)
-    assert np.isfinite(run.displacements).all()
+    for loads in [], [pt.tools.Contact(pt.tools.Sphere(0.008), push)] if found.data.compliance else []:
+        run = pt.rollout(found, loads, duration=1e-3, every=1e-3, progress=False)
+        assert np.isfinite(run.displacements).all()
 
 
 def reduced_kind(folder: Path) -> Trial:
@@ -399,6 +403,29 @@ def recording_kind(folder: Path) -> Trial:
     recordings.save_recording(path, recording())
     path.with_suffix(".vtkhdf").unlink()
     return sealed_kind(path, recordings.FORMAT, recordings.VERSION, recordings.load_recording, use_recording)
+
+
+def recording_journal_kind(folder: Path) -> Trial:
+    """Return trials of the journal of a recording that was cut off."""
+    path, sound = folder / "sound.h5", recording()
+    journal = RecordingJournal(path, sound.title, sound.model)
+    for k in range(0, len(sound.snapshots), 2):
+        journal.add(sound.times[k : k + 2], sound.snapshots[k : k + 2], sound.tools if k == 0 else [])
+    journal.close()
+    data = path.read_bytes()
+    known = [fingerprint(moment) for moment in recordings.load_recording(path).snapshots]
+
+    def trial(rng: Rng, folder: Path) -> str:
+        changed = folder / "changed.h5"
+        content = damaged(rng, data)
+        changed.write_bytes(content)
+        found = recordings.load_recording(changed)
+        use_recording(found)
+        same = [fingerprint(moment) for moment in found.snapshots] == known[: len(found.snapshots)]
+        shortened = len(found.snapshots) == len(known) or len(content) < len(data)
+        return "equal" if same and shortened else "another number"
+
+    return trial
 
 
 def manifest_kind(folder: Path) -> Trial:
@@ -634,10 +661,25 @@ def physics_kind(folder: Path) -> Trial:
     return lambda rng, folder: {"ran": "accepted"}.get(physics(rng), "refused")
 
 
+def cost_kind(folder: Path) -> Trial:
+    """Return trials of small surface files that are composed to cost much time or memory."""
+    import fuzz_surfaces
+
+    return fuzz_surfaces.trial
+
+
+def folder_kind(folder: Path) -> Trial:
+    """Return trials of commands in a working folder with files that other packages look for."""
+    import fuzz_folder
+
+    return fuzz_folder.folder_kind(folder)
+
+
 KINDS: dict[str, Callable[[Path], Trial]] = {
     "model": reduced_kind, "linear": linear_kind, "trajectory": trajectory_kind, "stored": stored_kind,
-    "journal": journal_kind, "recording": recording_kind, "manifest": manifest_kind,
+    "journal": journal_kind, "recording": recording_kind,
+    "recording journal": recording_journal_kind, "manifest": manifest_kind,
     **{suffix: surface_kind(suffix) for suffix in ("stl", "obj", "ply", "off", "glb", "vtk", "vtp")},
     "material": material_kind, "curve": curve_kind, "message": message_kind, "command": command_kind,
-    "physics": physics_kind,
+    "physics": physics_kind, "cost": cost_kind, "folder": folder_kind,
 }  # fmt: skip

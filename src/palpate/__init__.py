@@ -16,29 +16,14 @@ import os
 from importlib import import_module
 from typing import Any
 
+from palpate.working_folder import check_cache_folder, guard_numba
+
 # Threads that wait for each other spin only briefly, so that other work on the same cores does not stall them.
 os.environ.setdefault("GOMP_SPINCOUNT", "2500")
 
 
-def _check_cache_folder() -> None:
-    """Refuse a folder for compiled code that others may write: what lies there is run.
-
-    Raises
-    ------
-    ImportError
-        ``NUMBA_CACHE_DIR`` names such a folder.
-    """
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    if folder and os.name == "posix" and os.path.isdir(folder):
-        found = os.stat(folder)
-        if found.st_mode & 0o022 or found.st_uid not in (0, os.getuid()):
-            raise ImportError(
-                f"NUMBA_CACHE_DIR = {folder!r} can be written by others, and compiled code would be read from it: make "
-                "it yours alone (chmod go-w), or unset the variable"
-            )
-
-
-_check_cache_folder()
+check_cache_folder()
+guard_numba()
 
 _HOME = {
     "Cloud": "meshfree.cloud",

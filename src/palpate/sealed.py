@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,7 @@ from palpate.hdf5_frame import HEAD, lay_out
 __all__ = [
     "HEAD",
     "ArrayEntry",
+    "ArrayFile",
     "SealedFile",
     "array_of",
     "checked_shape",
@@ -78,6 +79,24 @@ class ArrayEntry:
     def size(self) -> int:
         """Number of bytes."""
         return math.prod(self.shape) * np.dtype(self.type).itemsize
+
+
+class ArrayFile(Protocol):
+    """A header of plain values and arrays by name, from any kind of file."""
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """Plain values."""
+        ...
+
+    @property
+    def arrays(self) -> Mapping[str, Any]:
+        """Arrays or their entries, by name."""
+        ...
+
+    def read(self, name: str) -> Array:
+        """Return an array."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,30 @@ ZLIB = b'compressor="vtkZLibDataCompressor"'
 BOMB = zlib.compress(bytes(200_000_000), 9)
 BODY = cube(0.1, 0.2)
 TWO = json.loads(gltf(BODY))
+
+
+def shared_corners():
+    """A glTF file of 1,500 primitives that share 75,000 corners."""
+    count, copies = 75_000, 1500
+    points, corners = np.tile(np.eye(3, dtype="<f4"), (copies, 1)), np.tile([0, 1, 2], count // 3).astype("u1")
+    data = points.tobytes() + corners.tobytes()
+    views = [
+        {"buffer": 0, "byteLength": points.nbytes},
+        {"buffer": 0, "byteOffset": points.nbytes, "byteLength": count},
+    ]
+    accessors = [{"bufferView": 1, "componentType": 5121, "count": count, "type": "SCALAR"}]
+    accessors += [
+        {"bufferView": 0, "byteOffset": 36 * k, "componentType": 5126, "count": 3, "type": "VEC3"}
+        for k in range(copies)
+    ]
+    primitives = [{"attributes": {"POSITION": k + 1}, "indices": 0, "mode": 5} for k in range(copies)]
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    return gltf(
+        BODY, buffers=[{"uri": uri, "byteLength": len(data)}], bufferViews=views, accessors=accessors,
+        meshes=[{"primitives": primitives}],
+    )  # fmt: skip
+
+
 ATTACKS = [
     ("size.vtk", LEGACY % (b"ASCII", CORNERS) + b"POLYGONS 1 4\n99999999 0 1 2\n", "99999999 corners"),
     ("index.vtk", LEGACY % (b"ASCII", CORNERS) + b"POLYGONS 1 4\n3 0 1 99999999\n", "vertices in .0, 2., got others"),
@@ -134,6 +158,15 @@ ATTACKS = [
     ("text.gltf", gltf(BODY, nodes="x"), "list of objects"),
     ("deep.gltf", b'{"a":' + b"[" * 100_000, "nested|valid JSON"),
     ("chunk.glb", b"glTF" + struct.pack("<III", 2, 20, 2**32 - 1) + b"JSON", "states 4294967295 bytes"),
+    ("corners.gltf", shared_corners(), "primitives use"),
+    ("primitives.gltf", gltf(BODY, meshes=[{"primitives": [{}] * 50_000}], nodes=[{"mesh": 0}] * 12_000), "at most"),
+    ("nodes.gltf", gltf(BODY, nodes=[{"mesh": 0}] * 60_000), "at most 50000 nodes"),
+    ("values.gltf", gltf(BODY, extras=[0] * 1_000_001), "at most 1000000 values"),
+    ("tags.vtp", b"<AppendedData" * 23_000, "not well formed"),
+    ("arrays.vtp", vtp(b"<Points>" + b"<DataArray/>" * 100_001 + b"</Points>"), "at most 100000 pieces"),
+    ("lists.ply", PLY.replace(b"element face", b"element x 5000000\nproperty list uchar int a\nelement face")
+     % (b"binary_little_endian", POINTS, 1, b"uchar") + bytes(36) + b"\1" + bytes(5_000_020), "at most 4000000 values"),
+    ("sections.vtk", LEGACY % (b"ASCII", CORNERS) + b"POLYGONS 0 0\n" * 20_000, "at most 1000 sections"),
     ("length.glb", b"glTF" + struct.pack("<II", 2, 2**31), "2147483648 bytes"),
 ]  # fmt: skip
 
@@ -180,12 +213,13 @@ def heavy(folder):
         "words.stl": b"solid " + b"vertex " * 50_000,
         "blank.obj": b"v" + b" " * 300_000 + b"\n" + b"f" * 50_000,
         "nodes.gltf": gltf(BODY, nodes=[{"mesh": 0}] * 20_000, scenes=[{"nodes": list(range(20_000))}]),
+        "names.gltf": gltf(BODY, meshes=[{"name": "a" * 150_000, **TWO["meshes"][0]}], nodes=[{"mesh": 0}] * 12_000),
         "shared.gltf": gltf(BODY, accessors=[TWO["accessors"][0]] * 3000, meshes=[
             {"primitives": [{"attributes": {"POSITION": k}} for k in range(3000)]}]),
     }  # fmt: skip
     for name, data in [*names.items(), *((name, data) for name, data, _ in ATTACKS)]:
         (folder / name).write_bytes(data)
-    return [*names, *(attack[0] for attack in ATTACKS)]
+    return [*names, *(name for name, data, _ in ATTACKS if len(data) < 1_300_000)]
 
 
 def test_small_files_neither_use_much_memory_nor_crash_the_process(tmp_path):
@@ -284,6 +318,24 @@ def test_a_body_far_from_the_origin_is_refused_before_its_digits_are_lost():
     assert weld(pt.Surface(BODY.vertices + 1e5, BODY.triangles)).volume == pytest.approx(1e-3, rel=1e-6)
     with pytest.raises(pt.InputError, match="times its size of the origin"):
         weld(pt.Surface(BODY.vertices + 1e8, BODY.triangles))
+
+
+def test_copies_of_a_part_are_named_in_linear_time():
+    from palpate.meshfree.formats.gltf import _unused
+
+    class Counted(dict):
+        looks = 0
+
+        def __contains__(self, name):
+            Counted.looks += 1
+            return super().__contains__(name)
+
+    parts, copies = Counted(), {}
+    names = [f"x_{k}" for k in range(1000, 2000)] + ["x"] * 1000
+    for name in names:
+        parts[_unused(name, parts, copies)] = None
+    assert len(parts) == len(names)
+    assert Counted.looks < 4 * len(names)
 
 
 def test_polygons_strips_and_lists_of_different_lengths_are_read(tmp_path):

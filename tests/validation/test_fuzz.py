@@ -24,8 +24,8 @@ def run(script, *options):
 
 
 KINDS = {
-    "sealed": ["model", "linear", "trajectory", "stored", "journal", "recording", "manifest"],
-    "surfaces": ["stl", "obj", "ply", "off", "glb", "vtk", "vtp"],
+    "sealed": ["model", "linear", "trajectory", "stored", "journal", "recording", "recording journal", "manifest"],
+    "surfaces": ["stl", "obj", "ply", "off", "glb", "vtk", "vtp", "cost"],
     "words": ["material", "curve", "message", "command", "physics"],
 }
 
@@ -66,3 +66,15 @@ def test_killed_writers_leave_whole_files_or_none():
     done = run("kill_writers.py", "--kills", "4", "--seed", "3")
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(done.stdout.splitlines()) == 9
+
+
+def test_no_file_of_the_working_folder_runs_or_changes_anything():
+    done = run("fuzz.py", "folder", "--trials", "20", "--seconds", "120", "--seed", "7")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert set(json.loads(done.stdout)["counts"]) == {"equal"}
+
+
+def test_a_full_disk_leaves_the_old_file_or_the_new_one():
+    done = run("fault_writers.py", "model", "manifest", "run")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(done.stdout.splitlines()) == 3

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from palpate.arrays import Floats, Ints
+from palpate.code_cache import cached_njit
 
 __all__ = ["column_crossings"]
 
 
-@njit(cache=True)
+@cached_njit()
 def _crossings(corners, low, step, nx, ny, start, height, write):  # type: ignore[no-untyped-def]
     """Count (or write) the heights at which vertical lines intersect triangles with corners (t, 3, 3)."""
     for t in range(corners.shape[0]):

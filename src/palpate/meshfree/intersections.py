@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from palpate.arrays import Floats, Ints
+from palpate.code_cache import cached_njit
 from palpate.faults import InputError
 
 __all__ = ["MAX_PAIRS", "self_intersections"]
@@ -90,7 +90,7 @@ def _remove_flat(vertices: Floats, triangles: Ints) -> tuple[Ints, Ints]:
     return triangles, owner
 
 
-@njit(cache=True)
+@cached_njit()
 def _have_area(corners):  # type: ignore[no-untyped-def]
     have = np.empty(len(corners), dtype=np.bool_)
     for t in range(len(corners)):
@@ -103,7 +103,7 @@ def _have_area(corners):  # type: ignore[no-untyped-def]
 # ---- tree: node i has the children 2 i + 1 and 2 i + 2; leaf j of 2^depth holds [n j >> depth, n (j + 1) >> depth)
 
 
-@njit(cache=True)
+@cached_njit()
 def _tree(middle, corners):  # type: ignore[no-untyped-def]
     """Return triangles ordered by median splits along the longest direction, and the boxes of the tree."""
     n, depth = len(middle), 0
@@ -139,7 +139,7 @@ def _tree(middle, corners):  # type: ignore[no-untyped-def]
     return order, box
 
 
-@njit(cache=True)
+@cached_njit()
 def _select(order, key, low, high, middle):  # type: ignore[no-untyped-def]
     """Partially sort so that entry `middle` has its rank (quickselect, Hoare, 1961)."""
     turn = 12345
@@ -164,7 +164,7 @@ def _select(order, key, low, high, middle):  # type: ignore[no-untyped-def]
             return
 
 
-@njit(cache=True)
+@cached_njit()
 def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-def]
     """Write intersecting pairs of each leaf and later ones; return their number and that of box tests."""
     n, leaves = len(corners), (len(box) + 1) // 2
@@ -209,14 +209,14 @@ def _search(corners, triangles, box, pairs, most):  # type: ignore[no-untyped-de
     return found, visits
 
 
-@njit(cache=True)
+@cached_njit()
 def _overlap(a, b):  # type: ignore[no-untyped-def]
     x = a[0, 0] <= b[1, 0] and b[0, 0] <= a[1, 0]
     y = a[0, 1] <= b[1, 1] and b[0, 1] <= a[1, 1]
     return x and y and a[0, 2] <= b[1, 2] and b[0, 2] <= a[1, 2]
 
 
-@njit(cache=True)
+@cached_njit()
 def _touches_box(p, box):  # type: ignore[no-untyped-def]
     for a in range(3):
         if min(p[0, a], p[1, a], p[2, a]) > box[1, a] or max(p[0, a], p[1, a], p[2, a]) < box[0, a]:
@@ -227,7 +227,7 @@ def _touches_box(p, box):  # type: ignore[no-untyped-def]
 # ---- two triangles
 
 
-@njit(cache=True)
+@cached_njit()
 def _meet(p, q, i, j):  # type: ignore[no-untyped-def]
     """Return whether triangles p and q (3, 3) of vertices i and j intersect beyond common vertices."""
     for a in range(3):
@@ -252,7 +252,7 @@ def _meet(p, q, i, j):  # type: ignore[no-untyped-def]
     return shared == 3 or _are_folded(p, q, 3 - sum_i, 3 - sum_j)
 
 
-@njit(cache=True)
+@cached_njit()
 def _are_separated(p, q, part):  # type: ignore[no-untyped-def]
     """Return whether an axis separates parts of p and q: (first, count) corners, a triangle or an edge."""
     near = GAP_TOLERANCE * _extent(p, q)
@@ -273,7 +273,7 @@ def _are_separated(p, q, part):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True)
+@cached_njit()
 def _extent(p, q):  # type: ignore[no-untyped-def]
     extent = 0.0
     for a in range(3):
@@ -282,12 +282,12 @@ def _extent(p, q):  # type: ignore[no-untyped-def]
     return extent
 
 
-@njit(cache=True)
+@cached_njit()
 def _normal(p):  # type: ignore[no-untyped-def]
     return _cross(_edge(p, 0), _edge(p, 1))
 
 
-@njit(cache=True)
+@cached_njit()
 def _separates(axis, p, q, part, near):  # type: ignore[no-untyped-def]
     low_p, high_p, low_q, high_q = np.inf, -np.inf, np.inf, -np.inf
     for k in range(part[1]):
@@ -302,7 +302,7 @@ def _separates(axis, p, q, part, near):  # type: ignore[no-untyped-def]
     return low_q - high_p > slack or low_p - high_q > slack
 
 
-@njit(cache=True)
+@cached_njit()
 def _are_folded(p, q, apex_p, apex_q):  # type: ignore[no-untyped-def]
     """Return whether two triangles with a common edge overlap."""
     e = _edge(p, apex_p + 1)
@@ -311,17 +311,17 @@ def _are_folded(p, q, apex_p, apex_q):  # type: ignore[no-untyped-def]
     return across > 0 and _square(_cross(u, v)) <= FLAT_TOLERANCE**2 * _square(u) * _square(v)
 
 
-@njit(cache=True)
+@cached_njit()
 def _edge(p, k):  # type: ignore[no-untyped-def]
     a, b = k % 3, (k + 1) % 3
     return p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[b, 2] - p[a, 2]
 
 
-@njit(cache=True)
+@cached_njit()
 def _cross(a, b):  # type: ignore[no-untyped-def]
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@cached_njit()
 def _square(a):  # type: ignore[no-untyped-def]
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]

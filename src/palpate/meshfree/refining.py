@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
 from palpate.arrays import Floats, Ints
+from palpate.code_cache import cached_njit
 
 __all__ = ["poisson_discs", "refine_surface"]
 
@@ -93,7 +93,7 @@ def poisson_discs(vertices: Floats, radius: Floats, order: Ints) -> Ints:
     return np.flatnonzero(_throw_discs(vertices, radius, order, inverse.ravel(), around) >= 0)
 
 
-@njit(cache=True)
+@cached_njit()
 def _throw_discs(vertices, radius, order, cell, around):  # type: ignore[no-untyped-def]
     label = np.full(len(vertices), -1, dtype=np.int64)
     head = np.full(len(around), -1, dtype=np.int64)

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
+from palpate.code_cache import cached_njit
 from palpate.meshfree.crossings import column_crossings
 from palpate.meshfree.refining import poisson_discs
 
@@ -135,7 +135,7 @@ def relax(
     return points[:n]
 
 
-@njit(cache=True)
+@cached_njit()
 def _repel(points, spacing, near, depth, away, sweeps):  # type: ignore[no-untyped-def]
     n = len(near)
     origin = points[:n].copy()
@@ -183,7 +183,7 @@ def voronoi_volumes(points: Floats, inside: DepthQuery, spacing: float) -> Float
     return _sample_volumes(points[order], order, first, span, low, cell, places, start, height, step)
 
 
-@njit(cache=True)
+@cached_njit()
 def _sample_volumes(points, order, first, span, low, cell, places, start, height, step):  # type: ignore[no-untyped-def]
     result = np.zeros(len(points))
     for line in range(len(places)):
@@ -200,7 +200,7 @@ def _sample_volumes(points, order, first, span, low, cell, places, start, height
     return result
 
 
-@njit(cache=True)
+@cached_njit()
 def _nearest_point(points, first, span, low, cell, x, y, z):  # type: ignore[no-untyped-def]
     """Return the index of the point nearest to (x, y, z), by a search over rings of cells."""
     i, j, k = int(np.floor((x - low[0]) / cell)), int(np.floor((y - low[1]) / cell)), int(np.floor((z - low[2]) / cell))

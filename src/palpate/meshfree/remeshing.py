@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import njit
 from scipy.sparse.csgraph import connected_components
 
 from palpate.arrays import Floats, Ints
+from palpate.code_cache import cached_njit
 from palpate.faults import CloudError
 from palpate.meshfree.refining import poisson_discs
 
@@ -122,7 +122,7 @@ def _neighbours(triangles: Ints, n: int) -> tuple[Ints, Ints]:
     return graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
 
 
-@njit(cache=True)
+@cached_njit()
 def _grow_clusters(vertices, label, start, near):  # type: ignore[no-untyped-def]
     """Return for every vertex the label of its nearest labelled vertex along edges."""
     n = len(label)
@@ -158,7 +158,7 @@ def _grow_clusters(vertices, label, start, near):  # type: ignore[no-untyped-def
     return label
 
 
-@njit(cache=True)
+@cached_njit()
 def _minimise_energy(vertices, weights, edges, label, count, sweeps):  # type: ignore[no-untyped-def]
     """Return labels after moves between adjacent clusters that reduce the sum of squared distances to centroids."""
     label = label.copy()
@@ -277,7 +277,7 @@ def _project_to_surface(vertices: Floats, triangles: Ints, start: Ints, label: I
     return _nearest_surface_points(vertices, triangles, corner // 3, first, best, centroids)
 
 
-@njit(cache=True)
+@cached_njit()
 def _nearest_surface_points(vertices, triangles, around, first, best, wished):  # type: ignore[no-untyped-def]
     result = np.empty_like(wished)
     for k in range(len(wished)):
@@ -292,7 +292,7 @@ def _nearest_surface_points(vertices, triangles, around, first, best, wished):  
     return result
 
 
-@njit(cache=True)
+@cached_njit()
 def nearest_in_triangle(a, b, c, p):  # type: ignore[no-untyped-def]
     """Return the point of a triangle nearest to p (Ericson, Real-Time Collision Detection, 2005, section 5.1.5)."""
     ab, ac, ap = b - a, c - a, p - a

@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats, Ints
+from palpate.code_cache import cached_njit
 from palpate.describe import Described, Fact
 from palpate.faults import CloudError, InputError, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import MAX_COORDINATE
@@ -112,7 +113,7 @@ class Stencils(Described):
         return result.reshape(len(self.row), *field.shape[1:], weights.shape[2])
 
 
-@njit(parallel=True, cache=True)
+@cached_njit(parallel=True)
 def _apply(neighbours, row, weights, own, field):  # type: ignore[no-untyped-def]
     """Return weighted sums (n, c, w) of fields (n, c) over the neighbours."""
     n, k = neighbours.shape

@@ -215,7 +215,7 @@ class Material(Described, ABC):
     @property
     def lame(self) -> float:
         """Coefficient of the volumetric part U(J) [Pa], its second derivative at rest."""
-        return self.bulk_modulus - self.shear_share
+        return max(self.bulk_modulus - self.shear_share, 0.0)  # rounding, for a Poisson's ratio of 0
 
     @property
     def shear_share(self) -> float:

@@ -478,3 +478,15 @@ def test_a_lock_file_that_is_a_pipe_is_refused_without_waiting(whole, tmp_path, 
     (tmp_path / "copy" / ".lock").unlink(missing_ok=True)
     os.mkfifo(tmp_path / "copy" / ".lock")
     assert_stopped(command(tmp_path / "copy"), capsys, "not a regular file")
+
+
+def test_a_lock_that_is_a_link_makes_no_file_elsewhere(tmp_path):
+    from palpate.app.train.folder import _open_lock
+
+    (tmp_path / ".lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(pt.InputError, match="must be a regular file, got a link"):
+        _open_lock(tmp_path / ".lock")
+    assert not (tmp_path / "elsewhere").exists()
+    (tmp_path / ".lock").unlink()
+    with _open_lock(tmp_path / ".lock") as lock:
+        assert lock.writable()

@@ -107,6 +107,20 @@ def test_a_recording_overwrites_no_other_file(file, tmp_path, assert_refused):
     assert main([*view, str(tmp_path / "new.h5")]) == 0  # an earlier recording gives way
 
 
+def test_a_recording_that_was_not_written_ends_with_status_1(file, tmp_path, monkeypatch, capsys):
+    def full(path, recording):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
+    path = tmp_path / "new.h5"
+    assert main(["view", str(file), "--headless", "--seconds", "0.3", "--record", str(path)]) == 1
+    said = capsys.readouterr().err
+    assert "the recording was not written" in said
+    assert load_recording(path).snapshots
+    monkeypatch.undo()
+    main(["view", str(file), "--headless", "--seconds", "0.1", "--record", str(path)])  # replaces the journal
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [

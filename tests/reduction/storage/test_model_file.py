@@ -389,6 +389,12 @@ CASES = {
     ),
     "a scene that is a number": (attribute("report", '{"scene": 5}'), "a scene without name and parameters"),
     "a scene with a list": (attribute("report", '{"scene": {"name": "a", "parameters": {"b": []}}}'), "parameters of"),
+    "a scene that is null": (attribute("report", '{"scene": null}'), "a scene without name and parameters"),
+    "expected errors that are null": (expected(None), "without level and displacement"),
+    "lifting vectors without tools": (attribute("prescribed", []), "lifting_count must be positive for models"),
+    "no training state": (put("training_states", lambda a: a[:0]), "training_states must hold at least one state"),
+    "shares of other patches": (put("compliance/shares", lambda a: 2 * a), "compliance/shares must have rows of sum 1"),
+    "weights of other carriers": (put("compliance/weights", lambda a: -a), "compliance/weights must have rows of sum"),
     "a report nested deeply": (attribute("report", "[" * 100_000), "nested levels"),
     "a report without end": (attribute("report", '{"a": 1e999}'), "not valid JSON"),
     "fewer groups": (attribute("groups", ["x-", "tip"]), r"group_sizes has shape \(7,\) .* expected \(2\)"),
@@ -457,6 +463,12 @@ def test_forged_models_are_refused_even_with_a_right_checksum(altered, case):
     change, message = CASES[case]
     with pytest.raises(pt.FileFormatError, match=rf"some\.rom: .*{message}"):
         pt.load(altered(change))
+
+
+def test_a_body_without_triangles_is_loaded_and_not_shown(altered):
+    found = pt.load(altered(put("cloud/triangles", lambda a: a[:0])))
+    with pytest.raises(pt.InputError, match="cloud must have triangles to be shown, got none"):
+        Surface(found)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

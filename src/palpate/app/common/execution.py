@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -22,6 +23,7 @@ from palpate.app.common.exit_status import (
     silence_output,
     system_error,
 )
+from palpate.working_folder import guard_matplotlib
 
 __all__ = ["execute"]
 
@@ -45,8 +47,10 @@ def execute(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
     SystemExit
         The words are not a command line of the parser; or a signal ends the program.
     """
+    guard_matplotlib()
     try:
-        code = _run(build_parser, words)
+        with _warnings_of_one_line():
+            code = _run(build_parser, words)
         if sys.stdout is not None:
             sys.stdout.flush()
         return code
@@ -55,6 +59,17 @@ def execute(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:
     except OSError as error:  # standard output cannot be written
         silence_output()
         return complain(f"cannot write the output: {error.strerror or error}", FAILED)
+
+
+@contextmanager
+def _warnings_of_one_line() -> Iterator[None]:
+    """Print warnings without the place in the sources."""
+    before = warnings.formatwarning
+    warnings.formatwarning = lambda message, *_: f"palpate: warning: {message}\n"
+    try:
+        yield
+    finally:
+        warnings.formatwarning = before
 
 
 def _run(build_parser: Callable[[], Parser], words: Sequence[str]) -> int:

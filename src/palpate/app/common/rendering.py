@@ -55,7 +55,7 @@ def check_drawing() -> None:
     if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
     try:
-        probe = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=120, check=False)
+        probe = subprocess.run([sys.executable, "-P", "-c", PROBE], capture_output=True, timeout=120, check=False)
         works = probe.returncode == 0
     except subprocess.TimeoutExpired:
         works = False

@@ -7,7 +7,7 @@ ParaView, has the surface over time.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,35 +16,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.common.vtkhdf import write_vtkhdf
+from palpate.app.recordings.recording_journal import read_journal
 from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot_arrays import (
+    FORMAT,
+    MAX_TITLE_LENGTH,
+    MAX_VALUE,
+    SNAPSHOT_ARRAYS,
+    VERSION,
+    snapshot_arrays,
+)
 from palpate.arrays import Floats
+from palpate.dynamics.run.journal import is_journal
 from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.files import plain, shortened
+from palpate.files import plain, regular_file, shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.reduction.storage.model_file import contents, model_of
-from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
+from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 
 __all__ = [
-    "ERROR_NAMES", "MAX_DURATION", "RECORDING_INTERVAL", "Recording", "load_recording", "read_recording",
-    "save_recording", "validate_tools",
+    "ERROR_NAMES", "FORMAT", "MAX_DURATION", "RECORDING_INTERVAL", "VERSION", "Recording", "SurfaceFileError",
+    "load_recording", "read_recording", "save_recording", "validate_tools",
 ]  # fmt: skip
 
 
-FORMAT, VERSION = "palpate recording", 3
 REMEDY = "record the session again"
-MAX_VALUE = 1e9  # of the arrays of a recording, in SI units
 MAX_VALUE_OF = {"steps": 2.0**53, "sequence": 2.0**53, "stiffness": 1e30}  # exceptions
-MAX_TITLE_LENGTH = 200  # characters
 ERROR_NAMES = ("displacement", "largest", "force", "peak", "wall_seconds", "seconds")  # of the replay on the full model
 TOOL_FIELDS = {"kind", "radius", "length", "friction", "stiffness", "start"}
 RECORDING_INTERVAL = 0.01  # [s] between snapshots
 MAX_DURATION = 600.0  # [s]
 VTKHDF_INTERVAL = 0.04  # [s] between snapshots in the file for ParaView
-SNAPSHOT_ARRAYS = tuple(
-    f.name for f in fields(Snapshot) if f.name not in ("contact_nodes", "contact_forces", "tool", "state")
-)
+
+
+class SurfaceFileError(OSError):
+    """The file for ParaView cannot be written; the recording was."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +88,10 @@ def save_recording(path: Path, recording: Recording) -> None:
     ------
     InputError
         The recording is empty, a number is not finite, or the name is that of a file for ParaView.
+    SurfaceFileError
+        The recording was written, and the file for ParaView cannot be.
     OSError
-        A file cannot be written; the message names it.
+        The recording cannot be written; the message names the file.
     """
     if not recording.snapshots:
         raise InputError("recording must have at least one snapshot, got none; record for longer")
@@ -91,16 +101,7 @@ def save_recording(path: Path, recording: Recording) -> None:
     snapshots, model = recording.snapshots, recording.model
     header, arrays = contents(model)
     arrays = {f"model/{name}": values for name, values in arrays.items()}
-    arrays |= {name: np.array([getattr(each, name) for each in snapshots], dtype=float) for name in SNAPSHOT_ARRAYS}
-    arrays["trust"] = np.minimum(arrays["trust"], MAX_VALUE)  # unbounded for a body trained at rest
-    arrays |= {
-        "wall": np.array(recording.times, dtype=float),
-        "tool": np.array([TOOL_KINDS.index(each.tool) for each in snapshots], dtype="u1"),
-        "state": np.array([STATES.index(each.state) for each in snapshots], dtype="u1"),
-        "contact/start": np.cumsum([0, *(len(each.contact_nodes) for each in snapshots)], dtype="<i8"),
-        "contact/nodes": np.concatenate([each.contact_nodes for each in snapshots]).astype("<i8"),
-        "contact/forces": np.concatenate([each.contact_forces for each in snapshots]).astype("<f8"),
-    }
+    arrays |= {**snapshot_arrays(snapshots), "wall": np.array(recording.times, dtype=float)}
     if recording.full:
         full = recording.full
         arrays |= {"full/times": np.array(full["times"], dtype=float), "full/force": np.array(full["force"], float)}
@@ -114,7 +115,10 @@ def save_recording(path: Path, recording: Recording) -> None:
         "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }  # fmt: skip
     write_sealed(path, FORMAT, VERSION, header_fields, arrays)
-    _write_surface(path.with_suffix(".vtkhdf"), recording)
+    try:
+        _write_surface(path.with_suffix(".vtkhdf"), recording)
+    except (InputError, OSError) as error:
+        raise SurfaceFileError(str(error)) from error
 
 
 def _write_surface(path: Path, recording: Recording) -> None:
@@ -138,7 +142,7 @@ def _write_surface(path: Path, recording: Recording) -> None:
 
 
 def load_recording(path: Path) -> Recording:
-    """Load a recording.
+    """Load a recording, or the whole snapshots of one that was interrupted.
 
     Raises
     ------
@@ -148,11 +152,13 @@ def load_recording(path: Path) -> Recording:
         The file is not a recording, is damaged, or has values that no session writes.
     """
     with loading(path, REMEDY):
-        file = open_sealed(path, FORMAT, VERSION)
-        return read_recording(file)
+        regular_file(path, "recording")
+        if is_journal(path):
+            return read_recording(read_journal(path))
+        return read_recording(open_sealed(path, FORMAT, VERSION))
 
 
-def read_recording(file: SealedFile) -> Recording:
+def read_recording(file: ArrayFile) -> Recording:
     """Return the recording in an open file.
 
     Raises

@@ -8,12 +8,13 @@ Every name there stands for a whole file. What is being written has a hidden nam
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
@@ -205,15 +206,23 @@ def open_campaign(path: Path, manifest: Mapping[str, Any]) -> Iterator[Folder]:
     elif folder.runs.exists():
         raise InputError(f"{path} holds runs, but no campaign.json; choose another folder")
     folder.runs.mkdir(parents=True, exist_ok=True)
-    if (path / ".lock").exists():
-        regular_file(path / ".lock", "lock")  # opening a pipe would wait
-    with (path / ".lock").open("a") as lock:
+    with _open_lock(path / ".lock") as lock:
         _lock(lock, path)
         if not own.exists():
             write_sealed_json(own, dict(manifest))
         folder.sweep()
         yield folder
         folder.sweep()  # what workers left that were killed meanwhile
+
+
+def _open_lock(path: Path) -> IO[str]:
+    """Open the file that is locked; refuse a link, which would create a file elsewhere, and a pipe."""
+    if path.is_symlink():
+        raise InputError(f"{path} must be a regular file, got a link; remove it")
+    if path.exists():
+        regular_file(path, "lock")  # opening a pipe would wait
+    flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
+    return os.fdopen(os.open(path, flags, 0o666), "a")
 
 
 def _read(path: Path) -> dict[str, Any]:

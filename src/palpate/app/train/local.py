@@ -20,6 +20,7 @@ from palpate.app.train.work import Outcome, Watch, perform, record_fault
 __all__ = ["run_local"]
 
 THREADS = ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+SETTINGS = {**dict.fromkeys(THREADS, "1"), "PYTHONSAFEPATH": "1"}  # import no module from the working folder
 AT, DONE, STOPPED, DIED = "at", "done", "stopped", "died"
 MAX_TRIES = 2  # of a run whose worker dies
 
@@ -97,7 +98,7 @@ def _start_worker(folder: Folder, job: Job) -> _Worker:
     context = get_context("spawn")  # a fork would copy locks that other threads hold
     own, other = context.Pipe()
     process = context.Process(target=_serve, args=(other, folder), daemon=True)
-    with _one_thread():
+    with _worker_settings():
         process.start()
     other.close()  # so that its end is seen here
     with suppress(BrokenPipeError):  # it died already: seen when it is read
@@ -106,10 +107,10 @@ def _start_worker(folder: Folder, job: Job) -> _Worker:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let processes that are started use one thread each."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+def _worker_settings() -> Iterator[None]:
+    """Let processes that are started use one thread each, and import no module from the working folder."""
+    before = {name: os.environ.get(name) for name in SETTINGS}
+    os.environ.update(SETTINGS)
     try:
         yield
     finally:

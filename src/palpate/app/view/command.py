@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.common.console import Console, print_json, print_plain, quantities_table
+from palpate.app.common.exit_status import DONE, FAILED
 from palpate.app.models.loader import open_model
-from palpate.app.recordings.recording import FORMAT
+from palpate.app.recordings.recording_journal import is_recording
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.script import read_script, run_script
@@ -64,7 +65,7 @@ def view(
     Returns
     -------
     int
-        0.
+        0; 1 if a recording, or its file for ParaView, was not written.
 
     Raises
     ------
@@ -87,10 +88,12 @@ def view(
             from palpate.app.view.server.host import serve_source
 
             serve_source(session, console, port, host, browser)
-            return 0
-        summary = run_script(session, *run)
+        else:
+            summary = run_script(session, *run)
+    if run is None:
+        return FAILED if session.failures else DONE
     print_json(summary) if as_json else print_plain([_table(session.title, summary)], Path("."), ())
-    return 0
+    return FAILED if session.failures else DONE
 
 
 @contextlib.contextmanager
@@ -137,7 +140,7 @@ def _check_record(path: Path, what: str) -> None:
     check_folder(path.parent, "record")
     if path.suffix != ".h5":
         raise InputError(f"record must end in .h5, got {str(path)!r}; its file for ParaView ends in .vtkhdf")
-    recorded = path.is_file() and _is_recording(path)
+    recorded = is_recording(path)
     for each in (path, path.with_suffix(".vtkhdf")):
         if each.exists() and Path(what).exists() and os.path.samefile(each, what):
             raise InputError(f"record must be another file than the model, got {str(path)!r}; choose another name")
@@ -146,12 +149,6 @@ def _check_record(path: Path, what: str) -> None:
                 f"record must be a new file or an earlier recording, got {str(path)!r}, but {each.name} is another "
                 "file; choose another name"
             )
-
-
-def _is_recording(path: Path) -> bool:
-    beginning = f"{FORMAT}\n".encode()
-    with path.open("rb") as file:
-        return file.read(len(beginning)) == beginning
 
 
 def _headless_script(

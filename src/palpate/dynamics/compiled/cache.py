@@ -20,8 +20,10 @@ from typing import Any
 
 import numba
 from numba import njit
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import IndexDataCacheFile
 from numba.extending import register_jitable
+
+from palpate.code_cache import SafeCache, enable_cache
 
 __all__ = ["inline", "kernel_njit", "kernel_sources", "law_digest", "law_njit", "rename_for"]
 
@@ -49,7 +51,7 @@ class KeyedFile(IndexDataCacheFile):  # type: ignore[misc]
         return f"{self._index_name.removesuffix('.nbi')}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
 
 
-class _DigestCache(FunctionCache):  # type: ignore[misc]
+class _DigestCache(SafeCache):
     def __init__(self, function: Callable[..., Any], digest: str) -> None:
         super().__init__(function)
         self._digest = digest
@@ -118,7 +120,7 @@ def kernel_sources(module: str) -> dict[str, str]:
 def _compiles(module: str) -> bool:
     """Return True for a module with compiled functions."""
     text = _source(module)
-    return "from numba" in text or "palpate.dynamics.compiled" in text
+    return any(word in text for word in ("from numba", "palpate.dynamics.compiled", "palpate.code_cache"))
 
 
 @cache
@@ -228,7 +230,8 @@ def law_njit(
         own = rename_for(digest, function)
         compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **options)(own)
         if cached:
-            compiled._cache = _DigestCache(own, law_digest(function.__module__, digest))
+            whole = law_digest(function.__module__, digest)
+            enable_cache(compiled, lambda: _DigestCache(own, whole))
         return compiled
 
     return decorate

@@ -12,6 +12,7 @@ import json
 import os
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -52,8 +53,12 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path.with_name(f".{path.stem}.{uuid4().hex[:12]}.partial{path.suffix}")
         self._file = self.path.open("wb", buffering=0)
-        self._write(BEGIN)
-        self._chain, self._end, self._named = sha256(BEGIN).digest(), len(BEGIN), False
+        self._chain, self._end, self.named = sha256(BEGIN).digest(), len(BEGIN), False
+        try:
+            self._write(BEGIN)
+        except OSError:
+            self.close()
+            raise
 
     def add(self, header: Mapping[str, Any], arrays: Arrays) -> None:
         """Append a record and pass it to the operating system.
@@ -70,10 +75,12 @@ class Journal:
         content = _pack(header, arrays)
         chain = sha256(self._chain + content).digest()
         try:
+            self._file.seek(self._end)
+            self._file.truncate()  # the part of a record that an error has left
             self._write(_pack_length(self._chain, len(content)) + content + chain)
         except OSError:
-            self._file.seek(self._end)
-            self._file.truncate()
+            with suppress(OSError):
+                self._file.truncate(self._end)
             raise
         self._chain, self._end = chain, self._end + LENGTH.size + len(content) + DIGEST
 
@@ -86,15 +93,21 @@ class Journal:
             The file cannot be renamed.
         """
         self._file.close()
-        os.replace(self.path, path)
-        self.path, self._named = path, True
-        self._file = path.open("r+b", buffering=0)
-        self._file.seek(self._end)
+        try:
+            os.replace(self.path, path)
+            self.path, self.named = path, True
+        finally:
+            self._file = self.path.open("r+b", buffering=0)
+            self._file.seek(self._end)
+
+    def flush(self) -> None:
+        """Flush all records to the disk, where a power cut leaves them."""
+        os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Close the file, and remove it unless it was renamed."""
         self._file.close()
-        if not self._named:
+        if not self.named:
             self.path.unlink(missing_ok=True)
 
     def _write(self, content: bytes) -> None:

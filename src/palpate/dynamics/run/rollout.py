@@ -20,6 +20,7 @@ from palpate.dynamics.run.progress import progress_bar
 from palpate.dynamics.run.recorder import Recorder
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import DivergenceError, InputError, TrustWarning, number_in_range
+from palpate.files import shortened
 
 __all__ = ["frame_states", "machine_memory", "rollout"]
 
@@ -141,7 +142,11 @@ def frame_states(
     control, start, steps = _StepControl(step, model.longest_step(every)), state.time, 0
     for frame in range(1, frames + 1):
         for time in prepared.breakpoints(state.time, start + frame * every):
-            state, taken, last = _advance_to(model, state, prepared, time, control, work)
+            try:
+                state, taken, last = _advance_to(model, state, prepared, time, control, work)
+            except (ArithmeticError, np.linalg.LinAlgError) as error:
+                what = f"the equations of a step have no solution ({shortened(str(error))})"
+                raise _divergence(model, state, prepared, what, control.last) from error
             steps += taken
         yield state, steps, last
         if state.contact_state is not None:  # contact forces are means over one frame

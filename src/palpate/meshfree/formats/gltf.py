@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
 from palpate.faults import FileFormatError, InputError
-from palpate.files import json_of
-from palpate.meshfree.formats.common import Parts, check_indices, fans, strips
+from palpate.files import json_of, shortened
+from palpate.meshfree.formats.common import Parts, check_indices, fans, strips, triangle_count_error
+from palpate.meshfree.surfaces import MAX_TRIANGLES
 
 __all__ = ["read_glb", "read_gltf"]
 
@@ -24,6 +25,11 @@ WIDTHS = {"SCALAR": 1, "VEC3": 3}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives
 TRANSFORM_KEYS = {"matrix", "rotation", "scale", "translation"}
 MAX_BYTES = 2**40  # bytes
+MAX_VALUES = 1_000_000  # of the JSON, so that it takes some hundred megabytes at most
+MAX_NODES = 50_000
+MAX_PRIMITIVES = 10_000  # of a mesh
+MAX_NAME_LENGTH = 200  # characters
+MAX_REUSE = 4  # corners that the primitives of a mesh use, over the bytes of the buffers
 
 
 def read_glb(data: bytes) -> Parts:
@@ -48,6 +54,8 @@ def read_gltf(data: bytes) -> Parts:
 
 
 def _parts(text: bytes, binary: bytes | None) -> Parts:
+    if sum(map(text.count, (b",", b"[", b"{"))) > MAX_VALUES:
+        raise FileFormatError(f"its JSON must have at most {MAX_VALUES} values; export the surface alone")
     try:
         content = json_of(text.decode("utf-8-sig").rstrip("\0"))
     except (InputError, UnicodeDecodeError) as error:
@@ -56,21 +64,34 @@ def _parts(text: bytes, binary: bytes | None) -> Parts:
         raise FileFormatError("its JSON must be an object")
     file = _GltfFile(content, binary)
     parts: Parts = {}
+    meshes: dict[int, tuple[str, list[dict[str, Any]]]] = {}  # each once, however many nodes place it
+    copies: dict[str, int] = {}
     for number, matrix in _scene_meshes(file):
-        mesh = file.entry("meshes", number)
-        primitives = [
-            each for each in _object_list(mesh, "primitives") if each.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN)
-        ]
+        row = file.entry("meshes", number)
+        if number not in meshes:
+            meshes[number] = _mesh(row, number)
+        name, primitives = meshes[number]
         if primitives:
-            name = str(mesh.get("name", f"mesh {number}"))
-            parts[_unused(name, parts)] = partial(_join_primitives, file, primitives, matrix)
+            parts[_unused(name, parts, copies)] = partial(_join_primitives, file, primitives, matrix)
     return parts
 
 
-def _unused(name: str, parts: Parts) -> str:
-    free, k = name, len(parts)
+def _mesh(row: dict[str, Any], number: int) -> tuple[str, list[dict[str, Any]]]:
+    """Return the name and the primitives of triangles of a mesh."""
+    rows = _object_list(row, "primitives")
+    if len(rows) > MAX_PRIMITIVES:
+        raise FileFormatError(f"its meshes must have at most {MAX_PRIMITIVES} primitives, got {len(rows)}; join them")
+    name = row.get("name")
+    name = shortened(name, MAX_NAME_LENGTH) if isinstance(name, str) else f"mesh {number}"
+    return name, [each for each in rows if each.get("mode", TRIANGLES) in (TRIANGLES, STRIP, FAN)]
+
+
+def _unused(name: str, parts: Parts, copies: dict[str, int]) -> str:
+    """Return the name, or with the next free number of its copies."""
+    free = name
     while free in parts:
-        free, k = f"{name}_{k}", k + 1
+        copies[name] = copies.get(name, len(parts) - 1) + 1
+        free = f"{name}_{copies[name]}"
     return free
 
 
@@ -83,6 +104,7 @@ class _GltfFile:
     buffers: dict[int, bytes] = field(default_factory=dict)
     arrays: dict[int, NDArray[Any]] = field(default_factory=dict)
     tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    size: int = 0  # bytes of the buffers that were read
     read: int = 0  # bytes of accessors
 
     def entry(self, table: str, number: Any) -> dict[str, Any]:
@@ -109,6 +131,7 @@ class _GltfFile:
             if _integer(row, "byteLength", MAX_BYTES) > len(found):
                 raise FileFormatError(f"its buffer {number} is shorter than it states")
             self.buffers[number] = found
+            self.size += len(found)
         return self.buffers[number]
 
     def array(self, number: Any, kind: str) -> NDArray[Any]:
@@ -132,7 +155,7 @@ class _GltfFile:
             if count == 0 or stride < size or last > length or start + length > len(data):
                 raise FileFormatError(f"its accessor {number} must lie within its buffer")
             self.read += count * size
-            if self.read > sum(map(len, self.buffers.values())):
+            if self.read > self.size:
                 raise FileFormatError("its accessors read more bytes than its buffers have; they must not overlap")
             step = (stride, dtype.itemsize)[: 1 + (width > 1)]
             self.arrays[number] = np.ndarray((count, 3)[: 1 + (width > 1)], dtype, data, start + offset, step).copy()
@@ -156,6 +179,8 @@ def _integer(row: dict[str, Any], key: str, most: int, default: int | None = Non
 def _scene_meshes(file: _GltfFile) -> list[tuple[Any, Floats]]:
     """Return the indices of meshes in the scene with their matrices, each node once."""
     nodes = _object_list(file.content, "nodes")
+    if len(nodes) > MAX_NODES:
+        raise FileFormatError(f"it must have at most {MAX_NODES} nodes, got {len(nodes)}; join its meshes")
     if _object_list(file.content, "scenes"):
         roots = _numbers(file.entry("scenes", file.content.get("scene", 0)), "nodes")
     else:
@@ -214,14 +239,18 @@ def _join_primitives(file: _GltfFile, primitives: list[dict[str, Any]], matrix: 
     """Return the transformed vertices and the triangles of all primitives of a mesh."""
     vertices: dict[Any, Floats] = {}  # by the accessor, which primitives may share
     first: dict[Any, int] = {}
-    v = 0
+    v, used, total = 0, 0, 0
     triangles = []
     for position, indices, mode in dict.fromkeys(map(_key, primitives)):
         if position not in vertices:
             vertices[position] = _positions(file, position)
             first[position], v = v, v + len(vertices[position])
+        count = len(vertices[position] if indices is None else file.array(indices, "SCALAR"))
+        used += count
+        if used > MAX_REUSE * file.size:
+            raise FileFormatError(f"its primitives use {used} corners of {file.size} bytes; join those that are equal")
         if indices is None:
-            corners = np.arange(len(vertices[position]))
+            corners = np.arange(count)
         else:
             corners = check_indices(file.array(indices, "SCALAR"), "indices")
             if corners.max() >= len(vertices[position]):
@@ -231,6 +260,9 @@ def _join_primitives(file: _GltfFile, primitives: list[dict[str, Any]], matrix: 
         else:
             of = (strips if mode == STRIP else fans)(corners, np.array([len(corners)]))
         triangles.append(of + first[position])
+        total += len(of)
+        if total > MAX_TRIANGLES:
+            raise triangle_count_error(total)
     joined = np.concatenate(triangles)
     with np.errstate(all="ignore"):  # `Surface` raises for values that are not finite
         placed = np.concatenate(list(vertices.values())) @ matrix[:3, :3].T + matrix[:3, 3]

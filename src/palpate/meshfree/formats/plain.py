@@ -58,7 +58,7 @@ def read_obj(data: bytes) -> Parts:
     """Return the parts of an OBJ file: its objects, by their names. Material files are not read."""
     points: list[list[bytes]] = []
     polygons: dict[str, list[list[int]]] = {}
-    current = polygons.setdefault("", [])
+    current, faces = polygons.setdefault("", []), 0
     for number, line in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
         words = line.split()
         if not words:
@@ -67,11 +67,16 @@ def read_obj(data: bytes) -> Parts:
             if len(words) < 4:
                 raise FileFormatError(f"the vertex in line {number} must have three coordinates")
             points.append(words[1:4])
+            if len(points) > 3 * MAX_TRIANGLES:
+                raise FileFormatError(f"it must have at most {3 * MAX_TRIANGLES} vertices; decimate it first")
         elif words[0] == b"f":
             try:
                 face = [int(each.partition(b"/")[0]) for each in words[1:]]
             except ValueError:
                 raise FileFormatError(f"the face in line {number} must be of whole numbers") from None
+            faces += 1
+            if faces > MAX_TRIANGLES:
+                raise triangle_count_error(faces)
             current.append([k - 1 if k > 0 else len(points) + k if k < 0 else -1 for k in face])
             if min(current[-1], default=0) < 0 or max(current[-1], default=0) >= 2**31:
                 raise FileFormatError(f"the face in line {number} names a vertex that does not exist")

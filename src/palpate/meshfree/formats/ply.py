@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,7 +20,10 @@ TYPES = {
     "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
 }  # fmt: skip
+CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 MAX_HEADER_BYTES = 1 << 16  # bytes
+MAX_RAGGED_VALUES = 4_000_000  # lists and numbers in rows of different lengths, which are read one by one
+NEEDED = ("vertex", "face")
 ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 
 
@@ -96,6 +100,7 @@ def _rows(element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str
             found = {
                 name: (rows[f"v{k}"].ravel(), np.full(element.count, n))
                 for k, ((name, _, _), n) in enumerate(zip(element.properties, (s or 0 for s in sizes), strict=True))
+                if element.name in NEEDED
             }
             return found, at + element.count * row.itemsize
     return _ragged_rows(element, data, at, order)
@@ -107,21 +112,12 @@ def _sizes(element: _Element, data: bytes, at: int, order: str) -> list[int | No
     for _, kind, length in element.properties:
         n = None
         if length:
-            n = _length(data, at, order + length, np.dtype(kind).itemsize)
-            at += np.dtype(length).itemsize
+            stated = struct.Struct(order + CODES[length])
+            n = _list_length(data, at, stated, np.dtype(kind).itemsize)
+            at += stated.size
         sizes.append(n)
         at += np.dtype(kind).itemsize * (1 if n is None else n)
     return sizes
-
-
-def _length(data: bytes, at: int, kind: str, each: int) -> int:
-    """Return the length of a list that fits in the rest of the file."""
-    if at + np.dtype(kind).itemsize > len(data):
-        raise FileFormatError("it ends within a row")
-    stated = np.frombuffer(data, kind, 1, at)[0]
-    if not 0 <= stated <= (len(data) - at) // each or stated != int(stated):
-        raise FileFormatError(f"it states a list of {stated} entries, for which it has no room")
-    return int(stated)
 
 
 def _row(element: _Element, sizes: list[int | None], order: str) -> np.dtype[Any]:
@@ -136,19 +132,47 @@ def _row(element: _Element, sizes: list[int | None], order: str) -> np.dtype[Any
 def _ragged_rows(
     element: _Element, data: bytes, at: int, order: str
 ) -> tuple[dict[str, tuple[NDArray[Any], Ints]], int]:
-    """Return the values of rows with lists of different lengths, read one by one."""
-    pieces: list[list[NDArray[Any]]] = [[] for _ in element.properties]
-    for _ in range(element.count):
-        for k, (_, kind, length) in enumerate(element.properties):
-            n, each = 1, np.dtype(order + kind)
-            if length:
-                n = _length(data, at, order + length, each.itemsize)
-                at += np.dtype(length).itemsize
-            if at + n * each.itemsize > len(data):
-                raise FileFormatError("it ends within a row")
-            pieces[k].append(np.frombuffer(data, each, n, at))
-            at += n * each.itemsize
-    found = {}
-    for (name, _, _), values in zip(element.properties, pieces, strict=True):
-        found[name] = (np.concatenate(values), np.array([len(each) for each in values], dtype=np.int64))
+    """Return the values of rows with lists of different lengths, found one by one."""
+    values = element.count * len(element.properties)
+    if values > MAX_RAGGED_VALUES:
+        raise FileFormatError(
+            f"it must have at most {MAX_RAGGED_VALUES} values in rows of lists of different lengths, got {values}; "
+            "save it without lists that are not faces"
+        )
+    count = element.count
+    starts = np.empty((len(element.properties), count), dtype=np.int64)  # the first byte of each value or list
+    sizes = np.ones((len(element.properties), count), dtype=np.int64)
+    layout = [
+        (np.dtype(kind).itemsize, struct.Struct(order + CODES[length]) if length else None)
+        for _, kind, length in element.properties
+    ]
+    for row in range(count):
+        for k, (width, length) in enumerate(layout):
+            n = 1
+            if length is not None:
+                n = _list_length(data, at, length, width)
+                at += length.size
+                sizes[k, row] = n
+            starts[k, row] = at
+            at += n * width
+    if at > len(data):
+        raise FileFormatError("it ends within a row")
+    if element.name not in NEEDED:
+        return {}, at
+    content, found = np.frombuffer(data, "u1"), {}
+    for k, (name, kind, _) in enumerate(element.properties):
+        width, total = layout[k][0], int(sizes[k].sum())
+        first = np.cumsum(sizes[k]) - sizes[k]
+        place = np.repeat(starts[k] - first * width, sizes[k]) + np.arange(total) * width
+        found[name] = (content[place[:, None] + np.arange(width)].view(order + kind).reshape(-1), sizes[k])
     return found, at
+
+
+def _list_length(data: bytes, at: int, length: struct.Struct, width: int) -> int:
+    """Return the length of a list that fits in the rest of the file."""
+    if at + length.size > len(data):
+        raise FileFormatError("it ends within a row")
+    stated = length.unpack_from(data, at)[0]
+    if not 0 <= stated <= (len(data) - at) // width or stated != int(stated):
+        raise FileFormatError(f"it states a list of {stated} entries, for which it has no room")
+    return int(stated)

@@ -20,6 +20,7 @@ TYPES = {
     b"unsigned_int": ">u4", b"long": ">i8", b"unsigned_long": ">u8", b"float": ">f4", b"double": ">f8",
     b"vtkidtype": ">i4", b"vtktypeint32": ">i4", b"vtktypeint64": ">i8",
 }  # fmt: skip
+MAX_SECTIONS = 1000  # and arrays of fields
 CELLS = (b"VERTICES", b"LINES", b"POLYGONS", b"TRIANGLE_STRIPS")
 
 
@@ -36,7 +37,11 @@ def read_vtk(data: bytes) -> Parts:
         raise FileFormatError("its DATASET must be POLYDATA; extract its surface first (in ParaView: Extract Surface)")
     points: Floats | None = None
     triangles: list[Ints] = []
+    sections = 0
     while words := lines.next().split():
+        sections += 1
+        if sections > MAX_SECTIONS:
+            raise FileFormatError(f"it must have at most {MAX_SECTIONS} sections; export the surface alone")
         key = words[0].upper()
         if key in (b"POINT_DATA", b"CELL_DATA"):
             break
@@ -44,7 +49,7 @@ def read_vtk(data: bytes) -> Parts:
             while lines.next(blank=True):
                 pass
         elif key == b"FIELD" and len(words) == 3:
-            for _ in range(read_count(words[2], "arrays", len(data))):
+            for _ in range(read_count(words[2], "arrays", min(len(data), MAX_SECTIONS))):
                 _field(lines)
         elif key == b"POINTS" and len(words) == 3:
             n = read_count(words[1], "points", len(data))

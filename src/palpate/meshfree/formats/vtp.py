@@ -24,6 +24,8 @@ TYPES = {
     "UInt64": "u8", "Float32": "f4", "Float64": "f8",
 }  # fmt: skip
 MAX_EXPANSION = 64  # of all arrays together over the file; that of surfaces is below 10
+MAX_ARRAYS = 100_000  # and pieces
+BLOCK_COST = 128  # bytes that a compressed block counts as
 SECTIONS = ("Points", "Polys", "Strips")
 
 
@@ -42,6 +44,11 @@ class _VtpFile:
     room: int  # bytes that arrays may still expand to
     attributes: dict[str, str] = field(default_factory=dict)
     pieces: list[tuple[dict[str, str], dict[tuple[str, str], _Array]]] = field(default_factory=list)
+    arrays: int = 0  # and pieces
+
+    def count_array(self) -> int:
+        self.arrays += 1
+        return self.arrays
 
 
 def read_vtp(data: bytes) -> Parts:
@@ -79,13 +86,15 @@ def read_vtp(data: bytes) -> Parts:
 def _parse(data: bytes) -> _VtpFile:
     """Read the XML without definitions of documents or entities; appended data, which is not XML, is cut out first."""
     appended, coded = b"", False
-    begin = re.search(rb"<AppendedData([^>]*)>\s*_", data)
-    if begin:
+    begin = data.find(b"<AppendedData")
+    opened = data.find(b">", begin) + 1 if begin >= 0 else 0
+    mark = re.compile(rb"\s*_").match(data, opened) if opened else None
+    if mark:
         end = data.rfind(b"</AppendedData>")
-        if end < begin.end():
+        if end < mark.end():
             raise FileFormatError("its AppendedData does not end")
-        appended, coded = data[begin.end() : end], b"base64" in begin[1]
-        data = data[: begin.end()] + data[end:]
+        appended, coded = data[mark.end() : end], b"base64" in data[begin:opened]
+        data = data[: mark.end()] + data[end:]
     file = _VtpFile(appended, coded, MAX_EXPANSION * (len(data) + len(appended)))
     section, deeper = "", 0  # elements inside an array, whose text is not the array's
     array: _Array | None = None
@@ -96,6 +105,8 @@ def _parse(data: bytes) -> _VtpFile:
             deeper += 1
         elif name == "VTKFile":
             file.attributes = attributes
+        elif name in ("Piece", "DataArray") and file.count_array() > MAX_ARRAYS:
+            raise FileFormatError(f"it must have at most {MAX_ARRAYS} pieces and arrays; join its pieces")
         elif name == "Piece":
             file.pieces.append((attributes, {}))
         elif name in SECTIONS and file.pieces:
@@ -180,9 +191,10 @@ def _bytes(file: _VtpFile, source: bytes, coded: bool, at: int, header: np.dtype
         raise FileFormatError(f"an array states {blocks} blocks, for which the file has no room")
     if blocks == 0:
         return b""
-    _reserve_bytes(file, (blocks - 1) * each + (last or each))
+    _reserve_bytes(file, (blocks - 1) * each + (last or each) + BLOCK_COST * blocks)
     head, at = _decode_bytes(source, coded, at, (3 + blocks) * wide)
     lengths = [int(n) for n in np.frombuffer(head, header)[3:]]
+    _reserve_bytes(file, sum(lengths))
     packed, _ = _decode_bytes(source, coded, at, sum(lengths))
     found, begin = [], 0
     for k, length in enumerate(lengths):

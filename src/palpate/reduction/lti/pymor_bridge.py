@@ -6,6 +6,7 @@ from typing import Any
 
 from palpate.extras import require
 from palpate.reduction.lti.system import LinearSystem
+from palpate.working_folder import import_pymor
 
 __all__ = ["need_pymor", "to_pymor"]
 
@@ -19,6 +20,7 @@ def need_pymor(what: str) -> None:
         pyMOR is missing; the message contains the command that installs it.
     """
     require("pymor", what)
+    import_pymor()
     from pymor.core.logger import set_log_levels
 
     set_log_levels({"pymor": "ERROR"})

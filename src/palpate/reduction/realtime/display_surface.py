@@ -30,6 +30,11 @@ class Surface:
     ----------
     model : ReducedModel
 
+    Raises
+    ------
+    InputError
+        The cloud has no triangles.
+
     Attributes
     ----------
     nodes : (n,) int array
@@ -42,6 +47,8 @@ class Surface:
 
     def __init__(self, model: ReducedModel) -> None:
         cloud, data = model.cloud, model.data
+        if not len(cloud.triangles):
+            raise InputError("cloud must have triangles to be shown, got none; train a body with a surface")
         self.model = model
         self.nodes, triangles = np.unique(cloud.triangles, return_inverse=True)
         self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)

@@ -16,6 +16,7 @@ __all__ = ["COMPLIANCE", "INTERIOR", "read_compliance"]
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 
 COMPLIANCE = ("nodes", "carriers", "weights", "flexibility", "nearby", "near_field", "patches", "shares", "stiffening")
+MAX_WEIGHT, ROW_TOLERANCE = 1e3, 1e-6  # of interpolations, whose rows sum to 1
 # of the interior nodes: type, and shape in sizes that all datasets of the file share
 INTERIOR: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "interior/nodes": ("<i8", ("followers",)),
@@ -50,6 +51,10 @@ def read_compliance(arrays: Arrays, bonded_scale: float) -> SurfaceCompliance | 
             raise InputError(
                 f"array compliance/{name} names rows outside the {len(compliance.nodes)} of compliance/nodes"
             )
+    for name in ("weights", "shares"):
+        rows = arrays[f"compliance/{name}"]
+        if np.abs(rows).max() > MAX_WEIGHT or np.abs(rows.sum(axis=1) - 1).max() > ROW_TOLERANCE:
+            raise InputError(f"array compliance/{name} must have rows of sum 1")
     if not (0 <= compliance.stiffening[0] < 1 and compliance.stiffening[1] > 0):
         raise InputError("array compliance/stiffening must hold an exponent in [0, 1) and a positive force")
     interior = _interior(arrays, compliance) if "interior/nodes" in arrays else None

@@ -32,7 +32,7 @@ from palpate.reduction.storage.material import (
     material_of,
     regions_of,
 )
-from palpate.sealed import SealedFile, loading, open_sealed, write_sealed
+from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 
 __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
 
@@ -207,7 +207,7 @@ def _arrays(data: ReducedData) -> Arrays:
 # reading
 
 
-def model_of(header: Header, file: SealedFile, prefix: str = "") -> ReducedModel:
+def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
     """Return the model of a header and of the arrays of a file whose names begin with a prefix.
 
     Raises
@@ -279,6 +279,11 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         number_in_range("spacing", header["spacing"], 0.0, open_low=True, unit="m"),
     )  # fmt: skip
     supports = _supports(header)
+    if bool(header["prescribed"]) != bool(header["lifting_count"]):
+        raise InputError(
+            f"header lifting_count must be positive for models with prescribed groups only, got "
+            f"{header['lifting_count']} for {len(header['prescribed'])} groups"
+        )
     for name in (*(support.group for support in supports), *header["prescribed"]):
         cloud.group(name)
     residual = number_in_range("residual", header["residual"], 0.0)
@@ -328,8 +333,9 @@ def _report(report: dict[str, Any]) -> dict[str, Any]:
     mean = held_out.get("mean") if isinstance(held_out, dict) else None
     if not isinstance(mean, dict) or not all(value is None or type(value) in (int, float) for value in mean.values()):
         raise InputError("header report holds errors under held_out that are not numbers")
-    _check_curves(held_out.get("expected_error"))
-    if scene is not None:
+    if "expected_error" in held_out:
+        _check_curves(held_out["expected_error"])
+    if "scene" in report:
         parameters = scene.get("parameters") if isinstance(scene, dict) else None
         named = isinstance(scene, dict) and isinstance(scene.get("name"), str) and len(scene["name"]) <= MAX_NAME_LENGTH
         if not named or not isinstance(parameters, dict):
@@ -341,8 +347,6 @@ def _report(report: dict[str, Any]) -> dict[str, Any]:
 
 def _check_curves(curves: Any) -> None:
     """Refuse curves of expected errors that the calibration does not write."""
-    if curves is None:
-        return
     if not isinstance(curves, dict) or not {"level"} < curves.keys() <= {"level", "displacement", "force"}:
         raise InputError("header report holds expected errors without level and displacement")
     number_in_range("level", curves["level"], 0.0, 1.0)
@@ -368,6 +372,8 @@ def _check_values(arrays: Arrays) -> None:
             raise InputError(f"array {name} holds numbers beyond {MAX_NUMBER:g}")
         if name in NODES and not np.all((array >= 0) & (array < count)):
             raise InputError(f"array {name} names nodes outside 0..{count - 1}")
+    if not len(arrays["training_states"]):
+        raise InputError("array training_states must hold at least one state")
     if np.any(arrays["cubature/weights"] < 0):
         raise InputError("array cubature/weights holds negative weights")
     for name in ("volumes", "stiffness"):

@@ -17,6 +17,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.membrane.passes import COSINE, SINE
 from palpate.dynamics.solid.model import EnergySolid
+from palpate.faults import InputError
 from palpate.reduction.basis.snapshots import Snapshots
 from palpate.reduction.hyper.cubature import Cubature, fit_moments, sketch, sparse_nnls
 from palpate.reduction.hyper.material_point import volume_measure
@@ -176,6 +177,8 @@ def _rows(
             if size > BALANCED * float(np.linalg.norm(rows, axis=0).sum()):
                 into.append(rows / np.sqrt(size))
     whole = [np.concatenate(rows) for rows in (weighted_forces, reactions) if rows]
+    if not whole:
+        raise InputError("trajectories must deform the body, got rest or rigid motions only; train on other runs")
     sizes = [float(np.linalg.norm(rows.sum(axis=1))) for rows in whole]
     if len(whole) == 2:
         whole[1] *= REACTION_WEIGHT * sizes[0] / sizes[1]
@@ -213,7 +216,12 @@ def pressure_moments(body: EnergySolid | Membrane, snapshots: Snapshots, pressur
     smooth, work = np.empty((len(chosen), len(roots))), body.workspace()
     for u, row in zip(snapshots.each(chosen), smooth, strict=True):
         row[:] = body.smoothed_measure(u, work) * roots
+    smooth = smooth[np.isfinite(smooth).all(axis=1)]
+    if not len(smooth):
+        raise InputError("trajectories must keep all volumes positive, got none that does; train on smaller loads")
     sizes = np.linalg.norm(smooth, axis=1)
+    if not sizes.any():  # the volume is the same in all snapshots
+        return np.zeros((0, len(body.cloud)))
     smooth /= np.sqrt(np.maximum(sizes, MIN_SIZE * sizes.max()))[:, None]
     _, values, shapes = np.linalg.svd(smooth, full_matrices=False)
     kept = min(pressures, int(np.sum(values > 1e-10 * values[0])))

@@ -46,6 +46,7 @@ __all__ = ["Trial", "hyper_reduce"]
 
 SIZES = (8, 12, 16, 24, 32, 48, 64, 96)  # numbers of modes for a given tolerance
 TRAINING_STATES = 240  # for the fit of the cubature
+MIN_DISPLACEMENT = 1e-10  # of the largest one in training over the spacing; strains below are lost by rounding
 MODES_PER_PRESSURE = 4  # more pressure modes would cause volumetric locking
 QUANTILE = 0.95  # of errors, and of runs with a trust number of at most 1
 FREQUENCY_STATES = 16  # training states for the highest frequency of a membrane
@@ -326,13 +327,19 @@ def _states(body: EnergySolid | Membrane, columns: _BasisVectors, snapshots: Sna
     """Return the coordinates (t, m + l) of all snapshots, and their relative projection error."""
     flat = columns.fields.columns[: columns.count].reshape(columns.count, -1)
     weighted, states, projection_error, whole = flat * np.repeat(body.masses, 3), [], 0.0, 0.0
+    largest, least = 0.0, MIN_DISPLACEMENT * body.cloud.spacing
     for block in snapshots.blocks(block_size(snapshots.nodes)):
         rows = block.reshape(len(block), -1)
+        largest = max(largest, float(np.abs(rows).max()))
         own = np.linalg.solve(columns.mass, weighted @ rows.T).T
         states.append(own)
         whole += float(np.linalg.norm(rows)) ** 2
         rows -= own @ flat
         projection_error += float(np.linalg.norm(rows)) ** 2
+    if largest < least:
+        raise InputError(
+            f"trajectories must move the body by at least {least:.3g} m, got {largest:.3g} m; train on larger loads"
+        )
     return np.concatenate(states), float(np.sqrt(projection_error / whole))
 
 

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.membrane.model import Membrane
 from palpate.dynamics.solid.model import EnergySolid
+from palpate.faults import InputError
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import volume_measure
 from palpate.reduction.hyper.model import ReducedModel
@@ -107,7 +108,18 @@ def _scale(body: EnergySolid, fields: Fields, modes: int, residual_fields: int, 
     mass = (flat * np.repeat(body.masses, 3)) @ flat.T
     root = compliance_root(body, own, len(own.columns), moments, mass)
     response = root.T @ root[:, -residual_fields:]
-    return np.linalg.cholesky(response.T @ mass @ response / body.masses.sum()).T
+    return _triangular_root(response.T @ mass @ response / body.masses.sum())
+
+
+def _triangular_root(square: Floats) -> Floats:
+    """Return the upper triangular A with A^T A equal to a positive semidefinite matrix.
+
+    It is the transposed Cholesky factor. Fields of very different stiffness make the matrix singular
+    to rounding, for which the Cholesky factorisation fails.
+    """
+    values, vectors = np.linalg.eigh(square)
+    root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T, mode="r")
+    return np.asarray(root * np.where(np.diagonal(root) < 0, -1.0, 1.0)[:, None])
 
 
 @dataclass(frozen=True)
@@ -139,6 +151,10 @@ def _factors(
     full_sum = _Quadrature(fields.nodes, fields.gradients, body.elastic_volumes, moments)
     terms = np.array([sampled.work(body, count, residual_fields, state) for state in states])
     whole = np.array([full_sum.work(body, count, residual_fields, state).sum(axis=0) for state in states])
+    defined = np.isfinite(terms).all(axis=(1, 2)) & np.isfinite(whole).all(axis=1)  # states without inverted nodes
+    if not defined.any():
+        raise InputError("trajectories must keep all volumes positive, got none that does; train on smaller loads")
+    terms, whole = terms[defined], whole[defined]
     sizes = np.linalg.norm(whole, axis=1)
     scale = 1 / np.sqrt(np.maximum(sizes, max(MIN_SIZE * sizes.max(), 1e-300)))
     result = np.ones((len(rule.nodes), residual_fields))

@@ -595,6 +595,27 @@ def test_the_number_of_connections_is_limited(site, monkeypatch, until):
     assert get(site, "/")[0] in (200, 503)
 
 
+def test_connections_that_send_nothing_keep_no_client_out(site, monkeypatch, until):
+    import socket
+
+    monkeypatch.setattr("palpate.app.view.server.connection.MAX_CONNECTIONS", 8)
+
+    async def visit():
+        async with site.client() as viewer:
+            first = [socket.create_connection((LOOPBACK, site.port), 5) for _ in range(20)]
+            until(lambda: len(site.server._connections) == 8)
+            async with site.client() as client:  # at once, while all of them are open
+                await client.say(type="latency", stamp=1.0)
+                await client.told("latency")
+            viewer.messages.clear()
+            await viewer.say(type="latency", stamp=2.0)
+            await viewer.told("latency")  # the first viewer is still there
+            for each in first:
+                each.close()
+
+    asyncio.run(visit())
+
+
 def test_the_server_closes_while_a_client_does_not_read(session, site_of):
     own = site_of(session)
 

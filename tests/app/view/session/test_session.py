@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import runpy
 import time
 from dataclasses import replace
@@ -12,9 +13,11 @@ import pytest
 from view_scenes import BALL, MIDDLE, SIZE
 
 import palpate as pt
-from palpate.app.recordings.recording import load_recording
+from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
+from palpate.dynamics.run.journal import Journal
+from palpate.sealed import kind_of_file
 
 ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
 PRESSED = MIDDLE + np.array([0, 0, BALL - 0.003])
@@ -234,16 +237,91 @@ def test_recordings_of_the_same_second_have_different_names(session, tmp_path, m
     assert all(load_recording(path).snapshots for path in session.folder.glob("*.h5"))
 
 
-def test_a_recording_that_cannot_be_written_leaves_no_file(session, tmp_path, monkeypatch, until):
+def test_a_recording_that_cannot_be_written_keeps_its_journal(session, tmp_path, monkeypatch, until):
     def full(path, recording):
         raise OSError("no space left")
 
     monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
     session.folder = tmp_path
     session.start_recording()
+    until(lambda: len(session._recorder.times) > 1)
+    seen = session._recorder.snapshots
     session.finish_recording(wait=True)
-    assert session.notifications == [{"type": "error", "reason": "the recording was not written: no space left"}]
-    assert not list(tmp_path.iterdir())
+    (path,) = tmp_path.iterdir()
+    reason = f"the recording was not written: no space left; its first {len(seen)} snapshots are in {path}"
+    assert session.notifications == [{"type": "error", "reason": reason}]
+    assert session.failures == [reason]
+    kept = load_recording(path)
+    assert len(kept.snapshots) == len(seen)
+    np.testing.assert_array_equal(kept.snapshots[-1].coordinates, seen[-1].coordinates)
+
+
+def test_a_recording_that_cannot_be_written_is_written_elsewhere(session, tmp_path, monkeypatch, until):
+    def full(path, recording):
+        if path.parent == tmp_path / "full":
+            raise OSError("no space left")
+        save_recording(path, recording)
+
+    (tmp_path / "full").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr("palpate.app.view.session.session.save_recording", full)
+    session.start_recording(tmp_path / "full" / "all.h5")
+    until(lambda: len(session._recorder.times) > 1)
+    session.finish_recording(wait=True)
+    (other,) = tmp_path.glob("palpate-recording-*/all.h5")
+    assert session.failures == [f"the recording was not written: no space left; it is in {other}"]
+    assert load_recording(other).snapshots
+
+
+def test_a_recording_is_on_the_disk_while_it_goes_on(session, tmp_path, until):
+    path, copy = tmp_path / "all.h5", tmp_path / "killed.h5"
+    session.start_recording(path)
+    recorder = session._recorder
+    until(lambda: recorder.journal.count > 60)
+    copy.write_bytes(path.read_bytes())  # what a killed process leaves
+    killed = load_recording(copy)
+    assert len(killed.snapshots) >= 60
+    np.testing.assert_array_equal(killed.times, recorder.times[: len(killed.times)])
+    for name in ("steps", "coordinates", "contact_nodes", "contact_forces", "position"):
+        np.testing.assert_array_equal(getattr(killed.snapshots[50], name), getattr(recorder.snapshots[50], name))
+    cut = tmp_path / "cut.h5"
+    cut.write_bytes(copy.read_bytes()[:-100])
+    assert 0 < len(load_recording(cut).snapshots) < len(killed.snapshots)
+    session.finish_recording(wait=True)
+    assert kind_of_file(path) == "palpate recording"
+    assert len(load_recording(path).snapshots) > len(killed.snapshots)
+    assert not [each for each in tmp_path.iterdir() if each.name.startswith(".")]
+
+
+def test_a_disk_that_is_full_for_a_while_costs_no_snapshot_of_the_journal(session, tmp_path, until, monkeypatch):
+    write, failed = Journal._write, []
+
+    def full(self, content):
+        if len(content) > 100 and len(failed) < 3:
+            failed.append(self)
+            write(self, content[: len(content) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(self, content)
+
+    monkeypatch.setattr(Journal, "_write", full)
+    session.start_recording(tmp_path / "all.h5")
+    recorder = session._recorder
+    until(lambda: len(failed) == 3 and recorder.journal.count > 60)
+    copy = tmp_path / "killed.h5"
+    copy.write_bytes((tmp_path / "all.h5").read_bytes())
+    np.testing.assert_array_equal(load_recording(copy).times, recorder.times[: len(load_recording(copy).times)])
+    session.finish_recording(wait=True)
+    assert session.failures == []
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["all.h5", "all.vtkhdf", "killed.h5"]
+
+
+def test_a_page_cannot_record_into_a_folder_that_does_not_exist(session, tmp_path):
+    (tmp_path / "file").touch()
+    session.folder = tmp_path / "file"
+    with pytest.raises(pt.InputError, match="record must have a folder that can be written"):
+        session.handle(validate_message({"type": "record", "action": "start"}))
+    assert session._recorder is None
 
 
 def test_a_recording_is_kept_if_only_the_paraview_file_fails(session, tmp_path, monkeypatch, until):

@@ -19,17 +19,23 @@ MAX_REASON_BYTES = 120  # of a closing frame, which has room for 123
 
 
 class CountedConnection(ServerConnection):
-    """A connection that is counted from its first byte; connections beyond `MAX_CONNECTIONS` are aborted."""
+    """A connection that is counted from its first byte.
 
-    def __init__(self, *arguments: Any, counted: set[CountedConnection], **options: Any) -> None:
+    Beyond `MAX_CONNECTIONS` the oldest one is aborted that has not sent hello. So connections that
+    send nothing keep no new client out.
+    """
+
+    def __init__(self, *arguments: Any, counted: dict[CountedConnection, None], **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._counted, self.pings = counted, 0
+        self._counted, self.pings, self.admitted = counted, 0, False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        self._counted.add(self)
+        self._counted[self] = None
         if len(self._counted) > MAX_CONNECTIONS:
-            self.transport.abort()
+            oldest = next((each for each in self._counted if not each.admitted), self)
+            self._counted.pop(oldest)
+            oldest.transport.abort()
 
     def process_event(self, event: Event) -> None:
         self.pings += isinstance(event, Frame) and event.opcode is Opcode.PING
@@ -43,7 +49,7 @@ class CountedConnection(ServerConnection):
         super().send_data()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._counted.discard(self)
+        self._counted.pop(self, None)
         super().connection_lost(exc)
 
 

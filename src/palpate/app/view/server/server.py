@@ -68,7 +68,7 @@ class Server:
         self.source, self.page, self._token = source, page, token
         self.viewers: list[Viewer] = []
         self.driver: Viewer | None = None
-        self._connections: set[CountedConnection] = set()
+        self._connections: dict[CountedConnection, None] = {}  # the oldest first
         self._last_status = ""
         self._streams = Streams(source)
         self._logged: set[str] = set()
@@ -224,6 +224,8 @@ class Server:
         if len(self.viewers) >= MAX_VIEWERS:
             await close_connection(connection, TOO_MANY_VIEWERS, f"at most {MAX_VIEWERS} viewers; close another page")
             return None
+        if isinstance(connection, CountedConnection):
+            connection.admitted = True
         return Viewer(connection)
 
     def _add_viewer(self, viewer: Viewer) -> None:

@@ -1,16 +1,21 @@
-"""Recorder: takes snapshots of a session at a fixed interval, in its own thread."""
+"""Recorder: takes snapshots of a session at a fixed interval in one thread, and keeps them in a journal in another."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from palpate.app.recordings.recording import MAX_DURATION, RECORDING_INTERVAL
+from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot
+from palpate.faults import InputError
 
 __all__ = ["Recorder"]
+
+JOURNAL_INTERVAL = 0.5  # [s]
 
 
 class Recorder:
@@ -20,21 +25,44 @@ class Recorder:
     ----------
     describe_period : function
         Returns the present snapshot and the description of the selected tool; called from the recorder's thread.
+    journal : RecordingJournal
+        Receives the snapshots twice a second, and the rest at the end.
     """
 
-    def __init__(self, describe_period: Callable[[], tuple[Snapshot, dict[str, Any]]]) -> None:
-        self._describe_period = describe_period
+    def __init__(
+        self, describe_period: Callable[[], tuple[Snapshot, dict[str, Any]]], journal: RecordingJournal
+    ) -> None:
+        self._describe_period, self.journal = describe_period, journal
         self.times: list[float] = []
         self.snapshots: list[Snapshot] = []
         self.tools: list[dict[str, Any]] = []
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="palpate recorder", daemon=True)
+        self._writer = threading.Thread(target=self._keep_journal, name="palpate journal", daemon=True)
         self._thread.start()
+        self._writer.start()
 
     def stop(self) -> None:
-        """Stop recording and wait for the thread."""
+        """Stop recording and wait for the threads."""
         self._end.set()
         self._thread.join()
+        self._writer.join()
+
+    def _keep_journal(self) -> None:
+        """Write snapshots until the end; where the disk is full, try again later with all that is missing."""
+        while not self._end.wait(JOURNAL_INTERVAL):
+            self._write_new()
+        self._thread.join()
+        self._write_new()
+        self.journal.close()
+
+    def _write_new(self) -> None:
+        first, last = self.journal.count, len(self.times)
+        if first == last:
+            return
+        tools = [tool for tool in list(self.tools) if first <= tool["start"] < last]
+        with suppress(OSError, InputError):  # the snapshots stay in memory, and the end writes them
+            self.journal.add(self.times[first:last], self.snapshots[first:last], tools)
 
     def _run(self) -> None:
         start, due = time.monotonic(), 0.0

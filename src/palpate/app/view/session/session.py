@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import shutil
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
 
-from palpate.app.recordings.recording import Recording, save_recording
+from palpate.app.recordings.recording import Recording, SurfaceFileError, save_recording
+from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.recorder import Recorder
@@ -94,7 +97,7 @@ class Session:
         self.notifications: list[dict[str, Any]] = []  # messages still to be sent to all viewers
         self.folder = Path("out/view")  # of recordings
         self._recorder: Recorder | None = None
-        self._path: Path | None = None  # of the present recording, if given
+        self.failures: list[str] = []  # of recordings, one line each
         self._writers: list[threading.Thread] = []
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
 
@@ -196,7 +199,7 @@ class Session:
         elif kind == "material":
             self._set_modulus(message["name"], 1e3 * message["value"])
         elif kind == "record":
-            self.start_recording() if message["action"] == "start" else self.finish_recording()
+            self._start_file() if message["action"] == "start" else self.finish_recording()
         elif kind == "speed":
             with self._lock:
                 self.engine.slow_down(message["factor"])
@@ -269,10 +272,22 @@ class Session:
         ------
         InputError
             A recording is in progress.
+        OSError
+            No file can be created in the session's folder.
         """
         if self._recorder is not None:
             raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
-        self._recorder, self._path = Recorder(self._describe_period), path
+        journal = RecordingJournal(path or _create_file(self.folder), self.title, self.model)
+        self._recorder = Recorder(self._describe_period, journal)
+
+    def _start_file(self) -> None:
+        try:
+            self.start_recording()
+        except OSError as error:
+            raise InputError(
+                f"record must have a folder that can be written, got {str(self.folder)!r} ({error.strerror or error}); "
+                "start palpate in another folder"
+            ) from error
 
     def finish_recording(self, path: Path | None = None, wait: bool = False) -> None:
         """Stop the recording and write it in its own thread; `notifications` then has its path.
@@ -280,7 +295,7 @@ class Session:
         Parameters
         ----------
         path : path, optional
-            By default the path given to `start_recording`.
+            By default the file that `start_recording` began.
         wait : bool
             Whether to wait until the file is written.
 
@@ -296,25 +311,34 @@ class Session:
         recording = Recording(
             self.title, self.model, np.array(recorder.times), recorder.snapshots, recorder.tools, {}
         )  # fmt: skip
-        writer = threading.Thread(target=self._write, args=(path or self._path, recording), name="palpate writer")
+        writer = threading.Thread(target=self._write, args=(path, recorder.journal, recording), name="palpate writer")
         self._writers = [*(each for each in self._writers if each.is_alive()), writer]
         writer.start()
         if wait:
             writer.join()
 
-    def _write(self, path: Path | None, recording: Recording) -> None:
-        given = path
+    def _write(self, given: Path | None, journal: RecordingJournal, recording: Recording) -> None:
+        """Replace the journal by the recording; if that fails, write it to another place or keep the journal."""
+        path = given or journal.path
         try:
-            path = given or _create_file(self.folder)
             save_recording(path, recording)
+            failure = ""
+        except SurfaceFileError as error:
+            failure = f"the file for ParaView was not written: {error}"
         except (InputError, OSError) as error:
-            written = given is None and path is not None and path.stat().st_size > 0
-            lost = "the file for ParaView" if written else "the recording"
-            self.notifications.append({"type": "error", "reason": f"{lost} was not written: {error}"})
-            if path is not None and given is None and not written:
-                path.unlink(missing_ok=True)
+            failure = f"the recording was not written: {error}"
+            if isinstance(error, OSError) and (other := _save_elsewhere(path.name, recording)) is not None:
+                failure += f"; it is in {other}"
+            elif journal.count:
+                failure += f"; its first {journal.count} snapshots are in {journal.path}"
         else:
             self.notifications.append({"type": "recorded", "file": str(path), "frames": len(recording.times)})
+        if failure:
+            self.failures.append(failure)
+            self.notifications.append({"type": "error", "reason": failure})
+        with contextlib.suppress(OSError):
+            if journal.path.stat().st_size == 0 or (path != journal.path and journal.count and not failure):
+                journal.path.unlink()
 
     def tick(self) -> None:
         """Pause if the machine slept or the program was stopped; to be called several times a second."""
@@ -417,3 +441,18 @@ def _create_file(folder: Path) -> Path:
             path.touch(exist_ok=False)
             break
     return path
+
+
+def _save_elsewhere(name: str, recording: Recording) -> Path | None:
+    """Save a recording in a new folder for temporary files, and return its path; None if that fails, too."""
+    folder: Path | None = None
+    try:
+        folder = Path(mkdtemp(prefix="palpate-recording-"))
+        save_recording(folder / name, recording)
+    except SurfaceFileError:
+        return None if folder is None else folder / name
+    except OSError:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        return None
+    return folder / name
