@@ -24,7 +24,14 @@ from palpate.reduction.hyper.reactions import tool_map
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
-from palpate.reduction.realtime.period import MAX_SUBSTEPS, POWER_SHAPE, IndicatorData, PeriodData, period_functions
+from palpate.reduction.realtime.period import (
+    MAX_SUBSTEPS,
+    POWER_SHAPE,
+    IndicatorData,
+    PeriodData,
+    PeriodStart,
+    period_functions,
+)
 
 __all__ = ["RealtimeModel", "realtime_model"]
 
@@ -133,13 +140,15 @@ def realtime_model(
         np.zeros((8, count)),
     )
     vectors[POWER_SHAPE, : reduced.modes] = np.random.default_rng(0).standard_normal(reduced.modes)
+    points_scratch = scratch(model.body.points)
+    variables = points_scratch.history
     body = ImplicitData(
         stiffness_damping=model.stiffness_damping,
         mass=model.body.mass,
         differences=model.body.differences,
         tolerance=model.tolerance,
         integration_points=model.body.points,
-        scratch=scratch(model.body.points),
+        scratch=points_scratch,
         springs=springs,
         newton=newton_scratch(count),
     )
@@ -152,7 +161,7 @@ def realtime_model(
         vectors=vectors,
         tangent=tangent,
         condensed=np.zeros((count, count)),
-        tracking=np.array([frequency, frequency, 0.0]),
+        tracking=np.array([frequency, frequency, 0.0, 0.0]),
         substep=np.zeros(1),
         path=np.zeros((steps + 3, reduced.lifting_count)),
         holds=np.ones(steps, dtype=np.bool_),
@@ -163,6 +172,16 @@ def realtime_model(
         home=home,
         system=contact_system(
             surface.columns[:, :, modes], model.body.mass[modes, modes], len(contact_work.active.node)
+        ),
+        start=PeriodStart(
+            interval=variables.interval.copy(),
+            strain=variables.strain.copy(),
+            branches=variables.branches.copy(),
+            dilatation=variables.dilatation.copy(),
+            volume=variables.volume.copy(),
+            force=contact_work.force.copy(),
+            place=contact_work.place.copy(),
+            frames=tools.frames.copy(),
         ),
     )
     advance, stiffness = period_functions(model.body.law, model.single)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.compiled.cache import law_digest, law_njit
+from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.material.relaxation import reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.reduction.contact.gauss_seidel import compliance_energy, press, set_tool_path
@@ -29,15 +29,18 @@ from palpate.reduction.hyper.implicit import ImplicitData, cholesky_factor, chol
 from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
 
-__all__ = ["MAX_SUBSTEPS", "IndicatorData", "PeriodData", "period_functions"]
+__all__ = ["MAX_SUBSTEPS", "IndicatorData", "PeriodData", "PeriodStart", "period_functions"]
 
 
 STEP_SAFETY = 0.8  # explicit step over the stable one, whose frequency one power iteration a period estimates
 MAX_SUBSTEPS = 1000  # explicit steps in a period
+REFINEMENT, MAX_ATTEMPTS = 4, 4  # factor of the steps in a repeated period, and most attempts
+MAX_GAIN = 0.5  # largest gain of energy in a period without contact, relative to energy and work
+LEAST_ENERGY = 1e-12  # [J] below which a gain is rounding
 
 # rows of `PeriodData.vectors`
 POWER_SHAPE, WORK, FORCE, RATE, VELOCITY_CHANGE, SAVED_COORDINATES, SAVED_VELOCITIES, TOOL_RATES = range(8)
-REST_FREQUENCY, FREQUENCY, NEXT_COLUMN = range(3)  # entries of `PeriodData.tracking`
+REST_FREQUENCY, FREQUENCY, NEXT_COLUMN, ENERGY = range(4)  # entries of `PeriodData.tracking`
 
 
 class IndicatorData(NamedTuple):
@@ -69,6 +72,19 @@ class IndicatorData(NamedTuple):
     vectors: Floats
 
 
+class PeriodStart(NamedTuple):
+    """Copies of the history variables, of contact forces and positions, and of the frames of tools."""
+
+    interval: Floats
+    strain: Floats
+    branches: Floats
+    dilatation: Floats
+    volume: Floats
+    force: Floats
+    place: Floats
+    frames: Floats
+
+
 class PeriodData(NamedTuple):
     """Constants and work arrays of the compiled period.
 
@@ -87,8 +103,8 @@ class PeriodData(NamedTuple):
     tangent : (m, m) array
         Each period updates one column.
     condensed : (m, m) array
-    tracking : (3,) array
-        Frequency [rad/s] at rest and now; next column of the tangent.
+    tracking : (4,) array
+        Frequency [rad/s] at rest and now; next column of the tangent; energy [J] after the last period.
     substep : (1,) array [s]
         Last explicit step.
     path, holds, no_loads : (s + 3, l), (s,), (s, m) arrays
@@ -99,6 +115,8 @@ class PeriodData(NamedTuple):
         Rotation and position of that tool at zero displacement.
     system : ContactSystem
         Of the contact stiffness (`palpate.reduction.contact.tangent`).
+    start : PeriodStart
+        From which a period is repeated.
     """
 
     modes: int
@@ -119,6 +137,43 @@ class PeriodData(NamedTuple):
     tools: RigidTools
     home: Floats
     system: ContactSystem
+    start: PeriodStart
+
+
+@kernel_njit()
+def copy_values(source, target):  # type: ignore[no-untyped-def]
+    """Copy the numbers of an array; an assignment of slices would take seconds to compile."""
+    for i in range(source.size):
+        target.flat[i] = source.flat[i]
+
+
+@kernel_njit()
+def save_start(data):  # type: ignore[no-untyped-def]
+    """Save history variables and contact at the start of a period."""
+    history, contact, start = data.body.scratch.history, data.contact_work, data.start
+    copy_values(history.interval, start.interval)
+    copy_values(history.strain, start.strain)
+    copy_values(history.branches, start.branches)
+    copy_values(history.dilatation, start.dilatation)
+    copy_values(history.volume, start.volume)
+    copy_values(contact.force, start.force)
+    copy_values(contact.place, start.place)
+    copy_values(data.tools.frames, start.frames)
+
+
+@kernel_njit()
+def restore_start(data):  # type: ignore[no-untyped-def]
+    """Restore what `save_start` has saved."""
+    history, contact, start = data.body.scratch.history, data.contact_work, data.start
+    copy_values(start.interval, history.interval)
+    copy_values(start.strain, history.strain)
+    copy_values(start.branches, history.branches)
+    copy_values(start.dilatation, history.dilatation)
+    copy_values(start.volume, history.volume)
+    copy_values(start.force, contact.force)
+    copy_values(start.place, contact.place)
+    copy_values(start.frames, data.tools.frames)
+    contact.busy[:] = True
 
 
 @cache
@@ -149,6 +204,10 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             largest = max(largest, abs(shape[m]) / data.body.differences[m])
         for m in range(count):
             probe[m] = q[m]
+        if not 0.0 < largest < np.inf:  # also where the vector of a crushed body is not a number
+            for m in range(modes):
+                shape[m] = data.body.differences[m]
+            largest = 1.0
         for m in range(modes):
             shape[m] /= largest
             probe[m] += shape[m]
@@ -183,8 +242,8 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 data.tangent[m, column] += data.body.springs.stiffness[m, column]
 
     @law_njit(digest, inner=True, fastmath={"contract"})
-    def substeps(data, q, v, speeds, period, report):  # type: ignore[no-untyped-def]
-        """Take explicit steps over a period; return their number."""
+    def substeps(data, q, v, speeds, period, report, refinement):  # type: ignore[no-untyped-def]
+        """Take explicit steps over a period, shorter than stable ones by a factor; return their number."""
         modes, count = data.modes, q.shape[0]
         at, result = data.vectors[WORK], data.vectors[FORCE]
         still = data.path[:3]  # the tools move evenly
@@ -201,7 +260,9 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         frequency = np.sqrt(frequency**2 + springs.highest_squared)
         z = beta * frequency + springs.decay_rate / frequency
         stable = STEP_SAFETY * (np.sqrt(z * z + 4.0) - z) / frequency
-        steps = min(MAX_SUBSTEPS, int(np.ceil(period / stable)))
+        steps = MAX_SUBSTEPS
+        if refinement * period < MAX_SUBSTEPS * stable:  # False for NaN
+            steps = refinement * int(np.ceil(period / stable))
         step = period / steps
         data.substep[0] = step
         for s in range(steps):
@@ -279,21 +340,11 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             total += unbalanced * unbalanced
         return np.sqrt(total) / data.indicator.residual_scale
 
-    @law_njit(digest, inline="always", fastmath={"contract"})
-    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
-        modes, count, vectors, mass = data.modes, q.shape[0], data.vectors, data.body.mass
-        saved_q, saved_v, speeds = vectors[SAVED_COORDINATES], vectors[SAVED_VELOCITIES], vectors[TOOL_RATES]
-        constrained_inverse = data.constrained_inverse_mass
-        report[:] = 0.0
-        for m in range(count):
-            saved_q[m], saved_v[m] = q[m], v[m]
-        at_rest = not q.any() and not v.any()
-        if at_rest:  # the start of a run, or a reset
-            reset_history(data.body.scratch.history)
-            data.contact_work.force[:] = 0.0
-            data.system.numbers[:] = 0
-        update_tangent(data, q)
-        change = vectors[VELOCITY_CHANGE]  # of the velocities, at the start of the period
+    @law_njit(digest, inner=True, fastmath={"contract"})
+    def change_rates(data, q, v, target, period):  # type: ignore[no-untyped-def]
+        """Write the rates of the tool in a period, and the change of all velocities that they cause at its start."""
+        modes, count, mass, constrained_inverse = data.modes, q.shape[0], data.body.mass, data.constrained_inverse_mass
+        speeds, change = data.vectors[TOOL_RATES], data.vectors[VELOCITY_CHANGE]
         for j in range(modes, count):
             speeds[j] = (target[j - modes] - q[j]) / period
             change[j] = speeds[j] - v[j]
@@ -303,41 +354,82 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 for j in range(modes, count):
                     value -= constrained_inverse[m, k] * mass[k, j] * change[j]
             change[m] = value
+
+    @law_njit(digest, inner=True, fastmath={"contract"})
+    def begin(data, q, v, period, report):  # type: ignore[no-untyped-def]
+        """Set the state at the start of a period, and the impulses of the tool there."""
+        count, vectors, mass = q.shape[0], data.vectors, data.body.mass
+        change = vectors[VELOCITY_CHANGE]
         for m in range(count):
-            v[m] += change[m]
-        for j in range(modes, count):
+            q[m], v[m] = vectors[SAVED_COORDINATES, m], vectors[SAVED_VELOCITIES, m] + change[m]
+        report[:] = 0.0
+        for j in range(data.modes, count):
             for k in range(count):
-                report[FORCES + j - modes] += mass[j, k] * change[k] / period
-        set_tool_path(data.tools, data.home, target, at_rest)
-        if data.step > 0.0:
-            steps = max(1, int(np.round(period / data.step)))
-            taken = implicit(
-                data, q, v, period, report, data.path[: steps + 3], data.holds[:steps], data.no_loads[:steps]
-            )
-        else:
-            taken = substeps(data, q, v, speeds, period, report)
-        good = taken > 0
+                report[FORCES + j - data.modes] += mass[j, k] * change[k] / period
+
+    @law_njit(digest, inner=True, fastmath={"contract"})
+    def finish(data, q, v, target, period, report, flexible):  # type: ignore[no-untyped-def]
+        """Write the energies at the end of a period; return whether state and energy balance are right."""
+        modes, count, mass, speeds = data.modes, q.shape[0], data.body.mass, data.vectors[TOOL_RATES]
+        work = 0.0
+        for j in range(modes, count):  # remove rounding errors
+            q[j] = target[j - modes]
+            v[j] = speeds[j]
+            work += period * speeds[j] * report[FORCES + j - modes]
+        report[KINETIC] = 0.0
         for m in range(count):
-            good = good and np.isfinite(q[m]) and np.isfinite(v[m])
+            if not (np.isfinite(q[m]) and np.isfinite(v[m])):
+                return False
+            for k in range(count):
+                report[KINETIC] += 0.5 * v[m] * mass[m, k] * v[k]
+        report[STRAIN] = energy(q, data.body.integration_points, data.body.scratch) + flexible
+        before, after = data.tracking[ENERGY], report[KINETIC] + report[STRAIN]
+        if data.step > 0.0 or data.tools.kind.shape[0] > 0:
+            return np.isfinite(after)
+        return after - before - work <= MAX_GAIN * max(before, after, abs(work), LEAST_ENERGY)  # False for NaN
+
+    @law_njit(digest, inline="always", fastmath={"contract"})
+    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+        count, vectors = q.shape[0], data.vectors
+        saved_q, saved_v = vectors[SAVED_COORDINATES], vectors[SAVED_VELOCITIES]
+        for m in range(count):
+            saved_q[m], saved_v[m] = q[m], v[m]
+        at_rest = not q.any() and not v.any()
+        if at_rest:  # the start of a run, or a reset
+            reset_history(data.body.scratch.history)
+            data.contact_work.force[:] = 0.0
+            data.system.numbers[:] = 0
+            data.tracking[ENERGY] = 0.0
+        update_tangent(data, q)
+        change_rates(data, q, v, target, period)
+        set_tool_path(data.tools, data.home, target, at_rest)
+        save_start(data)
+        attempts = 1 if data.step > 0.0 else MAX_ATTEMPTS
+        refinement, taken, good, flexible = 1, 0, False, 0.0
+        for attempt in range(attempts):
+            if attempt > 0:  # the body has stiffened faster than the estimate of its frequency
+                restore_start(data)
+                refinement *= REFINEMENT
+            begin(data, q, v, period, report)
+            if data.step > 0.0:
+                steps = max(1, int(np.round(period / data.step)))
+                taken = implicit(
+                    data, q, v, period, report, data.path[: steps + 3], data.holds[:steps], data.no_loads[:steps]
+                )
+            else:
+                taken = substeps(data, q, v, vectors[TOOL_RATES], period, report, refinement)
+            flexible = compliance_energy(data.contact_surface, data.contact_work)
+            good = taken > 0 and finish(data, q, v, target, period, report, flexible)
+            if good or taken == MAX_SUBSTEPS:
+                break
         if not good:
             for m in range(count):
                 q[m], v[m] = saved_q[m], saved_v[m]
             report[STATUS] = 1.0
             return
-        for j in range(modes, count):  # remove rounding errors
-            q[j] = target[j - modes]
-            v[j] = speeds[j]
-        flexible = compliance_energy(data.contact_surface, data.contact_work)
+        data.tracking[ENERGY] = report[KINETIC] + report[STRAIN]
         report[TRUST] = max(distance(data, q), residual_norm(data, q, v))
         report[TRUST], report[STEPS] = max(report[TRUST], np.sqrt(flexible / data.indicator.flexibility_scale)), taken
-        for m in range(count):
-            for k in range(count):
-                report[KINETIC] += 0.5 * v[m] * mass[m, k] * v[k]
-        report[STRAIN] = energy(q, data.body.integration_points, data.body.scratch) + flexible
-        if not np.isfinite(report[STRAIN]):
-            for m in range(count):
-                q[m], v[m] = saved_q[m], saved_v[m]
-            report[STATUS] = 1.0
 
     @law_njit(digest, inline="always", fastmath={"contract"})
     def stiffness(data, q, out):  # type: ignore[no-untyped-def]
