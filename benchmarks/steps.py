@@ -1,4 +1,4 @@
-"""Steps of small bodies with one and two threads, of a quarter and the whole of a body, and equilibria.
+"""Steps and runs with one and two threads, steps of a quarter and the whole of a body, and equilibria.
 
     python benchmarks/steps.py
     GOMP_SPINCOUNT=1000 python benchmarks/steps.py
@@ -18,6 +18,7 @@ import palpate as pt
 
 SOFT = pt.materials.MooneyRivlin(C1=500.0, C2=200.0, density=1000.0, poisson=0.45)
 SIZES = ((0.1, 0.02, 0.02), (0.2, 0.02, 0.02), (0.2, 0.025, 0.025), (0.2, 0.03, 0.03))
+RUN_SIZES = {(0.2, 0.02, 0.02): 800, (0.4, 0.04, 0.04): 200, (0.84, 0.05, 0.05): 100}  # steps by size of the body
 STEPS = 200
 
 
@@ -31,6 +32,19 @@ def stepper(model: pt.Solid, threads: int) -> Callable[[], float]:
         began = perf_counter()
         model.advance(state, prepared, 1e-6, STEPS, work)
         return (perf_counter() - began) / STEPS
+
+    seconds()
+    return seconds
+
+
+def runner(model: pt.Solid, threads: int, steps: int) -> Callable[[], float]:
+    """Return a function that returns the time [s] of a step in a run, with the estimates of the stable step."""
+    duration, load = steps * model.stability.step, pt.Gravity((0.0, 0.0, -1e-3))
+
+    def seconds() -> float:
+        numba.set_num_threads(threads)
+        run = pt.rollout(model, [load], duration=duration, every=duration, progress=False)
+        return run.wall_seconds / float(run.steps[-1])
 
     seconds()
     return seconds
@@ -50,6 +64,11 @@ def main() -> None:
             model = pt.Solid(pt.box(size, 0.005), SOFT, "x-", form=form)
             one, all_ = least(stepper(model, 1), stepper(model, most))
             print(f"  {len(model.cloud):6d} nodes, {form}: {1e6 * one:.0f} {1e6 * all_:.0f}")
+    print(f"steps of runs [us] with 1 and {most} threads, and their ratio")
+    for size, steps in RUN_SIZES.items():
+        model = pt.Solid(pt.box(size, 0.005), SOFT, "x-")
+        one, all_ = least(runner(model, 1, steps), runner(model, most, steps), rounds=5)
+        print(f"  {len(model.cloud):6d} nodes: {1e6 * one:.0f} {1e6 * all_:.0f}, {one / all_:.2f}")
     print(f"a quarter and the whole body, step [us], {most} threads")
     for form in ("energy", "strong"):
         quarter = ["x-", pt.SymmetryPlane("y-"), pt.SymmetryPlane("z-")]

@@ -70,6 +70,36 @@ def test_a_quarter_of_a_bar_moves_as_the_whole_bar(form):
     np.testing.assert_allclose(4 * small.reactions["x-"][:, 0], clamped[:, 0], atol=1e-10 * np.abs(clamped).max())
 
 
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("sides", ["--", "++", "+-"])
+@pytest.mark.parametrize(
+    ("size", "spacing"), [((0.1, 0.02, 0.02), 0.005), ((0.05, 0.01, 0.01), 0.0025), ((0.04, 0.025, 0.025), 0.005)]
+)
+def test_a_quarter_has_the_accelerations_and_pressures_of_the_whole(size, spacing, sides, form):
+    """In some sizes all nodes of a block of lanes have images of themselves in their smoothing stencils."""
+    part, body = pt.box(size, spacing), pt.box((size[0], 2 * size[1], 2 * size[2]), spacing)
+    planes = [pt.SymmetryPlane(axis + side) for axis, side in zip("yz", sides, strict=True)]
+    centre = np.array([0.0, *(0.0 if side == "-" else size[k + 1] for k, side in enumerate(sides))])
+    part = replace(part, points=part.points - centre)
+    body = replace(body, points=body.points - [0.0, size[1], size[2]])
+    nodes = same_nodes(part, body)
+
+    def state_of(model):
+        x, y, z = 30 * model.cloud.points.T
+        field = 0.1 * size[1] * np.column_stack([np.sin(x) * np.cos(y) * np.cos(z), np.sin(y) * x, -np.sin(z) * x * x])
+        prepared = model.prepare(())
+        state = model.state(prepared, displacement=field)
+        return model.acceleration(state, prepared), model, state.coordinates
+
+    own, small, u = state_of(pt.Solid(part, SOFT, ["x-", *planes], form=form, stiffness_damping=DAMPING))
+    every, large, v = state_of(pt.Solid(body, SOFT, "x-", form=form, stiffness_damping=DAMPING))
+    np.testing.assert_allclose(own, every[nodes], atol=1e-11 * np.abs(every).max())
+    expected = large.evaluate(v).pressure
+    np.testing.assert_allclose(small.evaluate(u).pressure, expected[nodes], atol=1e-12 * np.abs(expected).max())
+    recovered = large.recovered_pressure(v)[nodes]
+    np.testing.assert_allclose(small.recovered_pressure(u), recovered, atol=1e-12 * np.abs(recovered).max())
+
+
 @pytest.mark.slow
 def test_tissue_may_differ_from_node_to_node():
     """Relaxation, regions, stiffness factors and fibres of two families, whose images are reflected."""

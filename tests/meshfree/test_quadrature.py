@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -222,3 +224,48 @@ def test_the_hourglass_residual_of_smooth_fields_is_of_fourth_order_inside_a_lat
         inside = np.all(np.abs(cloud.points - 0.5) < 0.26, axis=1)
         sizes.append(np.abs(missed(cloud, np.sin(cloud.points @ (2.0, 1.3, 0.7))))[inside].max())
     assert np.log2(sizes[0] / sizes[1]) > 3.7
+
+
+def test_transfers_raise_small_weights_and_keep_integrals_of_quadratics():
+    cloud = pt.box((0.07,) * 3, 0.01, 0.2)
+    stencils = pt.moving_least_squares(cloud.points, neighbours=42)
+    least = np.full(len(cloud), -np.inf)
+    rng = np.random.default_rng(0)
+    light = rng.choice(np.flatnonzero(np.bincount(cloud.face_nodes, minlength=len(cloud)) == 0), 20, replace=False)
+    weights = cloud.volumes.copy()
+    weights[light] *= rng.uniform(-0.2, 0.4, len(light))
+    least[light] = 0.5 * cloud.volumes[light]
+    raised = quadrature._transfer(weights, least, cloud, stencils)
+    assert (raised[light] > 0.99 * least[light]).all()
+    fields, _ = quadratics(cloud)
+    np.testing.assert_allclose(raised @ fields, weights @ fields, rtol=1e-12)
+    cubes = cloud.points**3 @ np.ones(3)
+    assert abs(raised @ cubes - weights @ cubes) > 1e-9 * abs(weights @ cubes)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("name", BOXES)
+def test_weights_of_boxes_need_no_transfers(name, jitter, monkeypatch):
+    """So figures of boxes do not depend on them."""
+    cloud = pt.box(*BOXES[name], jitter)
+    weights = weights_of(cloud)
+    monkeypatch.setattr(quadrature, "MIN_SMOOTH_RATIO", -np.inf)
+    monkeypatch.setattr(quadrature, "MIN_MEDIAN_RATIO", -np.inf)
+    np.testing.assert_array_equal(weights_of(cloud), weights)
+
+
+@pytest.mark.slow
+def test_weights_of_a_filled_body_integrate_quadratics_alike_and_are_not_small(monkeypatch):
+    cloud = pt.fill(pt.liver_surface(0.004), spacing=0.012)
+    weights = weights_of(cloud)
+    assert (weights > 0.45 * cloud.volumes).all()
+    assert weights.min() > 0.2 * np.median(cloud.volumes)
+    monkeypatch.setattr(quadrature, "MIN_SMOOTH_RATIO", -np.inf)
+    monkeypatch.setattr(quadrature, "MIN_MEDIAN_RATIO", -np.inf)
+    clipped = weights_of(cloud)
+    monkeypatch.setattr(quadrature, "MIN_WEIGHT_RATIO", -np.inf)
+    unlimited = weights_of(cloud)
+    assert unlimited.min() < 0.1 * np.median(cloud.volumes)
+    fields, _ = quadratics(replace(cloud, points=cloud.points - cloud.points.mean(axis=0)))
+    missed, without = (np.abs(w @ fields - unlimited @ fields).max() for w in (weights, clipped))
+    assert missed < without / 10

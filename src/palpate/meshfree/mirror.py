@@ -128,7 +128,8 @@ class Images(NamedTuple):
     def folded(self, near: NDArray[np.int32], weights: Floats, own: Floats) -> tuple[NDArray[np.int32], Floats, Floats]:
         """Return the part's rows of weights (N, k) of scalars, with images replaced by their sources.
 
-        The weight on a node's own image is added to the node's weight on itself, `own` (N,).
+        The weight on a node's own image is added to the node's weight on itself, `own` (N,). Its entry
+        becomes padding and moves to the end of the row, where the compiled passes stop reading.
         """
         if len(self.cloud) == self.nodes:
             return near, weights, own
@@ -137,7 +138,9 @@ class Images(NamedTuple):
         sources = self.source[near[:n]].astype(np.int32)
         itself = (sources == every) & (near[:n] != every)
         rest = np.where(itself, 0.0, weights[:n])
-        return sources, rest, own[:n] + np.sum(weights[:n] - rest, axis=1)
+        order = np.argsort(sources == every, axis=1, kind="stable")
+        total = own[:n] + np.sum(weights[:n] - rest, axis=1)
+        return np.take_along_axis(sources, order, axis=1), np.take_along_axis(rest, order, axis=1), total
 
 
 def mirror_images(cloud: Cloud, planes: Sequence[MirrorPlane]) -> Images:

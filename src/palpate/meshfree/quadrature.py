@@ -9,6 +9,11 @@ with the first and second moments m_I and M_I of the cell about its node. The su
 derivatives' weights give nodal weights. On a lattice the weights of the inner nodes do not change,
 and those near a face become end corrections of Gregory's kind.
 
+A node of small weight between heavy ones vibrates fast, and so limits the stable step of the body.
+In poor spots of a filled cloud the corrections leave weights that are far too small, or negative.
+There neighbours transfer weight to the node along the residual of a quadratic fit, which is zero
+for quadratic fields. So the transfer preserves their integrals.
+
 `conservative_smoothing` preserves the integral of a field that is smoothed at the nodes.
 Derivatives at the nodes do not depend on all of a field: `quadratic_residuals` are a measure of the
 rest.
@@ -28,6 +33,9 @@ from palpate.meshfree.stencils import Stencils
 __all__ = ["conservative_smoothing", "integration_weights", "quadratic_residuals"]
 
 MIN_WEIGHT_RATIO = 0.3  # smallest weight over a node's volume: corrections of edges and corners multiply
+# smallest weight of a node with at most one face, over its volume and over the median volume
+MIN_SMOOTH_RATIO, MIN_MEDIAN_RATIO = 0.5, 0.25
+TRANSFERS = 8  # rounds of transfers; what is missing then is added without them
 INTEGRAL_TOLERANCE = 1e-9  # largest error of the integral of a smoothed field, relative to a node's volume
 DERIVATIVE_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # the order of `Stencils.second`
 
@@ -53,8 +61,36 @@ def integration_weights(cloud: Cloud, stencils: Stencils) -> Floats:
         shares = volumes[:, None] * np.einsum("nkw,nw->nk", table[stencils.row], moments)
         np.add.at(weights, stencils.neighbours, shares)
         weights -= shares.sum(axis=1)
-    weights = np.maximum(weights, MIN_WEIGHT_RATIO * volumes)
+    least = _least_weights(cloud, stencils)
+    weights = np.maximum(_transfer(weights, least, cloud, stencils), np.maximum(least, MIN_WEIGHT_RATIO * volumes))
     return np.asarray(weights * (volumes.sum() / weights.sum()))
+
+
+def _least_weights(cloud: Cloud, stencils: Stencils) -> Floats:
+    """Return the weights (n,) [m^3] up to which nodes receive transfers; -inf at edges and corners of a box.
+
+    The end corrections of several faces multiply to small weights there, which are right.
+    """
+    volumes, faces = cloud.volumes, np.bincount(cloud.face_nodes, minlength=len(cloud))
+    distance = np.linalg.norm(cloud.points[stencils.neighbours] - cloud.points[:, None], axis=2)
+    width = distance.sum(axis=1) / np.count_nonzero(distance, axis=1)  # padding has distance 0
+    closer = np.minimum(width / np.median(width), 1.0)  # in refined parts
+    least = np.maximum(MIN_SMOOTH_RATIO * volumes, MIN_MEDIAN_RATIO * np.median(volumes) * closer**3)
+    return np.where(faces > 1, -np.inf, least)
+
+
+def _transfer(weights: Floats, least: Floats, cloud: Cloud, stencils: Stencils) -> Floats:
+    """Return weights raised to at least `least` where possible, with equal integrals of quadratic fields."""
+    if not (weights < least).any():
+        return weights
+    weights, residuals = weights.copy(), quadratic_residuals(stencils, cloud.points)
+    for _ in range(TRANSFERS):
+        node = np.flatnonzero(weights < least)
+        row = residuals[stencils.row[node]]
+        missing = least[node] - weights[node]
+        weights[node] += missing
+        np.subtract.at(weights, stencils.neighbours[node], (missing / row.sum(axis=1))[:, None] * row)
+    return weights
 
 
 def conservative_smoothing(stencils: Stencils, volumes: Floats) -> tuple[Floats, Floats]:

@@ -74,7 +74,7 @@ def lane_table(
     Parameters
     ----------
     near, row : (n, k) and (n,) int arrays
-        `Stencils.neighbours` and `Stencils.row`.
+        `Stencils.neighbours` and `Stencils.row`; padding is at the end of every row.
     tables : (s, k) or (s, k, w) arrays
         Weights, by row.
     """

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, sum_of_products
 from palpate.describe import Fact
 from palpate.dynamics.compiled.lanes import lane_table, transpose
 from palpate.dynamics.compiled.rows import Rows, row_table
@@ -195,7 +195,7 @@ class Membrane(NodalModel):
     def _relaxed_energy(self, work: NodalWork) -> float:
         lost = work.passes.history.lost
         by_node = lost.reshape(-1, POINTS, lost.shape[1]).mean(axis=1).ravel()[self.slot]
-        return float(self.volumes @ by_node)
+        return sum_of_products(self.volumes, by_node)
 
     def stress_at(self, F: Floats) -> Floats:
         """Return the law's first Piola-Kirchhoff stress [Pa], (..., 3, 2), for gradients (..., 3, 2)."""

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, euclidean_norm
 from palpate.dynamics.nodal.coarse_grid import two_level_preconditioner
 from palpate.dynamics.nodal.mixed_stress import (
     SplitStress,
@@ -99,7 +99,7 @@ class MixedNewton:
         volumes, least = balance.volume_ratios(u), np.inf
         for step in range(MAX_STEPS):
             unbalanced = balance.residual(u) - (1 - target) * self._offset
-            self.residual = float(np.linalg.norm(unbalanced)) / balance.scale(u)
+            self.residual = euclidean_norm(unbalanced) / balance.scale(u)
             if not jump.any() and self.residual <= tolerance:
                 return u
             stuck = step > STEPS_WITHOUT_DECREASE and self.residual > least

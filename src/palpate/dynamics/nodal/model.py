@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, sum_of_products
 from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.rows import Rows
@@ -174,7 +174,7 @@ class NodalModel(Model):
 
     def strain_energy(self, displacements: Floats, history: History = (), work: NodalWork | None = None) -> float:
         """Return the strain energy [J] of nodal displacements; NaN for an inverted body."""
-        return float(self.volumes @ self.evaluate(displacements, history, work).energy_density)
+        return sum_of_products(self.volumes, self.evaluate(displacements, history, work).energy_density)
 
     def highest_frequency(
         self,

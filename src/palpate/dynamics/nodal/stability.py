@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, euclidean_norm
 from palpate.describe import Described, Fact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads
 from palpate.dynamics.loads.supports import SupportedNodes
@@ -251,7 +251,7 @@ def highest_frequency(
         image = constrain((rest - force(displacements + vector)) / density)
         if not image.any():  # no stiffness, as in a slack sheet
             return 0.0, None
-        ratio = float(np.linalg.norm(image) / np.linalg.norm(vector))
+        ratio = euclidean_norm(image) / euclidean_norm(vector)
         vector = image
     return float(np.sqrt(ratio)), vector
 
@@ -308,14 +308,14 @@ def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> 
         tiny = 1e-9 * model.cloud.spacing * np.random.default_rng(1).standard_normal((len(model.cloud), 3))
         model.supported.project(tiny)
         state, logs = State(tiny, np.zeros_like(tiny)), []
-        size = np.linalg.norm(model.force(state.coordinates))
+        size = euclidean_norm(model.force(state.coordinates))
         for _ in range(WINDOWS):
             state, _ = model.advance(state, prepared, step, WINDOW_STEPS, work)
             force = model.force(state.coordinates)
-            logs.append(np.log(np.linalg.norm(force) / size))
-            scale = np.linalg.norm(tiny) / max(float(np.linalg.norm(state.coordinates)), 1e-300)
+            logs.append(np.log(euclidean_norm(force) / size))
+            scale = euclidean_norm(tiny) / max(euclidean_norm(state.coordinates), 1e-300)
             state = State(state.coordinates * scale, state.velocities * scale)
-            size = np.linalg.norm(force) * scale
+            size = euclidean_norm(force) * scale
         growth = float(np.mean(logs[-4:]))
         rate = growth / (WINDOW_STEPS * step)
         if growth < MIN_GROWTH:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, euclidean_norm
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.dynamics.loads.supports import free_rigid_motions
 from palpate.dynamics.nodal.model import NodalModel
@@ -107,7 +107,8 @@ class StaticBalance:
         loads = (self._load_density() if self._follows else self._dead) * self.weights - self.springs[:, None] * u
         blocked = internal - self.constrain(internal.copy())
         least = MIN_STRAIN * self.model.material.shear_modulus / self.model.cloud.spacing * self.weights
-        return float(np.linalg.norm([np.linalg.norm(part) for part in (self.constrain(loads), blocked, least)]))
+        parts = (self.constrain(loads), blocked, least)
+        return euclidean_norm(np.array([euclidean_norm(part) for part in parts]))
 
     def volume_ratios(self, u: Floats) -> Floats:
         """Return det F (n,) of a solid, or the ratios of areas of a sheet."""

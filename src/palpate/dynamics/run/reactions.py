@@ -94,7 +94,7 @@ def group_forces(body: NodalBody, parts: Sequence[Partition], nodal: Floats, str
     """
     forces = np.zeros((len(parts[0].phi), 3))
     for directions, phi in parts:
-        own = phi @ nodal
+        own = np.einsum("gn,nc->gc", phi, nodal)  # without BLAS, whose threads spin (`palpate.arrays`)
         if stress is not None:
             slopes = body.stencils.gradient(body.mirror.scalars(phi.T))  # (n, groups, 3)
             own = own + np.einsum("n,nil,ngl->gi", body.volumes, stress, slopes)

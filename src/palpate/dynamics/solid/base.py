@@ -156,11 +156,18 @@ class Solid(NodalModel):
         It is positive for expansion. In nearly incompressible tissue the pressure in `stress` alternates
         between nodes, without effect on forces. Figures are in docs/incompressibility.md.
         """
-        return self._recovery.fit(self.evaluate(displacements, history).pressure)
+        pressure = self.evaluate(displacements, history).pressure
+        return self._recovery.fit(pressure[self._images.source])[: len(pressure)]
+
+    @cached_property
+    def _images(self) -> Images:
+        return mirror_images(self.cloud, self.planes)
 
     @cached_property
     def _recovery(self) -> Stencils:
-        return moving_least_squares(self.cloud.points, order=1, neighbours=RECOVERY_NEIGHBOURS, interpolating=False)
+        """Stencils of the recovered pressure, of the body and its images."""
+        points = self._images.cloud.points
+        return moving_least_squares(points, order=1, neighbours=RECOVERY_NEIGHBOURS, interpolating=False)
 
     def cauchy_stress(self, displacements: Floats, history: History = ()) -> Floats:
         """Return the Cauchy stress [Pa] at every node, shape (n, 3, 3)."""

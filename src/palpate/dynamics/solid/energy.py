@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sparse
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, sum_of_products
 from palpate.dynamics.compiled.passes import smooth_field
 from palpate.dynamics.contact.tools import Contact
 from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare_loads
@@ -123,7 +123,7 @@ class EnergySolid(Solid):
     def _relaxed_energy(self, work: NodalWork) -> float:
         history = work.passes.history
         shear, volume = history.lost.ravel()[self.slot], self.tissue.lame * history.volume_lost
-        return float(self.shear_volumes @ shear + self.bulk_volumes @ volume)
+        return sum_of_products(self.shear_volumes, shear) + sum_of_products(self.bulk_volumes, volume)
 
     def accept_step(self, before: State, after: State, report: StepReport, work: Any = None) -> bool:
         """Return True to accept the last steps, False if their energy balance has an error.
@@ -142,8 +142,8 @@ class EnergySolid(Solid):
 
     def _energy(self, state: State, work: NodalWork | None) -> float:
         """Return the kinetic and strain energy [J] of a state."""
-        kinetic = 0.5 * self.masses @ np.sum(state.velocities**2, axis=1)
-        return float(kinetic) + self.strain_energy(state.coordinates, state.history, work)
+        kinetic = 0.5 * sum_of_products(self.masses[:, None], state.velocities**2)
+        return kinetic + self.strain_energy(state.coordinates, state.history, work)
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         loads = listed(loads)
