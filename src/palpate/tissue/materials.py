@@ -39,6 +39,7 @@ from palpate.tissue.volumetric import QUADRATIC, volumetric_form
 __all__ = ["Material", "MooneyRivlin", "NeoHookean", "ShearLaw", "parameter"]
 
 MAX_POISSON = 0.499  # largest ratio with verified stability of the split pressure
+ROUNDING = 1e-12  # relative difference of equal moduli
 EXPECTED_DENSITIES = 100.0, 20_000.0  # [kg/m^3]; other densities are probably in another unit
 EXPECTED_MODULI = 1.0, 1e8  # [Pa] shear moduli; others are probably in another unit
 
@@ -215,7 +216,8 @@ class Material(Described, ABC):
     @property
     def lame(self) -> float:
         """Coefficient of the volumetric part U(J) [Pa], its second derivative at rest."""
-        return max(self.bulk_modulus - self.shear_share, 0.0)  # rounding, for a Poisson's ratio of 0
+        difference = self.bulk_modulus - self.shear_share
+        return 0.0 if abs(difference) <= ROUNDING * self.bulk_modulus else difference
 
     @property
     def shear_share(self) -> float:

@@ -73,3 +73,12 @@ def test_the_triangular_root_is_that_of_cholesky_and_exists_for_singular_matrice
     root = _triangular_root(singular)
     np.testing.assert_allclose(root.T @ root, singular, atol=1e-12)
     np.testing.assert_array_equal(root, np.triu(root))
+
+
+def test_a_negative_volumetric_coefficient_is_refused(bar):
+    law = pt.materials.MooneyRivlin(C1=8e3, C2=2e3, density=1000.0, poisson=0.0)
+    assert law.lame < 0
+    body = pt.Solid(bar, law, "x-")
+    run = pt.rollout(body, [pt.SurfaceForce("x+", force=(0.05, 0, 0))], duration=2e-3, every=1e-3, progress=False)
+    with pytest.raises(pt.InputError, match="volumetric coefficient positive"):
+        pt.hyper_reduce(body, run, modes=1)

@@ -13,6 +13,7 @@ frequency w. A few power iterations on the present tangent update w for the defo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -303,7 +304,8 @@ def _damping_by_steps(model: ElasticBody, neighbours: int, frequency: float) -> 
     """Raise beta until a tiny random motion decays; return beta and the remaining growth rate."""
     prepared, work, needed, rate = model.prepare(()), model.workspace(), 0.0, 0.0
     for _ in range(MAX_ROUNDS):
-        model.stiffness_damping = needed
+        model = copy(model)
+        vars(model)["stiffness_damping"] = needed
         step = stable_step(frequency, needed)
         tiny = 1e-9 * model.cloud.spacing * np.random.default_rng(1).standard_normal((len(model.cloud), 3))
         model.supported.project(tiny)

@@ -144,6 +144,11 @@ def hyper_reduce(
     if coarse is not None and not isinstance(coarse, EnergySolid):
         raise InputError(f"coarse must be a Solid with form='energy', got {coarse!r:.200}; make it in the energy form")
     body = _energy_form(full)
+    if isinstance(body, EnergySolid) and body.tissue.lame < 0:
+        raise InputError(
+            f"poisson of the material must make its volumetric coefficient positive for a reduced model, got "
+            f"{full.material.poisson:.3g} with {body.tissue.lame:.3g} Pa; use a larger Poisson's ratio"
+        )
     tools = (prescribed,) if isinstance(prescribed, str) else tuple(prescribed)
     vibrations = _has_vibrations(basis, body, snapshots.has_contact and not tools, enrichment, coarse)
     options = _Options(tools, held_out, enrichment, share, pressures, seed, coarse, repeated, vibrations)
