@@ -25,7 +25,7 @@ from __future__ import annotations
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity, patch, project, rotation
 
-__all__ = ["apply_contact_impulses"]
+__all__ = ["apply_contact_impulses", "push_patches"]
 
 MAX_SWEEPS = 30
 MIN_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
@@ -204,8 +204,7 @@ def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data)
         Work of the tools, energy dissipated by friction and impact, and change of the work of loads
         and constraints.
     """
-    nodes, scratch = data
-    poses, gravity = schedule.poses, schedule.gravity[s]
+    poses = schedule.poses
     ends = s == poses.shape[0] - 1
     first, ahead = (s - 1, 0.0) if ends else (s, step)
     for t in range(contacts.kind.shape[0]):
@@ -213,9 +212,35 @@ def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data)
         rotation(poses[first + 1, t], contacts.frames[t, 1])
     # the first kick of a call is half of the others, and starts from zero impulses
     ratio = 0.0 if s == 0 else kick / (0.5 * step if s == 1 else step)
-    _find_active_patches(
-        contacts, ahead, ratio, schedule.times[min(s + 1, poses.shape[0] - 1)], u, velocity, nodes.mass
-    )
+    time = schedule.times[min(s + 1, poses.shape[0] - 1)]
+    return push_patches(contacts, ends, (ahead, step, kick, time), ratio, u, velocity, (*data, schedule.gravity[s]))
+
+
+@kernel_njit()
+def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: ignore[no-untyped-def]
+    """Push the patches out of the tools, whose frames before and after the step are given.
+
+    Parameters
+    ----------
+    contacts : Contacts
+    ends : bool
+        True for the half kick at the end of a call, which moves no node.
+    times : tuple of float [s]
+        Time from the present positions to those of the patches, length of the step and of the kick, and
+        the time at the end of the step.
+    ratio : float
+        Of the first impulses to those of the step before.
+    u, velocity : (n, 3) arrays
+    data : tuple
+        Nodal data, scratch arrays of the step, and gravity.
+
+    Returns
+    -------
+    As `apply_contact_impulses`.
+    """
+    ahead, step, kick, time = times
+    nodes, scratch, gravity = data
+    _find_active_patches(contacts, ahead, ratio, time, u, velocity, nodes.mass)
     for _ in range(MAX_SWEEPS):
         changed, largest = _sweep(contacts, ends, step, u, velocity)
         if changed <= SWEEP_TOLERANCE * largest:

@@ -24,7 +24,17 @@ from palpate.dynamics.contact.geometry import project
 from palpate.dynamics.contact.impulses import apply_contact_impulses
 from palpate.dynamics.loads.supports import FIXED, FREE, SLIDING
 
-__all__ = ["Damping", "NodalData", "StepScratch", "foundation_force", "full_step", "step_scratch", "surface_force"]
+__all__ = [
+    "Damping",
+    "NodalData",
+    "StepScratch",
+    "drift_nodes",
+    "foundation_force",
+    "full_step",
+    "kick_nodes",
+    "step_scratch",
+    "surface_force",
+]
 
 
 class NodalData(NamedTuple):
@@ -155,7 +165,7 @@ def _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity):  # ty
 
 
 @kernel_njit(inner=True)
-def _kick(sites, constrained, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
+def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
     """Accelerate the nodes that can move over the time `kick`; return the work [J] of surface loads and gravity."""
     work = 0.0
     for i in range(sites.kind.shape[0]):
@@ -240,7 +250,7 @@ def _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick):
 
 
 @kernel_njit(inner=True)
-def _drift(sites, constrained, target, step, u, velocity):  # type: ignore[no-untyped-def]
+def drift_nodes(sites, constrained, target, step, u, velocity):  # type: ignore[no-untyped-def]
     """Advance the displacements by a step; prescribed nodes are at their target exactly."""
     for i in range(u.shape[0]):
         if sites.kind[i] != FIXED:
@@ -289,7 +299,7 @@ def full_step(formulation: Formulation) -> Any:
             kick = 0.5 * step if s in (0, steps) else step
             gravity, target = schedule.gravity[s], schedule.motion[min(s + 1, steps)]
             constrained = schedule.constrained[min(s + 1, steps)]
-            total += _kick(sites, constrained, nodes, scratch, gravity, kick, velocity)
+            total += kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity)
             if s < steps:
                 tools += _set_prescribed_velocity(
                     sites, constrained, target, step, u, velocity, nodes, (scratch, gravity)
@@ -300,7 +310,7 @@ def full_step(formulation: Formulation) -> Any:
                 total, lost = total + works[0] + works[2], lost + works[1]
             if s == steps:
                 break
-            _drift(sites, constrained, target, step, u, velocity)
+            drift_nodes(sites, constrained, target, step, u, velocity)
         after(work, 0.0)
         return total, lost, tools
 

@@ -77,6 +77,8 @@ class NodalModel(Model):
     body : NamedTuple
         Constants of the compiled passes.
     formulation : Formulation
+    taut_body : NamedTuple
+        As `body`, with fibres that carry compression, too.
     half_cell : float
         Half the c of the half-cell balance at the boundary.
     fixed_mask : (n,) bool array
@@ -105,7 +107,7 @@ class NodalModel(Model):
     def _compile(self, formulation: Formulation, body: Any, allocate: Callable[[], Any], lanes: Lanes | Rows) -> None:
         """Set the compiled passes and their constants; requires the cloud, the volumes and the supports."""
         self.formulation, self.body, self._allocate = formulation, body, allocate
-        self._always_taut = body if self.fibres is None else body._replace(families=always_taut(body.families))
+        self.taut_body = body if self.fibres is None else body._replace(families=always_taut(body.families))
         self._internal_force, self._advance = internal_force(formulation), full_step(formulation)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
@@ -204,7 +206,7 @@ class NodalModel(Model):
         scratch = self.workspace() if work is None else work
         self._restore(history, scratch)
         return highest_frequency(
-            lambda u: self._force(u, self._always_taut, scratch),
+            lambda u: self._force(u, self.taut_body, scratch),
             displacements,
             self.constrain(constrained),
             self._noise,
@@ -325,7 +327,7 @@ class NodalModel(Model):
             Damping(self.stiffness_damping, self.wave_speed),
             (self.body, work.passes),
             (sites, contacts, schedule),
-            self._nodal_data(),
+            self.nodal_data(),
             work.step,
         )
         if prepared.tools:
@@ -349,7 +351,7 @@ class NodalModel(Model):
         report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.tool_impulses)
         return replace(new, external_work=new.external_work + tools), report
 
-    def _nodal_data(self) -> NodalData:
+    def nodal_data(self) -> NodalData:
         """Return the constants of the nodes for the compiled step."""
         return NodalData(
             volumes=self.volumes,

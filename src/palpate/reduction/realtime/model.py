@@ -12,6 +12,7 @@ from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
+from palpate.dynamics.nodal.model import NodalModel
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
@@ -24,6 +25,7 @@ from palpate.reduction.hyper.reactions import tool_map
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
+from palpate.reduction.realtime.full_body import full_period
 from palpate.reduction.realtime.period import (
     MAX_SUBSTEPS,
     POWER_SHAPE,
@@ -37,13 +39,13 @@ __all__ = ["RealtimeModel", "realtime_model"]
 
 
 class RealtimeModel(NamedTuple):
-    """A reduced model for the engine.
+    """A reduced model or a full body for the engine.
 
     Parameters
     ----------
     advance, stiffness : functions
-        Compiled; see `period_functions`.
-    data : PeriodData
+        Compiled; see `period_functions` and `palpate.dynamics.nodal.period.nodal_period`.
+    data : PeriodData or NodalPeriodData
     rest : (m,) array
         Coordinates at rest.
     tool : (l, 12) array
@@ -55,7 +57,7 @@ class RealtimeModel(NamedTuple):
 
     advance: Any
     stiffness: Any
-    data: PeriodData
+    data: Any
     rest: Floats
     tool: Floats
     force_bound: Callable[[float, float], float] | None = None
@@ -72,11 +74,17 @@ def realtime_model(
 
 
 @overload
+def realtime_model(
+    model: NodalModel, *, contact: Contact, foundations: Sequence[Foundation] = ...
+) -> RealtimeModel: ...
+
+
+@overload
 def realtime_model(model: LinearModel, *, period: float = ...) -> LinearRealtime: ...
 
 
 def realtime_model(
-    model: ReducedModel | LinearModel,
+    model: ReducedModel | LinearModel | NodalModel,
     *,
     longest: float = 0.02,
     contact: Contact | Grasp | None = None,
@@ -87,7 +95,8 @@ def realtime_model(
 
     Parameters
     ----------
-    model : ReducedModel or LinearModel
+    model : ReducedModel, LinearModel, or Solid in its energy form
+        A full body has no trust number, and no contact stiffness.
     longest : float [s]
         Longest period that the engine may request.
     contact : Contact or Grasp, optional
@@ -112,6 +121,8 @@ def realtime_model(
                 "linearise the body with one PrescribedMotion or Grasp"
             )
         return linear_realtime(model, period)
+    if isinstance(model, NodalModel):
+        return _full_body(model, contact, foundations)
     reduced, count = model.data, model.count
     check_kinds([] if contact is None else [contact], (Contact, Grasp), "contact")
     if contact is None and len(reduced.prescribed) != 1:
@@ -191,6 +202,21 @@ def realtime_model(
     return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12), force_bound(reduced.report))
 
 
+def _full_body(model: NodalModel, contact: Contact | Grasp | None, foundations: Sequence[Foundation]) -> RealtimeModel:
+    """Return a full body for the engine."""
+    if not isinstance(contact, Contact):
+        raise InputError("contact must be a Contact for a full body in the engine, got none or a Grasp; give contact=")
+    _check_foundations(foundations)
+    advance, data = full_period(model, contact, foundations)
+    return RealtimeModel(advance, None, data, np.zeros(3 * len(model.cloud)), np.eye(12))
+
+
+def _check_foundations(foundations: Sequence[Foundation]) -> None:
+    for load in foundations:
+        if not isinstance(load, Foundation):
+            raise InputError(f"foundations must be Foundation objects, got {load!r}; leave out all other loads")
+
+
 def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bool) -> IndicatorData:
     """Return the data of the error indicator; with a tool in contact the residual norm counts for nothing."""
     count, points = model.count, model.data.integration_points(which, model.body.coefficients, model.single)
@@ -210,8 +236,6 @@ def _indicator(model: ReducedModel, which: Ints, body: ImplicitData, contact: bo
 
 def _springs(model: ReducedModel, foundations: Sequence[Foundation]) -> Springs:
     """Return the springs on all basis vectors; refuse other loads."""
-    for load in foundations:
-        if not isinstance(load, Foundation):
-            raise InputError(f"foundations must be Foundation objects, got {load!r}; leave out all other loads")
+    _check_foundations(foundations)
     sites = prepare_loads(model.cloud, model.supports, foundations).sites
     return project_springs(sites, model.data.basis_vectors, model.body.mass)

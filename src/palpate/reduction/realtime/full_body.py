@@ -1,0 +1,98 @@
+"""A full body for the engine, with one tool in contact, and the change of that tool."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palpate.arrays import Floats
+from palpate.dynamics.contact.geometry import rotation
+from palpate.dynamics.contact.tools import CAPSULE, PLANE, Contact, Forceps, Tool
+from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.nodal.central_difference import Damping
+from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.nodal.period import END, HOME, START, ContactReport, NodalPeriodData, nodal_period
+from palpate.faults import InputError
+
+__all__ = ["change_full_tool", "full_period"]
+
+
+def full_period(
+    model: NodalModel, contact: Contact, foundations: Sequence[Foundation]
+) -> tuple[object, NodalPeriodData]:
+    """Return the compiled period of a full body and its data.
+
+    Raises
+    ------
+    InputError
+        The body has the strong form, or the tool is in the body at the start.
+    """
+    if not model.conservative:
+        raise InputError("model must have the energy form for the engine, got the strong form; leave form= out")
+    prepared, work = model.prepare([contact, *foundations]), model.workspace()
+    model.state(prepared)  # refuses a tool inside the body
+    sites, contacts = prepared.with_scratch()
+    n, history = len(model.cloud), work.passes.history
+    frequency, vector = model.highest_frequency(np.zeros((n, 3)), prepared.constraint_mask(0.0))
+    if len(sites.foundation_node):
+        response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
+        springs = np.bincount(sites.foundation_node, sites.foundation_spring * response, minlength=n).max()
+        frequency = float(np.hypot(frequency, np.sqrt(springs)))
+    path = np.zeros((3, 3, 4))
+    rotation(prepared.schedule(np.zeros(1)).poses[0, 0], path[HOME])
+    path[START], path[END], contacts.frames[0, 1] = path[HOME], path[HOME], path[HOME]
+    noise = model.supported.project(np.random.default_rng(0).standard_normal((n, 3)))
+    data = NodalPeriodData(
+        passes=(model.body, work.passes),
+        taut_passes=(model.taut_body, work.passes),
+        nodes=model.nodal_data(),
+        damping=Damping(model.stiffness_damping, model.wave_speed),
+        sites=sites,
+        contacts=contacts,
+        scratch=work.step,
+        clock=np.array([0.0, model.stability.step, frequency, 0.0, 0.0, 0.0]),
+        path=path,
+        resting_frequency=frequency,
+        vector=noise.copy() if vector is None else vector,
+        noise=noise,
+        amplitude=1e-6 * model.cloud.spacing,
+        reach=0.5 * model.cloud.spacing,
+        saved=np.zeros((2, n, 3)),
+        saved_history=(
+            history.strain.copy(), history.branches.copy(), history.dilatation.copy(), history.volume.copy()
+        ),
+        contact_work=ContactReport(np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(3, dtype=np.int64)),
+        free=np.zeros(0, dtype=np.bool_),
+    )  # fmt: skip
+    return nodal_period(model.formulation), data
+
+
+def change_full_tool(
+    model: NodalModel, data: NodalPeriodData, tool: Tool | None, pose: Floats, friction: float
+) -> None:
+    """Replace the tool of a full body, as `palpate.reduction.realtime.change_tool.change_tool`.
+
+    Raises
+    ------
+    InputError
+        The tool is smaller than the spacing, or holds nodes.
+    """
+    contacts, spacing = data.contacts, model.cloud.spacing
+    if isinstance(tool, Forceps):
+        raise InputError("tool must touch the body, got forceps; a full body is not grasped in the engine yet")
+    if tool is not None and tool.kind != PLANE and tool.sizes[0] < spacing:
+        raise InputError(
+            f"radius of the tool must be at least the spacing of the body, {1e3 * spacing:.3g} mm, got "
+            f"{1e3 * tool.sizes[0]:.3g} mm; use a larger tool or a finer body"
+        )
+    contacts.kind[0] = CAPSULE if tool is None else tool.kind
+    contacts.sizes[0] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
+    contacts.tool_radius[0] = 0.0 if tool is None else np.inf
+    if tool is not None and tool.kind == CAPSULE:
+        contacts.tool_radius[0] = tool.sizes[0] + tool.sizes[1]
+    contacts.friction[0] = friction
+    contacts.patch_impulses[:] = 0.0
+    data.contact_work.numbers[:] = 0
+    rotation(pose, data.path[HOME])
+    data.path[START], data.path[END], contacts.frames[0, 1] = data.path[HOME], data.path[HOME], data.path[HOME]
