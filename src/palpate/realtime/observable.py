@@ -209,7 +209,7 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
 @cache
 def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
     """Compile the functions of an observable model."""
-    digest = law_digest(__name__, function_key(inner_advance), function_key(inner_stiffness))
+    digest = law_digest(__name__, function_key(inner_advance), inner_stiffness and function_key(inner_stiffness))
 
     @law_njit(digest, inner=True)
     def move_coupled_tool(coupling, target, values, period):  # type: ignore[no-untyped-def]
@@ -266,6 +266,9 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
                 values[at + 1 + i] = contact.push[e, i]  # for the model's own moduli
             at += CONTACT_SIZE
         publish(data.slot, values[:at])
+
+    if inner_stiffness is None:
+        return advance, None
 
     @law_njit(digest, inline="always")
     def stiffness(data, q, out):  # type: ignore[no-untyped-def]

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.realtime.record import PeriodRecord
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = ["STATES", "TOOL_KINDS", "UNITS", "Snapshot", "scalar_descriptions", "training_errors"]
 
@@ -49,13 +50,13 @@ class Snapshot(PeriodRecord):
     modulus_ratio: float
     tool: str
 
-    def displacements(self, surface: Surface) -> NDArray[np.float32]:
+    def displacements(self, surface: DisplaySurface) -> NDArray[np.float32]:
         """Return finite displacements (n, 3) [m] of a surface's vertices."""
         grasps = self.tool == "grasp"
         displacements = surface.displacements(self.coordinates, self.contact_nodes, self.contact_forces, grasps)
         return np.nan_to_num(displacements, nan=0.0, posinf=MAX_FINITE, neginf=-MAX_FINITE)
 
-    def scalar(self, surface: Surface, name: str, displacements: NDArray[np.float32]) -> NDArray[np.float32]:
+    def scalar(self, surface: DisplaySurface, name: str, displacements: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return a finite scalar (n,) at every vertex, given the displacements (n, 3) [m]; see `Surface.scalar`.
 
         The scalar is 0 at a vertex with an undefined stress, which occurs in an inverted body.
@@ -66,9 +67,9 @@ class Snapshot(PeriodRecord):
         return np.nan_to_num(values, nan=0.0, posinf=MAX_FINITE, neginf=-MAX_FINITE)
 
 
-def scalar_descriptions(surface: Surface) -> list[dict[str, Any]]:
+def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
     """Return the descriptions of a surface's scalars for `hello`; ``"note"`` states what a scalar excludes."""
-    local = surface.model.data.compliance is not None
+    local = not surface.local_indentation
     return [
         {"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1],
          "note": MODES_ONLY if local and name != "displacement" else None}
@@ -76,8 +77,10 @@ def scalar_descriptions(surface: Surface) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def training_errors(model: ReducedModel) -> dict[str, Any] | None:
+def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
     """Return a model's mean errors on held-out runs for `hello`, or None without such runs."""
+    if not isinstance(model, ReducedModel):
+        return None
     errors = model.report.get("held_out", {}).get("mean", {})
     described = {"force_error": errors.get("reaction"), "displacement_error": errors.get("displacement")}
     return described if errors else None

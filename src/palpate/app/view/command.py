@@ -6,21 +6,24 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from palpate.app.common.console import Console, print_json, print_plain, quantities_table
 from palpate.app.common.exit_status import DONE, FAILED
 from palpate.app.models.loader import open_model
+from palpate.app.models.touch import TouchOptions, is_surface_file, open_surface
 from palpate.app.recordings.recording_journal import is_recording
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.script import read_script, run_script
 from palpate.app.view.session.session import Session
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
+from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["view"]
 
@@ -37,6 +40,13 @@ def view(
     headless: bool = False,
     seconds: float | None = None,
     script: Path | None = None,
+    units: str | None = None,
+    scale: float = 1.0,
+    part: str | None = None,
+    spacing: float | None = None,
+    law: str | None = None,
+    given: Sequence[str] = (),
+    fixed: Sequence[str] = (),
     as_json: bool = False,
 ) -> int:
     """Show a body in real time on a page until interrupted, or drive it by a script without a page.
@@ -44,7 +54,7 @@ def view(
     Parameters
     ----------
     what : str
-        As of `palpate.app.models.loader.open_model`.
+        A surface file, or as of `palpate.app.models.loader.open_model`.
     port : int
         The next free one is used if it is busy.
     host : str
@@ -59,6 +69,8 @@ def view(
         Duration of a headless session, 10 by default.
     script : path, optional
         Script of a headless session; see `palpate.app.view.session.script.read_script`.
+    units, scale, part, spacing, law, given, fixed
+        Of a body from a surface file, see `palpate.app.models.touch.TouchOptions`.
     as_json : bool
         Print the summary of a headless session as JSON.
 
@@ -83,7 +95,12 @@ def view(
         open_listener(host, port).close()  # refuses a wrong address before a model is trained
     if record is not None:
         _check_record(record, what)
-    with _exit_on_signals(), _session(what, record, console) as session:
+    options = TouchOptions(units, scale, part, spacing, law, _parameters(given), tuple(fixed))
+    if not is_surface_file(what) and options != TouchOptions(parameters={}):
+        raise InputError(
+            f"units, scale, part, spacing, law, set and fixed must be left out for {what!r:.60}: no surface"
+        )
+    with _exit_on_signals(), _session(what, options, record, console) as session:
         if run is None:
             from palpate.app.view.server.host import serve_source
 
@@ -97,9 +114,13 @@ def view(
 
 
 @contextlib.contextmanager
-def _session(what: str, record: Path | None, console: Console) -> Iterator[Session]:
+def _session(what: str, options: TouchOptions, record: Path | None, console: Console) -> Iterator[Session]:
     """Yield a running session; stop it at the end, and write its recordings."""
-    model, title = open_model(what, console)
+    model: ReducedModel | EnergySolid
+    if is_surface_file(what):
+        model, title = open_surface(what, options, console)
+    else:
+        model, title = open_model(what, console)
     with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
         session = Session(model, title)
     session.start()
@@ -111,6 +132,20 @@ def _session(what: str, record: Path | None, console: Console) -> Iterator[Sessi
         session.close()
         with contextlib.suppress(OSError):  # the terminal was closed
             _print_notifications(session, console)
+
+
+def _parameters(given: Sequence[str]) -> dict[str, float]:
+    """Return the parameters of texts such as ``C1=900``."""
+    parameters = {}
+    for pair in given:
+        name, equals, text = pair.partition("=")
+        try:
+            parameters[name] = float(text)
+        except ValueError:
+            raise InputError(f"set must hold NAME=X with a number X, got {pair!r:.60}") from None
+        if not equals:
+            raise InputError(f"set must hold NAME=X, got {pair!r:.60}")
+    return parameters
 
 
 @contextlib.contextmanager

@@ -41,8 +41,12 @@ def add_view(commands: Any) -> None:
         description="Show a body in real time on a page, where a tool presses, grasps and pulls it. See docs/view.md.",
     )
     add = view.add_argument
-    text = f"a scene ({listed_scenes()}); or the file of a reduced model, such as model.rom of palpate train"
-    add("what", metavar="SCENE|FILE", help=text)
+    text = (
+        f"a surface file (STL, OBJ, PLY ...), whose full body is touched at once; a scene ({listed_scenes()}); or the "
+        "file of a reduced model, such as model.rom of palpate train"
+    )
+    add("what", metavar="FILE|SCENE", help=text)
+    _add_surface(view)
     _add_address(view)
     text = "record the session, and write it to this file when the session ends"
     add("--record", type=path, metavar="FILE.h5", help=text)
@@ -51,6 +55,24 @@ def add_view(commands: Any) -> None:
     text = "script of a headless session: lines of JSON, see docs/protocol.md"
     add("--script", type=existing_file, metavar="FILE", help=text)
     add_json(view, "the statistics of a headless session")
+
+
+def _add_surface(parser: Parser) -> None:
+    """Add the options of a body from a surface file."""
+    add = parser.add_argument_group("of a surface file").add_argument
+    add("--units", choices=("m", "cm", "mm", "in"), help="unit of length of the file (default: guessed by size)")
+    add("--scale", type=number, default=1.0, metavar="S", help="factor of all lengths (default: 1)")
+    add("--part", metavar="NAME", help="part of a file of several")
+    text = "distance of the nodes [m] (default: the finest that this machine steps in real time)"
+    add("--spacing", type=number, metavar="M", help=text)
+    add("--law", metavar="LAW", help="law of the tissue, see palpate laws (default: liver, 2.2 kPa)")
+    text = "parameters of the law, density and poisson, in SI units"
+    add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
+    text = (
+        "part that is held: x-, x+, y-, y+, z-, z+, back, 'lowest 15%%' or 'near X,Y,Z,R' in mm; may be repeated "
+        "(default: back, the side away from the first view)"
+    )
+    add("--fixed", action="append", default=[], metavar="WHERE", help=text)
 
 
 def add_replay(commands: Any) -> None:

@@ -9,18 +9,54 @@ instantaneous stiffness.
 
 from __future__ import annotations
 
+from typing import Any, Protocol
+
 import numpy as np
 import scipy.sparse as sparse
+from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints, Singles
 from palpate.faults import InputError
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["SCALARS", "Surface"]
+__all__ = ["SCALARS", "DisplaySurface", "Surface"]
 
 
 SCALARS = ("displacement", "stress", "pressure")
+
+
+class DisplaySurface(Protocol):
+    """The interface of a surface that is drawn, of a reduced model or of a full body.
+
+    Attributes
+    ----------
+    model : ReducedModel or EnergySolid
+    nodes : (n,) int array
+        The body's nodes that are its vertices.
+    triangles : (t, 3) uint32 array
+        Of vertices, counter-clockwise from outside.
+    rest : (n, 3) float32 array [m]
+        Positions at rest.
+    local_indentation : bool
+        Whether stresses include the indentation under a tool.
+    """
+
+    model: Any
+    nodes: Ints
+    triangles: NDArray[np.uint32]
+    rest: Singles
+    local_indentation: bool
+
+    @property
+    def scalars(self) -> tuple[str, ...]:
+        """Names of the scalars."""
+
+    def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
+        """Return the displacements (n, 3) [m] of the vertices."""
+
+    def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
+        """Return a number (n,) for every vertex."""
 
 
 class Surface:
@@ -50,6 +86,7 @@ class Surface:
         if not len(cloud.triangles):
             raise InputError("cloud must have triangles to be shown, got none; train a body with a surface")
         self.model = model
+        self.local_indentation = data.compliance is None  # whether stresses include that under a tool
         self.nodes, triangles = np.unique(cloud.triangles, return_inverse=True)
         self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)
         flat = cloud.points[self.nodes]

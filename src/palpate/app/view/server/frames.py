@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
 from palpate.arrays import Singles
-from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = [
     "FORCE", "GEOMETRY", "OVERLAY", "STATE", "colour_range", "force_frame", "geometry_frame", "overlay_body",
@@ -26,13 +26,13 @@ def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: 
     return HEADER.pack(kind, sequence % 2**32, vertices, triangles) + body
 
 
-def geometry_frame(surface: Surface) -> bytes:
+def geometry_frame(surface: DisplaySurface) -> bytes:
     """Return the geometry frame of a surface: positions at rest and triangles."""
     body = surface.rest.astype("<f4").tobytes() + surface.triangles.astype("<u4").tobytes()
     return pack_frame(GEOMETRY, 0, len(surface.rest), body, len(surface.triangles))
 
 
-def state_body(surface: Surface, snapshot: Snapshot, scalar: str) -> bytes:
+def state_body(surface: DisplaySurface, snapshot: Snapshot, scalar: str) -> bytes:
     """Return the body of a state frame, without the header, which has a sequence number of each viewer."""
     displacements = snapshot.displacements(surface)
     values, low, high = np.zeros(0, dtype="<f4"), 0.0, 0.0

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.view.session.messages import Message
-from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = ["ViewSource"]
 
@@ -16,7 +16,7 @@ class ViewSource(Protocol):
 
     mode: str
     title: str
-    surface: Surface
+    surface: DisplaySurface
     pause_reason: str | None
     notifications: list[dict[str, Any]]  # messages still to be sent to all viewers
 

@@ -13,7 +13,7 @@ from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
 from palpate.faults import InputError
-from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.display_surface import DisplaySurface, Surface
 
 __all__ = ["Replay"]
 
@@ -30,7 +30,7 @@ class Replay:
 
     def __init__(self, recording: Recording) -> None:
         self.recording, self.title = recording, recording.title
-        self.surface = Surface(recording.model)
+        self.surface: DisplaySurface = Surface(recording.model)
         self.duration = float(recording.times[-1])
         self.pause_reason: str | None = None
         self.notifications: list[dict[str, Any]] = []

@@ -30,13 +30,16 @@ from palpate.app.view.session.tool_control import (
 )
 from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Contact, Forceps, Sphere, Tool
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.change_tool import change_tool
-from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.display_surface import DisplaySurface, Surface
+from palpate.reduction.realtime.full_body import change_full_tool
+from palpate.reduction.realtime.full_surface import FullSurface
 from palpate.reduction.realtime.model import realtime_model
 
 __all__ = ["Session"]
@@ -53,14 +56,14 @@ MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
 
 
 class Session:
-    """A reduced model in an `Engine`, with the tool of a user.
+    """A reduced model or a full body in an `Engine`, with the tool of a user.
 
     Messages must come from one thread at a time; `snapshot` may be called from any thread.
 
     Parameters
     ----------
-    model : ReducedModel
-        A model with tool contact, or with one prescribed group.
+    model : ReducedModel or EnergySolid
+        A reduced model with tool contact, or with one prescribed group; or a full body.
     title : str
     rate : float [Hz]
 
@@ -72,19 +75,22 @@ class Session:
 
     mode = "live"
 
-    def __init__(self, model: ReducedModel, title: str, rate: float = RATE) -> None:
+    def __init__(self, model: ReducedModel | EnergySolid, title: str, rate: float = RATE) -> None:
         self.model, self.title, self.rate = model, title, rate
-        self.surface = Surface(model)
+        self.surface: DisplaySurface = Surface(model) if isinstance(model, ReducedModel) else FullSurface(model)
         self._workspace = ToolWorkspace(self.surface)
-        self.accepts_tools = not model.data.prescribed and model.data.compliance is not None
+        self.is_full = not isinstance(model, ReducedModel)
+        self.accepts_tools = not isinstance(model, ReducedModel) or (
+            not model.data.prescribed and model.data.compliance is not None
+        )
         away = model.cloud.points.max(axis=0) + ABSENT_TOOL_DISTANCE
         contact = Contact(Sphere(model.cloud.spacing), away) if self.accepts_tools else None
         self._realtime_model = realtime_model(model, contact=contact)
         self._tool_origin, self._tool_rotation = np.zeros(3), NO_ROTATION  # when the tool was put down
         self.tool, self.selected_tool = NO_TOOL, NO_TOOL
         if self.accepts_tools:
-            change_tool(self._realtime_model, None, np.concatenate([np.zeros(3), NO_ROTATION]))
-        else:
+            self._replace_shape(None, np.concatenate([np.zeros(3), NO_ROTATION]), 0.0)
+        elif isinstance(model, ReducedModel):
             centre = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
             self._tool_origin[: len(centre)] = centre
             self.tool = self.selected_tool = SelectedTool("group", None)
@@ -131,7 +137,7 @@ class Session:
         return {
             "tools": self.tool_kinds, "tool": self._describe_tool(), "materials": self._materials(), "rate": self.rate,
             "scalars": scalar_descriptions(self.surface), "training_errors": training_errors(self.model),
-            "overlay": False,
+            "overlay": False, "full": self.is_full,
         }  # fmt: skip
 
     def _materials(self) -> list[dict[str, Any]]:
@@ -175,7 +181,9 @@ class Session:
     @property
     def tool_kinds(self) -> list[str]:
         """Kinds of tools that a user may select."""
-        return ["sphere", "capsule", "grasp"] if self.accepts_tools else []
+        if not self.accepts_tools:
+            return []
+        return ["sphere", "capsule"] if self.is_full else ["sphere", "capsule", "grasp"]
 
     # commands
 
@@ -275,6 +283,8 @@ class Session:
         OSError
             No file can be created in the session's folder.
         """
+        if not isinstance(self.model, ReducedModel):
+            raise InputError("record must be left out for a full body, whose sessions cannot be kept yet; use a model")
         if self._recorder is not None:
             raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
         journal = RecordingJournal(path or _create_file(self.folder), self.title, self.model)
@@ -304,7 +314,7 @@ class Session:
         InputError
             No recording is in progress.
         """
-        if self._recorder is None:
+        if self._recorder is None or not isinstance(self.model, ReducedModel):
             raise InputError("record must be 'start' without a recording, got 'stop'; start one first")
         recorder, self._recorder = self._recorder, None
         recorder.stop()
@@ -414,6 +424,13 @@ class Session:
     def _displacements(self) -> Floats:
         return self.snapshot().displacements(self.surface).astype(float)
 
+    def _replace_shape(self, shape: Tool | None, pose: Floats, friction: float) -> None:
+        """Replace the shape of the tool in the engine's model."""
+        if isinstance(self.model, ReducedModel):
+            change_tool(self._realtime_model, shape, pose, friction)
+        else:
+            change_full_tool(self.model, self._realtime_model.data, shape, pose, friction)
+
     def _change_tool(
         self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int | None = None
     ) -> None:
@@ -424,7 +441,7 @@ class Session:
     def _set_tool(self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int = 0) -> None:
         grasps = isinstance(tool.shape, Forceps)  # forceps rotate the nodes they grasp as much as they are rotated
         rotation = NO_ROTATION if grasps else quaternion
-        change_tool(self._realtime_model, tool.shape, np.concatenate([position, rotation]), tool.friction)
+        self._replace_shape(tool.shape, np.concatenate([position, rotation]), tool.friction)
         self._observable.set_coupling(tool.stiffness)
         self._observable.set_state(self.engine.read().coordinates, np.zeros(3))
         self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence)

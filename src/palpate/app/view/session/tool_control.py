@@ -12,7 +12,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
-from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = ["NO_ROTATION", "SelectedTool", "ToolWorkspace", "compose_rotations", "make_forceps", "tool_shape"]
 
@@ -73,12 +73,14 @@ def tool_shape(message: Message) -> Tool:
     return Capsule(message["radius"], message["length"])
 
 
-def make_forceps(surface: Surface, displacements: Floats, position: Floats, radius: float) -> tuple[Forceps, Floats]:
+def make_forceps(
+    surface: DisplaySurface, displacements: Floats, position: Floats, radius: float
+) -> tuple[Forceps, Floats]:
     """Return forceps that grasp the deformed body, and their position (3,) [m].
 
     Parameters
     ----------
-    surface : Surface
+    surface : DisplaySurface
     displacements : (n, 3) array [m]
         Displacements of the surface.
     position : (3,) array [m]
@@ -114,10 +116,10 @@ class ToolWorkspace:
 
     Parameters
     ----------
-    surface : Surface
+    surface : DisplaySurface
     """
 
-    def __init__(self, surface: Surface) -> None:
+    def __init__(self, surface: DisplaySurface) -> None:
         self.surface = surface
         self.low, self.high = surface.rest.min(axis=0) - WORKSPACE_MARGIN, surface.rest.max(axis=0) + WORKSPACE_MARGIN
         self._max_depth = MAX_PENETRATION * surface.model.cloud.spacing
