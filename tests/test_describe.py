@@ -41,7 +41,7 @@ def statistics(*computing: float) -> Statistics:
     """Of steps that compute for some times [s] in a period of 1 ms."""
     histograms = Histograms.zeros()
     for seconds in computing:
-        count_step(histograms, seconds, 1e-5, int(1e9 * seconds), 0, 1_000_000)
+        count_step(histograms, seconds, 1e-5, int(1e9 * seconds), 0, 1_000_000, 0)
     return Statistics.from_histograms(histograms, 1e-3)
 
 

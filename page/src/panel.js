@@ -26,6 +26,7 @@ export class Panel {
     this.offerSizes(size);
     this.offerMaterials(hello.materials ?? []);
     this.trainingErrors = hello.training_errors;
+    this.full = hello.full;
     this.readings = {};
   }
 
@@ -100,7 +101,7 @@ export class Panel {
   trust(trust) {
     const known = Number.isFinite(trust) && this.trainingErrors;
     const beyond = known && trust > 1;
-    this.write("trust-text", !known ? "Trust not calibrated" : beyond ? "Outside training: force uncertain" : "Within training");
+    this.write("trust-text", this.full ? "Full body" : !known ? "Trust not calibrated" : beyond ? "Outside training: force uncertain" : "Within training");
     this.write("trust-number", known ? trust.toFixed(2) : "");
     this.write("trust-note", this.trustNote(known, beyond));
     const { classList } = this.byId("trust");
@@ -110,6 +111,7 @@ export class Panel {
   }
 
   trustNote(known, beyond) {
+    if (this.full) return "The body itself is stepped. No model is reduced, so there is no error of a reduction.";
     if (!known) return "Errors on held-out runs were not measured.";
     if (beyond) return "The model was not trained on such a state.";
     const error = this.trainingErrors.force_error;
@@ -121,11 +123,12 @@ export class Panel {
     return bound === null ? "± unknown" : `± ${formatNumber(bound, 2)} N`;
   }
 
-  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound }) {
+  statistics({ median_ms: median, p99_ms: late, misses, periods, pace, force_bound: bound }) {
     const share = periods ? (100 * misses) / periods : 0;
     const missed = misses ? `${formatNumber(share, 2)} % missed` : "none missed";
     this.write("force-bound", this.trainingErrors ? this.boundText(bound) : "");
-    this.write("rate", `Median ${median.toFixed(2)} ms, 99 % ${late.toFixed(2)} ms, ${missed}`);
+    const slow = pace < 0.98 ? `. Time runs at ${formatNumber(pace, 2)} of real time` : "";
+    this.write("rate", `Median ${median.toFixed(2)} ms, 99 % ${late.toFixed(2)} ms, ${missed}${slow}`);
   }
 
   write(id, text) {

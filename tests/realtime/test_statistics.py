@@ -10,12 +10,13 @@ from palpate.realtime.statistics import Histograms, Statistics, count_step
 PERIOD = 1_000_000  # [ns]
 
 
-def counted(steps):
+def counted(steps, catch_up=0):
     """Count steps of (lateness, computing time, duration) [s], and return the statistics and the deadlines."""
-    tally, deadline, deadlines = Histograms.zeros(), 0, []
+    tally, deadline, deadlines, ended = Histograms.zeros(), 0, [], 0
     for lateness, computing, duration in steps:
-        ended = deadline + round(1e9 * (lateness + duration))
-        deadline = count_step(tally, computing, lateness, ended, deadline, PERIOD)
+        began = max(deadline + round(1e9 * lateness), ended if catch_up else 0)
+        ended = began + round(1e9 * duration)
+        deadline = count_step(tally, computing, lateness, ended, deadline, PERIOD, catch_up)
         deadlines.append(deadline)
     return Statistics.from_histograms(tally, 1e-9 * PERIOD), deadlines
 
@@ -35,6 +36,20 @@ def test_a_step_that_takes_several_periods_drops_those_it_ran_over(duration, dro
     assert statistics.missed == (duration > 1e-3)
     assert statistics.overrun == 0  # the scheduler took the time
     assert deadlines == [PERIOD * (1 + dropped)]
+
+
+def test_a_model_that_may_be_late_takes_long_periods_without_dropping_others():
+    statistics, deadlines = counted([(0.0, 5e-4, 1.6e-3), (0.0, 5e-4, 0.3e-3)] * 20, catch_up=4)
+    assert statistics.dropped == 0
+    assert deadlines == [PERIOD * k for k in range(1, 41)]
+    assert statistics.pace == 1.0
+
+
+def test_the_time_of_a_slow_model_runs_evenly_slower():
+    statistics, deadlines = counted([(0.0, 1.25e-3, 1.25e-3)] * 400, catch_up=4)
+    assert statistics.pace == pytest.approx(0.8, abs=0.02)
+    steps = np.diff(deadlines[50:])
+    assert set(steps.tolist()) == {PERIOD, 2 * PERIOD}
 
 
 def test_a_slow_model_is_distinguished_from_a_busy_machine():

@@ -60,6 +60,7 @@ def _make_settings(
     max_speed: float,
     max_angular_speed: float,
     spin: float,
+    catch_up: int,
 ) -> Settings:
     """Return the settings of the loop; raises InputError for an argument out of range."""
     period = round(1e9 / number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz"))
@@ -78,6 +79,7 @@ def _make_settings(
         force_limit=float(force_limit),
         stiffness_every=integer_in_range("stiffness_every", stiffness_every, 0),
         on_distrust=ON_DISTRUST[on_distrust],
+        catch_up=catch_up,
     )
 
 
@@ -86,7 +88,8 @@ class Engine(Described):
 
     In every period the thread waits for a deadline, moves the tool towards the newest pose, advances the model, and
     publishes the forces. It runs no Python code while it steps. If steps take longer than a period, periods are dropped
-    and model time falls behind. Sleeps are less precise on a system without clock_nanosleep (macOS).
+    and model time falls behind. A full body, whose periods differ, may first be late by a few periods. Sleeps are less
+    precise on a system without clock_nanosleep (macOS).
 
     Parameters
     ----------
@@ -140,7 +143,7 @@ class Engine(Described):
             raise RuntimeError(
                 "the system must have clock_gettime and nanosleep, got neither; run the engine on Linux or macOS"
             )
-        self._force_bound = getattr(model, "force_bound", None)
+        self._force_bound, catch_up = getattr(model, "force_bound", None), getattr(model, "catch_up", 0)
         model = check_contract(model)
         if black_box is not None and not Path(black_box).absolute().parent.is_dir():
             raise InputError(
@@ -148,7 +151,7 @@ class Engine(Described):
             )
         history = number_in_range("history", history, 0, MAX_HISTORY, open_low=True, unit="s")
         self._settings = _make_settings(
-            rate, force_limit, stiffness_every, on_distrust, max_speed, max_angular_speed, spin
+            rate, force_limit, stiffness_every, on_distrust, max_speed, max_angular_speed, spin, catch_up
         )
         self.period = 1e-9 * self._settings.period
         self._rest, self._work = model.rest, Work.at_rest(model.rest, model.tool)

@@ -54,7 +54,10 @@ FORCE, MOMENT, STIFFNESS = (field_offset(name) for name in ("force", "moment", "
 
 
 class Settings(NamedTuple):
-    """Constants of a run: times in [ns]; `max_distance` [m] and `max_angle` [rad] of the tool in one period."""
+    """Constants of a run: times in [ns]; `max_distance` [m] and `max_angle` [rad] of the tool in one period.
+
+    `catch_up` is the number of periods by which the model may be late and still take them all.
+    """
 
     period: int
     spin: int
@@ -63,6 +66,7 @@ class Settings(NamedTuple):
     force_limit: float
     stiffness_every: int
     on_distrust: int
+    catch_up: int
 
 
 class Channels(NamedTuple):
@@ -380,7 +384,9 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
             if valid:
                 publish(channels.record, record)
             append_record(channels.ring_buffer, record)
-            deadline = count_step(channels.histograms, record[COMPUTING], record[LATENESS], ended, deadline, period)
+            deadline = count_step(
+                channels.histograms, record[COMPUTING], record[LATENESS], ended, deadline, period, settings.catch_up
+            )
             if not valid:
                 return DIVERGED
             if settings.on_distrust == STOP and trusted and record[TRUSTED] > 1.0:

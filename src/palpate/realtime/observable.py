@@ -133,6 +133,7 @@ class ObservableModel(NamedTuple):
     rest: Floats
     tool: Floats
     force_bound: Callable[[float, float], float] | None = None
+    catch_up: int = 0
 
     def observe(self) -> Observation:
         """Return the values that the last period published; may be called from any thread."""
@@ -201,7 +202,7 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
         tangent=np.zeros((tools, tools)),
         modulus_ratio=np.ones(2),
     )
-    observable = ObservableModel(advance, stiffness, data, model.rest, model.tool, model.force_bound)
+    observable = ObservableModel(advance, stiffness, data, model.rest, model.tool, model.force_bound, model.catch_up)
     observable.set_state(model.rest, np.zeros(3))
     return observable
 

@@ -56,13 +56,17 @@ class Histograms(NamedTuple):
 
 
 @kernel_njit()
-def count_step(histograms, computing, lateness, ended, deadline, period):  # type: ignore[no-untyped-def]
-    """Count a step and return the next deadline [ns]: the first on the grid whose period is not over.
+def count_step(histograms, computing, lateness, ended, deadline, period, catch_up):  # type: ignore[no-untyped-def]
+    """Count a step and return the next deadline [ns].
+
+    It is the first on the grid whose period is not over; or an earlier one, by up to `catch_up` periods, which then
+    follow each other without a pause.
 
     Parameters
     ----------
     computing, lateness : float [s]
     ended, deadline, period : int [ns]
+    catch_up : int
     """
     for k, seconds in ((COMPUTING, computing), (LATENESS, lateness)):
         bin_index = int(BINS_PER_DECADE * np.log10(max(seconds, FIRST_EDGE) / FIRST_EDGE))
@@ -71,10 +75,10 @@ def count_step(histograms, computing, lateness, ended, deadline, period):  # typ
     behind = (ended - deadline) // period
     if behind > 0:
         histograms.counts[MISSED] += 1
-        histograms.counts[DROPPED] += behind - 1
+        histograms.counts[DROPPED] += max(behind - 1 - catch_up, 0)
     if computing > 1e-9 * period:
         histograms.counts[OVERRUN] += 1
-    return deadline + max(behind, 1) * period
+    return deadline + max(behind - catch_up, 1) * period
 
 
 @dataclass(frozen=True)
@@ -161,6 +165,7 @@ class Statistics(Described):
             ("rate sustained", self.sustained if self.count else None, ""),
             ("steps longer than a period", self.overrun, ""),
             ("periods dropped", self.dropped, ""),
+            ("time over real time", self.pace, ""),
             ("verdict", self.verdict, ""),
         ]
 
@@ -168,6 +173,11 @@ class Statistics(Described):
     def sustained(self) -> bool:
         """Whether the model sustains the rate: at most 1 % of the steps compute for longer than a period."""
         return self.overrun <= MAX_OVERRUN_SHARE * self.count
+
+    @property
+    def pace(self) -> float:
+        """Model time over wall-clock time: 1 unless periods were dropped."""
+        return self.count / max(self.count + self.dropped, 1)
 
     @property
     def verdict(self) -> str:
@@ -178,7 +188,7 @@ class Statistics(Described):
         took = f"steps compute for {usual:.3g} ms (99 %: {slow:.3g} ms), the period is {1e3 * self.period:.3g} ms"
         late = self.missed - self.overrun
         if not self.sustained:
-            text = f"{1 / self.period:g} Hz is not sustained: {took}; use fewer modes or a lower rate"
+            text = f"{1 / self.period:g} Hz is not sustained: {took}; time runs at {self.pace:.2g} of real time"
         elif late > MAX_OVERRUN_SHARE * self.count:
             text = (
                 f"{1 / self.period:g} Hz is within the model's capacity ({took}), but other threads and programs "

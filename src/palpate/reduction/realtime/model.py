@@ -38,6 +38,9 @@ from palpate.reduction.realtime.period import (
 __all__ = ["RealtimeModel", "realtime_model"]
 
 
+CATCH_UP = 4  # periods by which a full body may be late, because its periods take one step or two
+
+
 class RealtimeModel(NamedTuple):
     """A reduced model or a full body for the engine.
 
@@ -53,6 +56,8 @@ class RealtimeModel(NamedTuple):
     force_bound : function, optional
         ``force_bound(trust, size)`` returns the error bound [N] of the tool's force, by the largest trust number and
         the largest force [N] so far. None without held-out runs with tools.
+    catch_up : int
+        Number of periods by which the engine may be late and still take them all.
     """
 
     advance: Any
@@ -61,6 +66,7 @@ class RealtimeModel(NamedTuple):
     rest: Floats
     tool: Floats
     force_bound: Callable[[float, float], float] | None = None
+    catch_up: int = 0
 
 
 @overload
@@ -208,7 +214,7 @@ def _full_body(model: NodalModel, contact: Contact | Grasp | None, foundations: 
         raise InputError("contact must be a Contact for a full body in the engine, got none or a Grasp; give contact=")
     _check_foundations(foundations)
     advance, data = full_period(model, contact, foundations)
-    return RealtimeModel(advance, None, data, np.zeros(3 * len(model.cloud)), np.eye(12))
+    return RealtimeModel(advance, None, data, np.zeros(3 * len(model.cloud)), np.eye(12), None, CATCH_UP)
 
 
 def _check_foundations(foundations: Sequence[Foundation]) -> None:

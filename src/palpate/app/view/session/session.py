@@ -174,7 +174,7 @@ class Session:
         computing = statistics.computing
         return {
             "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
-            "misses": statistics.missed, "periods": statistics.count,
+            "misses": statistics.missed, "periods": statistics.count, "pace": statistics.pace,
             "force_bound": bound if math.isfinite(bound) else None,
         }  # fmt: skip
 

@@ -1,0 +1,200 @@
+"""Full bodies in the engine: force, energy, momentum and limits of the period, against runs."""
+
+from __future__ import annotations
+
+from time import monotonic, sleep
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.dynamics.nodal import period as nodal
+from palpate.reduction.realtime.full_body import change_full_tool
+
+SIZE, SPACING, BALL = (0.03, 0.03, 0.02), 0.005, 0.012  # [m]
+HOME = np.array([0.015, 0.015, SIZE[2] + BALL + 0.0005])
+PERIOD = 1e-3  # [s]
+
+
+def law(**more):
+    return pt.materials.MooneyRivlin(C1=1e3, C2=0.0, density=1000.0, poisson=0.45, **more)
+
+
+def depth(time: float) -> float:
+    return 0.0045 * np.sin(np.pi * min(time / 0.3, 1.0)) ** 2
+
+
+def ball(path) -> pt.tools.Contact:
+    return pt.tools.Contact(pt.tools.Sphere(BALL), path, friction=0.3)
+
+
+@pytest.fixture(scope="module")
+def block() -> pt.Solid:
+    return pt.Solid(pt.box(SIZE, SPACING), law(), "z-")
+
+
+class Stepped:
+    """A body in the periods of an engine, without its thread."""
+
+    def __init__(self, body, contact=None, **options):
+        self.model = pt.realtime_model(body, contact=ball(tuple(HOME)) if contact is None else contact, **options)
+        self.q, self.v = np.zeros((2, len(self.model.rest)))
+        self.report = np.zeros(20)
+
+    def to(self, displacement, turn=None):
+        rotation = np.zeros(9) if turn is None else (turn - np.eye(3)).ravel()
+        target = np.concatenate([displacement, rotation])
+        self.model.advance(self.model.data, self.q, self.v, target, PERIOD, self.report)
+        return self.report.copy()
+
+    def press(self, duration, path=depth):
+        return np.array([self.to([0.0, 0.0, -path((k + 1) * PERIOD)]) for k in range(round(duration / PERIOD))])
+
+
+def test_the_force_of_a_slow_press_is_that_of_a_run(block):
+    stepped = Stepped(block)
+    reports = stepped.press(0.3)
+    assert not reports[:, 0].any()
+    path = lambda t: tuple(HOME - [0.0, 0.0, depth(t)])  # noqa: E731
+    run = pt.rollout(block, [ball(path)], duration=0.3, every=0.01, progress=False)
+    means = reports[:, 10].reshape(30, 10).mean(axis=1)
+    force = run.reactions["tool"][1:, 2]
+    assert np.abs(force).max() > 0.05
+    # the body is behind the clock by less than a step of 0.7 ms, in which the force changes by up to 1.2 %
+    np.testing.assert_allclose(means, force, atol=0.015 * np.abs(force).max())
+    np.testing.assert_allclose(means.sum(), force.sum(), rtol=2e-3)
+    scale = np.abs(run.displacements).max()
+    pressed = Stepped(block)
+    pressed.press(0.15)
+    np.testing.assert_allclose(pressed.q.reshape(-1, 3), run.displacements[15], atol=0.01 * scale)
+
+
+def test_energies_are_those_of_the_body(block):
+    stepped = Stepped(block)
+    report = stepped.press(0.15)[-1]
+    u, v = stepped.q.reshape(-1, 3), stepped.v.reshape(-1, 3)
+    assert report[3] == pytest.approx(0.5 * block.masses @ np.sum(v**2, axis=1), rel=1e-12)
+    assert report[4] == pytest.approx(block.strain_energy(u), rel=0.02)
+
+
+def test_a_body_at_rest_stays_at_rest_and_returns_to_it(block):
+    stepped = Stepped(block)
+    stepped.press(0.02, lambda t: 0.0)
+    assert not stepped.q.any()
+    stepped.press(0.15)
+    first = stepped.model.data.clock.copy()
+    stepped.q[:], stepped.v[:] = 0.0, 0.0  # what a reset of the engine does
+    stepped.to(np.zeros(3))
+    assert not stepped.q.any()
+    assert stepped.model.data.clock[nodal.WORK] == 0.0 != first[nodal.WORK]
+
+
+def test_steps_need_not_divide_the_period(block):
+    stepped = Stepped(block)
+    counts = stepped.press(0.2)[:, 2]
+    clock = stepped.model.data.clock
+    assert set(counts.tolist()) == {1.0, 2.0}
+    assert 0.0 <= clock[nodal.BEHIND] < clock[nodal.STEP]
+    assert counts.mean() * block.stability.step == pytest.approx(PERIOD, rel=0.15)
+
+
+def test_equal_motions_give_equal_bits_for_any_number_of_threads(block):
+    import numba
+
+    results = []
+    for threads in (1, numba.config.NUMBA_NUM_THREADS):
+        before = numba.get_num_threads()
+        numba.set_num_threads(threads)
+        stepped = Stepped(block)
+        results.append(stepped.press(0.05)[:, 10].tobytes() + stepped.q.tobytes())
+        numba.set_num_threads(before)
+    assert results[0] == results[1]
+
+
+@pytest.mark.slow
+def test_storms_of_poses_leave_a_finite_body(block):
+    stepped, rng = Stepped(block), np.random.default_rng(0)
+    pose, aim = np.zeros(3), np.zeros(3)
+    for k in range(2000):
+        if k % 20 == 0:
+            aim = rng.uniform([-0.02, -0.02, -0.012], [0.02, 0.02, 0.01])
+        way = aim - pose
+        pose = pose + way * min(1.0, 5e-4 / max(float(np.linalg.norm(way)), 1e-12))
+        report = stepped.to(pose)
+        assert np.isfinite(report).all()
+        assert np.isfinite(stepped.q).all()
+
+
+def test_a_period_with_too_long_steps_is_repeated_with_shorter_ones(block):
+    stepped = Stepped(block)
+    stepped.press(0.15)
+    clock = stepped.model.data.clock
+    clock[nodal.STEP], clock[nodal.FREQUENCY] = 20 * clock[nodal.STEP], clock[nodal.FREQUENCY] / 20
+    clock[nodal.UNTIL_ESTIMATE] = 1e9
+    reports = stepped.press(0.05, lambda t: depth(0.15))
+    assert not reports[:, 0].any()
+    assert np.abs(stepped.q).max() < SIZE[2]
+
+
+def test_relaxing_tissue_and_foundations_are_stepped():
+    prony = pt.materials.Prony(shares=[1.0], times=[0.02])
+    body = pt.Solid(pt.box(SIZE, SPACING), law(prony=prony), "z-")
+    springs = pt.Foundation("x-", stiffness=1e6)
+    stepped = Stepped(body, foundations=[springs])
+    held = stepped.press(0.4, lambda t: depth(min(t, 0.15)))[:, 10]
+    assert abs(held[-1]) < 0.95 * np.abs(held).max()  # the overstress has relaxed
+    path = lambda t: tuple(HOME - [0.0, 0.0, depth(min(t, 0.15))])  # noqa: E731
+    run = pt.rollout(body, [ball(path), springs], duration=0.4, every=0.02, progress=False)
+    force = run.reactions["tool"][1:, 2]
+    np.testing.assert_allclose(held.reshape(20, 20).mean(axis=1), force, atol=0.015 * np.abs(force).max())
+
+
+def test_another_tool_takes_the_place_of_the_first(block):
+    stepped = Stepped(block)
+    stepped.press(0.15)
+    pose = np.concatenate([HOME + np.array([0.0, 0.0, 0.05]), [1.0, 0.0, 0.0, 0.0]])
+    change_full_tool(block, stepped.model.data, pt.tools.Capsule(0.01, 0.02), pose, 0.0)
+    assert not stepped.to(np.zeros(3))[8:11].any()  # it is above the body
+    stepped.to([0.0, 0.0, -0.05])
+    change_full_tool(block, stepped.model.data, None, pose, 0.0)
+    assert not stepped.to([0.0, 0.0, -0.06])[8:11].any()
+    with pytest.raises(pt.InputError, match="at least the spacing of the body, 5 mm"):
+        change_full_tool(block, stepped.model.data, pt.tools.Sphere(0.004), pose, 0.0)
+
+
+def test_an_engine_steps_a_full_body(block):
+    engine = pt.Engine(pt.realtime_model(block, contact=ball(tuple(HOME))), on_distrust="ignore", max_speed=0.2)
+    engine.set_pose((0.0, 0.0, -0.003))
+    with engine:
+        end = monotonic() + 30.0
+        while engine.read().time < 0.1 and monotonic() < end:
+            sleep(0.01)
+    reading = engine.read()
+    assert reading.force[2] > 0.0
+    assert reading.trust == 0.0
+    assert not reading.stiffness.any()
+    engine.reset()
+    assert not engine.read().coordinates.any()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: pt.realtime_model(pt.Solid(pt.box(SIZE, SPACING), law(), "z-")), "contact must be a Contact"),
+        (
+            lambda: pt.realtime_model(
+                pt.Solid(pt.box(SIZE, SPACING), law(), "z-", form="strong"), contact=ball(tuple(HOME))
+            ),
+            "must have the energy form",
+        ),
+        (
+            lambda: pt.realtime_model(
+                pt.Solid(pt.box(SIZE, SPACING), law(), "z-"), contact=ball((0.015, 0.015, SIZE[2]))
+            ),
+            "must start outside the body",
+        ),
+    ],
+)
+def test_bodies_that_the_engine_cannot_step_are_refused(make, message):
+    with pytest.raises(pt.InputError, match=message):
+        make()
