@@ -29,6 +29,7 @@ from palpate.tissue.materials import Material
 __all__ = ["TouchOptions", "is_surface_file", "open_surface"]
 
 SHEAR_MODULUS, POISSON, DENSITY = 2.2e3, 0.45, 1060.0  # [Pa], [-], [kg/m^3] of liver
+MASS_DAMPING = 8.0  # [1/s]: an amplitude decays to 2 % within a second
 CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of the page at its start
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which the default support holds
 SUPPORT = "support"  # name of the group
@@ -99,7 +100,7 @@ def open_surface(path: str | Path, options: TouchOptions, console: Console) -> t
     _check_support(mask)
     cloud = cloud.with_group(SUPPORT, mask)
     with console.status("preparing the body (the first time on a machine compiles it)"):
-        model = EnergySolid(cloud, material, SUPPORT)
+        model = EnergySolid(cloud, material, SUPPORT, mass_damping=MASS_DAMPING)
     held = " and ".join(options.fixed) or "the side away from the first view"
     for line in surface.warnings:
         console.say(f"surface: {line.replace('give units=', '--units')}")

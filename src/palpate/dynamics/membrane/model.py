@@ -67,6 +67,8 @@ class Membrane(NodalModel):
         Rayleigh stiffness damping beta of C = beta K in (29). By default 0.1 over the highest
         frequency: waves as short as the spacing lose a tenth of their amplitude in a third of a period.
         In the strong form it is 0.5 over the highest frequency.
+    mass_damping : float [1/s]
+        As for `palpate.Solid`.
     neighbours : int, optional
         Target number of points in a stencil; by default 14, in the strong form 18.
     fibres : FibreLaw, optional
@@ -95,6 +97,7 @@ class Membrane(NodalModel):
         relaxed: bool = True,
         form: str = "energy",
         stiffness_damping: float | None = None,
+        mass_damping: float = 0.0,
         neighbours: int | None = None,
         fibres: FibreLaw | None = None,
     ) -> None:
@@ -109,6 +112,7 @@ class Membrane(NodalModel):
         self.relaxed, self.form, self.conservative = bool(relaxed), form, form == "energy"
         # the mounted boundary vectors have c = 2, which the energy form includes by itself
         self.half_cell = 1.0
+        self.mass_damping = number_in_range("mass_damping", mass_damping, 0.0, unit="1/s")
         self.stiffness_damping = 0.0
         target = NEIGHBOURS[form] if neighbours is None else neighbours
         self.stencils = moving_least_squares(cloud.points / self.prestretch, order=2, neighbours=target)

@@ -4,9 +4,13 @@ With displacements at the times t_n and velocities between them,
 
     v_{n+1/2} = v_{n-1/2} + dt a(u_n + beta v_{n-1/2}, t_n),      u_{n+1} = u_n + dt v_{n+1/2}.
 
-The internal force at u + beta v yields the stiffness-proportional damping C = beta K of (29) at no
-cost. A call advances some steps of one length. It starts and ends with half a kick, so that its
-states hold displacements and velocities of the same time.
+The internal force at u + beta v yields the stiffness-proportional part of C = alpha M + beta K, as in (29),
+at no cost. The mass-proportional part acts on the mean velocity of a kick,
+
+    (1 + alpha dt / 2) v_{n+1/2} = (1 - alpha dt / 2) v_{n-1/2} + dt a,
+
+which is stable for every alpha. A call advances some steps of one length. It starts and ends with half a
+kick, so that its states hold displacements and velocities of the same time.
 """
 
 from __future__ import annotations
@@ -60,15 +64,17 @@ class NodalData(NamedTuple):
 
 
 class Damping(NamedTuple):
-    """Stiffness-proportional damping.
+    """Damping proportional to mass and stiffness, C = alpha M + beta K.
 
     Parameters
     ----------
+    alpha : float [1/s]
     beta : float [s]
     wave_speed : float [m/s]
         Largest velocity of prescribed nodes in the damping forces.
     """
 
+    alpha: float
     beta: float
     wave_speed: float
 
@@ -137,18 +143,28 @@ def foundation_force(sites, u, velocity, volumes, surface):  # type: ignore[no-u
 
 @kernel_njit(inner=True, forceinline=True)
 def _kick_node(i, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
-    work, density = 0.0, nodes.density
+    """Accelerate a node by a kick: the share of its velocity that remains, and the time of the force.
+
+    Returns
+    -------
+    work, square : float
+        Power of loads [W], and the sum of volume times squared mean velocity.
+    """
+    work, square, density = 0.0, 0.0, nodes.density
     for c in range(3):
         before, surface = velocity[i, c], scratch.surface[i, c]
-        after = before + kick * ((scratch.force[i, c] + nodes.half_cell * surface) / density + gravity[c])
-        work += nodes.volumes[i] * (surface + density * gravity[c]) * 0.5 * (before + after)
+        rate = (scratch.force[i, c] + nodes.half_cell * surface) / density + gravity[c]
+        after = kick[0] * before + kick[1] * rate
+        mean = 0.5 * (before + after)
+        work += nodes.volumes[i] * (surface + density * gravity[c]) * mean
+        square += nodes.volumes[i] * mean * mean
         velocity[i, c] = after
-    return work
+    return work, square
 
 
 @kernel_njit(inner=True)
 def _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
-    work, density, k, half_cell = 0.0, nodes.density, sites.slide_of[i], nodes.half_cell
+    work, square, density, k, half_cell = 0.0, 0.0, nodes.density, sites.slide_of[i], nodes.half_cell
     rate = project(
         sites.slide,
         k,
@@ -158,30 +174,42 @@ def _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity):  # ty
     )
     for c in range(3):
         before = velocity[i, c]
-        after = before + kick * rate[c]
-        work += nodes.volumes[i] * (scratch.surface[i, c] + density * gravity[c]) * 0.5 * (before + after)
+        after = kick[0] * before + kick[1] * rate[c]
+        mean = 0.5 * (before + after)
+        work += nodes.volumes[i] * (scratch.surface[i, c] + density * gravity[c]) * mean
+        square += nodes.volumes[i] * mean * mean
         velocity[i, c] = after
-    return work
+    return work, square
 
 
 @kernel_njit(inner=True)
-def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
-    """Accelerate the nodes that can move over the time `kick`; return the work [J] of surface loads and gravity."""
-    work = 0.0
+def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, alpha):  # type: ignore[no-untyped-def]
+    """Accelerate the nodes that can move over the time `kick`.
+
+    Returns
+    -------
+    work, lost : float [J]
+        Work of surface loads and gravity, and energy that the damping alpha M dissipates.
+    """
+    work, square, half = 0.0, 0.0, 0.5 * alpha * kick
+    shares = (1.0 - half) / (1.0 + half), kick / (1.0 + half)
     for i in range(sites.kind.shape[0]):
         if sites.kind[i] == FREE:
-            work += _kick_node(i, nodes, scratch, gravity, kick, velocity)
+            sums = _kick_node(i, nodes, scratch, gravity, shares, velocity)
+            work, square = work + sums[0], square + sums[1]
     for i in sites.sliding:
         if sites.kind[i] == SLIDING:
-            work += _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity)
+            sums = _kick_sliding_node(i, sites, nodes, scratch, gravity, shares, velocity)
+            work, square = work + sums[0], square + sums[1]
     for k in range(sites.prescribed.shape[0]):
         if not constrained[k]:
             i = sites.prescribed[k]
             if sites.slide_of[i] < 0:
-                work += _kick_node(i, nodes, scratch, gravity, kick, velocity)
+                sums = _kick_node(i, nodes, scratch, gravity, shares, velocity)
             else:
-                work += _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity)
-    return work * kick
+                sums = _kick_sliding_node(i, sites, nodes, scratch, gravity, shares, velocity)
+            work, square = work + sums[0], square + sums[1]
+    return work * kick, alpha * nodes.density * square * kick
 
 
 @kernel_njit(inner=True)
@@ -219,21 +247,22 @@ def _limit_prescribed_velocity(prescribed, constrained, u, velocity, damping, da
 def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, nodes, loads):  # type: ignore[no-untyped-def]
     """Set the velocities that bring prescribed nodes to `target` after a step; return the tools' work [J].
 
-    The force of a tool is the node's inertia minus the other forces. `loads` are the scratch arrays
-    and gravity.
+    The force of a tool is the node's inertia and damping minus the other forces. `loads` are the scratch
+    arrays, gravity and alpha.
     """
     work, density = 0.0, nodes.density
-    scratch, gravity = loads
+    scratch, gravity, alpha = loads
     for k in range(sites.prescribed.shape[0]):
         if not constrained[k]:
             continue
         i = sites.prescribed[k]
         for c in range(3):
             before, after = velocity[i, c], (target[k, c] - u[i, c]) / step
-            inertia = density * ((after - before) / step - gravity[c])
+            damping = alpha * 0.5 * (before + after)
+            inertia = density * ((after - before) / step + damping - gravity[c])
             other = inertia - scratch.force[i, c] - nodes.half_cell * scratch.surface[i, c]
             work += nodes.volumes[i] * other * 0.5 * (before + after)
-            sites.impulses[k, c] += nodes.volumes[i] * density * (after - before)
+            sites.impulses[k, c] += nodes.volumes[i] * density * (after - before + step * damping)
             velocity[i, c] = after
     return work * step
 
@@ -299,10 +328,11 @@ def full_step(formulation: Formulation) -> Any:
             kick = 0.5 * step if s in (0, steps) else step
             gravity, target = schedule.gravity[s], schedule.motion[min(s + 1, steps)]
             constrained = schedule.constrained[min(s + 1, steps)]
-            total += kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity)
+            works = kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, damping.alpha)
+            total, lost = total + works[0], lost + works[1]
             if s < steps:
                 tools += _set_prescribed_velocity(
-                    sites, constrained, target, step, u, velocity, nodes, (scratch, gravity)
+                    sites, constrained, target, step, u, velocity, nodes, (scratch, gravity, damping.alpha)
                 )
             _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick)
             if in_contact:

@@ -324,7 +324,7 @@ class NodalModel(Model):
             u,
             v,
             step,
-            Damping(self.stiffness_damping, self.wave_speed),
+            Damping(self.mass_damping, self.stiffness_damping, self.wave_speed),
             (self.body, work.passes),
             (sites, contacts, schedule),
             self.nodal_data(),
@@ -407,7 +407,8 @@ class NodalModel(Model):
         work: NodalWork | None = None,
     ) -> NodalFields:
         """Return the fields of a motion, all (n, 3), from which its reactions follow."""
-        unbalanced, damped = self.masses[:, None] * acceleration, displacement + self.stiffness_damping * velocity
+        unbalanced = self.masses[:, None] * (acceleration + self.mass_damping * velocity)
+        damped = displacement + self.stiffness_damping * velocity
         unbalanced -= external_force
         if not self.conservative:
             return NodalFields(displacement, velocity, unbalanced, lambda: self.stress(damped, history, work))
@@ -430,7 +431,7 @@ class NodalModel(Model):
         schedule, work = prepared.schedule(np.array([state.time])), self.workspace() if work is None else work
         force = self.force(state.coordinates + self.stiffness_damping * state.velocities, state.history, work)
         force += self.half_cell * self.tractions(prepared, schedule, work.passes.cofactor, state)
-        acceleration = force / self.material.density + schedule.gravity[0]
+        acceleration = force / self.material.density + schedule.gravity[0] - self.mass_damping * state.velocities
         self.supported.project(acceleration)
         constrained, prescribed = schedule.constrained[0], prepared.sites.prescribed
         if constrained.any():

@@ -286,7 +286,11 @@ def nodal_period(formulation: Formulation) -> Any:
             after(work, step)
             force_of(scratch.damped, body, work, scratch.force)
             foundation_force(sites, u, velocity, data.nodes.volumes, scratch.surface)
-            kick_nodes(sites, data.free, data.nodes, scratch, (0.0, 0.0, 0.0), step, velocity)
+            works = kick_nodes(
+                sites, data.free, data.nodes, scratch, (0.0, 0.0, 0.0), step, velocity, data.damping.alpha
+            )
+            clock[WORK] += works[0]
+            clock[LOST] += works[1]
             works = push_patches(
                 contacts, False, (step, step, step, 0.0), 1.0, u, velocity, (data.nodes, scratch, (0.0, 0.0, 0.0))
             )

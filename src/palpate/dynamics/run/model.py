@@ -241,7 +241,9 @@ class Model(Described, metaclass=_Constant):
     material : Material
     supports : tuple of Support
     stiffness_damping : float [s]
-        Rayleigh stiffness damping beta of C = beta K.
+        Rayleigh stiffness damping beta of C = alpha M + beta K.
+    mass_damping : float [1/s]
+        Rayleigh mass damping alpha.
     volumes : (n,) array [m^3]
         Nodal volumes of the stress-free body.
     name : str
@@ -261,6 +263,7 @@ class Model(Described, metaclass=_Constant):
     name: str
     conservative: bool
     min_steps_per_frame: int = 20
+    mass_damping: float = 0.0
 
     def __setattr__(self, name: str, value: Any) -> None:
         if "_constructed" in vars(self):
@@ -283,6 +286,7 @@ class Model(Described, metaclass=_Constant):
             ("poisson", f"{material.poisson:.4g}", ""),
             ("fixed", [support.label for support in self.supports], ""),
             ("stiffness_damping", float(self.stiffness_damping), "s"),
+            ("mass_damping", float(self.mass_damping) or None, "1/s"),
             ("density", float(material.density), "kg/m^3"),
         ]
 

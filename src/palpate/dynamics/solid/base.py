@@ -15,7 +15,7 @@ from palpate.dynamics.loads.prepared import Load, PreparedLoads, listed, prepare
 from palpate.dynamics.loads.supports import Support, supports_of, symmetry_planes
 from palpate.dynamics.material.tissue import Tissue, tissue_of
 from palpate.dynamics.nodal.model import History, NodalModel
-from palpate.faults import InputError, integer_in_range
+from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.mirror import Images, mirror_images
 from palpate.meshfree.stencils import Stencils, moving_least_squares
@@ -55,9 +55,12 @@ class Solid(NodalModel):
     fixed : str, Support, or sequence of these
         Clamped groups (equation 5), and supports such as `Roller`; none for a free body.
     stiffness_damping : float, optional [s]
-        Rayleigh stiffness damping beta of C = beta K in (29). By default 0.1 over the highest frequency;
+        Rayleigh stiffness damping beta of C = alpha M + beta K in (29). By default 0.1 over the highest frequency;
         in the strong form what the spectrum of the linearised body requires
         (`palpate.dynamics.nodal.stability`).
+    mass_damping : float [1/s]
+        Rayleigh mass damping alpha of C = alpha M + beta K: a free vibration decays as exp(-alpha t / 2). It does
+        not shorten the stable step. Reduced models do not support it.
     form : str
         ``"energy"``: the nodal forces are the derivative of an energy summed over nodes
         (`palpate.dynamics.solid.energy_form`). It conserves energy, requires no damping, and is more
@@ -115,6 +118,7 @@ class Solid(NodalModel):
         *,
         form: str = "energy",
         stiffness_damping: float | None = None,
+        mass_damping: float = 0.0,
         stiffness: Mapping[str, float] | Floats | None = None,
         pressure: str | None = None,
         half_cell: float | None = None,
@@ -129,6 +133,7 @@ class Solid(NodalModel):
         self.supports = supports_of(fixed)
         if self.material.prony is not None and self.material.variables == "small strain":
             raise InputError("prony of the material must be None; relaxation requires form='energy' and finite strain")
+        self.mass_damping = number_in_range("mass_damping", mass_damping, 0.0, unit="1/s")
         integer_in_range("smoothing", smoothing, 5)
         self.planes = symmetry_planes(cloud, self.supports)
         images = mirror_images(cloud, self.planes)

@@ -327,6 +327,8 @@ def galerkin(
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
     if not runs:
         raise InputError("trajectories must hold at least one, got none; run the full model first")
+    if full.mass_damping:
+        raise InputError(f"mass_damping must be 0 for a reduced model, got {full.mass_damping:g} 1/s; leave it out")
     if full.material.prony is not None:
         raise InputError(
             "material must not relax (prony) in a Galerkin model, got a Prony series; use palpate.hyper_reduce"

@@ -194,6 +194,8 @@ def linearise(
     """
     if not isinstance(model, NodalModel):
         raise InputError(f"model must be a Solid or a Membrane, got a {type(model).__name__}")
+    if model.mass_damping:
+        raise InputError(f"mass_damping must be 0 for a linear system, got {model.mass_damping:g} 1/s; leave it out")
     if model.material.prony is not None:
         raise InputError("material must be without prony, which M, D and K do not describe; leave prony out")
     loads = listed(loads)

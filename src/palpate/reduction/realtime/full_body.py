@@ -47,7 +47,7 @@ def full_period(
         passes=(model.body, work.passes),
         taut_passes=(model.taut_body, work.passes),
         nodes=model.nodal_data(),
-        damping=Damping(model.stiffness_damping, model.wave_speed),
+        damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
         sites=sites,
         contacts=contacts,
         scratch=work.step,

@@ -136,6 +136,8 @@ def hyper_reduce(
         raise InputError(
             "full must have no fibres and no relaxation if it is a membrane, got them; leave out fibres= and prony="
         )
+    if full.mass_damping:
+        raise InputError(f"mass_damping must be 0 for a reduced model, got {full.mass_damping:g} 1/s; leave it out")
     snapshots = Snapshots(trajectories)
     _check(full, snapshots.points)
     for _, run in held_out:
