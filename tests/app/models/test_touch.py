@@ -1,0 +1,164 @@
+"""A full body from the file of a surface: what is guessed, and which options are refused."""
+
+from __future__ import annotations
+
+from time import monotonic, sleep
+
+import numpy as np
+import pytest
+
+import palpate as pt
+from palpate.app.common.console import Console
+from palpate.app.models.touch import (
+    MOST_NODES,
+    TouchOptions,
+    is_surface_file,
+    open_surface,
+    realtime_spacing,
+    support_mask,
+)
+from palpate.app.view.session.messages import validate_message
+from palpate.app.view.session.session import Session
+from palpate.scenes.organ import liver_surface
+
+POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
+
+
+@pytest.fixture(scope="module")
+def organ(tmp_path_factory):
+    """An OFF file of a small liver in millimetres."""
+    surface, path = liver_surface(0.006, 6e-5), tmp_path_factory.mktemp("organ") / "my_organ.off"
+    path.write_text(
+        f"OFF\n{len(surface.vertices)} {len(surface.triangles)} 0\n"
+        + "".join(f"{x} {y} {z}\n" for x, y, z in 1e3 * surface.vertices)
+        + "".join(f"3 {a} {b} {c}\n" for a, b, c in surface.triangles)
+    )
+    return path
+
+
+def test_surface_files_are_known_by_their_suffix():
+    assert is_surface_file("organ.STL")
+    assert is_surface_file("a/b.ply")
+    assert not is_surface_file("model.rom")
+    assert not is_surface_file("liver")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("x-", POINTS[:, 0] <= POINTS[:, 0].min() + 0.12 * np.ptp(POINTS[:, 0])),
+        ("z+", POINTS[:, 2] >= POINTS[:, 2].max() - 0.12 * np.ptp(POINTS[:, 2])),
+        ("lowest 15%", POINTS[:, 2] <= POINTS[:, 2].min() + 0.15 * np.ptp(POINTS[:, 2])),
+        ("near 100,200,-300,500", np.linalg.norm(POINTS - [0.1, 0.2, -0.3], axis=1) <= 0.5),
+    ],
+)
+def test_supports_hold_the_nodes_of_their_text(text, expected):
+    np.testing.assert_array_equal(support_mask(POINTS, [text]), expected)
+
+
+def test_several_supports_hold_the_nodes_of_all():
+    both = support_mask(POINTS, ["x-", "x+"])
+    np.testing.assert_array_equal(both, support_mask(POINTS, ["x-"]) | support_mask(POINTS, ["x+"]))
+
+
+def test_the_default_support_is_away_from_the_first_view():
+    held = POINTS[support_mask(POINTS, ())]
+    assert held[:, 1].mean() > 0.5  # the camera is at negative y
+    assert held[:, 2].mean() < 0.0  # and above
+
+
+@pytest.mark.parametrize("text", ["x", "lowest", "near 1,2,3", "lowest 0%", "lowest 150%"])
+def test_other_texts_of_supports_are_refused(text):
+    with pytest.raises(pt.InputError, match="fixed must be"):
+        support_mask(POINTS, [text])
+
+
+def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
+    material = pt.materials.NeoHookean(C1=1.1e3, density=1060.0, poisson=0.45)
+    spacings = []
+    for seconds in (1e-7, 2e-7, 1e-6):
+        monkeypatch.setattr("palpate.app.models.touch._seconds_per_node", lambda m, s=seconds: s)
+        spacings.append(realtime_spacing(1.5e-3, material))
+    assert spacings[0] < spacings[1] < spacings[2]
+    # nodes times steps a second: the fourth power of the spacing
+    assert spacings[1] / spacings[0] == pytest.approx(2**0.25, rel=0.03)
+
+
+def tool_message(position):
+    return validate_message(
+        {
+            "type": "tool", "kind": "sphere", "radius": 0.008, "length": 0.01, "friction": 0.0, "stiffness": None,
+            "position": [float(x) for x in position], "quaternion": [1.0, 0.0, 0.0, 0.0], "sequence": 1,
+        }
+    )  # fmt: skip
+
+
+def pose_message(position, sequence):
+    quaternion = [1.0, 0.0, 0.0, 0.0]
+    place = [float(x) for x in position]
+    return validate_message({"type": "pose", "position": place, "quaternion": quaternion, "sequence": sequence})
+
+
+@pytest.mark.slow
+def test_a_surface_is_touched_at_once(organ, capsys):
+    model, title = open_surface(organ, TouchOptions(spacing=0.006), Console())
+    assert title == "My organ"
+    assert model.mass_damping > 0
+    assert model.material.shear_modulus == pytest.approx(2200.0)
+    printed = capsys.readouterr().err
+    for word in ("6 mm apart", "--units", "shear modulus 2.2 kPa", "--law", "--fixed", "mm assumed"):
+        assert word in printed, printed
+    session = Session(model, title)
+    assert session.hello()["full"]
+    assert session.tool_kinds == ["sphere", "capsule"]
+    front = model.cloud.points[np.argmin(model.cloud.points[:, 1])]
+    session.start()
+    try:
+        session.handle(tool_message(front - [0.0, 0.009, 0.0]))
+        for k in range(60):
+            session.handle(pose_message(front - np.array([0.0, 0.009 - 1e-4 * k, 0.0]), k + 2))
+            sleep(0.01)
+        end = monotonic() + 20.0
+        while not np.abs(session.snapshot().force).max() > 0.01 and monotonic() < end:
+            sleep(0.02)
+        snapshot = session.snapshot()
+        assert snapshot.force[1] < -0.01  # of the body on the ball, which comes from the front
+        displacements = snapshot.displacements(session.surface)
+        assert np.linalg.norm(displacements, axis=1).max() > 5e-4
+        stress = snapshot.scalar(session.surface, "stress", displacements)
+        assert np.isfinite(stress).all()
+        assert stress.max() > 10.0
+        with pytest.raises(pt.InputError, match="record must be left out for a full body"):
+            session.handle(validate_message({"type": "record", "action": "start"}))
+        session.reset()
+        assert not session.snapshot().coordinates.any()
+    finally:
+        session.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"spacing": 0.0002}, f"spacing must give at most {MOST_NODES} nodes"),
+        ({"spacing": 0.006, "fixed": ("near 1000,0,0,5",)}, "fixed must hold at least 3 nodes"),
+        ({"spacing": 0.006, "fixed": ("near 0,0,0,500",)}, "fixed must leave tissue free"),
+        ({"spacing": 0.006, "law": "NeoHook"}, "did you mean NeoHookean"),
+        ({"spacing": 0.006, "parameters": {"C2": 1.0}}, "set must name one of C1, density, poisson"),
+        ({"spacing": 0.006, "scale": 0.0}, "scale must be"),
+        ({"spacing": 0.006, "units": "feet"}, "units must be one of"),
+    ],
+)
+def test_bad_options_are_refused_by_name(organ, options, message):
+    with pytest.raises(pt.InputError, match=message):
+        open_surface(organ, TouchOptions(**options), Console())
+
+
+@pytest.mark.slow
+def test_a_surface_that_is_open_is_refused(organ, tmp_path):
+    lines = organ.read_text().splitlines()
+    vertices, triangles, _ = (int(x) for x in lines[1].split())
+    path = tmp_path / "sheet.off"
+    path.write_text("\n".join(["OFF", f"{vertices} {triangles // 2} 0", *lines[2 : 2 + vertices + triangles // 2]]))
+    with pytest.raises(pt.InputError, match="must hold a closed surface"):
+        open_surface(path, TouchOptions(spacing=0.006, units="mm"), Console())
