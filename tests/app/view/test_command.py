@@ -99,10 +99,10 @@ def test_a_recording_overwrites_no_other_file(file, tmp_path, assert_refused):
     assert_refused([*view, str(tmp_path / "other.h5")], "other.h5 is another file")
     (tmp_path / "folder.h5").mkdir()
     assert_refused([*view, str(tmp_path / "folder.h5")], "folder.h5 is another file")
-    (tmp_path / "other.vtkhdf").write_text("precious")
-    assert_refused([*view, str(tmp_path / "other.h5")], "other.vtkhdf is another file")
+    (tmp_path / "fresh.vtkhdf").write_text("precious")
+    assert_refused([*view, str(tmp_path / "fresh.h5")], "fresh.vtkhdf is another file")
     assert file.read_bytes() == content
-    assert (tmp_path / "text.h5").read_text() == (tmp_path / "other.vtkhdf").read_text() == "precious"
+    assert (tmp_path / "text.h5").read_text() == (tmp_path / "fresh.vtkhdf").read_text() == "precious"
     assert main([*view, str(tmp_path / "new.h5")]) == 0
     assert main([*view, str(tmp_path / "new.h5")]) == 0  # an earlier recording gives way
 

@@ -213,21 +213,5 @@ def test_a_changed_constant_of_a_module_without_kernels_recompiles():
     assert "palpate.dynamics.loads.supports" not in sources
 
 
-def test_functions_cached_by_numba_call_compiled_functions_of_their_own_file_only():
-    """Numba's own cache notices a change of the function's own file only."""
-    checked = 0
-    for path in SOURCES:
-        if not re.search(r"@njit\(.*cache=True", path.read_text()):
-            continue
-        module = importlib.import_module(module_of(path))
-        for function in filter(is_compiled, vars(module).values()):
-            if function.py_func.__module__ == module.__name__:
-                used = [vars(module).get(name) for name in function.py_func.__code__.co_names]
-                others = {other.py_func.__module__ for other in used if is_compiled(other)}
-                assert others <= {module.__name__}, function
-                checked += 1
-    assert checked > 20
-
-
 def is_compiled(value):
     return hasattr(value, "py_func")

@@ -49,7 +49,7 @@ def test_excessive_forces_end_runs_of_every_model_with_a_divergence(newton, held
 
 def test_a_run_that_needs_ever_shorter_steps_is_ended_and_says_so(energetic, monkeypatch):
     steps, stable = iter([1e-4, *[1e-9] * 10**6]), 1e-4
-    monkeypatch.setattr(energetic, "stable_step", lambda state, prepared, work: (next(steps), state))
+    monkeypatch.setattr(type(energetic), "stable_step", lambda model, state, prepared, work: (next(steps), state))
     monkeypatch.setattr(rollout_module, "STEPS_PER_ESTIMATE", 2)
     with pytest.raises(
         pt.DivergenceError, match=r"became too small: \d+ steps, 100 times those of the first"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from functools import cache
 from time import perf_counter
 from typing import Any
@@ -113,10 +114,8 @@ def _compile_loop(model: ReducedModel, prepared: PreparedLoads, state: State, st
         given.append(arguments)
         return explicit(*arguments)
 
-    model._explicit = record
-    try:
-        model.advance(state, prepared, step, steps)
-    finally:
-        model._explicit = explicit
+    watched = copy(model)
+    vars(watched)["_explicit"] = record
+    watched.advance(state, prepared, step, steps)
     _, _, *others = given[0]
     return lambda: explicit(state.coordinates.copy(), state.velocities.copy(), *others)

@@ -84,7 +84,7 @@ def reduced_loads(body: ReducedBody, prepared: PreparedLoads) -> ReducedLoads:
     InputError
         They were prepared for another body.
     """
-    if not isinstance(prepared, ReducedLoads) or prepared.body.data is not body.data:
+    if not isinstance(prepared, ReducedLoads) or prepared.body.data.basis_vectors is not body.data.basis_vectors:
         raise InputError("prepared must come from prepare() of the same reduced model, got those of another one")
     return prepared
 

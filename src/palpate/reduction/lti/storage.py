@@ -93,7 +93,7 @@ def read_linear(path: str | Path, system: LinearSystem) -> LinearModel:
             model = LinearModel(system, form(**arrays), header["report"])
         if not all(np.isfinite(matrix).all() for matrix in (model.A, model.B, model.C, model.D)):
             raise InputError("its state-space matrices are not finite")
-        model.state(model.prepare([]))  # raises an error for fields that are not independent
+        model.state(model.prepare(system.loads))  # raises an error for fields that are not independent
         return model
 
 

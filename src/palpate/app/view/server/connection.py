@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import time
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
@@ -13,6 +14,7 @@ from websockets.protocol import Event
 
 __all__ = ["CLOSE_TIMEOUT", "MAX_CONNECTIONS", "CountedConnection", "client_logger", "close_connection", "unsent_bytes"]
 
+HELLO_TIME = 0.25  # [s] in which a client surely sends hello
 MAX_CONNECTIONS = 128  # including those that have not sent hello
 CLOSE_TIMEOUT = 2.0  # [s] for the closing handshake
 MAX_REASON_BYTES = 120  # of a closing frame, which has room for 123
@@ -21,19 +23,21 @@ MAX_REASON_BYTES = 120  # of a closing frame, which has room for 123
 class CountedConnection(ServerConnection):
     """A connection that is counted from its first byte.
 
-    Beyond `MAX_CONNECTIONS` the oldest one is aborted that has not sent hello. So connections that
-    send nothing keep no new client out.
+    Beyond `MAX_CONNECTIONS` the oldest one is aborted that has not sent hello for `HELLO_TIME`, or else
+    the new one. So connections that send nothing keep new clients out for that time only.
     """
 
     def __init__(self, *arguments: Any, counted: dict[CountedConnection, None], **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self._counted, self.pings, self.admitted = counted, 0, False
+        self._counted, self.pings, self.admitted, self.made = counted, 0, False, 0.0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
+        self.made = time.monotonic()
         self._counted[self] = None
         if len(self._counted) > MAX_CONNECTIONS:
-            oldest = next((each for each in self._counted if not each.admitted), self)
+            late = time.monotonic() - HELLO_TIME
+            oldest = next((each for each in self._counted if not each.admitted and each.made < late), self)
             self._counted.pop(oldest)
             oldest.transport.abort()
 
