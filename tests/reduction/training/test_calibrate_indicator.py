@@ -97,9 +97,7 @@ def test_the_residual_norm_is_the_displacement_that_the_residual_fields_would_ad
 def test_the_integration_points_give_the_residual_norm_of_all_nodes(body, runs, rom, held):
     every = pt.hyper_reduce(body, runs, modes=10, cubature=0.0)
     loads, full = held[0]
-    found, expected = (
-        np.array([unbalanced(m, s, m.prepare(loads)) for s in states(rom, full)]) for m in (rom, every)
-    )
+    found, expected = (np.array([unbalanced(m, s, m.prepare(loads)) for s in states(rom, full)]) for m in (rom, every))
     assert len(rom.data.cubature.nodes) < 0.7 * len(body.cloud)
     assert np.linalg.norm(found - expected) < 0.25 * np.linalg.norm(expected)
 

@@ -32,6 +32,7 @@ __all__ = [
     "Damping",
     "NodalData",
     "StepScratch",
+    "damping_work",
     "drift_nodes",
     "foundation_force",
     "full_step",
@@ -213,7 +214,7 @@ def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, alph
 
 
 @kernel_njit(inner=True)
-def _damping_work(volumes, u, scratch):  # type: ignore[no-untyped-def]
+def damping_work(volumes, u, scratch):  # type: ignore[no-untyped-def]
     """Return sum of V (beta v) . (previous - force) [J], and copy the force to the previous one.
 
     Between two evaluations the internal force changes by -K v dt. So this sum is the energy that
@@ -320,7 +321,7 @@ def full_step(formulation: Formulation) -> Any:
             _limit_prescribed_velocity(sites.prescribed, schedule.constrained[s], u, velocity, damping, scratch.damped)
             after(work, step if s > 0 else 0.0)
             force_of(scratch.damped, body, work, scratch.force)
-            change = _damping_work(nodes.volumes, u, scratch)
+            change = damping_work(nodes.volumes, u, scratch)
             if s > 0:
                 lost += change
             surface_force(sites, schedule, s, nodes.volumes, nodes.slot, work.cofactor, scratch.surface)

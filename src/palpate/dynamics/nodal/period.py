@@ -7,8 +7,9 @@ costs one evaluation of the force:
     v_{n+1/2} = v_{n-1/2} + dt a(u_n + beta v_{n-1/2}),      u_{n+1} = u_n + dt v_{n+1/2}.
 
 The tool moves evenly to its target during a period. The force on it is the mean over the steps of the period. The
-stable step follows from a power iteration on the present tangent, one iteration every `ESTIMATE_PERIODS`. A period
-in which a node moves too far is repeated with shorter steps. The functions allocate nothing and do not call Python.
+stable step follows from a power iteration on the present tangent, one iteration every `ESTIMATE_PERIODS`; it is at
+most that at rest. A period in which a node moves too far, or after which the body has more kinetic energy than the
+tool has done work, is repeated with shorter steps. The functions allocate nothing and do not call Python.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from palpate.dynamics.nodal.central_difference import (
     Damping,
     NodalData,
     StepScratch,
+    damping_work,
     drift_nodes,
     foundation_force,
     kick_nodes,
@@ -37,17 +39,17 @@ from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, S
 
 __all__ = ["ContactReport", "NodalPeriodData", "nodal_period"]
 
-ESTIMATE_PERIODS = 24  # between two iterations for the highest frequency
+ESTIMATE_PERIODS = 16  # between two iterations for the highest frequency
 FREQUENCY_MARGIN = 1.05  # of the estimate, because an iteration converges from below
 SLOWEST_DECREASE = 0.9  # of the frequency from one estimate to the next
 STEP_SAFETY = 0.85  # step over the stable one
-NOISE = 0.03  # added to the vector of the iteration, so that another mode can grow
+NOISE = 0.005  # added to the vector of the iteration, so that another mode can grow
 MAX_STEPS = 400  # in a period; beyond it the body's time runs slower
-MAX_ATTEMPTS, REFINEMENT = 4, 0.25  # of a period, and factor of the step in the next attempt
-MAX_WAY = 0.5  # of a node in a step, in spacings
+MAX_ATTEMPTS, STIFFENING = 6, 1.6  # of a period, and factor of the frequency in the next attempt
+MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
 
 # entries of `NodalPeriodData.clock`
-BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST = range(6)
+BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN = range(8)
 # frames in `NodalPeriodData.path`
 START, END, HOME = range(3)
 
@@ -83,9 +85,9 @@ class NodalPeriodData(NamedTuple):
     contacts : Contacts
         With one tool.
     scratch : StepScratch
-    clock : (6,) array
+    clock : (8,) array
         Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
-        estimate, and work and dissipation [J] since rest.
+        estimate, work and dissipation since rest, kinetic energy, and energy of a state that was given [J].
     path : (3, 3, 4) array
         Frames of the tool at the start and the end of a period, and at zero displacement.
     resting_frequency : float [rad/s]
@@ -203,6 +205,16 @@ def _report_contact(data, duration, report):  # type: ignore[no-untyped-def]
     contact.numbers[0] = count
 
 
+@kernel_njit(inner=True)
+def kinetic_energy(nodes, velocity):  # type: ignore[no-untyped-def]
+    """Return the kinetic energy [J] of nodes with velocities (n, 3)."""
+    total = 0.0
+    for i in range(velocity.shape[0]):
+        square = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
+        total += 0.5 * nodes.density * nodes.volumes[i] * square
+    return total
+
+
 @cache
 def nodal_period(formulation: Formulation) -> Any:
     """Compile the period of a full body.
@@ -242,15 +254,21 @@ def nodal_period(formulation: Formulation) -> Any:
                 scratch.damped[i, c] = u[i, c] + moved[i, c]
         body, work = data.taut_passes
         after(work, 0.0)
-        force_of(scratch.damped, body, work, scratch.previous)
+        force_of(scratch.damped, body, work, moved)
         force_of(u, body, work, scratch.force)
         grown = 0.0
         for i in range(u.shape[0]):
             for c in range(3):
-                image = (scratch.force[i, c] - scratch.previous[i, c]) / data.nodes.density
+                image = (scratch.force[i, c] - moved[i, c]) / data.nodes.density
                 vector[i, c] = image if sites.kind[i] == 0 else 0.0
                 grown += vector[i, c] ** 2
         return np.sqrt(np.sqrt(grown / size))
+
+    @law_njit(digest, inner=True)
+    def set_step(data):  # type: ignore[no-untyped-def]
+        clock = data.clock
+        z = data.damping.beta * clock[FREQUENCY]
+        clock[STEP] = STEP_SAFETY * (np.sqrt(z * z + 4.0) - z) / clock[FREQUENCY]
 
     @law_njit(digest, inner=True)
     def choose_step(data, u):  # type: ignore[no-untyped-def]
@@ -262,13 +280,14 @@ def nodal_period(formulation: Formulation) -> Any:
             frequency = estimate(data, u)
             if frequency > 0.0 and frequency < np.inf:
                 # an iteration that has not converged must not lengthen the step at once
-                clock[FREQUENCY] = max(FREQUENCY_MARGIN * frequency, SLOWEST_DECREASE * clock[FREQUENCY])
-        z = data.damping.beta * clock[FREQUENCY]
-        clock[STEP] = STEP_SAFETY * (np.sqrt(z * z + 4.0) - z) / clock[FREQUENCY]
+                clock[FREQUENCY] = max(
+                    FREQUENCY_MARGIN * frequency, SLOWEST_DECREASE * clock[FREQUENCY], data.resting_frequency
+                )
+        set_step(data)
 
     @law_njit(digest, inner=True)
     def take_steps(data, u, velocity, period):  # type: ignore[no-untyped-def]
-        """Take the steps of a period; return their number, or -1 if a node moves too far in one."""
+        """Take the steps of a period; return their number, or -1 if a node moves too far or energy appears."""
         clock, scratch, sites, contacts, path = data.clock, data.scratch, data.sites, data.contacts, data.path
         body, work = data.passes
         step, behind = clock[STEP], clock[BEHIND]
@@ -285,6 +304,7 @@ def nodal_period(formulation: Formulation) -> Any:
                     scratch.surface[i, c] = 0.0
             after(work, step)
             force_of(scratch.damped, body, work, scratch.force)
+            clock[LOST] += damping_work(data.nodes.volumes, u, scratch)
             foundation_force(sites, u, velocity, data.nodes.volumes, scratch.surface)
             works = kick_nodes(
                 sites, data.free, data.nodes, scratch, (0.0, 0.0, 0.0), step, velocity, data.damping.alpha
@@ -301,6 +321,10 @@ def nodal_period(formulation: Formulation) -> Any:
                 if not square * step * step < data.reach * data.reach:  # also if it is not a number
                     return -1
             drift_nodes(sites, data.free, u, step, u, velocity)
+        kinetic = kinetic_energy(data.nodes, velocity)
+        if not kinetic <= clock[WORK] - clock[LOST] + MAX_GAIN * abs(clock[WORK]) + LEAST_ENERGY + clock[GIVEN]:
+            return -1
+        clock[KINETIC_ENERGY] = kinetic
         clock[BEHIND] = behind + period - count * step
         return count
 
@@ -314,17 +338,21 @@ def nodal_period(formulation: Formulation) -> Any:
         at_rest = not q.any() and not v.any()
         if at_rest:  # the start of a run, or a reset
             reset_history(history)
-            clock[BEHIND], clock[WORK], clock[LOST] = 0.0, 0.0, 0.0
+            clock[BEHIND], clock[WORK], clock[LOST], clock[KINETIC_ENERGY], clock[GIVEN] = 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(n):
+                for c in range(3):
+                    data.scratch.previous[i, c] = 0.0
             clock[FREQUENCY], clock[UNTIL_ESTIMATE] = data.resting_frequency, ESTIMATE_PERIODS
             contacts.patch_impulses[:] = 0.0
         set_path(data.path, target, at_rest)
         if at_rest:
             _copy(data.path[END], contacts.frames[0, 1])
+        clock[GIVEN] += kinetic_energy(data.nodes, velocity) - clock[KINETIC_ENERGY]  # of velocities that were set
         choose_step(data, u)
         _copy(u, data.saved[0])
         _copy(velocity, data.saved[1])
         _save_history(history, data.saved_history)
-        count = -1
+        count, work_before, lost_before = -1, clock[WORK], clock[LOST]
         for attempt in range(MAX_ATTEMPTS):
             if attempt > 0:
                 _copy(data.saved[0], u)
@@ -332,8 +360,9 @@ def nodal_period(formulation: Formulation) -> Any:
                 _restore_history(history, data.saved_history)
                 _copy(data.path[START], contacts.frames[0, 1])
                 contacts.patch_impulses[:] = 0.0
-                clock[STEP] *= REFINEMENT
-                clock[UNTIL_ESTIMATE] = 1.0
+                clock[WORK], clock[LOST] = work_before, lost_before
+                clock[FREQUENCY] *= STIFFENING
+                set_step(data)
             contacts.tool_impulses[:] = 0.0
             count = take_steps(data, u, velocity, period)
             if count >= 0:
@@ -348,9 +377,7 @@ def nodal_period(formulation: Formulation) -> Any:
                 report[k] = 0.0
             _report_contact(data, count * clock[STEP], report)
         report[STEPS] = count
-        for i in range(n):
-            square = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
-            report[KINETIC] += 0.5 * data.nodes.density * data.nodes.volumes[i] * square
-        report[STRAIN] = max(0.0, clock[WORK] - clock[LOST] - report[KINETIC])
+        report[KINETIC] = clock[KINETIC_ENERGY]
+        report[STRAIN] = max(0.0, clock[GIVEN] + clock[WORK] - clock[LOST] - report[KINETIC])
 
     return advance

@@ -17,6 +17,8 @@ from palpate.faults import InputError
 
 __all__ = ["change_full_tool", "full_period"]
 
+MAX_WAY = 0.4  # of a node in a step, in spacings
+
 
 def full_period(
     model: NodalModel, contact: Contact, foundations: Sequence[Foundation]
@@ -51,13 +53,13 @@ def full_period(
         sites=sites,
         contacts=contacts,
         scratch=work.step,
-        clock=np.array([0.0, model.stability.step, frequency, 0.0, 0.0, 0.0]),
+        clock=np.array([0.0, model.stability.step, frequency, 0.0, 0.0, 0.0, 0.0, 0.0]),
         path=path,
         resting_frequency=frequency,
         vector=noise.copy() if vector is None else vector,
         noise=noise,
         amplitude=1e-6 * model.cloud.spacing,
-        reach=0.5 * model.cloud.spacing,
+        reach=MAX_WAY * model.cloud.spacing,
         saved=np.zeros((2, n, 3)),
         saved_history=(
             history.strain.copy(), history.branches.copy(), history.dilatation.copy(), history.volume.copy()
