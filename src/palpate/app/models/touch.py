@@ -35,6 +35,7 @@ SUPPORT_SHARE = 0.12  # of the extent along a direction, which the default suppo
 SUPPORT = "support"  # name of the group
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
+STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
 BUSY_SHARE = 0.6  # of the time, which the steps of a body in real time may take
 LEAST_NODES, MOST_NODES = 600, 40_000
 SAMPLE_SECONDS = 0.6  # of the measurement of this machine
@@ -166,15 +167,16 @@ def realtime_spacing(volume: float, material: Material) -> float:
 
 
 def _seconds_per_node(material: Material) -> float:
-    """Return the time [s] of a force evaluation per node, the least of some tenths of a second."""
-    body = EnergySolid(box((0.1, 0.1, 0.1), 0.0072), material, "z-")
-    u, work, least, end = np.zeros((len(body.cloud), 3)), body.workspace(), np.inf, perf_counter() + SAMPLE_SECONDS
+    """Return the time [s] of a step per node, from the median of force evaluations in some tenths of a second."""
+    body = EnergySolid(box((0.1, 0.1, 0.1), 0.0083, jitter=0.2), material, "z-")
+    u, work, durations = np.zeros((len(body.cloud), 3)), body.workspace(), list[float]()
     body.force(u, work=work)  # compiles
-    while perf_counter() < end or least == np.inf:
+    end = perf_counter() + SAMPLE_SECONDS
+    while perf_counter() < end or not durations:
         began = perf_counter()
         body.force(u, work=work)
-        least = min(least, perf_counter() - began)
-    return float(least / len(body.cloud))
+        durations.append(perf_counter() - began)
+    return STEP_OVER_FORCE * float(np.median(durations)) / len(body.cloud)
 
 
 def _check_count(surface: Surface, spacing: float) -> None:
