@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import runpy
+from pathlib import Path
 from time import monotonic, sleep
 
 import numpy as np
@@ -177,6 +179,16 @@ def test_an_engine_steps_a_full_body(block):
     assert not reading.stiffness.any()
     engine.reset()
     assert not engine.read().coordinates.any()
+
+
+@pytest.mark.slow
+def test_the_example_prints_a_growing_force(capsys):
+    runpy.run_path(str(Path(__file__).parents[2] / "examples" / "engine.py"))
+    lines = capsys.readouterr().out.splitlines()
+    forces = [float(line.split()[-2]) for line in lines[:-1]]
+    assert len(forces) == 50
+    assert max(forces) > 0.1
+    assert forces[-1] > forces[10]
 
 
 @pytest.mark.parametrize(
