@@ -71,6 +71,47 @@ def test_the_force_of_a_slow_press_is_that_of_a_run(block):
     np.testing.assert_allclose(pressed.q.reshape(-1, 3), run.displacements[15], atol=0.01 * scale)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("tool", "height"),
+    [
+        (pt.tools.Capsule(BALL, 0.03), BALL),
+        (pt.tools.Plane(), 0.0),
+        (pt.tools.Punch(0.008, 0.002), 0.0),
+    ],
+    ids=["capsule", "plane", "punch"],
+)
+def test_the_force_of_other_tools_is_that_of_a_run(block, tool, height):
+    over = np.array([0.015, 0.015, SIZE[2] + height + 0.0005])
+    turn = {"Capsule": (0.0, np.pi / 2, 0.0), "Plane": (np.pi, 0.0, 0.0)}.get(type(tool).__name__, (0.0, 0.0, 0.0))
+
+    def path(time):
+        return tuple(over - np.array([0.0, 0.0, 0.4 * depth(time)])), turn
+
+    stepped = Stepped(block, pt.tools.Contact(tool, path(0.0), friction=0.2))
+    reports = stepped.press(0.3, lambda t: 0.4 * depth(t))
+    run = pt.rollout(block, [pt.tools.Contact(tool, path, friction=0.2)], duration=0.3, every=0.01, progress=False)
+    force = run.reactions["tool"][1:, 2]
+    assert np.abs(force).max() > 0.05
+    means = reports[:, 10].reshape(30, 10).mean(axis=1)
+    np.testing.assert_allclose(means.sum(), force.sum(), rtol=5e-3)
+    np.testing.assert_allclose(means, force, atol=0.02 * np.abs(force).max())
+
+
+@pytest.mark.slow
+def test_the_force_on_a_membrane_is_that_of_a_run():
+    rubber = pt.materials.NeoHookean(C1=0.17e6, density=1200.0, poisson=0.5)
+    sheet = pt.Membrane(pt.disc(0.05, 0.005), rubber, 1e-3, "rim", prestretch=1.05)
+    home = np.array([0.0, 0.0, BALL + 0.0005])
+    path = lambda t: tuple(home - [0.0, 0.0, depth(t)])  # noqa: E731
+    stepped = Stepped(sheet, ball(tuple(home)))
+    means = stepped.press(0.3)[:, 10].reshape(30, 10).mean(axis=1)
+    run = pt.rollout(sheet, [ball(path)], duration=0.3, every=0.01, progress=False)
+    force = run.reactions["tool"][1:, 2]
+    assert np.abs(force).max() > 0.1
+    np.testing.assert_allclose(means, force, atol=0.01 * np.abs(force).max())
+
+
 def test_energies_are_those_of_the_body(block):
     stepped = Stepped(block)
     report = stepped.press(0.15)[-1]

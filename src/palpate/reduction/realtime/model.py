@@ -101,7 +101,7 @@ def realtime_model(
 
     Parameters
     ----------
-    model : ReducedModel, LinearModel, or Solid in its energy form
+    model : ReducedModel, LinearModel, or Solid or Membrane in the energy form
         A full body has no trust number, and no contact stiffness.
     longest : float [s]
         Longest period that the engine may request.
