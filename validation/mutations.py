@@ -144,7 +144,7 @@ MUTATIONS = (
     ),
     Mutation(
         "rollers let go", "dynamics/nodal/central_difference.py",
-        "after = before + kick * rate[c]", "after = before + kick * scratch.force[i, c] / density",
+        "after = kick[0] * before + kick[1] * rate[c]", "after = before + kick[1] * scratch.force[i, c] / density",
         contract("supports_and_tools_constrain_their_nodes", "solid, rollers"),
     ),
     Mutation(

@@ -60,7 +60,7 @@ def _make_settings(
     max_speed: float,
     max_angular_speed: float,
     spin: float,
-    catch_up: int,
+    catch_up: int = 0,
 ) -> Settings:
     """Return the settings of the loop; raises InputError for an argument out of range."""
     period = round(1e9 / number_in_range("rate", rate, MIN_RATE, MAX_RATE, unit="Hz"))

@@ -45,7 +45,7 @@ def add_view(commands: Any) -> None:
         f"a surface file (STL, OBJ, PLY ...), whose full body is touched at once; a scene ({listed_scenes()}); or the "
         "file of a reduced model, such as model.rom of palpate train"
     )
-    add("what", metavar="FILE|SCENE", help=text)
+    add("what", metavar="SCENE|FILE", help=text)
     _add_surface(view)
     _add_address(view)
     text = "record the session, and write it to this file when the session ends"

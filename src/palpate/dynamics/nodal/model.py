@@ -44,7 +44,7 @@ from palpate.meshfree.mirror import NO_MIRROR, Mirror, MirrorPlane
 from palpate.meshfree.stencils import Stencils
 from palpate.tissue.fibres import FibreLaw
 
-__all__ = ["NodalModel", "NodalWork"]
+__all__ = ["NodalModel", "NodalWork", "nodal_data"]
 
 History = tuple[Floats, ...]
 
@@ -327,7 +327,7 @@ class NodalModel(Model):
             Damping(self.mass_damping, self.stiffness_damping, self.wave_speed),
             (self.body, work.passes),
             (sites, contacts, schedule),
-            self.nodal_data(),
+            nodal_data(self),
             work.step,
         )
         if prepared.tools:
@@ -350,16 +350,6 @@ class NodalModel(Model):
             tools = 0.5 * step * steps * power
         report = StepReport(done + tools, lost, float(least.min(initial=0.0)), contacts.tool_impulses)
         return replace(new, external_work=new.external_work + tools), report
-
-    def nodal_data(self) -> NodalData:
-        """Return the constants of the nodes for the compiled step."""
-        return NodalData(
-            volumes=self.volumes,
-            mass=self.weights * self.material.density,
-            density=self.material.density,
-            slot=self.slot,
-            half_cell=self.half_cell,
-        )
 
     def _least_dilatation(self, work: NodalWork) -> Floats:
         """Return the array (1,) in which the passes store the least dilatation; empty where they do not."""
@@ -452,3 +442,14 @@ class NodalModel(Model):
 
     def velocity(self, state: State, prepared: PreparedLoads, nodes: Nodes = slice(None)) -> Floats:
         return state.velocities[nodes]
+
+
+def nodal_data(model: NodalModel) -> NodalData:
+    """Return the constants of the nodes of a model for its compiled step."""
+    return NodalData(
+        volumes=model.volumes,
+        mass=model.weights * model.material.density,
+        density=model.material.density,
+        slot=model.slot,
+        half_cell=model.half_cell,
+    )

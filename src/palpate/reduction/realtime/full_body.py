@@ -11,7 +11,7 @@ from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import CAPSULE, PLANE, Contact, Forceps, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.nodal.central_difference import Damping
-from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.nodal.model import NodalModel, nodal_data
 from palpate.dynamics.nodal.period import END, HOME, START, ContactReport, NodalPeriodData, nodal_period
 from palpate.faults import InputError
 
@@ -48,7 +48,7 @@ def full_period(
     data = NodalPeriodData(
         passes=(model.body, work.passes),
         taut_passes=(model.taut_body, work.passes),
-        nodes=model.nodal_data(),
+        nodes=nodal_data(model),
         damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
         sites=sites,
         contacts=contacts,
