@@ -11,6 +11,7 @@ import pytest
 
 import palpate as pt
 from palpate.dynamics.nodal import period as nodal
+from palpate.realtime.observable import make_observable
 from palpate.reduction.realtime.full_body import change_full_tool
 
 SIZE, SPACING, BALL = (0.03, 0.03, 0.02), 0.005, 0.012  # [m]
@@ -179,6 +180,33 @@ def test_a_period_with_too_long_steps_is_repeated_with_shorter_ones(block):
     assert not reports[:, 0].any()
     assert clock[nodal.FREQUENCY] > 2 * before
     assert np.abs(stepped.q).max() < SIZE[2]
+
+
+def test_a_drift_of_the_sums_of_work_stops_no_body(block):
+    stepped, same = Stepped(block), Stepped(block)
+    stepped.press(0.15)
+    same.press(0.15)
+    stepped.model.data.clock[nodal.GIVEN] -= 1.0  # J, after hours of presses
+    drifted, still = (each.press(0.1, lambda t: depth(0.15)) for each in (stepped, same))
+    assert not drifted[:, 0].any()
+    assert drifted[20:, 2].max() <= 2 * still[:, 2].max()
+    np.testing.assert_allclose(drifted[-1, 10], still[-1, 10], rtol=0.02)
+
+
+def test_a_force_without_a_step_is_that_of_the_last_one(block):
+    """With half the modulus the body's time is slower, and some periods have no step."""
+    made = make_observable(pt.realtime_model(block, contact=ball(tuple(HOME))))
+    made.set_modulus_ratio(0.25)
+    q, v = np.zeros((2, len(made.rest)))
+    report, forces, steps = np.zeros(20), [], []
+    for k in range(600):
+        target = np.concatenate([[0.0, 0.0, -depth(min((k + 1) * PERIOD, 0.15))], np.zeros(9)])
+        made.advance(made.data, q, v, target, PERIOD, report)
+        forces.append(report[10])
+        steps.append(report[2])
+    assert 0.0 in steps[400:]
+    late = np.abs(forces[400:])
+    assert late.min() > 0.7 * late.max()
 
 
 def test_relaxing_tissue_and_foundations_are_stepped():
