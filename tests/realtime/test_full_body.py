@@ -182,6 +182,7 @@ def test_a_period_with_too_long_steps_is_repeated_with_shorter_ones(block):
     assert np.abs(stepped.q).max() < SIZE[2]
 
 
+@pytest.mark.slow
 def test_a_drift_of_the_sums_of_work_stops_no_body(block):
     stepped, same = Stepped(block), Stepped(block)
     stepped.press(0.15)
@@ -193,6 +194,7 @@ def test_a_drift_of_the_sums_of_work_stops_no_body(block):
     np.testing.assert_allclose(drifted[-1, 10], still[-1, 10], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_force_without_a_step_is_that_of_the_last_one(block):
     """With half the modulus the body's time is slower, and some periods have no step."""
     made = make_observable(pt.realtime_model(block, contact=ball(tuple(HOME))))
@@ -209,6 +211,7 @@ def test_a_force_without_a_step_is_that_of_the_last_one(block):
     assert late.min() > 0.7 * late.max()
 
 
+@pytest.mark.slow
 def test_relaxing_tissue_and_foundations_are_stepped():
     prony = pt.materials.Prony(shares=[1.0], times=[0.02])
     body = pt.Solid(pt.box(SIZE, SPACING), law(prony=prony), "z-")

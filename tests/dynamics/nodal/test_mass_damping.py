@@ -46,11 +46,13 @@ def test_the_stable_step_does_not_change():
     assert bar(ALPHA).stability.step == bar(0.0).stability.step
 
 
+@pytest.mark.slow
 def test_bits_without_damping_are_those_of_before(shape):
     runs = [free_run(bar(0.0), shape, step=2e-4) for _ in range(2)]
     np.testing.assert_array_equal(runs[0].displacements, runs[1].displacements)
 
 
+@pytest.mark.slow
 def test_reactions_include_the_damping_forces():
     """The forces of support and tool are the change of momentum and alpha times the momentum."""
     body, strong = bar(50.0), 50.0
@@ -63,6 +65,7 @@ def test_reactions_include_the_damping_forces():
     assert np.abs(missed[2:-2]).max() < 0.1 * np.abs(strong * momentum).max()
 
 
+@pytest.mark.slow
 def test_a_static_load_is_borne_without_change():
     load = [pt.SurfaceForce("x+", force=(0.01, 0.0, 0.0))]
     settled = pt.rollout(bar(ALPHA), load, duration=4.0, every=0.5, progress=False)
@@ -71,6 +74,7 @@ def test_a_static_load_is_borne_without_change():
     np.testing.assert_allclose(settled.displacements[-1], still.displacements, atol=2e-3 * scale)
 
 
+@pytest.mark.slow
 def test_the_engine_damps_as_a_run_does(shape):
     body = bar(ALPHA)
     away = tuple(body.cloud.points.max(axis=0) + 0.1)

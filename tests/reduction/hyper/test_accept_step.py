@@ -46,12 +46,14 @@ def energy_error(run) -> float:
     return float(np.abs(run.balance).max() / max(run.external.max(), (run.kinetic + run.strain).max()))
 
 
+@pytest.mark.quick(every=[0.001])
 @pytest.mark.parametrize("every", [0.001, 0.002, 0.005, 0.01])
 def test_good_steps_of_a_pull_and_its_release_are_accepted(trained, every, monkeypatch):
     checked, free = checked_and_unchecked(trained, pull(0.5), monkeypatch, duration=0.3, every=every)
     assert checked.steps[-1] <= MAX_STEPS * free.steps[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [0.001, 0.01])
 def test_steps_under_a_force_that_the_modes_cannot_feel_are_accepted(trained, every, monkeypatch):
     """The energy is that of rounding."""

@@ -239,6 +239,7 @@ def test_a_shaken_face_is_not_trusted_by_modes_of_its_pull():
     assert np.quantile(shares, 0.75) > 0.8
 
 
+@pytest.mark.slow
 def test_a_sheet_moved_in_its_plane_is_not_trusted_by_modes_of_its_deflection():
     cloud = pt.disc(0.1, 0.01)
     cloud = cloud.within("tool", (0.0, 0.0), 0.015)
