@@ -38,6 +38,21 @@ def test_a_refused_run_leaves_no_file(held, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_error_of_a_persons_load_keeps_its_type(held):
+    broken = pt.SurfaceForce("x+", force=lambda t: (1.0 / (t - t), 0.0, 0.0) if t > 5e-4 else (0.0, 0.0, 0.0))
+    with pytest.raises(ZeroDivisionError):
+        pt.rollout(held, [broken], duration=1e-3, every=5e-4)
+
+
+def test_equations_without_a_solution_end_a_run_as_a_divergence(held, monkeypatch):
+    def singular(*_):
+        return np.linalg.inv(np.zeros((2, 2)))
+
+    monkeypatch.setattr(type(held), "advance", singular)
+    with pytest.raises(pt.DivergenceError, match="no solution"):
+        pt.rollout(held, [PULL], duration=1e-3, every=5e-4)
+
+
 def test_snapshots_are_at_the_requested_times(run):
     np.testing.assert_allclose(run.times, np.arange(61) * 0.0005, rtol=1e-12, atol=1e-15)
     assert run.displacements.shape == run.velocities.shape == (61, 112, 3)

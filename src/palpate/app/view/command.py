@@ -98,7 +98,8 @@ def view(
     options = TouchOptions(units, scale, part, spacing, law, _parameters(given), tuple(fixed))
     if not is_surface_file(what) and options != TouchOptions(parameters={}):
         raise InputError(
-            f"units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got {what!r:.60}"
+            "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
+            f"{what!r:.60}"
         )
     with _exit_on_signals(), _session(what, options, record, console) as session:
         if run is None:

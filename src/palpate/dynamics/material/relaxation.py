@@ -26,13 +26,17 @@ from palpate.dynamics.compiled.lanes import LANES
 from palpate.tissue.materials import Material
 
 __all__ = [
+    "HistoryCopy",
     "HistoryVariables",
     "Relaxation",
     "after",
+    "copy_history",
+    "copy_values",
     "equilibrium_history",
     "even_change",
     "history",
     "history_after",
+    "history_copy",
     "overstress",
     "overstress_alone",
     "prepare",
@@ -105,6 +109,16 @@ class HistoryVariables(NamedTuple):
     lost: Floats
     volume_energy: Floats
     volume_lost: Floats
+
+
+class HistoryCopy(NamedTuple):
+    """Copies of the interval and the persistent arrays of `HistoryVariables`."""
+
+    interval: Floats
+    strain: Floats
+    branches: Floats
+    dilatation: Floats
+    volume: Floats
 
 
 def relaxation(material: Material) -> Relaxation:
@@ -348,3 +362,25 @@ def relax_volume(relaxation, history, values):  # type: ignore[no-untyped-def]
         if interval > 0.0:
             history.volume_lost[i] += dissipated
             history.dilatation[i] = values[i]
+
+
+@kernel_njit(inner=True)
+def copy_values(source, target):  # type: ignore[no-untyped-def]
+    """Copy the numbers of an array; an assignment of slices would take seconds to compile."""
+    for i in range(source.size):
+        target.flat[i] = source.flat[i]
+
+
+@kernel_njit(inner=True)
+def copy_history(source, target):  # type: ignore[no-untyped-def]
+    """Copy the interval and the persistent arrays of history variables, as `HistoryVariables` or `HistoryCopy`."""
+    copy_values(source.interval, target.interval)
+    copy_values(source.strain, target.strain)
+    copy_values(source.branches, target.branches)
+    copy_values(source.dilatation, target.dilatation)
+    copy_values(source.volume, target.volume)
+
+
+def history_copy(variables: HistoryVariables) -> HistoryCopy:
+    """Return copies of the interval and the persistent arrays."""
+    return HistoryCopy(variables.interval.copy(), *(array.copy() for array in _persistent(variables)))

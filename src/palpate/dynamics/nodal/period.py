@@ -25,7 +25,7 @@ from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.contact.geometry import Contacts
 from palpate.dynamics.contact.impulses import push_patches
 from palpate.dynamics.loads.prepared import LoadSites
-from palpate.dynamics.material.relaxation import reset_history
+from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
 from palpate.dynamics.nodal.central_difference import (
     Damping,
     NodalData,
@@ -104,7 +104,7 @@ class NodalPeriodData(NamedTuple):
         Largest way of a node in a step.
     saved : (2, n, 3) array
         Displacements and velocities at the start of the period.
-    saved_history : tuple of arrays
+    saved_history : HistoryCopy
         History variables at the start of the period.
     contact_work : ContactReport
     free : (0,) bool array
@@ -127,38 +127,15 @@ class NodalPeriodData(NamedTuple):
     amplitude: float
     reach: float
     saved: Floats
-    saved_history: tuple[Floats, Floats, Floats, Floats]
+    saved_history: HistoryCopy
     contact_work: ContactReport
     free: Any
-
-
-@kernel_njit(inner=True)
-def _copy(source, target):  # type: ignore[no-untyped-def]
-    """Copy the numbers of an array; an assignment of slices would take seconds to compile."""
-    for i in range(source.size):
-        target.flat[i] = source.flat[i]
-
-
-@kernel_njit(inner=True)
-def _save_history(history, saved):  # type: ignore[no-untyped-def]
-    _copy(history.strain, saved[0])
-    _copy(history.branches, saved[1])
-    _copy(history.dilatation, saved[2])
-    _copy(history.volume, saved[3])
-
-
-@kernel_njit(inner=True)
-def _restore_history(history, saved):  # type: ignore[no-untyped-def]
-    _copy(saved[0], history.strain)
-    _copy(saved[1], history.branches)
-    _copy(saved[2], history.dilatation)
-    _copy(saved[3], history.volume)
 
 
 @kernel_njit()
 def set_path(path, target, at_rest):  # type: ignore[no-untyped-def]
     """Set the frames of the tool for a period that ends at a target (12,): displacement and R - I, from home."""
-    _copy(path[END], path[START])
+    copy_values(path[END], path[START])
     for i in range(3):
         for j in range(3):
             value = 0.0
@@ -167,7 +144,7 @@ def set_path(path, target, at_rest):  # type: ignore[no-untyped-def]
             path[END, i, j] = value
         path[END, i, 3] = path[HOME, i, 3] + target[i]
     if at_rest:
-        _copy(path[END], path[START])
+        copy_values(path[END], path[START])
 
 
 @kernel_njit(inner=True)
@@ -243,7 +220,7 @@ def nodal_period(formulation: Formulation) -> Any:
             for c in range(3):
                 largest = max(largest, abs(vector[i, c]))
         if not 0.0 < largest < np.inf:
-            _copy(noise, vector)
+            copy_values(noise, vector)
             largest = 1.0
         moved, largest_moved = scratch.surface, 0.0
         for i in range(u.shape[0]):
@@ -347,19 +324,19 @@ def nodal_period(formulation: Formulation) -> Any:
             contacts.patch_impulses[:] = 0.0
         set_path(data.path, target, at_rest)
         if at_rest:
-            _copy(data.path[END], contacts.frames[0, 1])
+            copy_values(data.path[END], contacts.frames[0, 1])
         clock[GIVEN] += kinetic_energy(data.nodes, velocity) - clock[KINETIC_ENERGY]  # of velocities that were set
         choose_step(data, u)
-        _copy(u, data.saved[0])
-        _copy(velocity, data.saved[1])
-        _save_history(history, data.saved_history)
+        copy_values(u, data.saved[0])
+        copy_values(velocity, data.saved[1])
+        copy_history(history, data.saved_history)
         count, work_before, lost_before = -1, clock[WORK], clock[LOST]
         for attempt in range(MAX_ATTEMPTS):
             if attempt > 0:
-                _copy(data.saved[0], u)
-                _copy(data.saved[1], velocity)
-                _restore_history(history, data.saved_history)
-                _copy(data.path[START], contacts.frames[0, 1])
+                copy_values(data.saved[0], u)
+                copy_values(data.saved[1], velocity)
+                copy_history(data.saved_history, history)
+                copy_values(data.path[START], contacts.frames[0, 1])
                 contacts.patch_impulses[:] = 0.0
                 clock[WORK], clock[LOST] = work_before, lost_before
                 clock[FREQUENCY] *= STIFFENING
@@ -376,8 +353,8 @@ def nodal_period(formulation: Formulation) -> Any:
                 clock[GIVEN] += excess
                 break
         if count < 0:
-            _copy(data.saved[0], u)
-            _copy(data.saved[1], velocity)
+            copy_values(data.saved[0], u)
+            copy_values(data.saved[1], velocity)
             report[STATUS] = 1.0
             return
         clock[BEHIND] = clock[NEXT_BEHIND]

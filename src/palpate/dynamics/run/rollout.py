@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
@@ -145,12 +146,20 @@ def frame_states(
             try:
                 state, taken, last = _advance_to(model, state, prepared, time, control, work)
             except (ArithmeticError, np.linalg.LinAlgError) as error:
+                if not _is_own(error):  # of a function that a person has given, such as a load's
+                    raise
                 what = f"the equations of a step have no solution ({shortened(str(error))})"
                 raise _divergence(model, state, prepared, what, control.last) from error
             steps += taken
         yield state, steps, last
         if state.contact_state is not None:  # contact forces are means over one frame
             state = replace(state, contact_state=state.contact_state.reset_impulses(state.time))
+
+
+def _is_own(error: BaseException) -> bool:
+    """Return whether an error was raised by palpate, or by NumPy or compiled code that it called."""
+    frames = [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return frames[-1].partition(".")[0] in ("palpate", "numpy", "scipy")
 
 
 def _warn_of_distrust(run: Trajectory) -> None:

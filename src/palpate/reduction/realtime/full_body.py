@@ -10,6 +10,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import CAPSULE, PLANE, Contact, Forceps, Tool
 from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
 from palpate.dynamics.nodal.period import END, HOME, START, ContactReport, NodalPeriodData, nodal_period
@@ -35,7 +36,7 @@ def full_period(
     prepared, work = model.prepare([contact, *foundations]), model.workspace()
     model.state(prepared)  # refuses a tool inside the body
     sites, contacts = prepared.with_scratch()
-    n, history = len(model.cloud), work.passes.history
+    n = len(model.cloud)
     frequency, vector = model.highest_frequency(np.zeros((n, 3)), prepared.constraint_mask(0.0))
     if len(sites.foundation_node):
         response = 1.0 / (model.volumes[sites.foundation_node] * model.material.density)
@@ -62,9 +63,7 @@ def full_period(
         amplitude=1e-6 * model.cloud.spacing,
         reach=MAX_WAY * model.cloud.spacing,
         saved=np.zeros((2, n, 3)),
-        saved_history=(
-            history.strain.copy(), history.branches.copy(), history.dilatation.copy(), history.volume.copy()
-        ),
+        saved_history=history_copy(work.passes.history),
         contact_work=ContactReport(np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(3, dtype=np.int64)),
         free=np.zeros(0, dtype=np.bool_),
     )  # fmt: skip

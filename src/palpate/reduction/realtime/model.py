@@ -12,6 +12,7 @@ from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
+from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.model import NodalModel
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
@@ -158,7 +159,6 @@ def realtime_model(
     )
     vectors[POWER_SHAPE, : reduced.modes] = np.random.default_rng(0).standard_normal(reduced.modes)
     points_scratch = scratch(model.body.points)
-    variables = points_scratch.history
     body = ImplicitData(
         stiffness_damping=model.stiffness_damping,
         mass=model.body.mass,
@@ -191,11 +191,7 @@ def realtime_model(
             surface.columns[:, :, modes], model.body.mass[modes, modes], len(contact_work.active.node)
         ),
         start=PeriodStart(
-            interval=variables.interval.copy(),
-            strain=variables.strain.copy(),
-            branches=variables.branches.copy(),
-            dilatation=variables.dilatation.copy(),
-            volume=variables.volume.copy(),
+            history=history_copy(points_scratch.history),
             force=contact_work.force.copy(),
             place=contact_work.place.copy(),
             frames=tools.frames.copy(),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
-from palpate.dynamics.material.relaxation import reset_history
+from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.reduction.contact.gauss_seidel import compliance_energy, press, set_tool_path
 from palpate.reduction.contact.surface import ContactScratch, ContactSurface, RigidTools
@@ -75,11 +75,7 @@ class IndicatorData(NamedTuple):
 class PeriodStart(NamedTuple):
     """Copies of the history variables, of contact forces and positions, and of the frames of tools."""
 
-    interval: Floats
-    strain: Floats
-    branches: Floats
-    dilatation: Floats
-    volume: Floats
+    history: HistoryCopy
     force: Floats
     place: Floats
     frames: Floats
@@ -141,21 +137,10 @@ class PeriodData(NamedTuple):
 
 
 @kernel_njit()
-def copy_values(source, target):  # type: ignore[no-untyped-def]
-    """Copy the numbers of an array; an assignment of slices would take seconds to compile."""
-    for i in range(source.size):
-        target.flat[i] = source.flat[i]
-
-
-@kernel_njit()
 def save_start(data):  # type: ignore[no-untyped-def]
     """Save history variables and contact at the start of a period."""
-    history, contact, start = data.body.scratch.history, data.contact_work, data.start
-    copy_values(history.interval, start.interval)
-    copy_values(history.strain, start.strain)
-    copy_values(history.branches, start.branches)
-    copy_values(history.dilatation, start.dilatation)
-    copy_values(history.volume, start.volume)
+    contact, start = data.contact_work, data.start
+    copy_history(data.body.scratch.history, start.history)
     copy_values(contact.force, start.force)
     copy_values(contact.place, start.place)
     copy_values(data.tools.frames, start.frames)
@@ -164,12 +149,8 @@ def save_start(data):  # type: ignore[no-untyped-def]
 @kernel_njit()
 def restore_start(data):  # type: ignore[no-untyped-def]
     """Restore what `save_start` has saved."""
-    history, contact, start = data.body.scratch.history, data.contact_work, data.start
-    copy_values(start.interval, history.interval)
-    copy_values(start.strain, history.strain)
-    copy_values(start.branches, history.branches)
-    copy_values(start.dilatation, history.dilatation)
-    copy_values(start.volume, history.volume)
+    contact, start = data.contact_work, data.start
+    copy_history(start.history, data.body.scratch.history)
     copy_values(start.force, contact.force)
     copy_values(start.place, contact.place)
     copy_values(start.frames, data.tools.frames)
