@@ -206,7 +206,7 @@ def kernel_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def law_njit(
-    digest: str, *, cached: bool = True, inner: bool = False, **options: Any
+    digest: str, *, cached: bool = True, inner: bool = False, allocates: bool = False, **options: Any
 ) -> Callable[[Callable[..., Any]], Any]:
     """Compile with `numba.njit` under a unique name, by default cached under a digest.
 
@@ -222,13 +222,16 @@ def law_njit(
     inner : bool
         True for a function that only compiled code calls. The wrapper for calls from Python is not
         compiled, which saves a quarter of the compilation for bodies of many arrays.
+    allocates : bool
+        True for a function that allocates arrays. Others are compiled without the reference counts of
+        arrays, which cost up to 40 % of their time; one that does allocate fails to compile.
     **options : Any
         Options of `numba.njit`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
         own = rename_for(digest, function)
-        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, **options)(own)
+        compiled = njit(no_cfunc_wrapper=True, no_cpython_wrapper=inner, _nrt=allocates, **options)(own)
         if cached:
             whole = law_digest(function.__module__, digest)
             enable_cache(compiled, lambda: _DigestCache(own, whole))

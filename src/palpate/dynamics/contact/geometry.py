@@ -260,7 +260,7 @@ def compute_patch_positions(contacts, u, positions):  # type: ignore[no-untyped-
         positions[i, 0], positions[i, 1], positions[i, 2] = x, y, z
 
 
-@kernel_njit()
+@kernel_njit(allocates=True)
 def compute_gaps(kind, sizes, pose, positions, result):  # type: ignore[no-untyped-def]
     """Write the signed distances [m] of positions (k, 3) to a tool in a pose (7,)."""
     frame = np.zeros((3, 4))

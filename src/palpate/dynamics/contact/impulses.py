@@ -85,7 +85,8 @@ def _find_active_patches(contacts, ahead, ratio, time, u, velocity, mass):  # ty
                 j = near[c]
                 inverse_mass[j] = 1.0 / mass[j] if time > prescribed_until[j] else 0.0
                 response += weights[c] ** 2 * inverse_mass[j]
-            impulses[k] *= ratio
+            for c in range(3):
+                impulses[k, c] *= ratio
             impulses[k, 3] = response
             _apply_to_patch(contacts, i, impulses[k, 0], impulses[k, 1], impulses[k, 2], velocity)
             active[count] = k

@@ -274,9 +274,9 @@ def _block(compliance, i, j, active, block):  # type: ignore[no-untyped-def]
             block[c, d] = value
 
 
-@kernel_njit()
+@kernel_njit(allocates=True)
 def secant_factor(stiffening, force):  # type: ignore[no-untyped-def]
-    """Return the secant factor h under a tool's force [N]."""
+    """Return the secant factor h under a tool's force [N], or under those of an array."""
     return (1.0 + force / stiffening[1]) ** -stiffening[0]
 
 

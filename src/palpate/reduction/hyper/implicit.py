@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
+from palpate.dynamics.material.relaxation import copy_values
 from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
@@ -131,7 +132,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         """Write -df/da of the first `count` coordinates, by central differences of `sizes` [unit of a]."""
         probe, ahead, behind = vectors[PROBE], vectors[AHEAD], vectors[BEHIND]
         for m in range(count):
-            probe[:] = a
+            copy_values(a, probe)
             probe[m] = a[m] + sizes[m]
             force(probe, integration_points, scratch, ahead)
             probe[m] = a[m] - sizes[m]

@@ -183,18 +183,6 @@ def shear_weights(of: IntegrationPoints) -> Floats:
     return of.weights if isinstance(of.coefficients, tuple) else of.weights * of.coefficients[:, -1]
 
 
-@kernel_njit(inner=True)
-def _branch_energy(weights, history):  # type: ignore[no-untyped-def]
-    """Return the energy [J] stored in the branches of relaxing tissue at the last evaluation."""
-    total = 0.0
-    for b in range(weights.shape[0]):
-        for lane in range(LANES):
-            total += weights[b, lane] * history.energy[b, lane]
-    for k in range(history.volume_energy.shape[0]):
-        total += history.volume_energy[k]
-    return total
-
-
 @cache
 def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
     """Compile force and energy of sampled bodies.
@@ -296,12 +284,12 @@ def sampled_energy(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             total += 0.5 * scratch.moments[k] * scratch.moments[k]
         if integration_points.relaxation.times.shape[0] > 0:
             force(columns, integration_points, scratch, scratch.spare)
-            if parameter_count:
-                total += _branch_energy(
-                    integration_points.weights * integration_points.coefficients[:, parameter_count], scratch.history
-                )
-            else:
-                total += _branch_energy(integration_points.weights, scratch.history)
+            for b in range(integration_points.weights.shape[0]):
+                for v in range(LANES):
+                    ratio = integration_points.coefficients[b, parameter_count, v] if parameter_count else 1.0
+                    total += ratio * integration_points.weights[b, v] * scratch.history.energy[b, v]
+            for k in range(scratch.history.volume_energy.shape[0]):
+                total += scratch.history.volume_energy[k]
         for m in range(columns.shape[0]):
             for k in range(columns.shape[0]):
                 total += 0.5 * columns[m] * integration_points.constant[m, k] * columns[k]

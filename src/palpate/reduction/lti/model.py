@@ -225,7 +225,7 @@ class LinearModel(CoordinateModel):
         return np.concatenate([own, bends])
 
 
-@kernel_njit(fastmath={"contract", "reassoc"})
+@kernel_njit(allocates=True, fastmath={"contract", "reassoc"})
 def propagate(x, E, G0, G1, impulse, f, kicks, history):  # type: ignore[no-untyped-def]
     """Advance x (N,) in place by t - 1 steps with inputs f (t, p), and write the states (t, N).
 

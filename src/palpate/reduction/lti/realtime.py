@@ -13,6 +13,7 @@ import numpy as np
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.loads.supports import PRESCRIBED
+from palpate.dynamics.material.relaxation import copy_values
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN, TRUST
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.lti.model import LinearModel
@@ -202,7 +203,7 @@ def _exponential(data, period):  # type: ignore[no-untyped-def]
                 result[i, j] += term[i, j]
     for _ in range(halvings):
         _multiply(result, result, product)
-        result[:] = product
+        copy_values(product, result)
     for i in range(n):
         for j in range(n):
             data.step[i, j] = result[i, j] * data.sizes[i] / data.sizes[j]
