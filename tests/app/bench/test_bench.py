@@ -74,6 +74,8 @@ def small(monkeypatch):
     )
     for name, value in {"BODIES": (4, 5), "MANY": 6, "SAMPLED": 24, "BEAM_MODES": 3}.items():
         monkeypatch.setattr(f"palpate.app.bench.cases.{name}", value)
+    monkeypatch.setattr("palpate.app.bench.full_body.SPACING", 0.016)
+    monkeypatch.setattr("palpate.app.bench.full_body.PRESS", 0.1)
 
 
 def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, capsys):
@@ -101,6 +103,11 @@ def test_the_report_and_the_table_hold_every_ratio_of_one_run(small, tmp_path, c
     assert (first["nodes"], second["nodes"]) == (64, 125)
     ratio = second["compiled_seconds_per_step"] / first["compiled_seconds_per_step"]
     assert large["compiled_step_ratio"] == pytest.approx(ratio)
+    full = report["full_body"]
+    for each in full["threads"]:
+        assert 0 < each["median_seconds"] <= each["seconds_99"]
+        assert each["nodes_in_real_time"] == pytest.approx(full["nodes"] * (1e-3 / each["mean_seconds"]) ** 0.75)
+    assert [each["threads"] for each in full["threads"]] == sorted({1, report["machine"]["threads"]})
     table = [line for line in (out / "report.md").read_text().splitlines() if line.startswith("|")]
     assert all(line.count("|") == 3 for line in table)
     assert f"{100 * fast['ratio']['strong']:.2g} % (strong form)" in "".join(table)

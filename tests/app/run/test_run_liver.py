@@ -93,6 +93,19 @@ def test_the_ball_starts_outside_presses_to_the_trained_depth_and_leaves(trained
 
 
 @pytest.mark.slow
+def test_the_full_liver_is_pressed_without_training(cache, tmp_path, capsys):
+    options = ["--full", "--spacing", "0.012", "--seconds", "1", "--out", str(tmp_path)]
+    assert main([*REALTIME[:3], *options]) == 0
+    printed = capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["tool"]["largest_force"] > 0.1
+    assert report["model"] == {"nodes": 1396}
+    assert "trust" not in printed
+    assert "largest force on the tool" in printed
+    assert not cache.exists()
+
+
+@pytest.mark.slow
 def test_a_model_from_a_file_is_pressed_and_the_force_is_reported(trained, swift, tmp_path, capsys):
     file = trained / "model.rom"
     assert main([*REALTIME, "--model", str(file), "--out", str(tmp_path)]) == 0
@@ -171,6 +184,9 @@ def test_a_model_without_contact_is_refused(run, held, tmp_path, assert_refused)
         (["--realtime", "--rate", "1"], ["--rate", "20000] Hz"]),
         (["--realtime", "--model", "nowhere.rom"], ["--model must be an existing file", "nowhere.rom"]),
         (["--realtime", "--model", __file__], [__file__, "not a palpate reduced model"]),
+        (["--realtime", "--full", "--model", __file__], ["--model must be left out with --full", __file__]),
+        (["--realtime", "--spacing", "0.01"], ["--spacing must be left out without --full"]),
+        (["--realtime", "--full", "--spacing", "0.1"], ["--spacing must be in [0.002, 0.012] m"]),
     ],
 )
 def test_bad_options_are_refused_in_one_line_and_no_file_is_left(cache, tmp_path, assert_refused, options, parts):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.app.bench.cases import beam_case, large_case
+from palpate.app.bench.full_body import full_case
 from palpate.app.common.console import Console, quantities_table
 from palpate.app.common.report import REPORTS, deliver, machine
 from palpate.faults import DivergenceError, integer_in_range
@@ -53,6 +54,7 @@ def bench(*, fine: bool = False, repeats: int = 3, out: Path, as_json: bool = Fa
         "machine": machine(),
         "repeats": repeats,
         "large": large_case(repeats, console),
+        "full_body": full_case(repeats, console),
         "beam": [],
     }
     for spacing, rounds, forms in (SMALL, FINE) if fine else (SMALL,):
@@ -73,7 +75,7 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
     rows: dict[str, str] = {}
     for case in report["beam"]:
         rows |= _beam_rows(case)
-    return rows | _large_rows(report["large"])
+    return rows | _large_rows(report["large"]) | _full_rows(report["full_body"])
 
 
 def _beam_rows(case: dict[str, Any]) -> dict[str, str]:
@@ -92,6 +94,17 @@ def _beam_rows(case: dict[str, Any]) -> dict[str, str]:
         f"{name}: the same, speed": f"{fast['real_time_factor']:.3g} times real time",
         f"{name}: time for the paper's pull of 1 s over the full model's": ratios,
     }
+
+
+def _full_rows(full: dict[str, Any]) -> dict[str, str]:
+    name, rows = f"full liver of {full['nodes']:,} nodes under a ball", dict[str, str]()
+    for case in full["threads"]:
+        on = f"{case['threads']} thread{'s' if case['threads'] > 1 else ''}"
+        rows[f"{name}: a period of 1 ms on {on}: mean, median, 99 %"] = ", ".join(
+            f"{1e3 * case[key]:.3g}" for key in ("mean_seconds", "median_seconds", "seconds_99")
+        ) + " ms"  # fmt: skip
+        rows[f"full body: nodes in real time on {on}"] = f"{case['nodes_in_real_time']:,.0f}"
+    return rows
 
 
 def _large_rows(large: dict[str, Any]) -> dict[str, str]:

@@ -63,12 +63,14 @@ def _add_liver(scenes: Any) -> None:
         description="Step a reduced model of a liver at a fixed rate while a ball presses it, slides and leaves, again "
         "and again. Report how well the rate was kept, and the force on the ball. Without --model, a small model is "
         "trained at the first start, in some minutes, and kept in the user's cache; if this is stopped, the next start "
-        "continues it.",
+        "continues it. With --full, step the full body.",
     )
     add = liver.add_argument
     add("--realtime", action="store_true", required=True, help="step at a fixed rate while the ball moves")
     text = "load this reduced model: model.rom of palpate train liver"
     add("--model", type=existing_file, metavar="FILE", help=text)
+    add("--full", action="store_true", help="step the full liver, without a reduced model; nothing is trained")
+    add("--spacing", type=number, metavar="M", help="with --full: distance between nodes [m] (default: 0.009)")
     _add_rate(liver, "")
     add_output(liver, "out/run")
 

@@ -41,7 +41,7 @@ UPDATE_INTERVAL = 0.1  # [s] between two updates of the progress bar
 
 
 def run_realtime(
-    make: Callable[[Console], tuple[ReducedModel, Poses, Contact | None]],
+    make: Callable[[Console], tuple[Any, Poses, Contact | None]],
     *,
     title: str,
     about: Mapping[str, Any],
@@ -55,8 +55,8 @@ def run_realtime(
     Parameters
     ----------
     make : function
-        Called after all checks; returns the model, the poses of the tool, and the tool that touches the body, or None
-        for one that moves the model's prescribed group.
+        Called after all checks; returns the reduced model or the full body, the poses of the tool, and the tool that
+        touches the body, or None for one that moves the model's prescribed group.
     title : str
     about : mapping
         More of the report's parameters.
@@ -98,7 +98,7 @@ def run_realtime(
         "parameters": {"seconds": seconds, "rate": rate, "spacing": body.cloud.spacing, **about},
         "material": asdict(body.material),
         "machine": machine(),
-        "model": body.report,
+        "model": body.report if isinstance(body, ReducedModel) else {"nodes": len(body.cloud)},
         "tool": _observations(out / BLACK_BOX, body),
         "timing": _timing(statistics),
     }
@@ -137,17 +137,22 @@ def _with_progress(poses: Poses, shown: Callable[[float, float], None]) -> Poses
     return path
 
 
-def _observations(black_box: Path, body: ReducedModel) -> dict[str, Any]:
-    """Return forces on the tool and error indicators over all periods."""
-    tables = body.report.get("held_out", {}).get("expected_error", {})
+def _observations(black_box: Path, body: Any) -> dict[str, Any]:
+    """Return forces on the tool and error indicators over all periods; a full body has no indicators."""
     import h5py
 
     with h5py.File(black_box) as file:
         force, trust = np.linalg.norm(file["force"][:], axis=1), file["trust"][:]
         moved, taken = np.linalg.norm(file["position"][:], axis=1), file["iterations"][:]
-    return {
+    found: dict[str, Any] = {
         "largest_force": float(force.max()),
         "largest_displacement": float(moved.max()),
+        "mean_steps_per_period": float(taken.mean()),
+    }
+    if not isinstance(body, ReducedModel):
+        return found
+    tables = body.report.get("held_out", {}).get("expected_error", {})
+    return found | {
         "largest_trust": float(trust.max()),
         "median_trust": float(np.median(trust)),
         "untrained_share": float(np.mean(trust > 1)),
@@ -156,7 +161,6 @@ def _observations(black_box: Path, body: ReducedModel) -> dict[str, Any]:
             for of in ("displacement", "force")
             if of in tables
         },
-        "mean_steps_per_period": float(taken.mean()),
     }
 
 
@@ -198,6 +202,22 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table]:
         "largest force on the tool": f"{tool['largest_force']:.3g} N",
         "farthest that the tool went": f"{1e3 * tool['largest_displacement']:.3g} mm",
         "steps of the model in a period": f"{tool['mean_steps_per_period']:.2g}",
+    }
+    if "largest_trust" in tool:
+        single |= _indicators(tool)
+    if "held_out" in report["model"]:
+        error = report["model"]["held_out"]["mean"].get("reaction")
+        single["error of reaction forces on held-out runs, mean"] = "-" if error is None else percent(error)
+    return [
+        quantities_table(title, ["computing (the model)", "lateness (the scheduler)"], rows),
+        quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
+        quantities_table("Tool", ["value"], {name: [value] for name, value in single.items()}),
+    ]
+
+
+def _indicators(tool: dict[str, Any]) -> dict[str, str]:
+    """Return the rows of the error indicators of a reduced model."""
+    return {
         "trust number, median; largest (above 1: not trained on)": (
             f"{tool['median_trust']:.2f}; {tool['largest_trust']:.2f}"
         ),
@@ -207,14 +227,6 @@ def _tables(report: dict[str, Any], statistics: Statistics) -> list[Table]:
             for of in ("displacement", "force")
         },
     }
-    if "held_out" in report["model"]:
-        error = report["model"]["held_out"]["mean"].get("reaction")
-        single["error of reaction forces on held-out runs, mean"] = "-" if error is None else percent(error)
-    return [
-        quantities_table(title, ["computing (the model)", "lateness (the scheduler)"], rows),
-        quantities_table("Periods", ["computing", "lateness"], _histogram(statistics), "time", "left"),
-        quantities_table("Tool", ["value"], {name: [value] for name, value in single.items()}),
-    ]
 
 
 def _error_text(error: dict[str, float | None] | None) -> str:

@@ -1,0 +1,105 @@
+"""Full bodies in real time: periods of the generated liver under a ball, on one processor core and on all."""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from palpate.app.common.console import Console
+from palpate.arrays import Floats
+from palpate.dynamics.contact.tools import Contact, Motion, Sphere
+from palpate.dynamics.run.period_report import FORCES, STEPS
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.meshfree.filling import fill
+from palpate.reduction.realtime.model import RealtimeModel, realtime_model
+from palpate.scenes.organ import liver_surface
+from palpate.tissue.materials import NeoHookean
+
+__all__ = ["PERIOD", "PRESS", "Periods", "PressedLiver", "full_case", "step_periods"]
+
+RADIUS, DEPTH, GAP = 0.02, 0.015, 0.002  # [m] of the ball; depth of the press; distance to the body before it
+PRESS, PERIOD = 0.4, 1e-3  # [s] duration of a press, and of a period
+SURFACE, SPACING = 0.004, 0.009  # [m]
+
+
+class PressedLiver:
+    """The generated liver, held at its back, and a ball that presses it and leaves.
+
+    Parameters
+    ----------
+    spacing : float [m]
+    """
+
+    def __init__(self, spacing: float) -> None:
+        cloud = fill(liver_surface(SURFACE), spacing=spacing)
+        points = cloud.points
+        cloud = cloud.with_group("back", points[:, 1] > np.quantile(points[:, 1], 0.85))
+        self.body = EnergySolid(cloud, NeoHookean(C1=1.1e3, density=1060.0, poisson=0.45), "back")
+        self.home = points[np.argmin(points[:, 1])] - np.array([0.0, RADIUS + GAP, 0.0])
+
+    def ball(self, motion: Motion) -> Contact:
+        """Return the ball with a motion."""
+        return Contact(Sphere(RADIUS), motion)
+
+    def displacement(self, time: float) -> Floats:
+        """Return the displacement (3,) [m] of the ball at a time [s] of the press."""
+        return np.array([0.0, (DEPTH + GAP) * np.sin(np.pi * min(time / PRESS, 1.0)) ** 2, 0.0])
+
+    def realtime(self) -> RealtimeModel:
+        """Return the body for the engine."""
+        return realtime_model(self.body, contact=self.ball(tuple(self.home)))
+
+
+class Periods(NamedTuple):
+    """Wall times (p,) [s] of periods, forces (p, 3) [N] of the ball, and the number of steps."""
+
+    seconds: Floats
+    forces: Floats
+    steps: int
+
+
+def step_periods(liver: PressedLiver, model: RealtimeModel) -> Periods:
+    """Step the periods of a press one after another, without a clock."""
+    q, v, report = np.zeros(len(model.rest)), np.zeros(len(model.rest)), np.zeros(FORCES + 12)
+    model.advance(model.data, q, v, np.zeros(12), PERIOD, report)  # compiles
+    seconds, forces, steps = [], [], 0
+    for k in range(round(PRESS / PERIOD)):
+        target = np.concatenate([liver.displacement((k + 1) * PERIOD), np.zeros(9)])
+        began = perf_counter()
+        model.advance(model.data, q, v, target, PERIOD, report)
+        seconds.append(perf_counter() - began)
+        forces.append(report[FORCES : FORCES + 3].copy())
+        steps += int(report[STEPS])
+    return Periods(np.array(seconds), np.array(forces), steps)
+
+
+def full_case(repeats: int, console: Console) -> dict[str, Any]:
+    """Measure periods of the pressed liver on one thread and on all, in turn.
+
+    The number of nodes in real time is that of a liver whose periods take a period in the mean. The cost of a body
+    grows as the number of its nodes to the power 4/3, because its stable step shrinks with the spacing.
+    """
+    console.say(f"full liver, {1e3 * SPACING:g} mm: {repeats} presses on each number of threads ...")
+    liver = PressedLiver(SPACING)
+    nodes, most = len(liver.body.cloud), numba.get_num_threads()
+    seconds: dict[int, list[Floats]] = {threads: [] for threads in sorted({1, most})}
+    for _ in range(repeats):
+        for threads, rounds in seconds.items():
+            numba.set_num_threads(threads)
+            rounds.append(step_periods(liver, liver.realtime()).seconds)
+    numba.set_num_threads(most)
+    return {"nodes": nodes, "spacing": SPACING, "threads": [_summary(t, r, nodes) for t, r in seconds.items()]}
+
+
+def _summary(threads: int, rounds: list[Floats], nodes: int) -> dict[str, float]:
+    mean = float(np.median([each.mean() for each in rounds]))
+    return {
+        "threads": threads,
+        "mean_seconds": mean,
+        "median_seconds": float(np.median(np.concatenate(rounds))),
+        "seconds_99": float(np.quantile(np.concatenate(rounds), 0.99)),
+        "nodes_in_real_time": nodes * (PERIOD / mean) ** 0.75,
+    }
