@@ -5,14 +5,15 @@ from __future__ import annotations
 import runpy
 from pathlib import Path
 from time import monotonic, sleep
+from typing import Any
 
 import numpy as np
 import pytest
 
 import palpate as pt
+from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.nodal import period as nodal
 from palpate.realtime.observable import make_observable
-from palpate.reduction.realtime.full_body import change_full_tool
 
 SIZE, SPACING, BALL = (0.03, 0.03, 0.02), 0.005, 0.012  # [m]
 HOME = np.array([0.015, 0.015, SIZE[2] + BALL + 0.0005])
@@ -40,7 +41,7 @@ class Stepped:
     """A body in the periods of an engine, without its thread."""
 
     def __init__(self, body, contact=None, **options):
-        self.model = pt.realtime_model(body, contact=ball(tuple(HOME)) if contact is None else contact, **options)
+        self.model: Any = pt.realtime_model(body, contact=contact or ball(tuple(HOME)), **options)
         self.q, self.v = np.zeros((2, len(self.model.rest)))
         self.report = np.zeros(20)
 
@@ -179,6 +180,7 @@ def test_a_period_with_too_long_steps_is_repeated_with_shorter_ones(block):
     reports = stepped.press(0.05, lambda t: depth(0.15))
     assert not reports[:, 0].any()
     assert clock[nodal.FREQUENCY] > 2 * before
+    assert clock[nodal.REPEATED] > 0
     assert np.abs(stepped.q).max() < SIZE[2]
 
 
@@ -190,6 +192,8 @@ def test_a_drift_of_the_sums_of_work_stops_no_body(block):
     stepped.model.data.clock[nodal.GIVEN] -= 1.0  # J, after hours of presses
     drifted, still = (each.press(0.1, lambda t: depth(0.15)) for each in (stepped, same))
     assert not drifted[:, 0].any()
+    assert stepped.model.data.clock[nodal.GAINED] == pytest.approx(1.0, rel=0.01)
+    assert same.model.data.clock[nodal.GAINED] == 0.0
     assert drifted[20:, 2].max() <= 2 * still[:, 2].max()
     np.testing.assert_allclose(drifted[-1, 10], still[-1, 10], rtol=0.02)
 
@@ -229,13 +233,119 @@ def test_another_tool_takes_the_place_of_the_first(block):
     stepped = Stepped(block)
     stepped.press(0.15)
     pose = np.concatenate([HOME + np.array([0.0, 0.0, 0.05]), [1.0, 0.0, 0.0, 0.0]])
-    change_full_tool(block, stepped.model.data, pt.tools.Capsule(0.01, 0.02), pose, 0.0)
+    stepped.model.change_tool(pt.tools.Capsule(0.01, 0.02), pose, 0.0)
     assert not stepped.to(np.zeros(3))[8:11].any()  # it is above the body
     stepped.to([0.0, 0.0, -0.05])
-    change_full_tool(block, stepped.model.data, None, pose, 0.0)
+    stepped.model.change_tool(None, pose, 0.0)
     assert not stepped.to([0.0, 0.0, -0.06])[8:11].any()
     with pytest.raises(pt.InputError, match="at least the spacing of the body, 5 mm"):
-        change_full_tool(block, stepped.model.data, pt.tools.Sphere(0.004), pose, 0.0)
+        stepped.model.change_tool(pt.tools.Sphere(0.004), pose, 0.0)
+
+
+CORNER = np.array([0.03, 0.015, 0.02])
+GRASP = pt.tools.Grasp(tuple(CORNER), 0.0051, tuple(CORNER))
+
+
+def turned(angle):
+    return np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+
+
+def test_a_slow_grasp_has_force_and_moment_of_a_run(block):
+    lift, angle = lambda t: depth(t) * np.array([0.7, 0.0, 0.7]), lambda t: 40 * depth(t)
+    stepped = Stepped(block, GRASP)
+    reports = np.array([stepped.to(lift(t), turned(angle(t))) for t in PERIOD * np.arange(1, 301)])
+    assert not reports[:, 0].any()
+    moving = pt.tools.Grasp(tuple(CORNER), 0.0051, lambda t: (tuple(CORNER + lift(t)), (angle(t), 0.0, 0.0)))
+    run = pt.rollout(block, [moving], duration=0.3, every=0.01, progress=False)
+    force, means = run.reactions["grasp"][1:], reports[:, 8:11].reshape(30, 10, 3).mean(axis=1)
+    assert np.abs(force).max() > 0.05
+    np.testing.assert_allclose(means, force, atol=0.02 * np.abs(force).max())
+    held = stepped.model.data.grip.node[: stepped.model.data.grip.numbers[0]]
+    at = block.cloud.points[held] + stepped.q.reshape(-1, 3)[held]
+    share = 1 - stepped.model.data.clock[nodal.BEHIND] / PERIOD  # of the last way; the body is behind the clock
+    time = 0.299 + share * PERIOD
+    wanted = (block.cloud.points[held] - CORNER) @ turned(angle(time)).T + CORNER + lift(time)
+    np.testing.assert_allclose(at, wanted, atol=1e-6)
+    balance = nodal_energy(stepped)
+    assert balance == pytest.approx(block.strain_energy(stepped.q.reshape(-1, 3)), abs=1e-6)
+
+
+def nodal_energy(stepped):
+    clock = stepped.model.data.clock
+    return clock[nodal.WORK] - clock[nodal.LOST] - clock[nodal.KINETIC_ENERGY]
+
+
+def test_the_work_of_forceps_is_in_the_energy_balance(block):
+    stepped = Stepped(block, GRASP)
+    for t in PERIOD * np.arange(1, 151):
+        stepped.to(depth(t) * np.array([0.7, 0.0, 0.7]), turned(40 * depth(t)))
+    strain = block.strain_energy(stepped.q.reshape(-1, 3))
+    assert strain > 1e-5
+    assert nodal_energy(stepped) == pytest.approx(strain, rel=0.01)
+
+
+def test_forceps_take_hold_of_strained_tissue_without_a_tug(block):
+    stepped = Stepped(block)
+    stepped.press(0.15)
+    held = np.array([stepped.to([0.0, 0.0, -depth(0.15)]) for _ in range(300)])[-1, 10]
+    assert abs(held) > 0.05
+    corner = np.flatnonzero(np.linalg.norm(block.cloud.points - CORNER, axis=1) < 1e-9)[0]
+    place = CORNER + stepped.q.reshape(-1, 3)[corner]
+    before = stepped.q.copy()
+    stepped.model.change_tool(Forceps(0.0051, CORNER, np.inf), np.array([*place, 1.0, 0, 0, 0]), 0.0)
+    forces = [np.abs(stepped.to(np.zeros(3))[8:11]).max() for _ in range(3)]
+    assert max(forces) < 0.1 * abs(held)
+    grip = stepped.model.data.grip
+    nodes = grip.node[: grip.numbers[0]]
+    moved = np.abs(stepped.q - before).reshape(-1, 3)
+    assert moved[nodes].max() < 1e-9 < moved.max()
+    stepped.model.change_tool(None, np.array([*place, 1.0, 0, 0, 0]), 0.0)
+    for _ in range(20):
+        assert not stepped.to(np.zeros(3))[8:11].any()
+    assert np.abs(stepped.q - before).reshape(-1, 3)[nodes].max() > 1e-5
+
+
+@pytest.mark.parametrize(
+    ("forceps", "message"),
+    [
+        (pt.tools.Grasp((0.0, 0.0, 0.2), 0.005, (0.0, 0.0, 0.2)), "within 5 mm of a surface node"),
+        (pt.tools.Grasp((0.0, 0.0, 0.0), 0.006, (0.0, 0.0, 0.0)), "away from supports"),
+        (pt.tools.Grasp(tuple(CORNER), 0.006, tuple(CORNER), until=1.0), "must be infinite in the engine"),
+    ],
+)
+def test_forceps_that_cannot_hold_are_refused(block, forceps, message):
+    with pytest.raises(pt.InputError, match=message):
+        pt.realtime_model(block, contact=forceps)
+
+
+def test_contact_stiffness_is_the_slope_of_the_force(block):
+    stepped, out, slopes = Stepped(block), np.zeros((12, 12)), []
+    for k in range(500):
+        report = stepped.to([0.0, 0.0, -0.004 * k / 500 - 0.0005])
+        if k % 50 == 0:
+            stepped.model.stiffness(stepped.model.data, stepped.q, out)
+            slopes.append((0.004 * k / 500, report[10], out[2, 2]))
+    z, force, stiffness = np.array(slopes).T
+    slope = np.gradient(force, -z)
+    assert slope[-1] > 20.0
+    np.testing.assert_allclose(stiffness[4:], np.diff(force)[3:] / -np.diff(z)[3:], rtol=1e-6)
+    np.testing.assert_array_equal(out, out.T)
+    stepped.to([0.0, 0.0, 0.05])
+    stepped.model.stiffness(stepped.model.data, stepped.q, out)
+    assert not out.any()
+
+
+def test_sliding_nodes_count_in_the_stable_step():
+    """A light node on a roller has the highest frequency of the body."""
+    body = pt.Solid(pt.box(SIZE, SPACING), law(), pt.Roller("z-", normal=(0.0, 0.0, 1.0)))
+    stepped = Stepped(body)
+    clock = stepped.model.data.clock
+    stepped.press(0.1)
+    data = stepped.model.data
+    sliding = data.sites.slide_of >= 0
+    assert np.abs(data.vector[sliding, :2]).max() > 0.0
+    assert not data.vector[sliding, 2].any()
+    assert clock[nodal.FREQUENCY] == pytest.approx(data.resting_frequency, rel=0.3)
 
 
 def test_an_engine_steps_a_full_body(block):
@@ -248,7 +358,6 @@ def test_an_engine_steps_a_full_body(block):
     reading = engine.read()
     assert reading.force[2] > 0.0
     assert reading.trust == 0.0
-    assert not reading.stiffness.any()
     engine.reset()
     assert not engine.read().coordinates.any()
 

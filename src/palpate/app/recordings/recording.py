@@ -24,16 +24,18 @@ from palpate.app.recordings.snapshot_arrays import (
     MAX_VALUE,
     SNAPSHOT_ARRAYS,
     VERSION,
+    coordinates_type,
     snapshot_arrays,
 )
 from palpate.arrays import Floats
 from palpate.dynamics.run.journal import is_journal
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import plain, regular_file, shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import Surface
-from palpate.reduction.storage.model_file import contents, model_of
+from palpate.reduction.realtime.full_surface import display_surface
+from palpate.reduction.storage.solid import body_contents, body_in
 from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 
 __all__ = [
@@ -62,7 +64,8 @@ class Recording:
     Parameters
     ----------
     title : str
-    model : ReducedModel
+    model : ReducedModel or EnergySolid
+        The reduced model or the full body of the session.
     times : (f,) array [s]
         Wall-clock time, from 0.
     snapshots : list of Snapshot
@@ -74,7 +77,7 @@ class Recording:
     """
 
     title: str
-    model: ReducedModel
+    model: ReducedModel | EnergySolid
     times: Floats
     snapshots: list[Snapshot]
     tools: list[dict[str, Any]]
@@ -99,9 +102,9 @@ def save_recording(path: Path, recording: Recording) -> None:
         raise InputError(f"path must not end in .vtkhdf, got {str(path)!r}; use .h5")
     path.parent.mkdir(parents=True, exist_ok=True)
     snapshots, model = recording.snapshots, recording.model
-    header, arrays = contents(model)
+    header, arrays = body_contents(model)
     arrays = {f"model/{name}": values for name, values in arrays.items()}
-    arrays |= {**snapshot_arrays(snapshots), "wall": np.array(recording.times, dtype=float)}
+    arrays |= {**snapshot_arrays(snapshots, model), "wall": np.array(recording.times, dtype=float)}
     if recording.full:
         full = recording.full
         arrays |= {"full/times": np.array(full["times"], dtype=float), "full/force": np.array(full["force"], float)}
@@ -123,7 +126,7 @@ def save_recording(path: Path, recording: Recording) -> None:
 
 def _write_surface(path: Path, recording: Recording) -> None:
     """Write the displacements and scalars of the surface to a file for ParaView, 25 snapshots a second."""
-    surface, cloud = Surface(recording.model), recording.model.cloud
+    surface, cloud = display_surface(recording.model), recording.model.cloud
     nothing = np.zeros(0, dtype=np.int64)
     cloud_shown = Cloud(
         surface.rest.astype(float), cloud.volumes[surface.nodes], nothing, np.zeros((0, 3)), np.zeros(0), {},
@@ -172,7 +175,7 @@ def read_recording(file: ArrayFile) -> Recording:
     if not isinstance(header["title"], str) or len(header["title"]) > MAX_TITLE_LENGTH:
         raise InputError(f"title must be text of at most {MAX_TITLE_LENGTH} characters, got {header['title']!r:.80}")
     arrays = {name: file.read(name) for name in file.arrays if not name.startswith("model/")}
-    model = model_of(header["model"], file, "model/")
+    model = body_in(header["model"], file, "model/")
     count = len(arrays["wall"]) if "wall" in arrays and arrays["wall"].ndim else 0
     shapes = _shapes(model, count, header["errors"] is not None)
     if arrays.keys() != shapes.keys() or not count:
@@ -187,7 +190,7 @@ def read_recording(file: ArrayFile) -> Recording:
         most = MAX_VALUE_OF.get(name, MAX_VALUE)
         if not (np.abs(arrays[name]) <= most).all():
             raise InputError(f"array {name} must be finite and within {most:g}, got other numbers")
-    _check_values(arrays, len(model.body.surface.nodes))
+    _check_values(arrays, len(model.body.surface.nodes if isinstance(model, ReducedModel) else model.cloud))
     tools = validate_tools(header["tools"], count)
     start, nodes, forces = (arrays[f"contact/{name}"] for name in ("start", "nodes", "forces"))
     parts = [slice(first, last) for first, last in pairwise(start)]
@@ -195,7 +198,7 @@ def read_recording(file: ArrayFile) -> Recording:
     return Recording(header["title"], model, arrays["wall"], snapshots, tools, _full(arrays, header["errors"]))
 
 
-def _shapes(model: ReducedModel, count: int, full: bool) -> dict[str, tuple[str, tuple[int | str, ...]]]:
+def _shapes(model: ReducedModel | EnergySolid, count: int, full: bool) -> dict[str, tuple[str, tuple[int | str, ...]]]:
     """Return type and shape of each array of a recording; sizes given by name must agree between arrays."""
     item_shapes = {
         "force": (3,),
@@ -205,16 +208,17 @@ def _shapes(model: ReducedModel, count: int, full: bool) -> dict[str, tuple[str,
         "quaternion": (4,),
         "stiffness": (3, 3),
     }
-    item_shapes |= {"coordinates": (model.count,)}
+    item_shapes |= {"coordinates": (model.count if isinstance(model, ReducedModel) else 3 * len(model.cloud),)}
     shapes: dict[str, tuple[str, tuple[int | str, ...]]] = {
         name: ("<f8", (count, *item_shapes.get(name, ()))) for name in SNAPSHOT_ARRAYS
     }
+    shapes["coordinates"] = (coordinates_type(model), shapes["coordinates"][1])
     shapes |= {"wall": ("<f8", (count,)), "tool": ("|u1", (count,)), "state": ("|u1", (count,))}
     shapes |= {"contact/start": ("<i8", (count + 1,)), "contact/nodes": ("<i8", ("contact",))}
     shapes |= {"contact/forces": ("<f8", ("contact", 3))}
     if full:
         shapes |= {"full/times": ("<f8", ("full",)), "full/force": ("<f8", ("full", 3))}
-        shapes |= {"full/positions": ("<f4", ("full", len(Surface(model).rest), 3))}
+        shapes |= {"full/positions": ("<f4", ("full", len(display_surface(model).rest), 3))}
     return shapes
 
 

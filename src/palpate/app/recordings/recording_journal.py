@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.recordings.snapshot_arrays import FORMAT, MAX_TITLE_LENGTH, VERSION, snapshot_arrays
 from palpate.dynamics.run.journal import Journal, is_journal, records
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.files import plain, shortened
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.storage.model_file import contents
+from palpate.reduction.storage.solid import body_contents
 from palpate.sealed import kind_of_file
 
 __all__ = ["JournalFile", "RecordingJournal", "is_recording", "read_journal"]
@@ -34,10 +35,10 @@ class RecordingJournal:
     ----------
     path : path
     title : str
-    model : ReducedModel
+    model : ReducedModel or EnergySolid
     """
 
-    def __init__(self, path: Path, title: str, model: ReducedModel) -> None:
+    def __init__(self, path: Path, title: str, model: ReducedModel | EnergySolid) -> None:
         self.path, self.count = path, 0  # of snapshots in the file
         self._title, self._model = shortened(title, MAX_TITLE_LENGTH), model
         self._journal: Journal | None = None
@@ -56,7 +57,7 @@ class RecordingJournal:
         """
         if self._journal is None:
             self._journal = self._begin()
-        arrays = {**snapshot_arrays(snapshots), "wall": np.array(times, dtype=float)}
+        arrays = {**snapshot_arrays(snapshots, self._model), "wall": np.array(times, dtype=float)}
         self._journal.add({"tools": plain(list(tools))}, arrays)
         self.count += len(times)
         if not self._journal.named:
@@ -64,7 +65,7 @@ class RecordingJournal:
         self._journal.flush()
 
     def _begin(self) -> Journal:
-        header, arrays = contents(self._model)
+        header, arrays = body_contents(self._model)
         journal = Journal(self.path)
         try:
             about = {"kind": FORMAT, "version": VERSION, "title": self._title, "model": header}

@@ -10,9 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
+from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["FORMAT", "MAX_TITLE_LENGTH", "MAX_VALUE", "SNAPSHOT_ARRAYS", "VERSION", "snapshot_arrays"]
+__all__ = [
+    "FORMAT",
+    "MAX_TITLE_LENGTH",
+    "MAX_VALUE",
+    "SNAPSHOT_ARRAYS",
+    "VERSION",
+    "coordinates_type",
+    "snapshot_arrays",
+]
 
 FORMAT, VERSION = "palpate recording", 3
 MAX_TITLE_LENGTH = 200  # characters
@@ -22,8 +32,13 @@ SNAPSHOT_ARRAYS = tuple(
 )
 
 
-def snapshot_arrays(snapshots: Sequence[Snapshot]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of at least one snapshot.
+def coordinates_type(model: ReducedModel | EnergySolid) -> str:
+    """Return the type of coordinates in a recording: nodal displacements of a full body have single precision."""
+    return "<f8" if isinstance(model, ReducedModel) else "<f4"
+
+
+def snapshot_arrays(snapshots: Sequence[Snapshot], model: ReducedModel | EnergySolid) -> dict[str, NDArray[Any]]:
+    """Return the arrays of at least one snapshot of a body.
 
     Raises
     ------
@@ -31,7 +46,11 @@ def snapshot_arrays(snapshots: Sequence[Snapshot]) -> dict[str, NDArray[Any]]:
         A number is not finite.
     """
     arrays: dict[str, NDArray[Any]] = {
-        name: np.array([getattr(each, name) for each in snapshots], dtype=float) for name in SNAPSHOT_ARRAYS
+        name: np.array(
+            [getattr(each, name) for each in snapshots],
+            dtype=coordinates_type(model) if name == "coordinates" else "<f8",
+        )
+        for name in SNAPSHOT_ARRAYS
     }
     arrays["trust"] = np.minimum(arrays["trust"], MAX_VALUE)  # unbounded for a body trained at rest
     arrays |= {

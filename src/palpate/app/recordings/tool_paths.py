@@ -15,6 +15,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.tools import Capsule, Contact, Grasp, Sphere
 from palpate.dynamics.loads.prepared import Load
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
+from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["MIN_SNAPSHOTS", "TOOL_NAME", "ToolPath", "make_load", "tool_paths"]
 
@@ -101,6 +102,7 @@ def make_load(
     if tool["kind"] == "grasp":
         relative = (rotations * rotations[0].inv()).as_quat(scalar_first=True)
         return Grasp(positions[0], tool["radius"], (times, positions, relative), name=TOOL_NAME)
+    assert isinstance(recording.model, ReducedModel)  # full bodies have no held groups
     group = recording.model.data.prescribed[0]
     centre = recording.model.cloud.points[recording.model.cloud.group(group)].mean(axis=0)
     centre = np.pad(centre, (0, 3 - len(centre)))

@@ -14,6 +14,7 @@ from palpate.app.train.folder import RECORDED, Folder, Job
 from palpate.dynamics.loads.prepared import Load
 from palpate.faults import InputError
 from palpate.files import read_bytes, whole_file
+from palpate.reduction.hyper.model import ReducedModel
 from palpate.scenes.scene import TrainingScene
 
 __all__ = ["add_recording", "path_of", "recorded_jobs"]
@@ -64,6 +65,11 @@ def add_recording(folder: Folder, scene: TrainingScene, path: Path) -> None:
 
 def _check(recording: Recording, scene: TrainingScene, path: Path) -> None:
     """Raise `InputError` for a recording of another body, or with tools that hold other groups."""
+    if not isinstance(recording.model, ReducedModel):
+        raise InputError(
+            f"{path} must be a recording of a reduced model, got one of a full body; record a session with a model of "
+            "this campaign"
+        )
     own, cloud = recording.model.cloud.points, scene.model.cloud
     if own.shape != cloud.points.shape or not np.allclose(own, cloud.points, atol=SAME_POINT * cloud.spacing):
         raise InputError(

@@ -16,7 +16,7 @@ from palpate.app.view.server.frames import colour_range
 from palpate.extras import require
 from palpate.faults import InputError
 from palpate.files import whole_file
-from palpate.reduction.realtime.display_surface import Surface
+from palpate.reduction.realtime.full_surface import display_surface
 
 __all__ = ["MOVIE_SUFFIXES", "Draw", "RecordingPlotter", "check_movie", "check_picture", "write_movie", "write_picture"]
 
@@ -99,7 +99,7 @@ class RecordingPlotter:
 
     def __init__(self, recording: Recording, scalar: str) -> None:
         check_drawing()
-        self.recording, self.scalar, self.surface = recording, scalar, Surface(recording.model)
+        self.recording, self.scalar, self.surface = recording, scalar, display_surface(recording.model)
         if scalar not in self.surface.scalars:
             allowed = ", ".join(map(repr, self.surface.scalars))
             raise InputError(f"scalar must be one of {allowed}, got {scalar!r}; choose one of these")

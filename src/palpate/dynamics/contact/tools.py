@@ -295,9 +295,13 @@ class Grasp(Described):
             )
         return replace(cloud, groups={**cloud.groups, self.name: nodes})
 
+    def poses(self, times: Floats) -> Floats:
+        """Return the tool's poses (t, 7) at some times [s]; errors as in `poses`."""
+        return poses(self._motion, times, f"motion of Grasp {self.name!r}")
+
     def displacement(self, points: Floats, time: float) -> Floats:
         """Return the displacements (g, 3) [m] of points (g, d) [m] at a time [s]."""
-        pose = poses(self._motion, np.array([time]), f"motion of Grasp {self.name!r}")[0]
+        pose = self.poses(np.array([time]))[0]
         origin = np.pad(np.asarray(self.point, dtype=float), (0, 3 - len(self.point)))
         arms = np.pad(points, ((0, 0), (0, 3 - points.shape[1]))) - origin
         rotated = Rotation.from_quat(pose[3:], scalar_first=True).apply(arms)

@@ -22,9 +22,11 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.passes import Formulation, internal_force
-from palpate.dynamics.contact.geometry import Contacts
+from palpate.dynamics.contact.geometry import Contacts, project
+from palpate.dynamics.contact.grip import COUNT, Grip, begin_grip, hold_nodes, store_velocities
 from palpate.dynamics.contact.impulses import push_patches
 from palpate.dynamics.loads.prepared import LoadSites
+from palpate.dynamics.loads.supports import FIXED
 from palpate.dynamics.material.relaxation import HistoryCopy, copy_history, copy_values, reset_history
 from palpate.dynamics.nodal.central_difference import (
     Damping,
@@ -37,7 +39,7 @@ from palpate.dynamics.nodal.central_difference import (
 )
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN
 
-__all__ = ["ContactReport", "NodalPeriodData", "nodal_period"]
+__all__ = ["ContactReport", "NodalPeriodData", "contact_stiffness", "nodal_period"]
 
 ESTIMATE_PERIODS = 16  # between two iterations for the highest frequency
 FREQUENCY_MARGIN = 1.05  # of the estimate, because an iteration converges from below
@@ -48,11 +50,14 @@ MAX_STEPS = 400  # in a period; beyond it the body's time runs slower
 MAX_ATTEMPTS, STIFFENING = 6, 1.6  # of a period, and factor of the frequency in the next attempt
 TRIALS_OF_ENERGY = 2  # repetitions after which a gain of energy is accepted
 MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
+LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
 # entries of `NodalPeriodData.clock`
-BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
+BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND, REPEATED, GAINED = range(11)
 # frames in `NodalPeriodData.path`
 START, END, HOME = range(3)
+# rows of `NodalPeriodData.secant` after those of the matrix
+POSITION, FORCE = 3, 4
 
 
 class ContactReport(NamedTuple):
@@ -86,10 +91,15 @@ class NodalPeriodData(NamedTuple):
     contacts : Contacts
         With one tool.
     scratch : StepScratch
-    clock : (9,) array
+    grip : Grip
+        Nodes that forceps hold.
+    clock : (11,) array
         Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
-        estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], and the
-        time by which the body will be behind.
+        estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
+        time by which the body will be behind, number of periods that were repeated with shorter steps, and
+        gains of energy that shorter steps did not cure [J].
+    secant : (5, 3) array
+        Contact stiffness [N/m], and position and force of the tool at its last update.
     tool_force : (12,) array
         Forces on the tool's coordinates in the last period with a step.
     path : (3, 3, 4) array
@@ -117,8 +127,10 @@ class NodalPeriodData(NamedTuple):
     damping: Damping
     sites: LoadSites
     contacts: Contacts
+    grip: Grip
     scratch: StepScratch
     clock: Floats
+    secant: Floats
     tool_force: Floats
     path: Floats
     resting_frequency: float
@@ -184,7 +196,58 @@ def _report_contact(data, duration, report):  # type: ignore[no-untyped-def]
             for c in range(3):
                 contact.push[count, c] = push[c] / data.clock[STEP]
             count += 1
+    for k in range(data.grip.numbers[COUNT]):
+        contact.node[count] = data.grip.node[k]
+        for c in range(3):
+            contact.push[count, c] = data.grip.impulse[k, c] / data.clock[STEP]
+        count += 1
     contact.numbers[0] = count
+
+
+@kernel_njit()
+def contact_stiffness(data, q, out):  # type: ignore[no-untyped-def]
+    """Write the contact stiffness into the first three rows and columns of (12, 12).
+
+    It follows from changes of force and position between calls, by Powell's symmetric Broyden update (in Nonlinear
+    Programming, Academic Press 1970): the matrix nearest to the last one that has the observed secant. It is zero
+    without contact, and holds along the directions in which the tool has moved.
+    """
+    secant, position, force = data.secant, data.path[END, :, 3], data.tool_force
+    touches = force[0] != 0.0 or force[1] != 0.0 or force[2] != 0.0
+    touched = secant[FORCE, 0] != 0.0 or secant[FORCE, 1] != 0.0 or secant[FORCE, 2] != 0.0
+    square, along = 0.0, 0.0
+    for i in range(3):
+        square += (position[i] - secant[POSITION, i]) ** 2
+    if touches and touched and square > LEAST_WAY**2:
+        for i in range(3):
+            along += _excess(secant, position, force, i) * (position[i] - secant[POSITION, i])
+        for i in range(3):
+            for j in range(i, 3):
+                way_i, way_j = position[i] - secant[POSITION, i], position[j] - secant[POSITION, j]
+                change = _excess(secant, position, force, i) * way_j + way_i * _excess(secant, position, force, j)
+                out[i, j] = secant[i, j] + (change - along * way_i * way_j / square) / square
+        for i in range(3):
+            for j in range(i, 3):
+                secant[i, j], secant[j, i] = out[i, j], out[i, j]
+    if not touches:
+        for i in range(3):
+            for j in range(3):
+                secant[i, j] = 0.0
+    if not touched or not touches or square > LEAST_WAY**2:
+        for i in range(3):
+            secant[POSITION, i], secant[FORCE, i] = position[i], force[i]
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = secant[i, j] if i < 3 and j < 3 else 0.0
+
+
+@kernel_njit(inner=True)
+def _excess(secant, position, force, i):  # type: ignore[no-untyped-def]
+    """Return component i of the change of force that the present matrix does not explain."""
+    value = force[i] - secant[FORCE, i]
+    for j in range(3):
+        value -= secant[i, j] * (position[j] - secant[POSITION, j])
+    return value
 
 
 @kernel_njit(inner=True)
@@ -225,8 +288,7 @@ def nodal_period(formulation: Formulation) -> Any:
         moved, largest_moved = scratch.surface, 0.0
         for i in range(u.shape[0]):
             for c in range(3):
-                free = sites.kind[i] == 0
-                moved[i, c] = vector[i, c] / largest + NOISE * noise[i, c] if free else 0.0
+                moved[i, c] = vector[i, c] / largest + NOISE * noise[i, c] if sites.kind[i] != FIXED else 0.0
                 largest_moved = max(largest_moved, abs(moved[i, c]))
         size = 0.0
         for i in range(u.shape[0]):
@@ -241,8 +303,13 @@ def nodal_period(formulation: Formulation) -> Any:
         grown = 0.0
         for i in range(u.shape[0]):
             for c in range(3):
-                image = (scratch.force[i, c] - moved[i, c]) / data.nodes.density
-                vector[i, c] = image if sites.kind[i] == 0 else 0.0
+                vector[i, c] = (
+                    (scratch.force[i, c] - moved[i, c]) / data.nodes.density if sites.kind[i] != FIXED else 0.0
+                )
+            if sites.slide_of[i] >= 0:
+                free = project(sites.slide, sites.slide_of[i], vector[i, 0], vector[i, 1], vector[i, 2])
+                vector[i, 0], vector[i, 1], vector[i, 2] = free
+            for c in range(3):
                 grown += vector[i, c] ** 2
         return np.sqrt(np.sqrt(grown / size))
 
@@ -271,7 +338,8 @@ def nodal_period(formulation: Formulation) -> Any:
     def take_steps(data, u, velocity, period):  # type: ignore[no-untyped-def]
         """Take the steps of a period; return their number, or -1 if a node moves too far in one."""
         clock, scratch, sites, contacts, path = data.clock, data.scratch, data.sites, data.contacts, data.path
-        body, work = data.passes
+        (body, work), grip = data.passes, data.grip
+        begin_grip(grip, contacts.points, u, contacts.frames[0, 1])
         step, behind = clock[STEP], clock[BEHIND]
         count = int((behind + period) / step * (1.0 + 1e-12))
         if count > MAX_STEPS:
@@ -288,10 +356,11 @@ def nodal_period(formulation: Formulation) -> Any:
             force_of(scratch.damped, body, work, scratch.force)
             clock[LOST] += damping_work(data.nodes.volumes, u, scratch)
             foundation_force(sites, u, velocity, data.nodes.volumes, scratch.surface)
+            store_velocities(grip, velocity)
             works = kick_nodes(
                 sites, data.free, data.nodes, scratch, (0.0, 0.0, 0.0), step, velocity, data.damping.alpha
             )
-            clock[WORK] += works[0]
+            clock[WORK] += works[0] + hold_nodes(grip, contacts, data.nodes.mass, step, u, velocity)
             clock[LOST] += works[1]
             works = push_patches(
                 contacts, False, (step, step, step, 0.0), 1.0, u, velocity, (data.nodes, scratch, (0.0, 0.0, 0.0))
@@ -317,6 +386,7 @@ def nodal_period(formulation: Formulation) -> Any:
         if at_rest:  # the start of a run, or a reset
             reset_history(history)
             clock[BEHIND], clock[WORK], clock[LOST], clock[KINETIC_ENERGY], clock[GIVEN] = 0.0, 0.0, 0.0, 0.0, 0.0
+            clock[REPEATED], clock[GAINED] = 0.0, 0.0
             for i in range(n):
                 for c in range(3):
                     data.scratch.previous[i, c] = 0.0
@@ -340,6 +410,7 @@ def nodal_period(formulation: Formulation) -> Any:
                 contacts.patch_impulses[:] = 0.0
                 clock[WORK], clock[LOST] = work_before, lost_before
                 clock[FREQUENCY] *= STIFFENING
+                clock[REPEATED] += 1.0 if attempt == 1 else 0.0
                 set_step(data)
             contacts.tool_impulses[:] = 0.0
             count = take_steps(data, u, velocity, period)
@@ -351,6 +422,7 @@ def nodal_period(formulation: Formulation) -> Any:
                 break
             if attempt == TRIALS_OF_ENERGY:  # shorter steps make no difference: the sums of work have drifted
                 clock[GIVEN] += excess
+                clock[GAINED] += excess
                 break
         if count < 0:
             copy_values(data.saved[0], u)

@@ -12,28 +12,13 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.geometry import rotation
 from palpate.dynamics.contact.tools import CAPSULE, Forceps, Tool
 from palpate.reduction.contact.surface import PAIRS
-from palpate.reduction.realtime.model import RealtimeModel
 from palpate.reduction.realtime.period import PeriodData
 
 __all__ = ["change_tool"]
 
 
-def change_tool(model: RealtimeModel, tool: Tool | None, pose: Floats, friction: float = 0.0) -> None:
-    """Replace the tool of a body in real time; the contact of the last tool ends.
-
-    Parameters
-    ----------
-    model : RealtimeModel
-        Made with a tool in contact.
-    tool : Sphere, Capsule, Plane, Punch, Forceps or None
-        None for a tool without contact.
-    pose : (7,) array
-        Pose of the tool: a position [m] and a unit quaternion. Later displacements and rotations
-        are relative to it.
-    friction : float
-        Coulomb's coefficient.
-    """
-    data: PeriodData = model.data
+def change_tool(data: PeriodData, tool: Tool | None, pose: Floats, friction: float) -> None:
+    """Replace the tool of a reduced body; see `palpate.reduction.realtime.model.RealtimeModel`."""
     tools, contact = data.tools, data.contact_work
     tools.kind[0] = CAPSULE if tool is None else tool.kind
     tools.sizes[0] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside

@@ -8,8 +8,10 @@ import numpy as np
 
 from palpate.arrays import Floats
 from palpate.dynamics.contact.geometry import rotation
-from palpate.dynamics.contact.tools import CAPSULE, PLANE, Contact, Forceps, Tool
+from palpate.dynamics.contact.grip import empty_grip, grasped_nodes, set_grip
+from palpate.dynamics.contact.tools import CAPSULE, PLANE, Contact, Forceps, Grasp, Sphere, Tool
 from palpate.dynamics.loads.foundation import Foundation
+from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
@@ -19,21 +21,25 @@ from palpate.faults import InputError
 __all__ = ["change_full_tool", "full_period"]
 
 MAX_WAY = 0.4  # of a node in a step, in spacings
+AWAY = 1e3  # [m] beyond the body, where a tool stays while forceps hold it
 
 
 def full_period(
-    model: NodalModel, contact: Contact, foundations: Sequence[Foundation]
+    model: NodalModel, contact: Contact | Grasp, foundations: Sequence[Foundation]
 ) -> tuple[object, NodalPeriodData]:
     """Return the compiled period of a full body and its data.
 
     Raises
     ------
     InputError
-        The body has the strong form, or the tool is in the body at the start.
+        The body has the strong form, the tool is in the body at the start, or forceps hold no free surface node.
     """
     if not model.conservative:
         raise InputError("model must have the energy form for the engine, got the strong form; leave form= out")
-    prepared, work = model.prepare([contact, *foundations]), model.workspace()
+    tool = contact
+    if isinstance(contact, Grasp):
+        tool = Contact(Sphere(2 * model.cloud.spacing), np.full(3, model.cloud.points.max() + AWAY))
+    prepared, work = model.prepare([tool, *foundations]), model.workspace()
     model.state(prepared)  # refuses a tool inside the body
     sites, contacts = prepared.with_scratch()
     n = len(model.cloud)
@@ -53,8 +59,10 @@ def full_period(
         damping=Damping(model.mass_damping, model.stiffness_damping, model.wave_speed),
         sites=sites,
         contacts=contacts,
+        grip=empty_grip(n),
         scratch=work.step,
-        clock=np.array([0.0, model.stability.step, frequency, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        clock=np.array([0.0, model.stability.step, frequency, *np.zeros(8)]),
+        secant=np.zeros((5, 3)),
         tool_force=np.zeros(12),
         path=path,
         resting_frequency=frequency,
@@ -64,9 +72,12 @@ def full_period(
         reach=MAX_WAY * model.cloud.spacing,
         saved=np.zeros((2, n, 3)),
         saved_history=history_copy(work.passes.history),
-        contact_work=ContactReport(np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(3, dtype=np.int64)),
+        contact_work=ContactReport(np.zeros(2 * n, dtype=np.int64), np.zeros((2 * n, 3)), np.zeros(3, dtype=np.int64)),
         free=np.zeros(0, dtype=np.bool_),
     )  # fmt: skip
+    if isinstance(contact, Grasp):
+        forceps = Forceps(contact.radius, contact.point, contact.until)
+        change_full_tool(model, data, forceps, contact.poses(np.zeros(1))[0], 0.0)
     return nodal_period(model.formulation), data
 
 
@@ -78,23 +89,27 @@ def change_full_tool(
     Raises
     ------
     InputError
-        The tool is smaller than the spacing, or holds nodes.
+        The tool is smaller than the spacing; forceps hold no surface node, a supported one, or have a time of
+        release.
     """
-    contacts, spacing = data.contacts, model.cloud.spacing
+    contacts, spacing, nodes = data.contacts, model.cloud.spacing, np.zeros(0, dtype=np.int64)
     if isinstance(tool, Forceps):
-        raise InputError("tool must touch the body, got forceps; a full body is not grasped in the engine yet")
+        if tool.until < np.inf:
+            raise InputError(f"until of forceps must be infinite in the engine, got {tool.until:g} s; change the tool")
+        nodes, tool = grasped_nodes(model.cloud, tool, data.sites.kind == FREE), None
     if tool is not None and tool.kind != PLANE and tool.sizes[0] < spacing:
         raise InputError(
             f"radius of the tool must be at least the spacing of the body, {1e3 * spacing:.3g} mm, got "
             f"{1e3 * tool.sizes[0]:.3g} mm; use a larger tool or a finer body"
         )
+    set_grip(data.grip, nodes)
     contacts.kind[0] = CAPSULE if tool is None else tool.kind
     contacts.sizes[0] = (-np.inf, 0.0, 0.0) if tool is None else tool.sizes  # every point is outside
     contacts.tool_radius[0] = 0.0 if tool is None else np.inf
     if tool is not None and tool.kind == CAPSULE:
         contacts.tool_radius[0] = tool.sizes[0] + tool.sizes[1]
     contacts.friction[0] = friction
-    contacts.patch_impulses[:] = 0.0
+    contacts.patch_impulses[:], data.secant[:], data.tool_force[:] = 0.0, 0.0, 0.0
     data.contact_work.numbers[:] = 0
     rotation(pose, data.path[HOME])
     data.path[START], data.path[END], contacts.frames[0, 1] = data.path[HOME], data.path[HOME], data.path[HOME]

@@ -14,9 +14,21 @@ import numpy as np
 from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
-from palpate.reduction.realtime.display_surface import SCALARS
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.realtime.display_surface import SCALARS, DisplaySurface, Surface
 
-__all__ = ["FullSurface"]
+__all__ = ["FullSurface", "display_surface"]
+
+
+def display_surface(model: ReducedModel | EnergySolid) -> DisplaySurface:
+    """Return the display surface of a reduced model or of a full body.
+
+    Raises
+    ------
+    InputError
+        The cloud has no triangles.
+    """
+    return Surface(model) if isinstance(model, ReducedModel) else FullSurface(model)
 
 
 class FullSurface:
@@ -45,9 +57,12 @@ class FullSurface:
         self._patches = model.patches[self.nodes].astype(np.float32)
 
     def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:
-        """Return the displacements (n, 3) [m] of the vertices for nodal displacements (3 n,)."""
+        """Return the displacements (n, 3) [m] of the vertices for nodal displacements (3 n,).
+
+        Forceps hold nodes, so under them the vertices are drawn at the nodes (`bonded`).
+        """
         moved = coordinates.reshape(-1, 3).astype(np.float32)
-        return np.ascontiguousarray(self._patches @ moved)
+        return np.ascontiguousarray(moved[self.nodes] if bonded else self._patches @ moved)
 
     @cached_property
     def _workspace(self) -> Any:

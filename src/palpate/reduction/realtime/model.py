@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.contact.geometry import rotation
-from palpate.dynamics.contact.tools import Contact, Grasp
+from palpate.dynamics.contact.tools import Contact, Grasp, Tool
 from palpate.dynamics.loads.foundation import Foundation
 from palpate.dynamics.loads.prepared import check_kinds, prepare_loads
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.model import NodalModel
+from palpate.dynamics.nodal.period import contact_stiffness as nodal_stiffness
 from palpate.faults import InputError, number_in_range
 from palpate.reduction.contact.surface import contact_scratch, rigid_tools
 from palpate.reduction.contact.tangent import contact_stiffness, contact_system
@@ -26,7 +28,8 @@ from palpate.reduction.hyper.reactions import tool_map
 from palpate.reduction.hyper.sampled_energy import scratch
 from palpate.reduction.lti.model import LinearModel
 from palpate.reduction.lti.realtime import LinearRealtime, linear_realtime
-from palpate.reduction.realtime.full_body import full_period
+from palpate.reduction.realtime.change_tool import change_tool
+from palpate.reduction.realtime.full_body import change_full_tool, full_period
 from palpate.reduction.realtime.period import (
     MAX_SUBSTEPS,
     POWER_SHAPE,
@@ -59,6 +62,10 @@ class RealtimeModel(NamedTuple):
         the largest force [N] so far. None without held-out runs with tools.
     catch_up : int
         Number of periods by which the engine may be late and still take them all.
+    change_tool : function, optional
+        ``change_tool(tool, pose, friction)`` replaces the tool in contact between two periods; the body keeps its state
+        and nothing is compiled. `tool` is a Sphere, Capsule, Plane, Punch, Forceps or None, `pose` (7,) its position
+        [m] and unit quaternion, to which later displacements and rotations are relative. The engine must be paused.
     """
 
     advance: Any
@@ -68,6 +75,7 @@ class RealtimeModel(NamedTuple):
     tool: Floats
     force_bound: Callable[[float, float], float] | None = None
     catch_up: int = 0
+    change_tool: Callable[[Tool | None, Floats, float], None] | None = None
 
 
 @overload
@@ -82,7 +90,7 @@ def realtime_model(
 
 @overload
 def realtime_model(
-    model: NodalModel | ReducedModel, *, contact: Contact | None, foundations: Sequence[Foundation] = ...
+    model: NodalModel | ReducedModel, *, contact: Contact | Grasp | None, foundations: Sequence[Foundation] = ...
 ) -> RealtimeModel: ...
 
 
@@ -103,7 +111,7 @@ def realtime_model(
     Parameters
     ----------
     model : ReducedModel, LinearModel, or Solid or Membrane in the energy form
-        A full body has no trust number, and no contact stiffness.
+        A full body has no trust number. Its contact stiffness follows from the tool's way and force.
     longest : float [s]
         Longest period that the engine may request.
     contact : Contact or Grasp, optional
@@ -198,19 +206,26 @@ def realtime_model(
         ),
     )
     advance, stiffness = period_functions(model.body.law, model.single)
+    bound = force_bound(reduced.report)
     if contact is None:
         tool = tool_map(model.body, reduced.prescribed[0])
-        return RealtimeModel(advance, stiffness, data, np.zeros(count), tool, force_bound(reduced.report))
-    return RealtimeModel(advance, contact_stiffness, data, np.zeros(count), np.eye(12), force_bound(reduced.report))
+        return RealtimeModel(advance, stiffness, data, np.zeros(count), tool, bound)
+    return RealtimeModel(
+        advance, contact_stiffness, data, np.zeros(count), np.eye(12), bound, change_tool=partial(change_tool, data)
+    )
 
 
 def _full_body(model: NodalModel, contact: Contact | Grasp | None, foundations: Sequence[Foundation]) -> RealtimeModel:
     """Return a full body for the engine."""
-    if not isinstance(contact, Contact):
-        raise InputError("contact must be a Contact for a full body in the engine, got none or a Grasp; give contact=")
+    if contact is None:
+        raise InputError("contact must be a Contact or a Grasp for a full body in the engine, got none; give contact=")
+    check_kinds([contact], (Contact, Grasp), "contact")
     _check_foundations(foundations)
     advance, data = full_period(model, contact, foundations)
-    return RealtimeModel(advance, None, data, np.zeros(3 * len(model.cloud)), np.eye(12), None, CATCH_UP)
+    return RealtimeModel(
+        advance, nodal_stiffness, data, np.zeros(3 * len(model.cloud)), np.eye(12),
+        catch_up=CATCH_UP, change_tool=partial(change_full_tool, model, data),
+    )  # fmt: skip
 
 
 def _check_foundations(foundations: Sequence[Foundation]) -> None:

@@ -14,48 +14,41 @@ from typing import Any
 
 import numpy as np
 
-from palpate.dynamics.loads.supports import Support, support_from, supports_of
-from palpate.dynamics.material.tissue import Tissue
 from palpate.faults import InputError, integer_in_range, number_in_range
-from palpate.files import json_of, plain, shortened
-from palpate.meshfree.cloud import Cloud
+from palpate.files import plain
 from palpate.reduction.contact.compliance import NO_COMPLIANCE
 from palpate.reduction.hyper.cubature import Cubature
 from palpate.reduction.hyper.material_point import Kinematics
 from palpate.reduction.hyper.model import ReducedData, ReducedModel
-from palpate.reduction.storage.compliance import COMPLIANCE, INTERIOR, read_compliance
-from palpate.reduction.storage.material import (
-    describe_fibres,
-    describe_material,
-    describe_regions,
-    fibres_of,
-    material_of,
-    regions_of,
+from palpate.reduction.storage.body import (
+    BODY_ATTRIBUTES,
+    BODY_LAYOUT,
+    REGIONS,
+    Arrays,
+    Header,
+    Layout,
+    body_arrays,
+    body_header,
+    body_of,
+    check_header,
+    check_shapes,
+    check_values,
+    mapping_in,
+    read_arrays,
+    supports_in,
 )
+from palpate.reduction.storage.compliance import COMPLIANCE, INTERIOR, read_compliance
 from palpate.sealed import ArrayFile, loading, open_sealed, write_sealed
 
 __all__ = ["REMEDY", "contents", "load_hyper_reduced", "model_of", "save_hyper_reduced"]
 
-Header = dict[str, Any]
-Arrays = dict[str, np.ndarray[Any, Any]]
-
 FORMAT, VERSION = "palpate reduced model", 12
 REMEDY = "copy the file again, or train the model again"
 MAX_NAME_LENGTH = 200  # characters of a scene's name
-MAX_NUMBER = 1e30  # in a file, in SI units
 
 # One line per dataset: its type, and its shape in sizes that all datasets share.
-LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "cloud/points": ("<f8", ("nodes", "space")),
-    "cloud/volumes": ("<f8", ("nodes",)),
-    "cloud/face_nodes": ("<i8", ("faces",)),
-    "cloud/face_normals": ("<f8", ("faces", "space")),
-    "cloud/face_areas": ("<f8", ("faces",)),
-    "cloud/group_sizes": ("<i8", ("groups",)),
-    "cloud/group_nodes": ("<i8", ("members",)),
-    "cloud/triangles": ("<i8", ("triangles", 3)),
+LAYOUT: Layout = BODY_LAYOUT | {
     "volumes": ("<f8", ("nodes",)),
-    "stiffness": ("<f8", ("nodes",)),
     "basis_vectors": ("<f4", ("basis_vectors", "nodes", 3)),
     "cubature/nodes": ("<i8", ("integration_points",)),
     "cubature/weights": ("<f8", ("integration_points",)),
@@ -63,7 +56,6 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "gradients": ("<f8", ("integration_points", "basis_vectors", 9)),
     "constant": ("<f8", ("basis_vectors", "basis_vectors")),
     "training_states": ("<f8", ("states", "coordinates")),
-    "fibres/directions": ("<f8", ("families", "nodes", 3)),
     "compliance/nodes": ("<i8", ("touched",)),
     "compliance/carriers": ("<i8", ("touched", "carried")),
     "compliance/weights": ("<f8", ("touched", "carried")),
@@ -74,22 +66,9 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "compliance/shares": ("<f8", ("touched", "patched")),
     "compliance/stiffening": ("<f8", (2,)),
 }
-# with several materials
-REGIONS: dict[str, tuple[str, tuple[str | int, ...]]] = {"regions": ("<i8", ("nodes",))}
-# datasets of node numbers
-NODES = (
-    "cloud/face_nodes",
-    "cloud/group_nodes",
-    "cloud/triangles",
-    "cubature/nodes",
-    "compliance/nodes",
-    "interior/nodes",
-)
 CURVE = ("bound", "exponent", "largest_trust", "least_size", "least_trust", "median")  # of an expected error
-ATTRIBUTES = {
-    "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
-    "groups": list, "spacing": float, "supports": str, "prescribed": list,
-    "stiffness_damping": float, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
+ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {
+    "prescribed": list, "wave_speed": float, "modes": int, "lifting_count": int, "residual": float,
     "distance_scale": float, "report": str,
     "sheet": bool, "prestretch": float, "relaxed": bool, "taut_frequency": float,
     "residual_fields": int, "residual_scale": float, "load_scale": float,
@@ -147,7 +126,7 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
     """
     data, rule = model.data, {"step": float(model.step or 0.0), "single": bool(model.single)}
     header, arrays = _header(data) | rule, _arrays(data)
-    _check_header(header)
+    check_header(header, ATTRIBUTES)
     _step_rule(header)
     if _data(header, _check_shapes(header, arrays)).tissue.material != data.tissue.material:
         raise InputError(f"the file would not give {data.tissue.material} back")
@@ -156,14 +135,8 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
 
 def _header(data: ReducedData) -> Header:
     return {
-        **describe_material(data.tissue.material),
-        "fibres": describe_fibres(data.tissue.fibres),
-        "regions": describe_regions(data.tissue.regions),
-        "groups": list(data.cloud.groups),
-        "spacing": float(data.cloud.spacing),
-        "supports": json.dumps([support.values() for support in data.supports]),
+        **body_header(data.cloud, data.tissue, data.supports, data.stiffness_damping),
         "prescribed": list(data.prescribed),
-        "stiffness_damping": float(data.stiffness_damping),
         "wave_speed": float(data.wave_speed),
         "modes": int(data.modes),
         "lifting_count": int(data.lifting_count),
@@ -183,17 +156,10 @@ def _header(data: ReducedData) -> Header:
 
 
 def _arrays(data: ReducedData) -> Arrays:
-    groups = list(data.cloud.groups.values())
-    compliance, tissue = data.compliance or NO_COMPLIANCE, data.tissue
-    values: dict[str, Any] = {
-        "cloud/group_sizes": [len(nodes) for nodes in groups],
-        "cloud/group_nodes": [node for nodes in groups for node in nodes],
-        "stiffness": tissue.stiffness if len(tissue.stiffness) else np.ones(tissue.nodes),
-        "regions": None if tissue.regions is None else tissue.regions.which,
-        "fibres/directions": np.zeros((0, tissue.nodes, 3)) if tissue.fibres is None else tissue.fibres.directions,
-        **{f"compliance/{name}": getattr(compliance, name) for name in COMPLIANCE},
-    }
-    layout = LAYOUT if tissue.regions is None else LAYOUT | REGIONS
+    compliance = data.compliance or NO_COMPLIANCE
+    values: dict[str, Any] = body_arrays(data.cloud, data.tissue)
+    layout = LAYOUT if "regions" not in values else LAYOUT | REGIONS
+    values |= {f"compliance/{name}": getattr(compliance, name) for name in COMPLIANCE}
     if compliance.interior is not None:
         layout = layout | INTERIOR
         values |= {f"interior/{name}": array for name, array in compliance.interior._asdict().items()}
@@ -215,31 +181,14 @@ def model_of(header: Header, file: ArrayFile, prefix: str = "") -> ReducedModel:
     InputError
         The content is not that of a reduced model.
     """
-    _check_header(header)
-    layout = _layout(header, f"{prefix}interior/nodes" in file.arrays)
-    own = {name.removeprefix(prefix) for name in file.arrays if name.startswith(prefix)}
-    if own != layout.keys():
-        odd = sorted(own ^ layout.keys())[0]
-        raise InputError(f"array {shortened(odd)} is {'missing' if odd in layout else 'not one of a model'}")
-    arrays = {name: file.read(prefix + name) for name in layout}
+    check_header(header, ATTRIBUTES)
+    arrays = read_arrays(file, prefix, _layout(header, f"{prefix}interior/nodes" in file.arrays))
     return ReducedModel(_data(header, _check_shapes(header, arrays)), **_step_rule(header))
 
 
 def _layout(header: Header, interior: bool) -> dict[str, tuple[str, tuple[str | int, ...]]]:
     layout = LAYOUT if header["regions"] == "[]" else LAYOUT | REGIONS
     return layout | INTERIOR if interior else layout
-
-
-def _check_header(header: Header) -> None:
-    if header.keys() != ATTRIBUTES.keys():
-        odd = sorted(header.keys() ^ ATTRIBUTES.keys())[0]
-        raise InputError(f"header {shortened(odd)} is {'missing' if odd in ATTRIBUTES else 'not one of a model'}")
-    for name, kind in ATTRIBUTES.items():
-        given: Any = header[name]
-        if not (type(given) is kind or (kind is float and type(given) is int)):
-            raise InputError(f"header {name} must be of type {kind.__name__}, got {given!r:.60}")
-        if isinstance(given, list) and not (all(isinstance(n, str) for n in given) and len(set(given)) == len(given)):
-            raise InputError(f"header {name} must be a list of different names, got {given!r:.60}")
 
 
 def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
@@ -251,19 +200,10 @@ def _check_shapes(header: Header, arrays: Arrays) -> Arrays:
         "groups": len(header["groups"]),
         "coordinates": coordinates,
         "basis_vectors": coordinates
-        + 3 * len(_supports(header))
+        + 3 * len(supports_in(header))
         + integer_in_range("residual_fields", header["residual_fields"], 0),
     }
-    for name, (dtype, shape) in _layout(header, "interior/nodes" in arrays).items():
-        data = arrays[name]
-        expected = tuple(sizes.get(size, size) for size in shape)
-        fits = len(expected) == data.ndim and all(
-            found == size or isinstance(size, str) for found, size in zip(data.shape, expected, strict=True)
-        )
-        if not fits or data.dtype != dtype:
-            wanted = f"({', '.join(map(str, expected))}) of {dtype}"
-            raise InputError(f"array {name} has shape {data.shape} of {data.dtype.str}, expected {wanted}")
-        sizes.update(zip(shape, data.shape, strict=True))
+    check_shapes(arrays, _layout(header, "interior/nodes" in arrays), sizes)
     return arrays
 
 
@@ -271,34 +211,18 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
     """Return the data of a model; refuse values out of range."""
     _check_values(arrays)
     own: dict[str, Any] = {n: a.astype(int if a.dtype.kind == "i" else float) for n, a in arrays.items()}
-    ends = np.cumsum(own["cloud/group_sizes"])
-    groups = np.split(own["cloud/group_nodes"], ends[:-1]) if len(ends) else []
-    cloud = Cloud(
-        own["cloud/points"], own["cloud/volumes"], own["cloud/face_nodes"], own["cloud/face_normals"],
-        own["cloud/face_areas"], dict(zip(header["groups"], groups, strict=True)), own["cloud/triangles"],
-        number_in_range("spacing", header["spacing"], 0.0, open_low=True, unit="m"),
-    )  # fmt: skip
-    supports = _supports(header)
+    cloud, tissue, supports = body_of(header, own)
     if bool(header["prescribed"]) != bool(header["lifting_count"]):
         raise InputError(
             f"header lifting_count must be positive for models with prescribed groups only, got "
             f"{header['lifting_count']} for {len(header['prescribed'])} groups"
         )
-    for name in (*(support.group for support in supports), *header["prescribed"]):
+    for name in header["prescribed"]:
         cloud.group(name)
     residual = number_in_range("residual", header["residual"], 0.0)
-    material = material_of(
-        header["material"],
-        _mapping("parameters", header["parameters"]),
-        header["expression"],
-        _mapping("prony", header["prony"]),
-    )
-    regions = regions_of(_json("regions", header["regions"]), own.get("regions", np.zeros(0, dtype=int)), material)
-    factors = own["stiffness"] if np.any(own["stiffness"] != 1.0) else np.zeros(0)
-    fibres = fibres_of(_mapping("fibres", header["fibres"]), own["fibres/directions"])
     return ReducedData(
         cloud=cloud,
-        tissue=Tissue(material, regions, factors, fibres, len(cloud)),
+        tissue=tissue,
         supports=supports,
         prescribed=tuple(header["prescribed"]),
         volumes=own["volumes"],
@@ -318,7 +242,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         flexibility_scale=number_in_range(
             "flexibility_scale", header["flexibility_scale"], 0.0, open_low=True, unit="J"
         ),
-        report=_report(_mapping("report", header["report"])),
+        report=_report(mapping_in("report", header["report"])),
         kinematics=Kinematics(
             header["sheet"], number_in_range("prestretch", header["prestretch"], 1.0), header["relaxed"]
         ),
@@ -364,42 +288,10 @@ def _step_rule(header: Header) -> Header:
 
 
 def _check_values(arrays: Arrays) -> None:
-    count = len(arrays["cloud/points"])
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise InputError(f"array {name} holds numbers that are not finite")
-        if array.dtype.kind == "f" and array.size and np.abs(array).max() > MAX_NUMBER:
-            raise InputError(f"array {name} holds numbers beyond {MAX_NUMBER:g}")
-        if name in NODES and not np.all((array >= 0) & (array < count)):
-            raise InputError(f"array {name} names nodes outside 0..{count - 1}")
+    check_values(arrays)
     if not len(arrays["training_states"]):
         raise InputError("array training_states must hold at least one state")
     if np.any(arrays["cubature/weights"] < 0):
         raise InputError("array cubature/weights holds negative weights")
-    for name in ("volumes", "stiffness"):
-        if not np.all(arrays[name] > 0):
-            raise InputError(f"array {name} holds {name} that are not positive")
-    sizes, members = arrays["cloud/group_sizes"], len(arrays["cloud/group_nodes"])
-    if np.any(sizes < 1) or sizes.sum() != members:
-        raise InputError(f"array cloud/group_sizes does not share out the {members} entries of cloud/group_nodes")
-
-
-def _supports(header: Header) -> tuple[Support, ...]:
-    listed = _json("supports", header["supports"])
-    if not isinstance(listed, list) or not all(isinstance(values, dict) for values in listed):
-        raise InputError("header supports is not a list of mappings")
-    return supports_of(support_from(values) for values in listed)
-
-
-def _json(name: str, text: str) -> Any:
-    try:
-        return json_of(text)
-    except InputError as error:
-        raise InputError(f"header {name}: {error}") from error
-
-
-def _mapping(name: str, text: str) -> dict[str, Any]:
-    values = _json(name, text)
-    if not isinstance(values, dict):
-        raise InputError(f"header {name} is not a mapping")
-    return values
+    if not np.all(arrays["volumes"] > 0):
+        raise InputError("array volumes holds volumes that are not positive")

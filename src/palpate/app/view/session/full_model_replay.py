@@ -17,6 +17,7 @@ from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.files import shortened
+from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.scenes.names import SCENES
 from palpate.scenes.training import search_current_folder, training_scene, typed
@@ -45,7 +46,7 @@ def full_model(recording: Recording, trusted_scene: str | None = None) -> Model:
         The recording names no scene, a scene other than `trusted_scene`, or a scene that is not palpate's; or the
         scene's body is not the recorded one.
     """
-    scene_record = recording.model.report.get("scene")
+    scene_record = _reduced(recording).report.get("scene")
     if not scene_record:
         raise InputError(
             "recording must have a model that names its training scene, got one without; train the model by "
@@ -76,6 +77,13 @@ def full_model(recording: Recording, trusted_scene: str | None = None) -> Model:
     return model
 
 
+def _reduced(recording: Recording) -> ReducedModel:
+    """Return the reduced model of a recording; raise `InputError` for one of a full body."""
+    if not isinstance(recording.model, ReducedModel):
+        raise InputError("full must be left out for a recording of a full body, got one; replay it without --full")
+    return recording.model
+
+
 def tool_path(recording: Recording) -> tuple[slice, dict[str, Any]]:
     """Return the range of snapshots with an active tool, and the description of the tool.
 
@@ -85,6 +93,7 @@ def tool_path(recording: Recording) -> tuple[slice, dict[str, Any]]:
         The recording has no active tool or several ones, the body was not at rest at first, the session was reset, or
         the moduli were changed.
     """
+    _reduced(recording)
     active = np.array([snapshot.tool != "none" for snapshot in recording.snapshots])
     if not active.any():
         raise InputError("recording must have an active tool, got none; record a press or a grasp")
@@ -103,7 +112,7 @@ def tool_path(recording: Recording) -> tuple[slice, dict[str, Any]]:
 
 def _check_path(recording: Recording, snapshots: list[Snapshot], kind: str) -> None:
     """Raise InputError for a path that the full model cannot follow."""
-    model, times = recording.model, np.array([snapshot.time for snapshot in snapshots])
+    model, times = _reduced(recording), np.array([snapshot.time for snapshot in snapshots])
     if any(snapshot.tool != kind for snapshot in snapshots):
         raise InputError(f"tools of the snapshots must all be {kind!r}, got another one; record the session again")
     if kind == "group" and len(model.data.prescribed) != 1:
@@ -164,7 +173,7 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
     load = make_load(recording, tool, snapshots, times)
     every = float(times[-1] / (len(times) - 1))
     run = rollout(model, [load], duration=float(times[-1]), every=every)
-    surface = Surface(recording.model)
+    surface = Surface(_reduced(recording))
     at = np.array([int(np.argmin(np.abs(run.times - t))) for t in times])
     displacements = run.displacements[at][:, surface.nodes]
     if isinstance(load, Contact):

@@ -27,12 +27,17 @@ class Recorder:
         Returns the present snapshot and the description of the selected tool; called from the recorder's thread.
     journal : RecordingJournal
         Receives the snapshots twice a second, and the rest at the end.
+    interval : float [s]
+        Between two snapshots.
     """
 
     def __init__(
-        self, describe_period: Callable[[], tuple[Snapshot, dict[str, Any]]], journal: RecordingJournal
+        self,
+        describe_period: Callable[[], tuple[Snapshot, dict[str, Any]]],
+        journal: RecordingJournal,
+        interval: float = RECORDING_INTERVAL,
     ) -> None:
-        self._describe_period, self.journal = describe_period, journal
+        self._describe_period, self.journal, self._interval = describe_period, journal, interval
         self.times: list[float] = []
         self.snapshots: list[Snapshot] = []
         self.tools: list[dict[str, Any]] = []
@@ -76,5 +81,5 @@ class Recorder:
                 self.tools.append({**tool, "start": len(self.times)})
             self.snapshots.append(snapshot)
             self.times.append(now)
-            due = max(due + RECORDING_INTERVAL, now)
+            due = max(due + self._interval, now)
             self._end.wait(max(0.0, due - (time.monotonic() - start)))

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from palpate.app.recordings.recording import Recording
 from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
-from palpate.reduction.realtime.display_surface import DisplaySurface, Surface
+from palpate.reduction.realtime.display_surface import DisplaySurface
+from palpate.reduction.realtime.full_surface import display_surface
 
 __all__ = ["Replay"]
 
@@ -30,7 +32,7 @@ class Replay:
 
     def __init__(self, recording: Recording) -> None:
         self.recording, self.title = recording, recording.title
-        self.surface: DisplaySurface = Surface(recording.model)
+        self.surface: DisplaySurface = display_surface(recording.model)
         self.duration = float(recording.times[-1])
         self.pause_reason: str | None = None
         self.notifications: list[dict[str, Any]] = []
@@ -64,7 +66,7 @@ class Replay:
             "tools": [], "tool": self._describe_tool(), "materials": [], "rate": None,
             "training_errors": training_errors(self.recording.model),
             "scalars": scalar_descriptions(self.surface), "duration": self.duration,
-            "overlay": bool(self.recording.full),
+            "overlay": bool(self.recording.full), "full": isinstance(self.recording.model, EnergySolid),
             "errors": self.recording.full.get("errors"),
         }  # fmt: skip
 

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from palpate.app.recordings.recording import Recording, SurfaceFileError, save_recording
+from palpate.app.recordings.recording import RECORDING_INTERVAL, Recording, SurfaceFileError, save_recording
 from palpate.app.recordings.recording_journal import RecordingJournal
 from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
+from palpate.app.recordings.snapshot_arrays import coordinates_type
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.recorder import Recorder
 from palpate.app.view.session.tool_control import (
@@ -36,10 +37,8 @@ from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.change_tool import change_tool
-from palpate.reduction.realtime.display_surface import DisplaySurface, Surface
-from palpate.reduction.realtime.full_body import change_full_tool
-from palpate.reduction.realtime.full_surface import FullSurface
+from palpate.reduction.realtime.display_surface import DisplaySurface
+from palpate.reduction.realtime.full_surface import display_surface
 from palpate.reduction.realtime.model import realtime_model
 
 __all__ = ["Session"]
@@ -47,6 +46,7 @@ __all__ = ["Session"]
 
 RATE = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
+FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
 SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
 ABSENT_TOOL_DISTANCE = 10.0  # [m] beyond the body, where an absent tool is
@@ -77,7 +77,7 @@ class Session:
 
     def __init__(self, model: ReducedModel | EnergySolid, title: str, rate: float = RATE) -> None:
         self.model, self.title, self.rate = model, title, rate
-        self.surface: DisplaySurface = Surface(model) if isinstance(model, ReducedModel) else FullSurface(model)
+        self.surface: DisplaySurface = display_surface(model)
         self._workspace = ToolWorkspace(self.surface)
         self.is_full = not isinstance(model, ReducedModel)
         self.accepts_tools = not isinstance(model, ReducedModel) or (
@@ -88,8 +88,8 @@ class Session:
         self._realtime_model = realtime_model(model, contact=contact)
         self._tool_origin, self._tool_rotation = np.zeros(3), NO_ROTATION  # when the tool was put down
         self.tool, self.selected_tool = NO_TOOL, NO_TOOL
-        if self.accepts_tools:
-            self._replace_shape(None, np.concatenate([np.zeros(3), NO_ROTATION]), 0.0)
+        if self._realtime_model.change_tool is not None:
+            self._realtime_model.change_tool(None, np.concatenate([np.zeros(3), NO_ROTATION]), 0.0)
         elif isinstance(model, ReducedModel):
             centre = model.cloud.points[model.cloud.group(model.data.prescribed[0])].mean(axis=0)
             self._tool_origin[: len(centre)] = centre
@@ -118,10 +118,9 @@ class Session:
                 stiffness=reading.stiffness, trust=reading.trust, position=self._tool_origin + observed.tool_position,
                 quaternion=compose_rotations(self._tool_rotation, reading.quaternion), sequence=reading.sequence,
                 kinetic=reading.kinetic, strain=reading.strain, computing=reading.computing, lateness=reading.lateness,
-                coordinates=observed.coordinates, state=reading.state, device_force=observed.device_force,
-                contact_nodes=observed.contact_nodes, contact_forces=observed.contact_forces,
-                modulus_ratio=observed.modulus_ratio,
-                tool=self.tool.kind,
+                coordinates=observed.coordinates.astype(coordinates_type(self.model)), state=reading.state,
+                device_force=observed.device_force, contact_nodes=observed.contact_nodes,
+                contact_forces=observed.contact_forces, modulus_ratio=observed.modulus_ratio, tool=self.tool.kind,
             )  # fmt: skip
 
     def _read_period(self) -> tuple[Reading, Observation]:
@@ -183,7 +182,7 @@ class Session:
         """Kinds of tools that a user may select."""
         if not self.accepts_tools:
             return []
-        return ["sphere", "capsule"] if self.is_full else ["sphere", "capsule", "grasp"]
+        return ["sphere", "capsule", "grasp"]
 
     # commands
 
@@ -283,12 +282,10 @@ class Session:
         OSError
             No file can be created in the session's folder.
         """
-        if not isinstance(self.model, ReducedModel):
-            raise InputError("record must be left out for a full body, whose sessions cannot be kept yet; use a model")
         if self._recorder is not None:
             raise InputError("record must be 'stop' during a recording, got 'start'; stop the present one first")
         journal = RecordingJournal(path or _create_file(self.folder), self.title, self.model)
-        self._recorder = Recorder(self._describe_period, journal)
+        self._recorder = Recorder(self._describe_period, journal, FULL_INTERVAL if self.is_full else RECORDING_INTERVAL)
 
     def _start_file(self) -> None:
         try:
@@ -314,7 +311,7 @@ class Session:
         InputError
             No recording is in progress.
         """
-        if self._recorder is None or not isinstance(self.model, ReducedModel):
+        if self._recorder is None:
             raise InputError("record must be 'start' without a recording, got 'stop'; start one first")
         recorder, self._recorder = self._recorder, None
         recorder.stop()
@@ -424,13 +421,6 @@ class Session:
     def _displacements(self) -> Floats:
         return self.snapshot().displacements(self.surface).astype(float)
 
-    def _replace_shape(self, shape: Tool | None, pose: Floats, friction: float) -> None:
-        """Replace the shape of the tool in the engine's model."""
-        if isinstance(self.model, ReducedModel):
-            change_tool(self._realtime_model, shape, pose, friction)
-        else:
-            change_full_tool(self.model, self._realtime_model.data, shape, pose, friction)
-
     def _change_tool(
         self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int | None = None
     ) -> None:
@@ -441,7 +431,8 @@ class Session:
     def _set_tool(self, tool: SelectedTool, position: Floats, quaternion: Floats, sequence: int = 0) -> None:
         grasps = isinstance(tool.shape, Forceps)  # forceps rotate the nodes they grasp as much as they are rotated
         rotation = NO_ROTATION if grasps else quaternion
-        self._replace_shape(tool.shape, np.concatenate([position, rotation]), tool.friction)
+        if self._realtime_model.change_tool is not None:
+            self._realtime_model.change_tool(tool.shape, np.concatenate([position, rotation]), tool.friction)
         self._observable.set_coupling(tool.stiffness)
         self._observable.set_state(self.engine.read().coordinates, np.zeros(3))
         self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence)

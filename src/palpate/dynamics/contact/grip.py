@@ -1,0 +1,133 @@
+"""Compiled grip of forceps on the nodes of a full body in the engine.
+
+The nodes that forceps hold move with the tool as parts of a rigid body, in the places that they have
+when they are grasped. After the kick of all other forces, an impulse gives each node the velocity that
+brings it to its place at the end of the step (`palpate.dynamics.loads.prescribed_motion` in runs).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from palpate.arrays import Floats, Ints
+from palpate.dynamics.compiled.cache import kernel_njit
+from palpate.dynamics.contact.tools import Forceps, surface_nodes
+from palpate.faults import InputError
+from palpate.meshfree.cloud import Cloud
+
+__all__ = ["Grip", "begin_grip", "empty_grip", "grasped_nodes", "hold_nodes", "set_grip", "store_velocities"]
+
+COUNT, FRESH = range(2)  # entries of `Grip.numbers`
+
+
+class Grip(NamedTuple):
+    """Nodes that forceps hold.
+
+    Parameters
+    ----------
+    numbers : (2,) array
+        Number of nodes, and 1 until the first period has set their places.
+    node : (n,) array
+    place : (n, 3) array [m]
+        Positions in the tool's frame.
+    before : (n, 3) array [m/s]
+        Velocities before the kick.
+    impulse : (n, 3) array [N s]
+        Of the tool on the nodes in the last step.
+    """
+
+    numbers: Ints
+    node: Ints
+    place: Floats
+    before: Floats
+    impulse: Floats
+
+
+def empty_grip(nodes: int) -> Grip:
+    """Return a grip that holds nothing, of a body with a number of nodes."""
+    return Grip(np.zeros(2, dtype=np.int64), np.zeros(nodes, dtype=np.int64), *np.zeros((3, nodes, 3)))
+
+
+def grasped_nodes(cloud: Cloud, forceps: Forceps, free: Ints) -> Ints:
+    """Return the surface nodes within the radius of forceps, at rest.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    forceps : Forceps
+    free : (n,) bool array
+        True for nodes that no support holds in any direction.
+
+    Raises
+    ------
+    InputError
+        No surface node is within the radius, or a support holds one of them.
+    """
+    point = np.zeros(cloud.points.shape[1])
+    point[:] = np.asarray(forceps.point, dtype=float)[: len(point)]
+    near = np.linalg.norm(cloud.points - point, axis=1) <= forceps.radius * (1 + 1e-9)
+    nodes = np.intersect1d(np.flatnonzero(near), surface_nodes(cloud))
+    if not nodes.size:
+        raise InputError(
+            f"point of forceps must be within {1e3 * forceps.radius:.3g} mm of a surface node, got none; "
+            "move the point or use a larger radius"
+        )
+    if not free[nodes].all():
+        raise InputError("point of forceps must be away from supports, got nodes that a support holds; move the point")
+    return nodes
+
+
+def set_grip(grip: Grip, nodes: Ints) -> None:
+    """Hold nodes from the next period on, in the places that they have then."""
+    grip.numbers[:] = len(nodes), 1
+    grip.node[: len(nodes)] = nodes
+
+
+@kernel_njit(inner=True)
+def begin_grip(grip, points, u, frame):  # type: ignore[no-untyped-def]
+    """Set the places of nodes that were just grasped, for the present frame (3, 4) of the tool."""
+    if grip.numbers[FRESH] == 0:
+        return
+    grip.numbers[FRESH] = 0
+    for k in range(grip.numbers[COUNT]):
+        i = grip.node[k]
+        for c in range(3):
+            grip.place[k, c] = 0.0
+            for d in range(3):
+                grip.place[k, c] += frame[d, c] * (points[i, d] + u[i, d] - frame[d, 3])
+
+
+@kernel_njit(inner=True)
+def store_velocities(grip, velocity):  # type: ignore[no-untyped-def]
+    """Copy the velocities of the nodes before the kick."""
+    for k in range(grip.numbers[COUNT]):
+        for c in range(3):
+            grip.before[k, c] = velocity[grip.node[k], c]
+
+
+@kernel_njit(inner=True)
+def hold_nodes(grip, contacts, masses, step, u, velocity):  # type: ignore[no-untyped-def]
+    """Give the nodes the velocities that bring them to their places; return the tool's work [J].
+
+    Adds the impulse and its moment about the tool's origin to `contacts.tool_impulses`.
+    """
+    work, frame, points, sums = 0.0, contacts.frames[0, 1], contacts.points, contacts.tool_impulses
+    for k in range(grip.numbers[COUNT]):
+        i = grip.node[k]
+        for c in range(3):
+            arm = frame[c, 0] * grip.place[k, 0] + frame[c, 1] * grip.place[k, 1] + frame[c, 2] * grip.place[k, 2]
+            wanted = (arm + frame[c, 3] - points[i, c] - u[i, c]) / step
+            push = masses[i] * (wanted - velocity[i, c])
+            # the mean of the velocities before the kick and after all impulses
+            work += 0.5 * push * (grip.before[k, c] + wanted)
+            velocity[i, c] = wanted
+            grip.impulse[k, c] = push
+            sums[0, c] += push
+        for c in range(3):
+            a, b = (c + 1) % 3, (c + 2) % 3
+            arm_a = points[i, a] + u[i, a] + step * velocity[i, a] - frame[a, 3]
+            arm_b = points[i, b] + u[i, b] + step * velocity[i, b] - frame[b, 3]
+            sums[0, 3 + c] += arm_a * grip.impulse[k, b] - arm_b * grip.impulse[k, a]
+    return work

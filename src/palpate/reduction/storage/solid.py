@@ -1,0 +1,76 @@
+"""A full body in a file, such as a recording: cloud, tissue, supports and damping, from which it is made again."""
+
+from __future__ import annotations
+
+from palpate.dynamics.solid.energy import EnergySolid
+from palpate.faults import integer_in_range, number_in_range
+from palpate.reduction.hyper.model import ReducedModel
+from palpate.reduction.storage.body import (
+    BODY_ATTRIBUTES,
+    BODY_LAYOUT,
+    REGIONS,
+    Arrays,
+    Header,
+    body_arrays,
+    body_header,
+    body_of,
+    check_header,
+    check_shapes,
+    check_values,
+    read_arrays,
+)
+from palpate.reduction.storage.model_file import contents, model_of
+from palpate.sealed import ArrayFile
+
+__all__ = ["body_contents", "body_in"]
+
+SOLID_ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {"mass_damping": float, "neighbours": int}
+
+
+def body_contents(model: ReducedModel | EnergySolid) -> tuple[Header, Arrays]:
+    """Return the header and the arrays of a reduced model or a full body.
+
+    Raises
+    ------
+    InputError
+        The file could not be read back: a custom material, or numbers that are not finite.
+    """
+    if isinstance(model, ReducedModel):
+        return contents(model)
+    own = {"mass_damping": float(model.mass_damping), "neighbours": int(model.neighbours)}
+    header = body_header(model.cloud, model.tissue, tuple(model.supports), model.stiffness_damping) | own
+    arrays = body_arrays(model.cloud, model.tissue)
+    check_header(header, SOLID_ATTRIBUTES)
+    check_values(arrays)
+    return header, arrays
+
+
+def body_in(header: Header, file: ArrayFile, prefix: str) -> ReducedModel | EnergySolid:
+    """Return the reduced model or the full body of a header and of the arrays whose names begin with a prefix.
+
+    Raises
+    ------
+    InputError
+        The content is that of neither.
+    """
+    if "neighbours" not in header:
+        return model_of(header, file, prefix)
+    check_header(header, SOLID_ATTRIBUTES)
+    layout = BODY_LAYOUT if header["regions"] == "[]" else BODY_LAYOUT | REGIONS
+    arrays = read_arrays(file, prefix, layout)
+    check_shapes(arrays, layout, {"space": 3, "groups": len(header["groups"])})
+    check_values(arrays)
+    cloud, tissue, supports = body_of(
+        header, {name: a.astype(int if a.dtype.kind == "i" else float) for name, a in arrays.items()}
+    )
+    regions = tissue.regions
+    return EnergySolid(
+        cloud,
+        tissue.material if regions is None else [regions.materials[k] for k in regions.which],
+        supports,
+        stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
+        mass_damping=number_in_range("mass_damping", header["mass_damping"], 0.0, unit="1/s"),
+        stiffness=tissue.stiffness if len(tissue.stiffness) else None,
+        neighbours=integer_in_range("neighbours", header["neighbours"], 1, len(cloud)),
+        fibres=tissue.fibres,
+    )

@@ -1,0 +1,152 @@
+"""Sessions of a full body: tools, grasps, and recordings that are replayed."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import h5py
+import numpy as np
+import pytest
+from view_scenes import BALL, MIDDLE, block
+
+import palpate as pt
+from palpate.app.cli import main
+from palpate.app.recordings.recording import FORMAT, VERSION, load_recording
+from palpate.app.recordings.recording_journal import is_recording
+from palpate.app.view.session.messages import validate_message
+from palpate.app.view.session.replay import Replay
+from palpate.app.view.session.session import Session
+
+ABOVE = MIDDLE + np.array([0, 0, BALL + 0.002])
+
+
+@pytest.fixture(scope="module")
+def body():
+    law = pt.materials.NeoHookean(C1=1e3, density=1000.0, poisson=0.45)
+    soft = pt.materials.NeoHookean(C1=5e2, density=1000.0, poisson=0.45)
+    cloud = block().model.cloud.with_group("soft", block().model.cloud.points[:, 0] > MIDDLE[0])
+    return pt.Solid(cloud, {"": law, "soft": soft}, block().model.supports, mass_damping=8.0)
+
+
+@pytest.fixture(scope="module")
+def recorded(body, tmp_path_factory, until):
+    """A recorded press, the snapshot at its end, and the surface."""
+    path = tmp_path_factory.mktemp("recorded") / "press.h5"
+    session = Session(body, "Full block")
+    session.start()
+    session.handle(validate_message({"type": "record", "action": "start"}))
+    session.handle(
+        validate_message(
+            {"type": "tool", "kind": "sphere", "radius": BALL, "position": ABOVE.tolist(), "friction": 0.2}
+        )
+    )
+    for k in range(9):
+        before = len(session._recorder.times)
+        deep = 0.005 * k / 8
+        session.handle(validate_message({"type": "pose", "position": (ABOVE - np.array([0, 0, deep])).tolist()}))
+        until(lambda before=before: len(session._recorder.times) > before)
+    session.pause()
+    seen = session.snapshot()
+    before = len(session._recorder.times)
+    until(lambda: len(session._recorder.times) > before + 1)
+    session.finish_recording(path, wait=True)
+    session.stop()
+    (news,) = session.notifications
+    assert news == {"type": "recorded", "file": str(path), "frames": news["frames"]}
+    return path, seen, session.surface
+
+
+def test_a_recording_of_a_full_body_has_its_states_and_makes_it_again(recorded, body):
+    path, seen, surface = recorded
+    recording = load_recording(path)
+    last = recording.snapshots[-1]
+    assert seen.force[2] > 0.02
+    for field in dataclasses.fields(seen):
+        np.testing.assert_array_equal(getattr(last, field.name), getattr(seen, field.name), field.name)
+    assert last.coordinates.dtype == np.float32
+    again = recording.model
+    assert isinstance(again, pt.Solid)
+    assert again.supports == body.supports
+    assert (again.mass_damping, again.stiffness_damping) == (8.0, body.stiffness_damping)
+    u = np.random.default_rng(0).standard_normal(body.cloud.points.shape) * 1e-4
+    np.testing.assert_array_equal(again.force(u), body.force(u))
+    shown, own = Replay(recording), last.displacements(surface)
+    np.testing.assert_array_equal(last.displacements(shown.surface), own)
+    for name in ("stress", "pressure"):
+        np.testing.assert_array_equal(last.scalar(shown.surface, name, own), last.scalar(surface, name, own))
+    assert shown.hello()["full"]
+    assert shown.hello()["training_errors"] is None
+
+
+def test_the_surface_of_a_full_body_is_written_for_paraview(recorded):
+    path, seen, surface = recorded
+    with h5py.File(path.with_suffix(".vtkhdf")) as file:
+        assert set(file["VTKHDF/PointData"]) >= {"displacement", "stress", "pressure"}
+        moved = file["VTKHDF/PointData/displacement"][-len(surface.rest) :]
+    np.testing.assert_allclose(moved, seen.displacements(surface), atol=1e-9)
+
+
+def test_a_recording_of_a_full_body_is_replayed_as_a_picture_and_not_on_the_full_model(
+    recorded, assert_refused, capsys
+):
+    path = recorded[0]
+    assert main(["replay", str(path), "--png", str(path.with_suffix(".png")), "--scalar", "stress"]) == 0
+    assert path.with_suffix(".png").stat().st_size > 5000
+    assert_refused(["replay", str(path), "--full"], "full must be left out for a recording of a full body")
+
+
+def test_a_campaign_refuses_a_recording_of_a_full_body(recorded):
+    from palpate.app.train.paths import _check
+
+    with pytest.raises(pt.InputError, match="a recording of a reduced model, got one of a full body"):
+        _check(load_recording(recorded[0]), None, recorded[0])
+
+
+def test_an_interrupted_recording_of_a_full_body_is_read(body, tmp_path, until):
+    session = Session(body, "Full block")
+    session.start()
+    session.start_recording(tmp_path / "cut.h5")
+    until(lambda: session._recorder.journal.count > 0)
+    first = session._recorder.journal.count
+    until(lambda: session._recorder.journal.count > first)
+    content = (tmp_path / "cut.h5").read_bytes()
+    session.finish_recording(wait=True)
+    session.close()
+    cut = tmp_path / "again.h5"
+    cut.write_bytes(content[:-7])  # the end of the last record is missing
+    assert is_recording(cut)
+    found = load_recording(cut)
+    assert len(found.snapshots) >= first
+    assert len(found.model.cloud) == len(body.cloud)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda header: header["model"].update(neighbours=10**9), "neighbours must be"),
+        (lambda header: header["model"].update(mass_damping=-1.0), "mass_damping must be"),
+        (lambda header: header["model"].update(more=1), "header more is not one of a model"),
+        (lambda header: header["model"].update(supports='[{"kind": "nothing"}]'), "support"),
+    ],
+)
+def test_forged_bodies_are_refused(recorded, tmp_path, forge, change, message):
+    path = forge(recorded[0], lambda header, arrays: change(header), FORMAT, VERSION, tmp_path / "forged.h5")
+    with pytest.raises(pt.FileFormatError, match=message):
+        load_recording(path)
+
+
+def test_forceps_pull_a_full_body_on_a_session(body, until):
+    session = Session(body, "Full block")
+    assert session.hello()["tools"] == ["sphere", "capsule", "grasp"]
+    session.start()
+    session.handle(validate_message({"type": "tool", "kind": "grasp", "radius": BALL / 2, "position": MIDDLE.tolist()}))
+    pulled = MIDDLE + np.array([0.0, 0.0, 0.003])
+    session.handle(validate_message({"type": "pose", "position": pulled.tolist()}))
+    until(lambda: session.snapshot().force[2] > 0.01)
+    until(lambda: session.snapshot().displacements(session.surface)[:, 2].max() > 0.0025)
+    until(lambda: bool(np.any(session.snapshot().stiffness)))
+    session.release()
+    until(lambda: not session.snapshot().force.any())
+    session.reset()
+    assert not session.snapshot().coordinates.any()
+    session.stop()
