@@ -96,6 +96,7 @@ ATTRIBUTES = {
     "flexibility_scale": float, "bonded_scale": float,
     "step": float, "single": bool,
 }  # fmt: skip
+OPTIONAL = {"mass_damping": float}  # attributes of models that need them; without one it is 0
 
 
 def save_hyper_reduced(model: ReducedModel, path: str | Path) -> None:
@@ -179,6 +180,7 @@ def _header(data: ReducedData) -> Header:
         "taut_frequency": float(data.taut_frequency),
         "bonded_scale": float((data.compliance or NO_COMPLIANCE).bonded_scale),
         "report": json.dumps(plain(data.report)),
+        **({"mass_damping": float(data.mass_damping)} if data.mass_damping else {}),
     }
 
 
@@ -231,10 +233,11 @@ def _layout(header: Header, interior: bool) -> dict[str, tuple[str, tuple[str | 
 
 
 def _check_header(header: Header) -> None:
-    if header.keys() != ATTRIBUTES.keys():
-        odd = sorted(header.keys() ^ ATTRIBUTES.keys())[0]
-        raise InputError(f"header {shortened(odd)} is {'missing' if odd in ATTRIBUTES else 'not one of a model'}")
-    for name, kind in ATTRIBUTES.items():
+    expected = ATTRIBUTES | {name: kind for name, kind in OPTIONAL.items() if name in header}
+    if header.keys() != expected.keys():
+        odd = sorted(header.keys() ^ expected.keys())[0]
+        raise InputError(f"header {shortened(odd)} is {'missing' if odd in expected else 'not one of a model'}")
+    for name, kind in expected.items():
         given: Any = header[name]
         if not (type(given) is kind or (kind is float and type(given) is int)):
             raise InputError(f"header {name} must be of type {kind.__name__}, got {given!r:.60}")
@@ -303,6 +306,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         prescribed=tuple(header["prescribed"]),
         volumes=own["volumes"],
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
+        mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
         basis_vectors=own["basis_vectors"],
         modes=header["modes"],
