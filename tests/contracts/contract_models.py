@@ -18,6 +18,7 @@ FIBRES = pt.materials.Fibres(k1=20e3, k2=3.0, directions=(1.0, 0.0, 0.0))
 EVERY, FRAMES, MODES = 0.01, 6, 4  # long steps, so that stability limits them
 DURATION = EVERY * FRAMES
 BALL = 0.015
+ALPHA = 40.0  # [1/s] mass damping that takes part of the work in the short runs
 
 
 def wave(time: float) -> float:
@@ -68,9 +69,10 @@ def run(model: Any, loads: Sequence[Any], **options: Any) -> pt.Trajectory:
 
 
 @cache
-def solid(form: str, material: pt.materials.Material = SOFT, fibres: Any = None) -> pt.Solid:
+def solid(form: str, material: pt.materials.Material = SOFT, fibres: Any = None, alpha: float = 0.0) -> pt.Solid:
     """Return a full model of the block, clamped at one end."""
-    return pt.Solid(block(), material, "x-", form=form, stiffness_damping=6e-5, fibres=fibres)
+    damping = {"stiffness_damping": 6e-5, "mass_damping": alpha}
+    return pt.Solid(block(), material, "x-", form=form, fibres=fibres, **damping)
 
 
 @cache
@@ -165,9 +167,9 @@ def galerkin() -> pt.GalerkinModel:
 
 
 @cache
-def galerkin_with_tool() -> pt.GalerkinModel:
+def galerkin_with_tool(alpha: float = 0.0) -> pt.GalerkinModel:
     """Return the same of the energy form, with a face that a tool moves."""
-    full = solid("energy")
+    full = solid("energy", alpha=alpha)
     return pt.galerkin(full, run(full, [lift()]), modes=MODES, prescribed="x+")
 
 
@@ -179,16 +181,16 @@ def hyper(material: pt.materials.Material = SOFT, fibres: Any = None) -> pt.Redu
 
 
 @cache
-def hyper_with_tool() -> pt.ReducedModel:
+def hyper_with_tool(alpha: float = 0.0) -> pt.ReducedModel:
     """Return a hyper-reduced block with a face that a tool moves."""
-    full = solid("energy")
+    full = solid("energy", alpha=alpha)
     return pt.hyper_reduce(full, run(full, [lift()]), modes=MODES, prescribed="x+")
 
 
 @cache
-def hyper_touched() -> pt.ReducedModel:
+def hyper_touched(alpha: float = 0.0) -> pt.ReducedModel:
     """Return a hyper-reduced block that was trained with a ball."""
-    full = solid("energy")
+    full = solid("energy", alpha=alpha)
     return pt.hyper_reduce(full, run(full, [press()]), modes=0, enrichment=pt.vibration_modes(full, 8)[0])
 
 
@@ -200,9 +202,9 @@ def hyper_sheet() -> pt.ReducedModel:
 
 
 @cache
-def system(*loads: Any) -> pt.lti.LinearSystem:
+def system(*loads: Any, alpha: float = 0.0) -> pt.lti.LinearSystem:
     """Return the block linearised at rest, with a force as its input by default."""
-    return pt.lti.linearise(solid("energy"), loads or (pull(),), ["x+"])
+    return pt.lti.linearise(solid("energy", alpha=alpha), loads or (pull(),), ["x+"])
 
 
 @cache
@@ -215,6 +217,12 @@ def linear() -> pt.lti.LinearModel:
 def linear_with_tool() -> pt.lti.LinearModel:
     """Return a linear model with a face that a tool moves."""
     return pt.lti.reduce_linear(system(lift(1e-5)), "modal", MODES)
+
+
+@cache
+def linear_mass_damped() -> pt.lti.LinearModel:
+    """Return a linear model that balances the inertia of a tool's motion."""
+    return pt.lti.reduce_linear(system(lift(1e-5), alpha=ALPHA), "moments", 3 * MODES)
 
 
 @dataclass(frozen=True)
@@ -262,8 +270,16 @@ KINDS = {
     ),  # few points balance a stretch nearly
     "linear": Kind(linear, lambda: [pull()], 0.005),
     "linear, tool": Kind(linear_with_tool, lambda: [lift(1e-5)], 0.05),
+    "solid, mass damping": Kind(lambda: solid("energy", alpha=ALPHA), lambda: [lift()], 0.03),
+    "Galerkin, mass damping": Kind(lambda: galerkin_with_tool(ALPHA), lambda: [lift()], 0.1),
+    "hyper-reduced, mass damping": Kind(lambda: hyper_with_tool(ALPHA), lambda: [lift()], 0.1),
+    "hyper-reduced, implicit, mass damping": Kind(
+        lambda: hyper_with_tool(ALPHA).with_step(EVERY / 8), lambda: [lift()], 0.01
+    ),
+    "hyper-reduced, touched, mass damping": Kind(lambda: hyper_touched(ALPHA), lambda: [press()], 0.05),
+    "linear, mass damping": Kind(linear_mass_damped, lambda: [lift(1e-5)], 0.005),
 }
 QUICK = [  # kinds of the quick set; the others compile kernels of their own
     "solid, strong", "solid, energy", "solid, touched", "membrane, energy", "Galerkin", "hyper-reduced",
-    "hyper-reduced, touched", "linear", "solid, rollers", "solid, mirrored",
+    "hyper-reduced, touched", "linear", "solid, rollers", "solid, mirrored", "hyper-reduced, mass damping",
 ]  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -87,22 +89,25 @@ def test_the_engine_damps_as_a_run_does(shape):
     assert energy == pytest.approx(start * np.exp(-ALPHA * 1.0), rel=0.15)
 
 
-@pytest.mark.parametrize(
-    "reduce",
-    [
-        lambda body, run: pt.hyper_reduce(body, run, modes=2),
-        lambda body, run: pt.galerkin(body, run, modes=2),
-        lambda body, run: pt.lti.linearise(body),
-    ],
-    ids=["hyper_reduce", "galerkin", "linearise"],
-)
-def test_reduced_models_refuse_it(reduce, shape):
-    body = bar(ALPHA)
-    run = pt.rollout(body, displacement=shape, duration=0.004, every=0.002, progress=False)
-    with pytest.raises(pt.InputError, match="mass_damping must be 0"):
-        reduce(body, run)
-
-
 def test_a_negative_damping_is_refused():
     with pytest.raises(pt.InputError, match="mass_damping must be"):
         bar(-1.0)
+
+
+def test_stiffness_damping_that_shortens_the_step_tenfold_is_warned_of_once():
+    highest = bar(0.0).stability.highest_frequency
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        bar(0.0, stiffness_damping=8.0 / highest)
+    with pytest.warns(RuntimeWarning, match=r"stable step 1\d times shorter.*mass_damping=") as caught:
+        bar(0.0, stiffness_damping=12.0 / highest)
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+
+
+@pytest.mark.slow
+def test_the_loss_to_mass_damping_of_moved_nodes_is_counted():
+    """A tool that shakes one end does work on the mass of its nodes, too."""
+    shaken = [pt.PrescribedMotion("x+", lambda X, t: (1e-4 * np.sin(60 * t) ** 2, 0.0, 0.0))]
+    run = pt.rollout(bar(50.0, stiffness_damping=0.0), shaken, duration=0.3, every=0.005, progress=False)
+    assert np.abs(run.balance).max() < 0.02 * run.dissipated[-1]

@@ -23,13 +23,13 @@ from palpate.meshfree.filling import fill
 from palpate.meshfree.surface_checks import check_surface
 from palpate.meshfree.surface_files import READERS, read_surface
 from palpate.meshfree.surfaces import Surface
+from palpate.scenes.liver import DENSITY, MASS_DAMPING, SHEAR_MODULUS
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.materials import Material
 
 __all__ = ["TouchOptions", "is_surface_file", "open_surface"]
 
-SHEAR_MODULUS, POISSON, DENSITY = 2.2e3, 0.45, 1060.0  # [Pa], [-], [kg/m^3] of liver
-MASS_DAMPING = 8.0  # [1/s]: an amplitude decays to 2 % within a second
+POISSON = 0.45
 CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of the page at its start
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which the default support holds
 SUPPORT = "support"  # name of the group

@@ -246,12 +246,17 @@ def _limit_prescribed_velocity(prescribed, constrained, u, velocity, damping, da
 
 @kernel_njit(inner=True)
 def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, nodes, loads):  # type: ignore[no-untyped-def]
-    """Set the velocities that bring prescribed nodes to `target` after a step; return the tools' work [J].
+    """Set the velocities that bring prescribed nodes to `target` after a step.
 
     The force of a tool is the node's inertia and damping minus the other forces. `loads` are the scratch
     arrays, gravity and alpha.
+
+    Returns
+    -------
+    work, lost : float [J]
+        Work of the tools, and energy that the damping alpha M dissipates.
     """
-    work, density = 0.0, nodes.density
+    work, lost, density = 0.0, 0.0, nodes.density
     scratch, gravity, alpha = loads
     for k in range(sites.prescribed.shape[0]):
         if not constrained[k]:
@@ -263,9 +268,10 @@ def _set_prescribed_velocity(sites, constrained, target, step, u, velocity, node
             inertia = density * ((after - before) / step + damping - gravity[c])
             other = inertia - scratch.force[i, c] - nodes.half_cell * scratch.surface[i, c]
             work += nodes.volumes[i] * other * 0.5 * (before + after)
+            lost += nodes.volumes[i] * density * damping * 0.5 * (before + after)
             sites.impulses[k, c] += nodes.volumes[i] * density * (after - before + step * damping)
             velocity[i, c] = after
-    return work * step
+    return work * step, lost * step
 
 
 @kernel_njit(inner=True)
@@ -332,9 +338,10 @@ def full_step(formulation: Formulation) -> Any:
             works = kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, damping.alpha)
             total, lost = total + works[0], lost + works[1]
             if s < steps:
-                tools += _set_prescribed_velocity(
+                works = _set_prescribed_velocity(
                     sites, constrained, target, step, u, velocity, nodes, (scratch, gravity, damping.alpha)
                 )
+                tools, lost = tools + works[0], lost + works[1]
             _add_constraint_impulses(sites, constrained, nodes, scratch, gravity, kick)
             if in_contact:
                 works = apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, (nodes, scratch))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
@@ -47,6 +48,8 @@ from palpate.tissue.fibres import FibreLaw
 __all__ = ["NodalModel", "NodalWork", "nodal_data"]
 
 History = tuple[Floats, ...]
+
+MIN_STEP_SHARE = 0.1  # of the undamped stable step, below which stiffness damping causes a warning
 
 
 class NodalWork(NamedTuple):
@@ -118,8 +121,17 @@ class NodalModel(Model):
         self._history_at_rest: History = ()
 
     def _set_stability(self, report: StabilityReport) -> None:
-        """Set the damping and the wave speed of a stability report."""
+        """Set the damping and the wave speed of a stability report; warn of one that shortens steps much."""
         self.stability, self.stiffness_damping = report, report.used
+        undamped = stable_step(report.highest_frequency, 0.0)
+        if report.step < MIN_STEP_SHARE * undamped:
+            warnings.warn(
+                f"stiffness_damping of {report.used:.3g} s makes the stable step {undamped / report.step:.0f} times "
+                f"shorter, {report.step:.2g} s in place of {undamped:.2g} s; mass_damping=, in 1/s, damps slow "
+                "vibrations at no cost",
+                RuntimeWarning,
+                stacklevel=5,
+            )
         self.wave_speed = 0.5 * self.cloud.spacing * report.highest_frequency
 
     @property

@@ -60,7 +60,7 @@ class Solid(NodalModel):
         (`palpate.dynamics.nodal.stability`).
     mass_damping : float [1/s]
         Rayleigh mass damping alpha of C = alpha M + beta K: a free vibration decays as exp(-alpha t / 2). It does
-        not shorten the stable step. Reduced models do not support it.
+        not shorten the stable step.
     form : str
         ``"energy"``: the nodal forces are the derivative of an energy summed over nodes
         (`palpate.dynamics.solid.energy_form`). It conserves energy, requires no damping, and is more
@@ -90,6 +90,11 @@ class Solid(NodalModel):
         A group is unknown or a parameter is out of range.
     CloudError
         The cloud does not admit the stencils.
+
+    Warns
+    -----
+    RuntimeWarning
+        The stiffness damping makes the stable step more than ten times shorter.
     """
 
     name = "full"

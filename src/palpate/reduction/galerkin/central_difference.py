@@ -3,7 +3,7 @@
 With the coordinates a of modes and of l lifting vectors, which come last, the mass matrix m and the
 generalised forces f and loads g,
 
-    m a'' = f(a + beta a') + g(t).
+    m (a'' + alpha a') = f(a + beta a') + g(t).
 
 The coordinates of the lifting vectors are prescribed until their tool releases the body. The step is that
 of `palpate.dynamics.nodal.central_difference`. The Galerkin model, the hyper-reduced model and the engine
@@ -17,7 +17,15 @@ import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
 
-__all__ = ["damping_work", "drift", "kick_coordinates", "prescribe", "prescribed_work", "trial_coordinates"]
+__all__ = [
+    "damping_work",
+    "drift",
+    "kick_coordinates",
+    "mass_damping_loss",
+    "prescribe",
+    "prescribed_work",
+    "trial_coordinates",
+]
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
@@ -55,11 +63,12 @@ def damping_work(at, a, force, previous):  # type: ignore[no-untyped-def]
 
 
 @kernel_njit(inline="always", fastmath={"contract"})
-def kick_coordinates(v, rate, loads, lifting, s, step, kick, prescribed, mass, response):  # type: ignore[no-untyped-def]
+def kick_coordinates(v, rate, loads, lifting, s, step, kick, prescribed, mass, response, alpha, mean):  # type: ignore[no-untyped-def]
     """Accelerate the coordinates that obey the equations of motion over a time `kick`; return the loads' work.
 
     `rate` (m + l,) are the generalised forces. Those of prescribed coordinates are what the tools leave to be
-    done afterwards. `response` is the inverse of the moving coordinates' block of the mass matrix.
+    done afterwards. `response` is the inverse of the moving coordinates' block of the mass matrix. The damping
+    alpha m acts on the mean velocities of the kick, which are written to `mean` (m + l,).
     """
     count, first, work = v.shape[0], v.shape[0] - lifting.shape[1], 0.0
     if prescribed:
@@ -67,17 +76,35 @@ def kick_coordinates(v, rate, loads, lifting, s, step, kick, prescribed, mass, r
             for j in range(first, count):
                 bend = lifting[s + 2, j - first] - 2 * lifting[s + 1, j - first] + lifting[s, j - first]
                 rate[m] -= mass[m, j] * bend / step**2
+        for j in range(first, count):
+            mean[j] = (lifting[s + 2, j - first] - lifting[s, j - first]) / (2 * step)
+        if alpha > 0.0:
+            for m in range(count):
+                for j in range(first, count):
+                    rate[m] -= alpha * mass[m, j] * mean[j]
     moving = first if prescribed else count
     for m in range(moving):
         value = 0.0
         for k in range(moving):
             value += response[m, k] * rate[k]
         before = v[m]
-        v[m] = before + kick * value
+        v[m] = before + kick / (1.0 + 0.5 * alpha * kick) * (value - alpha * before)
+        mean[m] = 0.5 * (before + v[m])
         work += kick * loads[m] * 0.5 * (before + v[m])
         for j in range(moving, count):
             rate[j] -= mass[j, m] * value
     return work
+
+
+@kernel_njit(inline="always", fastmath={"contract"})
+def mass_damping_loss(alpha, mass, mean, kick):  # type: ignore[no-untyped-def]
+    """Return the energy [J] that the damping alpha m dissipates at the mean velocities of a time `kick`."""
+    lost = 0.0
+    if alpha > 0.0:
+        for m in range(mean.shape[0]):
+            for k in range(mean.shape[0]):
+                lost += mean[m] * mass[m, k] * mean[k]
+    return alpha * kick * lost
 
 
 @kernel_njit(inline="always", fastmath={"contract"})

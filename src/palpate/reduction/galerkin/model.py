@@ -54,7 +54,8 @@ class GalerkinModel(CoordinateModel):
         Whether modes too fast for the step are slowed down instead of limiting it. Accelerations are then
         multiplied by (1 + g K)^-1 with g = dt^2/2 + beta dt and the current reduced tangent K. A mode of
         frequency w has w'^2 = w^2 / (1 + g w^2), and (dt^2 + 2 beta dt) w'^2 < 2, half of the limit of
-        central differences. Slow modes keep their frequency up to g w^2 / 2. Otherwise the step is the
+        central differences. Mass damping acts on these modes as on others. Slow modes keep their frequency up
+        to g w^2 / 2. Otherwise the step is the
         explicit one of the reduced spectrum.
     """
 
@@ -68,7 +69,7 @@ class GalerkinModel(CoordinateModel):
         self.full, self.basis = full, basis
         self.cloud, self.material, self.supports = full.cloud, full.material, full.supports
         self.conservative, self.volumes = full.conservative, full.volumes
-        self.stiffness_damping = full.stiffness_damping
+        self.stiffness_damping, self.mass_damping = full.stiffness_damping, full.mass_damping
         n, count = len(full.cloud), len(basis)
         self.lifting = np.zeros((0, n, 3)) if lifting is None else np.asarray(lifting, dtype=float)
         self.columns = np.ascontiguousarray(np.concatenate([basis.modes, self.lifting]))
@@ -85,12 +86,14 @@ class GalerkinModel(CoordinateModel):
             half_cell=full.half_cell,
             density=self.material.density,
             stiffness_damping=self.stiffness_damping,
+            mass_damping=self.mass_damping,
         )
         self._basis = BasisData(
             table=np.zeros((blocks, len(self.columns), full.formulation.numbers, lanes)),
             vectors=self.columns,
             test=self.test,
             mass=self.mass,
+            kinetic=np.einsum("inc,n,jnc->ij", self.columns, full.masses, self.columns, optimize=True),
             gravity_test=self.test.reshape(len(self.columns), n, 3).sum(axis=1),
             gravity_work=np.einsum("n,mnc->mc", full.masses, self.columns),
             wave_speed=full.wave_speed / self._sizes[len(basis) :],
@@ -116,7 +119,7 @@ class GalerkinModel(CoordinateModel):
             np.zeros((n, 3)),
             np.zeros((n, 3)),
             np.zeros((blocks, count)),
-            *np.zeros((5, count)),
+            *np.zeros((6, count)),
         )
 
     def force(self, coordinates: Floats, work: GalerkinWork | None = None) -> Floats:
@@ -275,9 +278,11 @@ class GalerkinModel(CoordinateModel):
         rates += self._basis.gravity_test @ schedule.gravity[0]
         if prepared.is_prescribed(np.array([state.time]))[0]:
             curvature = prepared.rates(lambda times: self._lifting_coordinates(prepared, times), state.time)[1]
-            rates = np.concatenate([rates[:count] - self.mass[:count, count:] @ curvature, curvature])
+            damped = curvature + self.mass_damping * state.velocities[count:]
+            free = rates[:count] - self.mass[:count, count:] @ damped - self.mass_damping * state.velocities[:count]
+            rates = np.concatenate([free, curvature])
         else:
-            rates = np.asarray(np.linalg.solve(self.mass, rates), dtype=float)
+            rates = np.linalg.solve(self.mass, rates) - self.mass_damping * state.velocities
         u, v = self.displacement(state, prepared), self.velocity(state, prepared)
         external = self.full.external_force(State(u, v, state.time), prepared, work.full)
         return self.full.nodal_fields(u, v, np.tensordot(rates, self.columns, 1), external, work=work.full)
@@ -327,8 +332,6 @@ def galerkin(
     runs = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
     if not runs:
         raise InputError("trajectories must hold at least one, got none; run the full model first")
-    if full.mass_damping:
-        raise InputError(f"mass_damping must be 0 for a reduced model, got {full.mass_damping:g} 1/s; leave it out")
     if full.material.prony is not None:
         raise InputError(
             "material must not relax (prony) in a Galerkin model, got a Prony series; use palpate.hyper_reduce"

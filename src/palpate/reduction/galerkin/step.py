@@ -16,6 +16,7 @@ from palpate.reduction.galerkin.central_difference import (
     damping_work,
     drift,
     kick_coordinates,
+    mass_damping_loss,
     prescribe,
     prescribed_work,
     trial_coordinates,
@@ -33,6 +34,7 @@ class BodyData(NamedTuple):
     half_cell: float
     density: float  # [kg/m^3]
     stiffness_damping: float  # [s]
+    mass_damping: float  # [1/s]
 
 
 class BasisData(NamedTuple):
@@ -42,6 +44,7 @@ class BasisData(NamedTuple):
     vectors: Floats  # (m, n, 3)
     test: Floats  # (m, 3 n)
     mass: Floats  # (m, m)
+    kinetic: Floats  # (m, m) [kg] mass matrix of the kinetic energy
     gravity_test: Floats  # (m, 3)
     gravity_work: Floats  # (m, 3)
     wave_speed: Floats  # (l,) largest rates of the lifting coordinates in the damping forces
@@ -58,6 +61,7 @@ class GalerkinWork(NamedTuple):
     result: Floats  # (m,)
     previous: Floats  # (m,)
     rates: Floats  # (m,)
+    mean: Floats  # (m,) velocities
     power: Floats  # (m,)
 
 
@@ -124,6 +128,7 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
     def advance(a, velocity, lifting, holds, step, loads, responses, body, basis, work):  # type: ignore[no-untyped-def]
         beta, density, result, power = body.stiffness_damping, body.density, work.result, work.power
         sites, schedule = loads
+        alpha, kinetic = body.mass_damping, basis.kinetic
         total, lost, tool_work, steps = 0.0, 0.0, 0.0, lifting.shape[0] - 3
         count, first = a.shape[0], a.shape[0] - lifting.shape[1]
         for s in range(steps + 1):
@@ -146,8 +151,9 @@ def reduced_step(formulation: Formulation) -> tuple[Any, Any]:
             prescribed = holds[min(s + 1, steps)]
             response = responses[0] if prescribed else responses[1]
             total += kick_coordinates(
-                velocity, work.rates, power, lifting, s, step, kick, prescribed, basis.mass, response
+                velocity, work.rates, power, lifting, s, step, kick, prescribed, basis.mass, response, alpha, work.mean
             )
+            lost += mass_damping_loss(alpha, kinetic, work.mean, kick)
             if prescribed:
                 works = prescribed_work(work.rates, power, lifting, s, step, kick, density)
                 total += works[0]

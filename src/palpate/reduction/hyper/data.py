@@ -77,6 +77,8 @@ class ReducedData(Described):
         within a few steps. 0 for solids.
     compliance : SurfaceCompliance, optional
         Compliance of the contact surface, fitted to runs with contact.
+    mass_damping : float [1/s]
+        Rayleigh's alpha.
     """
 
     cloud: Cloud
@@ -102,6 +104,7 @@ class ReducedData(Described):
     kinematics: Kinematics = field(default_factory=Kinematics)
     taut_frequency: float = 0.0
     compliance: SurfaceCompliance | None = None
+    mass_damping: float = 0.0
 
     @property
     def surface(self) -> ContactSurface:

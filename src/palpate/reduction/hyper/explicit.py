@@ -3,7 +3,7 @@
 With the coordinates a of modes and lifting vectors, the mass matrix m, the sampled force f and the
 loads g,
 
-    m a'' = f(a + beta a') + g(t).
+    m (a'' + alpha a') = f(a + beta a') + g(t).
 
 The coordinates of the lifting vectors are prescribed until their tool releases the body. The step is
 that of `palpate.dynamics.nodal.central_difference`. The implicit step is in
@@ -24,6 +24,7 @@ from palpate.reduction.galerkin.central_difference import (
     damping_work,
     drift,
     kick_coordinates,
+    mass_damping_loss,
     prescribe,
     prescribed_work,
     trial_coordinates,
@@ -35,13 +36,14 @@ from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, s
 __all__ = ["ContactData", "ExplicitData", "explicit_step"]
 
 
-TRIAL, FORCE, PREVIOUS, RATE, LOAD = range(5)  # rows of `ExplicitData.work`
+TRIAL, FORCE, PREVIOUS, RATE, LOAD, MEAN = range(6)  # rows of `ExplicitData.work`
 
 
 class ExplicitData(NamedTuple):
     """Constants and work arrays of the explicit step."""
 
     stiffness_damping: float  # [s]
+    mass_damping: float  # [1/s]
     wave_speed: Floats  # (l,) largest rates of the lifting coordinates in the damping forces
     mass: Floats  # (m + l, m + l)
     constrained_inverse_mass: Floats  # (m, m) inverse of the modes' block
@@ -49,7 +51,7 @@ class ExplicitData(NamedTuple):
     integration_points: IntegrationPoints
     scratch: Scratch
     springs: Springs  # on the coordinates
-    work: Floats  # (5 or more, m + l)
+    work: Floats  # (6 or more, m + l)
 
 
 class ContactData(NamedTuple):
@@ -93,7 +95,7 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
         count, first, steps = a.shape[0], a.shape[0] - lifting.shape[1], loads.shape[0] - 1
         total, lost, tool_work = 0.0, 0.0, 0.0
         at, result, previous = data.work[TRIAL], data.work[FORCE], data.work[PREVIOUS]
-        rate, load = data.work[RATE], data.work[LOAD]
+        rate, load, mean, alpha = data.work[RATE], data.work[LOAD], data.work[MEAN], data.mass_damping
         # taken out of the loop: a member that is read in it costs two atomic operations for each of its arrays
         mass, scratch, tools, points, springs = (
             data.mass,
@@ -122,7 +124,8 @@ def explicit_step(law: MaterialPoint, single: bool) -> Any:
             prescribed = holds[min(s + 1, steps)]
             moving = first if prescribed else count
             response = constrained_inverse if prescribed else inverse
-            total += kick_coordinates(v, rate, load, lifting, s, step, kick, prescribed, mass, response)
+            total += kick_coordinates(v, rate, load, lifting, s, step, kick, prescribed, mass, response, alpha, mean)
+            lost += mass_damping_loss(alpha, mass, mean, kick)
             if s < steps and tools.kind.shape[0] > 0:
                 for t in range(tools.kind.shape[0]):
                     rotation(contact.poses[s, t], tools.frames[t, 0])

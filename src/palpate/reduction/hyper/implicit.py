@@ -3,7 +3,7 @@
 With the coordinates a of modes and lifting vectors, the mass matrix m, the sampled force f and the
 loads g, the step solves for the mean velocity w,
 
-    m 2 (w - v_n) / dt = mean of f(a_n + s dt w + beta w) + g(t_n + dt / 2),
+    m (2 (w - v_n) / dt + alpha w) = mean of f(a_n + s dt w + beta w) + g(t_n + dt / 2),
     a_{n+1} = a_n + dt w,    v_{n+1} = 2 w - v_n,
 
 by Newton's method with a tangent that is reused as long as it converges. The mean is over the step,
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from palpate.arrays import Floats
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.material.relaxation import copy_values
+from palpate.reduction.galerkin.central_difference import mass_damping_loss
 from palpate.reduction.hyper.foundation import Springs, add_spring_forces
 from palpate.reduction.hyper.material_point import MaterialPoint
 from palpate.reduction.hyper.sampled_energy import IntegrationPoints, Scratch, sampled_energy
@@ -54,6 +55,7 @@ class ImplicitData(NamedTuple):
     """Constants and work arrays of the implicit step."""
 
     stiffness_damping: float  # [s]
+    mass_damping: float  # [1/s]
     mass: Floats  # (m + l, m + l)
     differences: Floats  # (m + l,) of the coordinates, for tangents
     tolerance: float  # largest Newton update, in units of `differences`
@@ -158,21 +160,24 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
 
     @law_njit(digest, inner=True, fastmath={"contract"})
     def refactor(a, step, data, moving):  # type: ignore[no-untyped-def]
-        """Update the tangent and factorise 2 m / dt + (dt / 2 + beta) K, or its mass part where that is indefinite.
+        """Update the tangent and factorise (2 / dt + alpha) m + (dt / 2 + beta) K.
+
+        The factor is that of the mass part where the matrix is indefinite.
 
         Springs add dt / 2 times their stiffness, and their damping, to both.
         """
-        newton, mass, beta = data.newton, data.mass, data.stiffness_damping
+        newton, mass, beta, alpha = data.newton, data.mass, data.stiffness_damping, data.mass_damping
         tangent(a, data.differences, data.integration_points, data.scratch, newton.vectors, moving, newton.factor)
         for i in range(moving):
             for k in range(moving):
-                newton.factor[i, k] = 2.0 * mass[i, k] / step + (0.5 * step + beta) * newton.factor[i, k]
+                inertia = 2.0 * mass[i, k] / step + alpha * mass[i, k]
+                newton.factor[i, k] = inertia + (0.5 * step + beta) * newton.factor[i, k]
         add_springs(step, data.springs, newton.factor, moving)
         newton.counts[TANGENTS] += 1
         if not cholesky_factor(newton.factor, moving):
             for i in range(moving):
                 for k in range(moving):
-                    newton.factor[i, k] = 2.0 * mass[i, k] / step
+                    newton.factor[i, k] = 2.0 * mass[i, k] / step + alpha * mass[i, k]
             add_springs(step, data.springs, newton.factor, moving)
             cholesky_factor(newton.factor, moving)
         newton.factored[FACTOR_STEP], newton.factored[FACTOR_SIZE] = step, moving
@@ -191,7 +196,10 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
 
     @law_njit(digest, inner=True, fastmath={"contract"})
     def solve(a, v, step, external, data, moving):  # type: ignore[no-untyped-def]
-        """Solve for the first `moving` mean velocities w of one step; the others and their rates are prescribed."""
+        """Solve for the first `moving` mean velocities w of one step; the others and their rates are prescribed.
+
+        A rate is that of a velocity, plus alpha times its mean.
+        """
         newton, mass, vectors = data.newton, data.mass, data.newton.vectors
         w, at, result, rate = vectors[MEAN_VELOCITY], vectors[TRIAL], vectors[FORCE], vectors[RATE]
         change, load = vectors[UPDATE], vectors[LOAD]
@@ -202,7 +210,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             mean_loads(a, w, step, external, data.springs, at, load)
             mean_force(a, w, step, data.stiffness_damping, data, at, change, result)
             for m in range(moving):
-                rate[m] = 2.0 * (w[m] - v[m]) / step
+                rate[m] = 2.0 * (w[m] - v[m]) / step + data.mass_damping * w[m]
             for m in range(moving):
                 value = result[m] + load[m]
                 for k in range(count):
@@ -233,7 +241,7 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         total, lost, tool_work = 0.0, 0.0, 0.0
         newton, mass, vectors = data.newton, data.mass, data.newton.vectors
         w, at, result, rate = vectors[MEAN_VELOCITY], vectors[TRIAL], vectors[FORCE], vectors[RATE]
-        elastic, load = vectors[ELASTIC], vectors[LOAD]
+        elastic, load, alpha = vectors[ELASTIC], vectors[LOAD], data.mass_damping
         for s in range(loads.shape[0]):
             # lifting has one time before the first and one after the last
             moving = first if holds[s] else count
@@ -242,18 +250,19 @@ def implicit_step(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             for j in range(moving, count):
                 c = lifting[:, j - first]
                 w[j] = (c[s + 2] - c[s + 1]) / step
-                rate[j] = (c[s + 3] - c[s + 2] - c[s + 1] + c[s]) / (2.0 * step * step)
+                rate[j] = (c[s + 3] - c[s + 2] - c[s + 1] + c[s]) / (2.0 * step * step) + alpha * w[j]
             if not solve(a, v, step, loads[s], data, moving):
                 newton.counts[FAILURES] += 1
                 newton.factored[FACTOR_STEP] = 0.0
                 return total, lost, tool_work, s
             for m in range(moving):
-                rate[m] = 2.0 * (w[m] - v[m]) / step
+                rate[m] = 2.0 * (w[m] - v[m]) / step + alpha * w[m]
             mean_loads(a, w, step, loads[s], data.springs, at, load)
             mean_force(a, w, step, 0.0, data, at, vectors[UPDATE], elastic)
             for j in range(count):
                 total += step * load[j] * w[j]
                 lost += step * w[j] * (elastic[j] - result[j])
+            lost += mass_damping_loss(alpha, mass, w, step)
             for j in range(moving, count):
                 value = -result[j] - load[j]
                 for k in range(count):

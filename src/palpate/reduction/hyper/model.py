@@ -83,7 +83,8 @@ class ReducedModel(CoordinateModel):
             )
         self.data, self.step, self.single, self.volumes = data, step, single, data.volumes
         self.cloud, self.material, self.supports = data.cloud, data.tissue.material, data.supports
-        self.stiffness_damping, self.report = data.stiffness_damping, data.report
+        self.stiffness_damping, self.mass_damping = data.stiffness_damping, data.mass_damping
+        self.report = data.report
         self.min_steps_per_frame = 20 if step is None else 1  # the implicit step is the user's choice
         self.body = reduced_body(data, single)
         self.count, self.columns = self.body.count, self.body.vectors
@@ -224,6 +225,7 @@ class ReducedModel(CoordinateModel):
         ready, contact = reduced_loads(body, prepared), self._contact_tools(prepared, work)
         explicit_data = ExplicitData(
             stiffness_damping=self.stiffness_damping,
+            mass_damping=self.mass_damping,
             wave_speed=self.data.wave_speed / body.sizes[self.data.modes :],
             mass=body.mass,
             constrained_inverse_mass=body.constrained_inverse_mass,
@@ -257,6 +259,7 @@ class ReducedModel(CoordinateModel):
         ready, estimate = reduced_loads(body, prepared), state.estimate
         implicit_data = ImplicitData(
             stiffness_damping=self.stiffness_damping,
+            mass_damping=self.mass_damping,
             mass=body.mass,
             differences=body.differences,
             tolerance=self.tolerance,

@@ -21,7 +21,10 @@ __all__ = ["accelerations", "constraint_forces", "pose_map", "reactions", "tool_
 def accelerations(
     body: ReducedBody, state: State, prepared: PreparedLoads, work: ReducedWork | None = None
 ) -> tuple[Floats, Floats]:
-    """Return the accelerations of the coordinates, and internal forces plus loads on all basis vectors."""
+    """Return the accelerations of the coordinates plus alpha times their velocities, and forces.
+
+    The forces are internal forces plus loads, on all basis vectors.
+    """
     data, loads, times = body.data, reduced_loads(body, prepared), np.array([state.time])
     forces = body.all_forces(state.coordinates + data.stiffness_damping * state.velocities, state.history, work)
     forces += loads.forces(times)[0]
@@ -31,6 +34,7 @@ def accelerations(
     modes = slice(data.modes)
     if prepared.is_prescribed(times)[0]:
         lifting_rates = prepared.rates(lambda at: lifting_coordinates(data, prepared, at), state.time)[1]
+        lifting_rates = lifting_rates + data.mass_damping * state.velocities[data.modes :]
         free = forces[modes] - body.mass[modes, data.modes :] @ lifting_rates
         return np.concatenate([body.constrained_inverse_mass @ free, lifting_rates]), forces
     return body.inverse_mass @ forces[: body.count], forces

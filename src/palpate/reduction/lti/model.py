@@ -64,13 +64,15 @@ class LinearModel(CoordinateModel):
         self.system, self.reduced, self.report = system, reduced, dict(report or {})
         full = system.model
         self.full, self.cloud, self.material, self.supports = full, full.cloud, full.material, full.supports
-        self.conservative, self.stiffness_damping = full.conservative, full.stiffness_damping
+        self.conservative = full.conservative
+        self.stiffness_damping, self.mass_damping = full.stiffness_damping, full.mass_damping
         self.volumes = full.volumes
         self.count, self.lifting_count = len(reduced.fields), len(system.lifting)
         self.columns = np.concatenate([reduced.fields, system.lifting])
         self.A, self.B, self.C, self.D = (np.ascontiguousarray(matrix) for matrix in reduced.state_space())
         flat = self.columns.reshape(len(self.columns), -1)
         self._lost = full.stiffness_damping * (flat @ (system.whole @ flat.T))
+        self._lost += full.mass_damping * ((flat * np.repeat(full.masses, 3)) @ flat.T)
         forces = force_inputs(full, full.prepare(system.loads), np.repeat(full.masses, 3))[0]
         self._moved = forces @ flat.T  # displacements along the forces for unit coordinates
         self._steps: dict[float, tuple[Floats, ...]] = {}
@@ -156,12 +158,13 @@ class LinearModel(CoordinateModel):
         times: Floats = state.time + step * np.arange(-1.0, steps + 2)
         f = np.ascontiguousarray(linear_loads(prepared).inputs(times[1:-1]))
         g = np.ascontiguousarray(tool_coordinates(self.system, prepared, times))
-        kicks = np.ascontiguousarray((g[2:] - 2 * g[1:-1] + g[:-2]) / step)
+        speeds = (g[2:] - g[:-2]) / (2 * step)
+        kicks = np.ascontiguousarray((g[2:] - 2 * g[1:-1] + g[:-2]) / step + step * self.mass_damping * speeds)
         x = self.reduced.packed(state.coordinates[: self.count], state.velocities[: self.count])
         history = np.zeros((steps + 1, len(x)))
         propagate(x, *self._propagator(step), f, kicks, history)
-        rates = self.reduced.rates(history, f)
-        c, speeds = history[:, : self.count], (g[2:] - g[:-2]) / (2 * step)
+        rates = self.reduced.rates(history, np.hstack([f, self.mass_damping * speeds]))
+        c = history[:, : self.count]
         all_c, all_v = np.hstack([c, g[1:-1]]), np.hstack([rates, speeds])
         done = self._work(all_c, f, history, (g[1:-1], speeds, kicks / step))
         power = np.einsum("ti,ij,tj->t", all_v, self._lost, all_v)
@@ -193,7 +196,7 @@ class LinearModel(CoordinateModel):
         bends = tool_accelerations(self.system, prepared, state.time)
         g, rates = state.coordinates[self.count :], state.velocities[self.count :]
         x = self.reduced.packed(state.coordinates[: self.count], state.velocities[: self.count])
-        y = self.C @ x + self.D @ np.concatenate([f, bends])
+        y = self.C @ x + self.D @ np.concatenate([f, bends + self.mass_damping * rates])
         return np.asarray(y + self.system.static @ g + self.system.static_rate @ rates)
 
     # results of a state
@@ -202,7 +205,7 @@ class LinearModel(CoordinateModel):
         u, v = self.displacement(state, prepared), self.velocity(state, prepared)
         damped, whole = u + self.stiffness_damping * v, self.system.whole
         acceleration = np.tensordot(self._accelerations(state, prepared), self.columns, 1)
-        unbalanced = self.masses[:, None] * acceleration
+        unbalanced = self.masses[:, None] * (acceleration + self.mass_damping * v)
         unbalanced -= self.full.external_force(State(u, v, state.time), prepared)
         stress = None
         if self.conservative:
@@ -221,7 +224,8 @@ class LinearModel(CoordinateModel):
         if isinstance(self.reduced, FirstOrder):
             slope = prepared.rates(inputs, state.time)[0]
         motion = state.coordinates[: self.count], state.velocities[: self.count]
-        own = self.reduced.accelerations(*motion, np.concatenate([now, bends]), np.concatenate([slope, 0 * bends]))
+        driven = np.concatenate([now, bends + self.mass_damping * state.velocities[self.count :]])
+        own = self.reduced.accelerations(*motion, driven, np.concatenate([slope, self.mass_damping * bends]))
         return np.concatenate([own, bends])
 
 

@@ -142,7 +142,7 @@ def condense(system: LinearSystem, modes: int) -> tuple[SecondOrder, Columns]:
 def moments(system: LinearSystem, modes: int, points: Sequence[complex] = (0.0,)) -> SecondOrder:
     """Match moments of the transfer function at some points s [1/s], by Krylov spaces.
 
-    With D = beta K, s^2 M + s D + K is a multiple of Q + d M, where Q is its value at a point. So
+    With D = alpha M + beta K, s^2 M + s D + K is a multiple of Q + d M, where Q is its value at a point. So
     all moments at the point lie in the Krylov space of Q^-1 M and Q^-1 B (Beattie and Gugercin,
     44th IEEE Conf. Decision and Control, 2005). This requires half as many columns as a
     second-order Arnoldi method. The points take turns, with a block of one column per input, until

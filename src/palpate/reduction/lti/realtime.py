@@ -1,7 +1,8 @@
 """Real-time linear models for `palpate.Engine`: one compiled period, exact for a tool of constant velocity.
 
-The change of the tool's speed at the start of a period is an impulse. Forces are means over the
-period, from the mean state A^-1 (x1 - x0) / T.
+The change of the tool's speed at the start of a period is an impulse. Mass damping adds a constant
+input, alpha times the speed; x minus the state of that input in equilibrium then moves freely. Forces
+are means over the period, from the mean state A^-1 (x1 - x0) / T of the free motion.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ class LinearData(NamedTuple):
     asked : (1,) array [s]
         The period of `step`.
     impulse : (N, l) array
+    drag : (N, l) array
+        Minus the equilibrium states for unit speeds of the tool, by mass damping.
     mean_force : (l, N) array
         Map from changes of the state over a period to forces times the period.
     static, static_rate, inertia : (l, l) arrays
@@ -61,6 +64,7 @@ class LinearData(NamedTuple):
     step: Floats
     asked: Floats
     impulse: Floats
+    drag: Floats
     mean_force: Floats
     static: Floats
     static_rate: Floats
@@ -113,6 +117,7 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
         sizes[count:] = np.abs(np.linalg.eigvals(model.A)).max()
     own = slice(len(model.C) - lifting_count, None)
     mean_force = np.array(np.linalg.solve(model.A.T, model.C[own].T).T, dtype=float, order="C")
+    drag = np.array(model.mass_damping * np.linalg.solve(model.A, model.B), dtype=float, order="C")
     data = LinearData(
         modes=count,
         second=isinstance(model.reduced, SecondOrder),
@@ -121,9 +126,10 @@ def linear_realtime(model: LinearModel, period: float) -> LinearRealtime:
         step=np.ascontiguousarray(first_order_hold(model.A, model.B[:, :0], period)[0]),
         asked=np.array([period]),
         impulse=model.B.copy(),
+        drag=drag,
         mean_force=mean_force,
         static=system.static[own].copy(),
-        static_rate=system.static_rate[own].copy(),
+        static_rate=system.static_rate[own] + model.mass_damping * model.D[own] - model.C[own] @ drag,
         inertia=model.D[own].copy(),
         mass=(flat * weight) @ flat.T,
         elastic=flat @ (system.whole @ flat.T),
@@ -240,7 +246,7 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
         v[j] = speed
     for i in range(n):
         for j in range(m - count):
-            x[i] += data.impulse[i, j] * before[count + j]
+            x[i] += data.impulse[i, j] * before[count + j] + data.drag[i, j] * v[count + j]
     good = True
     for i in range(n):
         value = 0.0
@@ -261,14 +267,17 @@ def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
             force += data.inertia[r, j] * before[count + j] / period
         report[FORCES + r] = force
     for i in range(count):
+        if not data.second:
+            v[i] = 0.0
+            for j in range(n):
+                v[i] += data.matrix[i, j] * new[j]
+    for i in range(n):
+        for j in range(m - count):
+            new[i] -= data.drag[i, j] * v[count + j]
+    for i in range(count):
         q[i] = new[i]
         if data.second:
             v[i] = new[count + i]
-        else:
-            value = 0.0
-            for j in range(n):
-                value += data.matrix[i, j] * new[j]
-            v[i] = value
     for j in range(m - count):
         q[count + j] = target[j]
         report[TRUST] = max(report[TRUST], abs(target[j]) / data.linear_range[j])

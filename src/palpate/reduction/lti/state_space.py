@@ -114,7 +114,7 @@ class FirstOrder(Described):
         return coordinates.copy()
 
     def rates(self, states: Floats, inputs: Floats) -> Floats:
-        """Return c' (t, k) of states (t, k) under inputs (t, forces), without those of tools."""
+        """Return c' (t, k) of states (t, k) under the first inputs, without impulses of tools."""
         return np.asarray(states @ self.state.T + inputs @ self.input[:, : inputs.shape[1]].T)
 
     def accelerations(self, coordinates: Floats, velocities: Floats, inputs: Floats, slopes: Floats) -> Floats:

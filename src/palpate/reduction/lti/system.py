@@ -4,20 +4,20 @@ The unknowns are the displacements of the free nodes, in the model's ordering: c
 is number 3 i + c of the body, and `LinearSystem.dofs` are the numbers of the unknowns. A node that slides on
 a support has unknowns along its free directions (`LinearSystem.directions`). Rows are
 multiplied by the nodes' weights in the inner product (`NodalModel.weights`). So M is the lumped
-mass, a diagonal, and B holds the shares of the nodes in the total forces. D = beta K is the
-stiffness damping of (29).
+mass, a diagonal, and B holds the shares of the nodes in the total forces. D = alpha M + beta K is the
+damping of (29).
 
 K of the energy form is symmetric. That of the strong form is collocated: row i is the balance of
 momentum at node i, and not the work on a shape function, so K is not symmetric. With the weights it
 is nearly symmetric; it is not symmetrised.
 
-The input of a tool that moves nodes is its acceleration. L is the static continuation of the rigid
-motions of the tool's nodes: K L = 0 at all free nodes. Displacements are u = w + L g, with the
-tool's coordinates g, and
+The input of a tool that moves nodes is its damped acceleration g'' + alpha g', with the tool's
+coordinates g. L is the static continuation of the rigid motions of the tool's nodes: K L = 0 at all
+free nodes. Displacements are u = w + L g, and
 
-    M w'' + D w' + K w = B f - M L g'',
+    M w'' + D w' + K w = B f - M L (g'' + alpha g'),
 
-because D L = beta K L = 0. The outputs y = Cp w + Cv w' + Df [f, g''] + S g + S' g' have a part
+because K L = 0. The outputs y = Cp w + Cv w' + Df [f, g'' + alpha g'] + S g + S' g' have a part
 that follows the tool without delay.
 """
 
@@ -72,7 +72,7 @@ class LinearSystem(Described):
         The mass is diagonal.
     input : sparse (d, p) array
         Nodal forces of a unit of every input: a total force of 1 N, a gravity of 1 m/s^2, then a
-        tool's acceleration of 1 m/s^2 or 1 rad/s^2.
+        tool's damped acceleration of 1 m/s^2 or 1 rad/s^2.
     output, rate_output : sparse (q, d) arrays
         Cp and Cv.
     feedthrough : (q, p) array
@@ -81,7 +81,7 @@ class LinearSystem(Described):
         Their names, such as ``"force x on x+"`` and ``"displacement z of x+"``.
     lifting : (l, n, 3) array
         Static fields L of the tools' coordinates: translations [m/m], then rotations [m/rad]; the
-        last l inputs are their accelerations.
+        last l inputs are their damped accelerations.
     static, static_rate : (q, l) arrays
         S and S'.
     whole : sparse (3 n, 3 n) array [N/m]
@@ -116,6 +116,7 @@ class LinearSystem(Described):
             ("inputs", self.inputs, ""),
             ("outputs", self.outputs, ""),
             ("stiffness damping", float(self.model.stiffness_damping), "s"),
+            ("mass damping", float(self.model.mass_damping) or None, "1/s"),
         ]
 
     @property
@@ -150,7 +151,7 @@ class LinearSystem(Described):
     def transfer(self, points: Any) -> Complex:
         """Return the transfer function from inputs to outputs at complex frequencies s (k,) [1/s], shape (k, q, p).
 
-        For tools it is that from their accelerations, without the static part S g + S' g'.
+        For tools it is that from their damped accelerations g'' + alpha g', without the static part S g + S' g'.
         """
         result = []
         for s in np.atleast_1d(np.asarray(points, dtype=complex)):
@@ -194,8 +195,6 @@ def linearise(
     """
     if not isinstance(model, NodalModel):
         raise InputError(f"model must be a Solid or a Membrane, got a {type(model).__name__}")
-    if model.mass_damping:
-        raise InputError(f"mass_damping must be 0 for a linear system, got {model.mass_damping:g} 1/s; leave it out")
     if model.material.prony is not None:
         raise InputError("material must be without prony, which M, D and K do not describe; leave prony out")
     loads = listed(loads)
@@ -214,11 +213,14 @@ def linearise(
     lifting = _continued(whole, free, stiffness, rigid)
     forces, names = force_inputs(model, prepared, weight)
     pushed = np.concatenate([forces @ free, -(weight * lifting) @ free]).T
+    mass, kind = sparse.diags(weight[dofs]).tocsc(), "damped acceleration" if model.mass_damping else "acceleration"
+    damping = model.stiffness_damping * stiffness
+    if model.mass_damping:
+        damping = damping + model.mass_damping * mass
     system = LinearSystem(
-        model, loads, at, dofs, free, sparse.diags(weight[dofs]).tocsc(),
-        (model.stiffness_damping * stiffness).tocsc(), stiffness,
+        model, loads, at, dofs, free, mass, damping.tocsc(), stiffness,
         sparse.csc_matrix(pushed), *_outputs(model, prepared, outputs, whole, free, (forces, rigid, lifting), weight),
-        (*names, *(f"acceleration of {tool}" for tool in tools)), _output_names(model, outputs, tools),
+        (*names, *(f"{kind} of {tool}" for tool in tools)), _output_names(model, outputs, tools),
         lifting.reshape(len(lifting), len(model.cloud), 3),
         *_statics(model, prepared, outputs, whole, (rigid, lifting)), whole,
     )  # fmt: skip

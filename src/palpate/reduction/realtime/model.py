@@ -169,6 +169,7 @@ def realtime_model(
     points_scratch = scratch(model.body.points)
     body = ImplicitData(
         stiffness_damping=model.stiffness_damping,
+        mass_damping=model.mass_damping,
         mass=model.body.mass,
         differences=model.body.differences,
         tolerance=model.tolerance,

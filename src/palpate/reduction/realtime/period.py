@@ -227,8 +227,8 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         """Take explicit steps over a period, shorter than stable ones by a factor; return their number."""
         modes, count = data.modes, q.shape[0]
         at, result = data.vectors[WORK], data.vectors[FORCE]
-        still = data.path[:3]  # the tools move evenly
-        still[:] = 0.0
+        even = data.path[:3]  # the tools move evenly
+        even[:] = 0.0
         springs, points, scratch, mass = (
             data.body.springs,
             data.body.integration_points,
@@ -237,6 +237,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
         )
         beta, clock, moved = data.body.stiffness_damping, data.body.scratch.history.interval, speeds[modes:]
         no_load, constrained_inverse = data.no_loads[0], data.constrained_inverse_mass
+        alpha, mean = data.body.mass_damping, data.vectors[RATE]
         frequency = max(data.tracking[REST_FREQUENCY], data.tracking[FREQUENCY])
         frequency = np.sqrt(frequency**2 + springs.highest_squared)
         z = beta * frequency + springs.decay_rate / frequency
@@ -246,13 +247,15 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             steps = refinement * int(np.ceil(period / stable))
         step = period / steps
         data.substep[0] = step
+        for j in range(modes, count):
+            even[0, j - modes], even[2, j - modes] = -step * speeds[j], step * speeds[j]
         for s in range(steps):
             trial_coordinates(q, v, beta, moved, False, at)
             clock[0] = clock[1]
             force(at, points, scratch, result)
             add_spring_forces(springs, q, v, result)
             clock[0], clock[1] = 0.0, step
-            kick_coordinates(v, result, no_load, still, 0, step, step, True, mass, constrained_inverse)
+            kick_coordinates(v, result, no_load, even, 0, step, step, True, mass, constrained_inverse, alpha, mean)
             for j in range(modes, count):
                 report[FORCES + j - modes] -= result[j] / steps
             if data.tools.kind.shape[0] > 0:
@@ -278,7 +281,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
                 return -1
             for j in range(data.modes, count):
                 value = -result[j] - load[j]
-                for m in range(data.modes):
+                for m in range(count):
                     value += data.body.mass[j, m] * rate[m]
                 report[FORCES + j - data.modes] += value / steps
         return steps
@@ -309,6 +312,10 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             at[m] = q[m] + data.body.stiffness_damping * v[m]
         force(at, data.indicator.integration_points, data.indicator.scratch, result)
         add_spring_forces(data.body.springs, q, v, result)
+        for j in range(data.modes, count):
+            rate[j] = data.body.mass_damping * v[j]  # the tools move evenly
+            for k in range(data.modes):
+                result[k] -= data.body.mass[k, j] * rate[j]
         for m in range(data.modes):
             value = 0.0
             for k in range(data.modes):
@@ -316,7 +323,7 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             rate[m] = value
         for j in range(data.indicator.mass.shape[0]):
             unbalanced = -result[count + j]
-            for m in range(data.modes):
+            for m in range(count):
                 unbalanced += data.indicator.mass[j, m] * rate[m]
             total += unbalanced * unbalanced
         return np.sqrt(total) / data.indicator.residual_scale

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -74,9 +73,12 @@ BODY_ATTRIBUTES: dict[str, type] = {
     "material": str, "parameters": str, "regions": str, "expression": str, "prony": str, "fibres": str,
     "groups": list, "spacing": float, "supports": str, "stiffness_damping": float,
 }  # fmt: skip
+OPTIONAL: dict[str, type] = {"mass_damping": float}  # attributes of bodies that need them; without one it is 0
 
 
-def body_header(cloud: Cloud, tissue: Tissue, supports: tuple[Support, ...], stiffness_damping: float) -> Header:
+def body_header(
+    cloud: Cloud, tissue: Tissue, supports: tuple[Support, ...], stiffness_damping: float, mass_damping: float
+) -> Header:
     """Return the header attributes of a body.
 
     Raises
@@ -92,6 +94,7 @@ def body_header(cloud: Cloud, tissue: Tissue, supports: tuple[Support, ...], sti
         "spacing": float(cloud.spacing),
         "supports": json.dumps([support.values() for support in supports]),
         "stiffness_damping": float(stiffness_damping),
+        **({"mass_damping": float(mass_damping)} if mass_damping else {}),
     }
 
 
@@ -158,12 +161,13 @@ def read_arrays(file: ArrayFile, prefix: str, layout: Layout) -> Arrays:
     return {name: file.read(prefix + name) for name in layout}
 
 
-def check_header(header: Header, attributes: Mapping[str, type]) -> None:
+def check_header(header: Header, attributes: dict[str, type]) -> None:
     """Refuse a header that does not have these attributes, of these types."""
-    if header.keys() != attributes.keys():
-        odd = sorted(header.keys() ^ attributes.keys())[0]
-        raise InputError(f"header {shortened(odd)} is {'missing' if odd in attributes else 'not one of a model'}")
-    for name, kind in attributes.items():
+    expected = attributes | {name: kind for name, kind in OPTIONAL.items() if name in header}
+    if header.keys() != expected.keys():
+        odd = sorted(header.keys() ^ expected.keys())[0]
+        raise InputError(f"header {shortened(odd)} is {'missing' if odd in expected else 'not one of a model'}")
+    for name, kind in expected.items():
         given: Any = header[name]
         if not (type(given) is kind or (kind is float and type(given) is int)):
             raise InputError(f"header {name} must be of type {kind.__name__}, got {given!r:.60}")

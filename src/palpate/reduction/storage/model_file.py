@@ -135,7 +135,7 @@ def contents(model: ReducedModel) -> tuple[Header, Arrays]:
 
 def _header(data: ReducedData) -> Header:
     return {
-        **body_header(data.cloud, data.tissue, data.supports, data.stiffness_damping),
+        **body_header(data.cloud, data.tissue, data.supports, data.stiffness_damping, data.mass_damping),
         "prescribed": list(data.prescribed),
         "wave_speed": float(data.wave_speed),
         "modes": int(data.modes),
@@ -227,6 +227,7 @@ def _data(header: Header, arrays: Arrays) -> ReducedData:
         prescribed=tuple(header["prescribed"]),
         volumes=own["volumes"],
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
+        mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         wave_speed=number_in_range("wave_speed", header["wave_speed"], 0.0, unit="m/s"),
         basis_vectors=own["basis_vectors"],
         modes=header["modes"],

@@ -24,7 +24,7 @@ from palpate.sealed import ArrayFile
 
 __all__ = ["body_contents", "body_in"]
 
-SOLID_ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {"mass_damping": float, "neighbours": int}
+SOLID_ATTRIBUTES: dict[str, type] = BODY_ATTRIBUTES | {"neighbours": int}
 
 
 def body_contents(model: ReducedModel | EnergySolid) -> tuple[Header, Arrays]:
@@ -37,8 +37,8 @@ def body_contents(model: ReducedModel | EnergySolid) -> tuple[Header, Arrays]:
     """
     if isinstance(model, ReducedModel):
         return contents(model)
-    own = {"mass_damping": float(model.mass_damping), "neighbours": int(model.neighbours)}
-    header = body_header(model.cloud, model.tissue, tuple(model.supports), model.stiffness_damping) | own
+    supports, damping = tuple(model.supports), (model.stiffness_damping, model.mass_damping)
+    header = body_header(model.cloud, model.tissue, supports, *damping) | {"neighbours": int(model.neighbours)}
     arrays = body_arrays(model.cloud, model.tissue)
     check_header(header, SOLID_ATTRIBUTES)
     check_values(arrays)
@@ -69,7 +69,7 @@ def body_in(header: Header, file: ArrayFile, prefix: str) -> ReducedModel | Ener
         tissue.material if regions is None else [regions.materials[k] for k in regions.which],
         supports,
         stiffness_damping=number_in_range("stiffness_damping", header["stiffness_damping"], 0.0, unit="s"),
-        mass_damping=number_in_range("mass_damping", header["mass_damping"], 0.0, unit="1/s"),
+        mass_damping=number_in_range("mass_damping", header.get("mass_damping", 0.0), 0.0, unit="1/s"),
         stiffness=tissue.stiffness if len(tissue.stiffness) else None,
         neighbours=integer_in_range("neighbours", header["neighbours"], 1, len(cloud)),
         fibres=tissue.fibres,

@@ -136,8 +136,6 @@ def hyper_reduce(
         raise InputError(
             "full must have no fibres and no relaxation if it is a membrane, got them; leave out fibres= and prony="
         )
-    if full.mass_damping:
-        raise InputError(f"mass_damping must be 0 for a reduced model, got {full.mass_damping:g} 1/s; leave it out")
     snapshots = Snapshots(trajectories)
     _check(full, snapshots.points)
     for _, run in held_out:
@@ -242,12 +240,14 @@ def _energy_form(full: Solid | Membrane) -> EnergySolid | Membrane:
         return Membrane(
             full.cloud, full.material, full.thickness, full.supports,
             prestretch=full.prestretch, relaxed=full.relaxed, stiffness_damping=full.stiffness_damping,
+            mass_damping=full.mass_damping,
         )  # fmt: skip
     return EnergySolid(
         full.cloud,
         full.material,
         full.supports,
         stiffness_damping=full.stiffness_damping,
+        mass_damping=full.mass_damping,
         neighbours=full.neighbours,
     )
 
@@ -372,6 +372,7 @@ def _data(
         prescribed=options.tools,
         volumes=body.volumes,
         stiffness_damping=full.stiffness_damping,
+        mass_damping=full.mass_damping,
         wave_speed=full.wave_speed,
         basis_vectors=fields.columns,
         modes=modes,

@@ -68,7 +68,9 @@ def full_model(recording: Recording, trusted_scene: str | None = None) -> Model:
             f"spacing of the scene must be that of the recorded body, {cloud.spacing:g} m, got "
             f"{parameters['spacing']:g} m; record the session again"
         )
-    model = training_scene(scene, scene_record["parameters"]).model
+    if "mass_damping" in parameters and "mass_damping" not in scene_record["parameters"]:
+        parameters["mass_damping"] = recording.model.mass_damping  # of a scene that had none when it was recorded
+    model = training_scene(scene, parameters).model
     points, tolerance = model.cloud.points, POINT_TOLERANCE * cloud.spacing
     if points.shape != cloud.points.shape or not np.allclose(points, cloud.points, atol=tolerance):
         raise InputError(
