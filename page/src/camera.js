@@ -17,13 +17,15 @@ export class OrbitCamera {
     this.still = new URLSearchParams(location.search).has("still") || matchMedia("(prefers-reduced-motion)").matches;
   }
 
-  /** Frame a sphere so that it fills the view. */
-  fitSphere(sphere) {
+  /** Frame a sphere so that it fills the view, or as the last one was framed. */
+  fitSphere(sphere, keepView = false) {
+    const { azimuth, elevation } = keepView ? this.goal : this.home;
+    const share = keepView ? this.goal.distance / this.home.distance : 1;
     this.radius = sphere.radius;
     this.home.target.copy(sphere.center);
     this.fit();
-    this.goal = clone(this.home);
-    this.now = clone(this.home);
+    this.goal = { ...clone(this.home), azimuth, elevation, distance: share * this.home.distance };
+    this.now = clone(this.goal);
   }
 
   fit() {

@@ -7,6 +7,7 @@ import { FrameMeter } from "./meter.js";
 import { StatusLine } from "./statusLine.js";
 import { Panel } from "./panel.js";
 import { Plots } from "./plots.js";
+import { Preparation } from "./preparation.js";
 import { Connection } from "./protocol.js";
 import { Scene } from "./scene.js";
 import { theme } from "./theme.js";
@@ -16,6 +17,7 @@ const byId = (id) => document.getElementById(id);
 const statusLine = new StatusLine(byId);
 const meter = new FrameMeter();
 const legend = new Legend(byId);
+const preparation = new Preparation(byId);
 const FRICTION = 0.2;
 const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
@@ -32,6 +34,7 @@ const page = {
   tool: () => session.tool,
   requestControl() {
     if (replaying()) return;
+    if (!session.hello) return statusLine.showToast("The body is being prepared.");
     statusLine.showToast("Another viewer controls the tool.");
     byId("drive").focus();
   },
@@ -91,7 +94,18 @@ function start() {
 // messages from the server
 
 const answers = {
+  preparing(message) {
+    statusLine.setConnection("Preparing", "");
+    preparation.show(message);
+  },
+  failed({ reason }) {
+    connection.close();
+    preparation.end();
+    statusLine.setConnection("Ended", "bad");
+    statusLine.showMessage(reason);
+  },
   hello(message) {
+    preparation.end();
     session.hello = message;
     session.status = { driver: false, viewers: message.viewers, state: "running", speed: 1 };
     session.tools = initialTools(message);
@@ -111,7 +125,7 @@ const answers = {
     Object.assign(session.status, message);
     adoptTool(message.tool);
     panel.materials(message.materials);
-    if (driver() && !before && scene.body) sendTool();
+    if (driver() && !before && scene.body?.count === session.hello.vertices) sendTool();
     showStatus();
   },
   statistics(message) {
@@ -130,6 +144,7 @@ function message(received) {
 
 function frame(received) {
   if (received.kind === 2) session.next = received;
+  else if (received.kind === 5) scene.setBody(received);
   else if (received.kind === 1) {
     scene.setBody(received);
     if (driver()) sendTool();

@@ -9,7 +9,7 @@ const STATE_NUMBERS = 25; // float64 values of a state
 /** Decode a binary frame; arrays are views of the buffer. */
 export function decode(buffer) {
   const [kind, sequence, vertices, triangles] = new Uint32Array(buffer, 0, 4);
-  if (kind === 1) {
+  if (kind === 1 || kind === 5) {
     const positions = new Float32Array(buffer, HEADER_BYTES, 3 * vertices);
     return { kind, sequence, positions, triangles: new Uint32Array(buffer, HEADER_BYTES + 12 * vertices, 3 * triangles) };
   }
@@ -63,12 +63,12 @@ export class Connection {
     const socket = new WebSocket(this.url, "palpate.v2");
     this.socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => this.send({ type: "hello", protocol: 2, token: this.token });
+    socket.onopen = () => this.send({ type: "hello", protocol: 2, token: this.token, preparation: true });
     socket.onmessage = ({ data }) => {
       if (socket !== this.socket) return;
       if (typeof data !== "string") return this.on.frame(decode(data));
       const message = JSON.parse(data);
-      if (message.type === "hello") this.wait = FIRST_RETRY_DELAY;
+      if (message.type === "hello" || message.type === "preparing") this.wait = FIRST_RETRY_DELAY;
       this.on.message(message);
     };
     socket.onclose = ({ code }) => {
@@ -84,8 +84,16 @@ export class Connection {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
+  /** Close for good. */
+  close() {
+    this.closed = true;
+    clearTimeout(this.timer);
+    this.socket.onclose = null;
+    this.socket.close();
+  }
+
   /** Reconnect at once. */
   reconnect() {
-    if (this.socket.readyState === WebSocket.CLOSED) this.connect();
+    if (!this.closed && this.socket.readyState === WebSocket.CLOSED) this.connect();
   }
 }

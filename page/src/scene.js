@@ -44,10 +44,11 @@ export class Scene {
     return this.orbitCamera.camera;
   }
 
-  /** Replace the body mesh; the camera stays if the body is the same after a new connection. */
+  /** Replace the body mesh; the camera stays if the body is the same after a new connection, its direction after a preview. */
   setBody(geometry) {
     const known = this.body?.rest;
     const same = known?.length === geometry.positions.length && known.every((part, k) => part === geometry.positions[k]);
+    const previewed = this.body?.preview;
     if (this.body) {
       this.graph.remove(this.body.mesh, this.overlay.lines);
       this.body.dispose();
@@ -56,7 +57,8 @@ export class Scene {
     this.overlay = new Overlay(this.body, this.accent ?? "#0b7285");
     this.graph.add(this.body.mesh, this.overlay.lines);
     this.shadow.fit(this.body);
-    if (!same) this.orbitCamera.fitSphere(this.body.sphere);
+    this.body.preview = geometry.kind === 5;
+    if (!same) this.orbitCamera.fitSphere(this.body.sphere, previewed);
     this.dirty = true;
   }
 

@@ -40,7 +40,8 @@ def idle(monkeypatch, tmp_path):
         "palpate.app.bench.command.large_case", "palpate.app.bench.page.find_chromium", "palpate.app.fit.command.fit",
         "palpate.app.run.liver.load_cached_liver", "palpate.app.train.command.open_campaign",
         "palpate.app.compare.command.BODIES",
-        "palpate.app.view.command._session", "palpate.app.view.server.host.serve_source",
+        "palpate.app.view.command._session", "palpate.app.view.command._show",
+        "palpate.app.view.server.host.serve_source",
     ):  # fmt: skip
         monkeypatch.setattr(place, {"beam": stop, "liver": stop} if place.endswith("BODIES") else stop)
     monkeypatch.setattr("palpate.app.train.command.check_dask", stop)

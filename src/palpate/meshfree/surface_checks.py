@@ -14,7 +14,7 @@ from palpate.faults import InputError
 from palpate.meshfree.intersections import MAX_PAIRS, self_intersections
 from palpate.meshfree.surfaces import Surface, boundary_loops, components, directed_edges, part_volumes
 
-__all__ = ["SurfaceProblem", "SurfaceReport", "check_surface"]
+__all__ = ["SurfaceProblem", "SurfaceReport", "check_surface", "has_closed_topology"]
 
 Kind = Literal["error", "note"]
 
@@ -76,19 +76,8 @@ class SurfaceReport:
 
 def check_surface(surface: Surface) -> SurfaceReport:
     """Return the problems of a welded surface: holes, folds, several parts, hollow shells and scale."""
-    edges, _ = directed_edges(surface.triangles)
-    undirected, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    turns = np.zeros(len(undirected), dtype=int)
-    np.add.at(turns, inverse.ravel(), np.where(edges[:, 0] < edges[:, 1], 1, -1))
-    middles = surface.vertices[undirected].mean(axis=1)
-    label = components(surface)
+    undirected, label, problems = _topology(surface)
     parts = int(label.max()) + 1
-    problems = [
-        *_open_problems(surface, undirected, count, turns, middles),
-        *_pinch_problems(surface),
-    ]
-    if not problems:
-        problems += _volume_problems(surface, label)
     problems += [*_crossing_problems(surface), *_scale_problems(surface)]
     return SurfaceReport(
         len(surface.vertices), len(surface.triangles), parts,
@@ -96,6 +85,28 @@ def check_surface(surface: Surface) -> SurfaceReport:
         surface.area, surface.volume,
         tuple(np.ptp(surface.vertices, axis=0).tolist()), tuple(problems),
     )  # fmt: skip
+
+
+def has_closed_topology(surface: Surface) -> bool:
+    """Return whether a welded surface is one closed and oriented part; it may intersect itself."""
+    return not _topology(surface)[2]
+
+
+def _topology(surface: Surface) -> tuple[Ints, Ints, list[SurfaceProblem]]:
+    """Return the edges (e, 2), the part of every triangle, and the problems of a surface without intersections."""
+    edges, _ = directed_edges(surface.triangles)
+    undirected, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+    turns = np.zeros(len(undirected), dtype=int)
+    np.add.at(turns, inverse.ravel(), np.where(edges[:, 0] < edges[:, 1], 1, -1))
+    middles = surface.vertices[undirected].mean(axis=1)
+    label = components(surface)
+    problems = [
+        *_open_problems(surface, undirected, count, turns, middles),
+        *_pinch_problems(surface),
+    ]
+    if not problems:
+        problems += _volume_problems(surface, label)
+    return undirected, label, problems
 
 
 def _place_text(point: Floats) -> str:

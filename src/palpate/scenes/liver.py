@@ -14,14 +14,12 @@ from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.filling import fill
 from palpate.scenes.organ import liver_surface
 from palpate.scenes.scene import TrainingScene
+from palpate.tissue.liver import DENSITY, MASS_DAMPING, SHEAR_MODULUS
 from palpate.tissue.materials import NeoHookean
 
 __all__ = ["ToolPaths", "pressed_liver"]
 
 
-SHEAR_MODULUS = 2.2e3  # [Pa] mean of healthy livers by elastography: Yin et al., Clin. Gastroenterol. Hepatol. 5, 2007
-DENSITY = 1060.0  # [kg/m^3]
-MASS_DAMPING = 8.0  # [1/s] an amplitude decays to 2 % within a second; see `pressed_liver`
 BED = 0.07  # [m] depth of the fixed back: the bare area, where a liver is attached to the diaphragm
 MARGIN = 0.02  # [m] smallest distance of presses from it
 COARSE = 0.008  # [m] spacing of the coarse liver, for the vibration modes and statics of finer ones

@@ -9,14 +9,8 @@ import pytest
 
 import palpate as pt
 from palpate.app.common.console import Console
-from palpate.app.models.touch import (
-    MOST_NODES,
-    TouchOptions,
-    is_surface_file,
-    open_surface,
-    realtime_spacing,
-    support_mask,
-)
+from palpate.app.models.touch import MOST_NODES, open_surface, realtime_spacing
+from palpate.app.models.touch_options import TouchOptions, is_surface_file, read_touched_surface, support_mask
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
 from palpate.scenes.organ import liver_surface
@@ -34,6 +28,10 @@ def organ(tmp_path_factory):
         + "".join(f"3 {a} {b} {c}\n" for a, b, c in surface.triangles)
     )
     return path
+
+
+def opened(path, options):
+    return open_surface(read_touched_surface(path, options), options, Console())
 
 
 def test_surface_files_are_known_by_their_suffix():
@@ -101,14 +99,13 @@ def pose_message(position, sequence):
 
 @pytest.mark.slow
 def test_a_surface_is_touched_at_once(organ, capsys):
-    model, title = open_surface(organ, TouchOptions(spacing=0.006), Console())
-    assert title == "My organ"
+    model = opened(organ, TouchOptions(spacing=0.006))
     assert model.mass_damping > 0
     assert model.material.shear_modulus == pytest.approx(2200.0)
     printed = capsys.readouterr().err
     for word in ("6 mm apart", "--units", "shear modulus 2.2 kPa", "--law", "--fixed", "mm assumed"):
         assert word in printed, printed
-    session = Session(model, title)
+    session = Session(model, "Organ")
     assert session.hello()["full"]
     assert session.tool_kinds == ["sphere", "capsule"]
     front = model.cloud.points[np.argmin(model.cloud.points[:, 1])]
@@ -151,7 +148,18 @@ def test_a_surface_is_touched_at_once(organ, capsys):
 )
 def test_bad_options_are_refused_by_name(organ, options, message):
     with pytest.raises(pt.InputError, match=message):
-        open_surface(organ, TouchOptions(**options), Console())
+        opened(organ, TouchOptions(**options))
+
+
+@pytest.mark.slow
+def test_a_surface_that_intersects_itself_is_refused_by_its_name(organ):
+    surface = read_touched_surface(organ, TouchOptions(units="mm"))
+    vertices = surface.vertices.copy()
+    right = vertices[:, 0] > np.median(vertices[:, 0])
+    vertices[right] -= [0.6 * np.ptp(vertices[:, 0]), 0.0, 0.0]  # one half inside the other
+    folded = type(surface)(vertices, surface.triangles, "folded.off")
+    with pytest.raises(pt.InputError, match=r"folded\.off must hold a closed surface"):
+        open_surface(folded, TouchOptions(spacing=0.006), Console())
 
 
 @pytest.mark.slow
@@ -161,4 +169,4 @@ def test_a_surface_that_is_open_is_refused(organ, tmp_path):
     path = tmp_path / "sheet.off"
     path.write_text("\n".join(["OFF", f"{vertices} {triangles // 2} 0", *lines[2 : 2 + vertices + triangles // 2]]))
     with pytest.raises(pt.InputError, match="must hold a closed surface"):
-        open_surface(path, TouchOptions(spacing=0.006, units="mm"), Console())
+        read_touched_surface(path, TouchOptions(units="mm"))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import threading
 from collections.abc import Iterator
 from math import pi, sin
 from pathlib import Path
@@ -103,25 +101,11 @@ def _serve(source: Any) -> Iterator[str]:
     """Serve a source in another thread; yields the page's address."""
     from palpate.app.view.server.host import Host
 
-    host, ready = Host(source), threading.Event()
+    host = Host(source)
     if not host.page.exists:
         raise InputError(f"{host.page.folder} must contain the page, got none; install palpate again, which builds it")
-    loop = asyncio.new_event_loop()
-    task = loop.create_task(host.run(ready.set))
-
-    def run() -> None:
-        with contextlib.suppress(asyncio.CancelledError):
-            loop.run_until_complete(task)
-        loop.close()
-
-    thread = threading.Thread(target=run, name="server")
-    thread.start()
-    try:
-        ready.wait()
+    with host.serving():
         yield host.address
-    finally:
-        loop.call_soon_threadsafe(task.cancel)
-        thread.join()
 
 
 def _press(tab: Tab, seconds: float) -> dict[str, Any]:

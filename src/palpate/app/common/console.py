@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,18 +42,31 @@ class Table:
 
 
 class Console:
-    """Lines about the work in progress, on standard error."""
+    """Lines about the work in progress, on standard error.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    on_phase : function, optional
+        Called with the text of every phase of the work when it begins.
+    """
+
+    def __init__(self, on_phase: Callable[[str], None] | None = None) -> None:
         self._console = rich.console.Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+        self._on_phase = on_phase
 
     def say(self, text: str) -> None:
         """Print one line."""
         self._console.print(text)
 
+    def begin_phase(self, text: str) -> None:
+        """Report that a phase of the work begins, without a line."""
+        if self._on_phase is not None:
+            self._on_phase(text)
+
     @contextmanager
     def status(self, text: str) -> Iterator[None]:
-        """Show a line while the block runs; where the output is not a terminal, print it once."""
+        """Begin a phase, and show a line while the block runs; where the output is not a terminal, print it once."""
+        self.begin_phase(text)
         if self._console.is_terminal:
             with self._console.status(text):
                 yield

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from palpate.app.common.arguments import suggestion
@@ -40,9 +41,9 @@ def open_model(what: str, console: Console) -> tuple[ReducedModel, str]:
     if what in NAMES:
         return train_quickly(scene_function(what), MODES, console), what.capitalize()
     path = Path(what)
-    if not path.suffix and not path.exists():
+    if not path.suffix and not os.path.exists(path):  # False also for a name that is too long
         raise InputError(
-            f"what must be {', '.join(SCENES)}, or a file of palpate train, got {what!r}{suggestion(what, SCENES)}"
+            f"what must be {', '.join(SCENES)}, or a file of palpate train, got {what!r:.60}{suggestion(what, SCENES)}"
         )
     model = load(path)
     if model.data.compliance is None and len(model.data.prescribed) != 1:

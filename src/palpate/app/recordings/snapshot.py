@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats
-from palpate.dynamics.solid.model import EnergySolid
 from palpate.realtime.record import PeriodRecord
-from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import DisplaySurface
+
+if TYPE_CHECKING:
+    from palpate.dynamics.solid.model import EnergySolid
+    from palpate.reduction.hyper.model import ReducedModel
+    from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = ["STATES", "TOOL_KINDS", "UNITS", "Snapshot", "scalar_descriptions", "training_errors"]
 
@@ -79,6 +81,8 @@ def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
 
 def training_errors(model: ReducedModel | EnergySolid) -> dict[str, Any] | None:
     """Return a model's mean errors on held-out runs for `hello`, or None without such runs."""
+    from palpate.reduction.hyper.model import ReducedModel
+
     if not isinstance(model, ReducedModel):
         return None
     errors = model.report.get("held_out", {}).get("mean", {})

@@ -5,29 +5,39 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palpate.app.common.console import Console, print_json, print_plain, quantities_table
-from palpate.app.common.exit_status import DONE, FAILED
-from palpate.app.models.loader import open_model
-from palpate.app.models.touch import TouchOptions, is_surface_file, open_surface
-from palpate.app.recordings.recording_journal import is_recording
+from palpate.app.common.exit_status import DONE, FAILED, INTERRUPTED
+from palpate.app.models.touch_options import (
+    TouchOptions,
+    is_surface_file,
+    read_touched_surface,
+    support_mask,
+    touched_material,
+)
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
-from palpate.app.view.session.messages import Message
-from palpate.app.view.session.script import read_script, run_script
-from palpate.app.view.session.session import Session
-from palpate.dynamics.solid.model import EnergySolid
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
-from palpate.reduction.hyper.model import ReducedModel
+from palpate.meshfree.surfaces import Surface
+from palpate.scenes.names import SCENES
+
+if TYPE_CHECKING:  # each takes a second to import, before the page opens
+    from palpate.app.view.session.messages import Message
+    from palpate.app.view.session.session import Session
+    from palpate.dynamics.solid.model import EnergySolid
+    from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["view"]
 
 MAX_HEADLESS_SECONDS = 3600.0  # [s] of a headless session
+PATIENCE, TRAINING_PATIENCE = 1.0, 10.0  # [s] after an interrupt; workers of a training are stopped in order
 
 
 def view(
@@ -70,7 +80,7 @@ def view(
     script : path, optional
         Script of a headless session; see `palpate.app.view.session.script.read_script`.
     units, scale, part, spacing, law, given, fixed
-        Of a body from a surface file, see `palpate.app.models.touch.TouchOptions`.
+        Of a body from a surface file, see `palpate.app.models.touch_options.TouchOptions`.
     as_json : bool
         Print the summary of a headless session as JSON.
 
@@ -88,7 +98,7 @@ def view(
     SystemExit
         SIGTERM or SIGHUP ended the program; its status is 128 plus the number of the signal.
     """
-    console, run = Console(), _headless_script(headless, seconds, script)
+    run = _headless_script(headless, seconds, script)
     port = integer_in_range("port", port, 1, 65535)
     if run is None:
         require("websockets", "a page in the browser")
@@ -101,29 +111,104 @@ def view(
             "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
             f"{what!r:.60}"
         )
-    with _exit_on_signals(), _session(what, options, record, console) as session:
+    subject = _read_subject(what, options)
+    with _exit_on_signals():
         if run is None:
-            from palpate.app.view.server.host import serve_source
+            return FAILED if _show(subject, record, (port, host, browser)) else DONE
+        from palpate.app.view.session.script import run_script
 
-            serve_source(session, console, port, host, browser)
-        else:
+        with _session(subject, record, Console()) as session:
             summary = run_script(session, *run)
-    if run is None:
-        return FAILED if session.failures else DONE
     print_json(summary) if as_json else print_plain([_table(session.title, summary)], Path("."), ())
     return FAILED if session.failures else DONE
 
 
-@contextlib.contextmanager
-def _session(what: str, options: TouchOptions, record: Path | None, console: Console) -> Iterator[Session]:
-    """Yield a running session; stop it at the end, and write its recordings."""
-    model: ReducedModel | EnergySolid
+@dataclass(frozen=True)
+class _Subject:
+    """What is viewed, as far as it is read before the page opens: a surface, a model of a file, or a scene's name."""
+
+    what: str
+    title: str
+    options: TouchOptions
+    surface: Surface | None = None
+    model: ReducedModel | None = None
+
+    @property
+    def durations_name(self) -> str:
+        """Name under which the durations of its preparation are kept."""
+        if self.model is not None:
+            return str(Path(self.what).resolve())
+        if self.surface is None:
+            return self.what
+        return f"surface {self.options.law or ''} {self.options.spacing or ''}".rstrip()
+
+
+def _read_subject(what: str, options: TouchOptions) -> _Subject:
+    """Read a surface or a model, and check the options of a surface."""
     if is_surface_file(what):
-        model, title = open_surface(what, options, console)
+        surface = read_touched_surface(what, options)
+        touched_material(options)
+        support_mask(surface.vertices, options.fixed)  # refuses what names no support
+        return _Subject(what, Path(what).stem.replace("_", " ").capitalize(), options, surface)
+    if what in SCENES:
+        return _Subject(what, what.capitalize(), options)
+    from palpate.app.models.loader import open_model
+
+    model, title = open_model(what, Console())
+    cloud = model.cloud
+    has_surface = len(cloud.triangles) and cloud.points.shape[1] == 3
+    return _Subject(what, title, options, Surface(cloud.points, cloud.triangles) if has_surface else None, model)
+
+
+def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]) -> list[str]:
+    """Show a body on a page until interrupted: its surface at once, and the session when it is ready.
+
+    Returns
+    -------
+    list of str
+        Failures of recordings.
+    """
+    from palpate.app.view.server.host import serve
+    from palpate.app.view.server.preparation import Preparation
+
+    preparation = Preparation(subject.title, subject.durations_name, subject.surface)
+    console = Console(preparation.begin)
+    patience = TRAINING_PATIENCE if subject.what in SCENES else PATIENCE
+    with serve(preparation, console, *address) as host, contextlib.ExitStack() as stack:
+        try:
+            with _end_after_interrupt(patience):
+                session = stack.enter_context(_session(subject, record, console))
+                preparation.end()
+        except Exception as error:
+            host.fail(str(error) if isinstance(error, InputError) else "palpate ended; its terminal says why")
+            raise
+        host.show(session)
+        try:
+            host.wait()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            host.stop()  # before the session ends
+    return session.failures
+
+
+@contextlib.contextmanager
+def _session(subject: _Subject, record: Path | None, console: Console) -> Iterator[Session]:
+    """Yield a running session; stop it at the end, and write its recordings."""
+    console.begin_phase("importing")
+    from palpate.app.models.loader import open_model
+    from palpate.app.models.touch import open_surface
+    from palpate.app.view.session.session import Session
+
+    model: ReducedModel | EnergySolid
+    if subject.model is not None:
+        model = subject.model
+    elif subject.surface is not None:
+        model = open_surface(subject.surface, subject.options, console)
     else:
-        model, title = open_model(what, console)
+        model, _ = open_model(subject.what, console)
     with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
-        session = Session(model, title)
+        session = Session(model, subject.title)
     session.start()
     if record is not None:
         session.start_recording(record)
@@ -133,6 +218,34 @@ def _session(what: str, options: TouchOptions, record: Path | None, console: Con
         session.close()
         with contextlib.suppress(OSError):  # the terminal was closed
             _print_notifications(session, console)
+
+
+@contextlib.contextmanager
+def _end_after_interrupt(patience: float) -> Iterator[None]:
+    """End the program a time [s] after Ctrl-C at the latest: a compiler does not return for seconds."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        yield
+        return
+    watched, notified = socket.socketpair()
+    notified.setblocking(False)
+    left = threading.Event()
+
+    def watch() -> None:
+        with watched:
+            while signals := watched.recv(16):
+                if signal.SIGINT in signals and not left.wait(patience):
+                    with contextlib.suppress(OSError):
+                        os.write(2, b"palpate: interrupted\n")
+                    os._exit(INTERRUPTED)
+
+    threading.Thread(target=watch, name="palpate interrupt", daemon=True).start()
+    before = signal.set_wakeup_fd(notified.fileno(), warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        left.set()
+        signal.set_wakeup_fd(before)
+        notified.close()
 
 
 def _parameters(given: Sequence[str]) -> dict[str, float]:
@@ -176,6 +289,8 @@ def _check_record(path: Path, what: str) -> None:
     check_folder(path.parent, "record")
     if path.suffix != ".h5":
         raise InputError(f"record must end in .h5, got {str(path)!r}; its file for ParaView ends in .vtkhdf")
+    from palpate.app.recordings.recording_journal import is_recording
+
     recorded = is_recording(path)
     for each in (path, path.with_suffix(".vtkhdf")):
         if each.exists() and Path(what).exists() and os.path.samefile(each, what):
@@ -198,6 +313,8 @@ def _headless_script(
     seconds = number_in_range(
         "seconds", 10.0 if seconds is None else seconds, 0.0, MAX_HEADLESS_SECONDS, open_low=True, unit="s"
     )
+    from palpate.app.view.session.script import read_script
+
     return read_script(script) if script is not None else [], seconds
 
 

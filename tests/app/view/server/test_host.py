@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import urllib.request
 
 import pytest
@@ -24,6 +25,9 @@ def served(session, monkeypatch, capsys):
     def serve(port=18970, address=LOOPBACK, browser=True):
         monkeypatch.setattr(host.Host, "run", run)
         host.serve_source(session, Console(), port, address, browser)
+        for thread in threading.enumerate():
+            if thread.name == "palpate browser":
+                thread.join()
         return capsys.readouterr().err.splitlines()
 
     return serve
@@ -72,10 +76,9 @@ def test_the_address_is_answered_until_interrupted(session, monkeypatch, capsys)
 
     assert b"<!doctype html" in asyncio.run(visit()).lower()
 
-    async def interrupted(own, ready):
-        own._listener.close()
+    def interrupted(own):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(host.Host, "run", interrupted)
+    monkeypatch.setattr(host.Host, "wait", interrupted)
     host.serve_source(session, Console(), 18970, LOOPBACK, False)  # ends without a word
     assert "Traceback" not in capsys.readouterr().err

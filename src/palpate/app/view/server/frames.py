@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import struct
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
 from palpate.arrays import Singles
-from palpate.reduction.realtime.display_surface import DisplaySurface
+
+if TYPE_CHECKING:
+    from palpate.meshfree.surfaces import Surface
+    from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = [
-    "FORCE", "GEOMETRY", "OVERLAY", "STATE", "colour_range", "force_frame", "geometry_frame", "overlay_body",
-    "pack_frame", "state_body",
+    "FORCE", "GEOMETRY", "OVERLAY", "PREVIEW", "STATE", "colour_range", "force_frame", "geometry_frame", "overlay_body",
+    "pack_frame", "preview_frame", "state_body",
 ]  # fmt: skip
 
 
-GEOMETRY, STATE, OVERLAY, FORCE = 1, 2, 3, 4
+GEOMETRY, STATE, OVERLAY, FORCE, PREVIEW = 1, 2, 3, 4, 5
 HEADER = struct.Struct("<4I")
 RANGE_PERCENTILE = 99.0  # of a scalar, at which its colour range ends; excludes peaks of single vertices at edges
 
@@ -28,8 +33,17 @@ def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: 
 
 def geometry_frame(surface: DisplaySurface) -> bytes:
     """Return the geometry frame of a surface: positions at rest and triangles."""
-    body = surface.rest.astype("<f4").tobytes() + surface.triangles.astype("<u4").tobytes()
-    return pack_frame(GEOMETRY, 0, len(surface.rest), body, len(surface.triangles))
+    return _mesh_frame(GEOMETRY, surface.rest, surface.triangles)
+
+
+def preview_frame(surface: Surface) -> bytes:
+    """Return the preview frame of the surface of a file, shown until the body is ready."""
+    return _mesh_frame(PREVIEW, surface.vertices, surface.triangles)
+
+
+def _mesh_frame(kind: int, points: NDArray[Any], triangles: NDArray[Any]) -> bytes:
+    body = points.astype("<f4").tobytes() + triangles.astype("<u4").tobytes()
+    return pack_frame(kind, 0, len(points), body, len(triangles))
 
 
 def state_body(surface: DisplaySurface, snapshot: Snapshot, scalar: str) -> bytes:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 
 from palpate.app.common.console import Console
 from palpate.app.view.server.address import (
@@ -16,11 +17,15 @@ from palpate.app.view.server.address import (
     open_browser,
     open_listener,
 )
+from palpate.app.view.server.connection import CLOSE_TIMEOUT
 from palpate.app.view.server.page import Page
+from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.server import Server
 from palpate.app.view.server.view_source import ViewSource
 
-__all__ = ["Host", "serve_source"]
+__all__ = ["Host", "serve", "serve_source"]
+
+JOIN_INTERVAL = 1.0  # [s]
 
 
 class Host:
@@ -28,7 +33,7 @@ class Host:
 
     Parameters
     ----------
-    source : Session or Replay
+    source : Session, Replay or Preparation
     host : str
         Address of this machine.
     port : int
@@ -48,7 +53,7 @@ class Host:
         The address does not belong to this machine, or no port is free.
     """
 
-    def __init__(self, source: ViewSource, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> None:
+    def __init__(self, source: ViewSource | Preparation, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> None:
         self._listener = open_listener(host, port)
         self.port, token = self._listener.getsockname()[1], secrets.token_urlsafe(24)
         names = allowed_hosts(host, self.port)
@@ -60,9 +65,71 @@ class Host:
         with self._listener:
             await self._server.run(self._listener, ready)
 
+    @contextlib.contextmanager
+    def serving(self) -> Iterator[None]:
+        """Serve in a thread of its own within a context, which begins once clients are answered."""
+        ready = threading.Event()
+        self._loop = asyncio.new_event_loop()
+        self._task = self._loop.create_task(self.run(ready.set))
+
+        def serve() -> None:
+            try:
+                with contextlib.suppress(asyncio.CancelledError):
+                    self._loop.run_until_complete(self._task)
+                self._loop.run_until_complete(self._loop.shutdown_default_executor())
+            finally:
+                self._loop.close()
+                ready.set()
+
+        self._thread = threading.Thread(target=serve, name="palpate server", daemon=True)
+        self._thread.start()
+        try:
+            ready.wait()
+            yield
+        finally:
+            self.stop()
+
+    def show(self, source: ViewSource) -> None:
+        """Show a session to all viewers, whose preparation has ended."""
+        self._call(self._server.show, source)
+
+    def fail(self, reason: str) -> None:
+        """Report to the viewers that the preparation has failed."""
+        with contextlib.suppress(RuntimeError, TimeoutError):  # the server has ended
+            asyncio.run_coroutine_threadsafe(self._server.fail(reason), self._loop).result(CLOSE_TIMEOUT)
+
+    def wait(self) -> None:
+        """Wait until the server ends.
+
+        Raises
+        ------
+        Exception
+            As of the server.
+        """
+        while self._thread.is_alive():  # with a timeout, because a wait without one cannot be interrupted everywhere
+            self._thread.join(JOIN_INTERVAL)
+        if not self._task.cancelled():
+            self._task.result()
+
+    def stop(self) -> None:
+        """End the server and its connections."""
+        with contextlib.suppress(RuntimeError):  # it has ended
+            self._call(self._task.cancel)
+        self._thread.join()
+
+    def _call(self, function: Callable[..., object], *arguments: object) -> None:
+        self._loop.call_soon_threadsafe(function, *arguments)
+
 
 def serve_source(source: ViewSource, console: Console, port: int, host: str, browser: bool) -> None:
     """Serve a session or a replay until interrupted, print its address, and open it in a browser."""
+    with serve(source, console, port, host, browser) as own, contextlib.suppress(KeyboardInterrupt):
+        own.wait()
+
+
+@contextlib.contextmanager
+def serve(source: ViewSource | Preparation, console: Console, port: int, host: str, browser: bool) -> Iterator[Host]:
+    """Serve within a context: print the address, and open it in a browser."""
     own = Host(source, host, port)
     if own.port != port:
         console.say(f"port {port} is busy; using {own.port}")
@@ -74,10 +141,13 @@ def serve_source(source: ViewSource, console: Console, port: int, host: str, bro
     if not own.page.exists:
         console.say("the page was not built: programs can connect, browsers show no page (see docs/view.md)")
 
-    def announce() -> None:
-        console.say(f"open {own.address}  (stop with Ctrl-C)")
-        if browser and own.page.exists and not open_browser(own.address):
+    def visit() -> None:
+        if not open_browser(own.address):
             console.say("no browser was found: open the address yourself")
 
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(own.run(announce))
+    visitor = threading.Thread(target=visit, name="palpate browser", daemon=True)  # some take seconds to start
+    with own.serving():
+        console.say(f"open {own.address}  (stop with Ctrl-C)")
+        if browser and own.page.exists:
+            visitor.start()
+        yield own

@@ -27,6 +27,7 @@ from palpate.app.view.server.connection import (
     unsent_bytes,
 )
 from palpate.app.view.server.page import Page
+from palpate.app.view.server.preparation import Preparation
 from palpate.app.view.server.streams import Streams
 from palpate.app.view.server.view_source import ViewSource
 from palpate.app.view.server.viewer import VIEWER_TOO_SLOW, Viewer
@@ -58,21 +59,48 @@ class Server:
 
     Parameters
     ----------
-    source : Session or Replay
+    source : Session, Replay or Preparation
+        After a preparation, `show` gives the session.
     page : Page
     token : str
         Secret that admits a viewer.
     """
 
-    def __init__(self, source: ViewSource, page: Page, token: str) -> None:
-        self.source, self.page, self._token = source, page, token
+    source: ViewSource  # from `show` on
+
+    def __init__(self, source: ViewSource | Preparation, page: Page, token: str) -> None:
+        self.page, self._token = page, token
         self.viewers: list[Viewer] = []
         self.driver: Viewer | None = None
         self._connections: dict[CountedConnection, None] = {}  # the oldest first
         self._last_status = ""
-        self._streams = Streams(source)
         self._logged: set[str] = set()
-        self._max_unsent = MAX_UNSENT_BYTES + 2 * len(frames.geometry_frame(source.surface))
+        self._preparation: Preparation | None = None
+        self._prepared = asyncio.Event()
+        self._preview = b""
+        self._max_unsent = MAX_UNSENT_BYTES
+        if isinstance(source, Preparation):
+            self._preparation = source
+            self._preview = b"" if source.surface is None else frames.preview_frame(source.surface)
+            self._max_unsent += 2 * len(self._preview)
+        else:
+            self.show(source)
+
+    def show(self, source: ViewSource) -> None:
+        """Show a session or a replay to all viewers, in place of the preparation; called in the server's thread."""
+        self.source, self._streams = source, Streams(source)
+        self._max_unsent = MAX_UNSENT_BYTES + 2 * max(len(self._preview), len(frames.geometry_frame(source.surface)))
+        self._preparation, self._preview = None, b""
+        for viewer in self.viewers:  # each is ready again after its hello
+            viewer.ready = False
+        if not self.viewers:
+            source.pause(NO_VIEWERS)
+        self._prepared.set()
+
+    async def fail(self, reason: str) -> None:
+        """Report to the viewers that the preparation has failed."""
+        message = _to_json({"type": "failed", "reason": reason})
+        await asyncio.gather(*(self._send_to(viewer, message) for viewer in self._ready_viewers()))
 
     async def run(self, listening: socket.socket, ready: Callable[[], None] = lambda: None) -> None:
         """Serve on a listening socket until cancelled; calls `ready` once clients are answered."""
@@ -97,9 +125,12 @@ class Server:
 
     async def _run_clock(self) -> None:
         last_statistics = 0.0
-        if not self.viewers:
-            self.source.pause(NO_VIEWERS)
         while True:
+            if self._preparation is not None:
+                self._broadcast(self._preparation.message())
+                self._close_stalled()
+                await asyncio.sleep(TICK_INTERVAL)
+                continue
             try:
                 self.source.tick()
                 if time.monotonic() - last_statistics > STATISTICS_INTERVAL:
@@ -187,6 +218,8 @@ class Server:
     async def _serve_viewer(self, viewer: Viewer) -> None:
         try:
             self._add_viewer(viewer)
+            if not self._prepared.is_set() and not await self._wait_for_session(viewer):
+                return
             await viewer.send_message(self._hello_message(viewer))
             await viewer.send(frames.geometry_frame(self.source.surface))
             await viewer.send_message(self._status_message(viewer, self.source.status()))
@@ -202,6 +235,22 @@ class Server:
                     stream.cancel()
         finally:
             self._remove_viewer(viewer)
+
+    async def _wait_for_session(self, viewer: Viewer) -> bool:
+        """Send the preview, and the progress from now on; return whether the viewer stays until the session exists."""
+        preparation = self._preparation
+        if viewer.follows_preparation and preparation is not None:
+            await viewer.send_message(preparation.message())
+            if self._preview:
+                await viewer.send(self._preview)
+            viewer.ready = self._preparation is not None
+        waits = [asyncio.ensure_future(each) for each in (self._prepared.wait(), viewer.socket.wait_closed())]
+        try:
+            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+            return not waits[1].done()
+        finally:
+            for each in waits:
+                each.cancel()
 
     async def _admit(self, connection: ServerConnection) -> Viewer | None:
         """Wait for hello with the token and return the viewer; otherwise close the connection and return None."""
@@ -226,13 +275,14 @@ class Server:
             return None
         if isinstance(connection, CountedConnection):
             connection.admitted = True
-        return Viewer(connection)
+        return Viewer(connection, hello["preparation"])
 
     def _add_viewer(self, viewer: Viewer) -> None:
         self.viewers.append(viewer)
         if self.driver is None:
             self.driver, viewer.last_drive = viewer, time.monotonic()
-        if len(self.viewers) == 1 and self.source.pause_reason in (NO_VIEWERS, VIEWERS_LEFT):
+        alone = self._prepared.is_set() and len(self.viewers) == 1
+        if alone and self.source.pause_reason in (NO_VIEWERS, VIEWERS_LEFT):
             with contextlib.suppress(InputError):  # a diverged state waits for a reset
                 self.source.resume()
 
@@ -240,6 +290,10 @@ class Server:
         self.viewers.remove(viewer)
         for task in list(viewer.tasks):
             task.cancel()
+        if not self._prepared.is_set():
+            if viewer is self.driver:
+                self.driver = None
+            return
         try:
             if viewer is self.driver:
                 self.driver = None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from palpate.app.recordings.snapshot import Snapshot
 from palpate.app.view.session.messages import Message
-from palpate.reduction.realtime.display_surface import DisplaySurface
+
+if TYPE_CHECKING:
+    from palpate.reduction.realtime.display_surface import DisplaySurface
 
 __all__ = ["ViewSource"]
 

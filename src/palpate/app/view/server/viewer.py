@@ -33,10 +33,13 @@ class Viewer:
     Parameters
     ----------
     socket : ServerConnection
+    follows_preparation : bool
+        Whether it receives the progress before the session exists.
     """
 
-    def __init__(self, socket: ServerConnection) -> None:
+    def __init__(self, socket: ServerConnection, follows_preparation: bool = False) -> None:
         self.socket, self.scalar, self.queue = socket, "displacement", MessageQueue()
+        self.follows_preparation = follows_preparation
         self.sent, self.acknowledged, self.invalid_messages = 0, 0, 0
         self.ready = False  # whether it has received hello, geometry and status
         self.closing = False

@@ -66,6 +66,12 @@ def _text(name: str, value: Any) -> str:
     return value
 
 
+def _boolean(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{name} must be true or false, got {_short(value)}; {SEE_DOCS}")
+    return value
+
+
 def _one_of(*names: str) -> Check:
     def check(name: str, value: Any) -> str:
         if not isinstance(value, str) or value not in names:
@@ -111,7 +117,10 @@ _TOOL: dict[str, tuple[Check, Any]] = {
 }
 # fields of each type of message: check and default
 FIELDS: dict[str, dict[str, tuple[Check, Any]]] = {
-    "hello": {"protocol": (_whole_number, REQUIRED), "token": (_text, REQUIRED), "name": (_text, "")},
+    "hello": {
+        "protocol": (_whole_number, REQUIRED), "token": (_text, REQUIRED), "name": (_text, ""),
+        "preparation": (_boolean, False),
+    },
     "ack": {"sequence": (_whole_number, REQUIRED)},
     "pose": {
         "position": (_vector(3), REQUIRED), "quaternion": (_unit_quaternion, (1.0, 0.0, 0.0, 0.0)),

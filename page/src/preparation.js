@@ -1,0 +1,37 @@
+// Progress before the session exists: the phase, a bar, and the time left.
+
+const text = (seconds) => (seconds < 90 ? `${Math.max(Math.round(seconds), 1)} s` : `${Math.round(seconds / 60)} min`);
+
+/** One line about a message `preparing`. */
+export function progressLine({ phase, seconds, seconds_left: left, functions_compiled: compiled }) {
+  const first = phase ? phase[0].toUpperCase() + phase.slice(1).replace(/ \(.*\)$/, "") : "Starting";
+  if (left !== null) return `${first}: about ${text(left)} left`;
+  const count = compiled ? `, ${compiled} functions compiled` : "";
+  return `${first}: ${text(seconds)}${count}; the first time takes longest`;
+}
+
+/** Shows the progress in place of the message of the page. */
+export class Preparation {
+  constructor(byId) {
+    Object.assign(this, { byId, active: false });
+  }
+
+  show(message) {
+    this.active = true;
+    this.byId("title").textContent = message.title;
+    document.title = `${message.title} · palpate`;
+    document.body.classList.add("preparing");
+    const line = this.byId("message");
+    line.hidden = false;
+    line.textContent = progressLine(message);
+    line.classList.toggle("open-ended", message.fraction === null);
+    line.style.setProperty("--share", `${100 * (message.fraction ?? 0)}%`);
+  }
+
+  /** The session exists, or has failed. */
+  end() {
+    this.active = false;
+    document.body.classList.remove("preparing");
+    this.byId("message").classList.remove("open-ended");
+  }
+}
