@@ -27,8 +27,9 @@ def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: 
 
 
 def geometry_frame(surface: DisplaySurface) -> bytes:
-    """Return the geometry frame of a surface: positions at rest and triangles."""
+    """Return the geometry frame of a surface: positions at rest, triangles, and which vertices are fixed."""
     body = surface.rest.astype("<f4").tobytes() + surface.triangles.astype("<u4").tobytes()
+    body += surface.fixed.astype("u1").tobytes()
     return pack_frame(GEOMETRY, 0, len(surface.rest), body, len(surface.triangles))
 
 
