@@ -9,10 +9,6 @@ const TARGET_TRIANGLES_IN_SOFTWARE = 16_000;
 const MAX_SUBDIVISIONS = 5; // of an edge
 const CULLING_COSINE = 0.35; // beyond which a curved patch is hidden
 
-export const TISSUE = [0.43, 0.15, 0.12]; // sRGB
-
-const linear = (parts) => new three.Vector3(...parts.map((part) => part ** 2.2));
-
 export class BodyMesh {
   constructor(renderer, geometry, { fine }) {
     this.renderer = renderer;
@@ -24,6 +20,7 @@ export class BodyMesh {
     this.memory.set(geometry.positions);
     this.positions = this.memory.subarray(0, 3 * this.count); // present positions, used for picking
     this.rest = new Float32Array(geometry.positions);
+    this.fixed = geometry.fixed; // 1 for each vertex of a support
     this.neighbours = neighbours(this.triangles, this.count, this.rows);
     this.smooth = renderer.extensions.has("EXT_color_buffer_float") || renderer.extensions.has("EXT_color_buffer_half_float");
     const wanted = Math.sqrt((fine ? TARGET_TRIANGLES : TARGET_TRIANGLES_IN_SOFTWARE) / (this.triangles.length / 3));
@@ -40,7 +37,8 @@ export class BodyMesh {
     const shape = new three.BufferGeometry();
     const changing = (array, width) => new three.BufferAttribute(array, width).setUsage(three.DynamicDrawUsage);
     this.place = changing(this.memory, 3);
-    this.scalar = changing(new Float32Array(WIDTH * this.rows), 1);
+    this.scalar = changing(new Float32Array(2 * WIDTH * this.rows), 2); // scalar, and whether the vertex is fixed
+    this.fixed.forEach((fixed, k) => (this.scalar.array[2 * k + 1] = fixed));
     shape.setAttribute("position", this.place);
     shape.setAttribute("scalar", this.scalar);
     shape.setAttribute("rest", new three.BufferAttribute(this.rest, 3));
@@ -68,7 +66,6 @@ export class BodyMesh {
       side: double ? three.DoubleSide : three.FrontSide,
       uniforms: {
         ...Object.fromEntries(["normals", "positions", "rests", "scalars"].map((name) => [name, { value: null }])),
-        tissue: { value: linear(TISSUE) },
         range: { value: new three.Vector2(0, 1) },
         shown: { value: 0 },
         size: { value: 1 },
@@ -104,7 +101,7 @@ export class BodyMesh {
     const { positions, rests, scalars } = this.material.uniforms;
     positions.value = this.texture;
     rests.value = this.makeVectors(rest);
-    this.values = scalars.value = this.makeTexture(this.scalar.array, WIDTH);
+    this.values = scalars.value = this.makeTexture(this.scalar.array, WIDTH, three.RGFormat);
     this.mesh.geometry = shape;
   }
 
@@ -178,7 +175,7 @@ export class BodyMesh {
   update({ positions, scalar }) {
     this.memory.set(positions);
     if (scalar) {
-      this.scalar.array.set(scalar);
+      for (let k = 0; k < this.count; k++) this.scalar.array[2 * k] = scalar[k];
       this.scalar.needsUpdate = true;
       if (this.values) this.values.needsUpdate = true;
     }
@@ -214,6 +211,25 @@ export class BodyMesh {
       result.addScaledVector(b.cross(c), weight);
     }
     return result.normalize();
+  }
+
+  /** Whether a point is inside the deformed body, by the normal of the nearest vertex. */
+  isInside(point) {
+    const { positions: p, count } = this;
+    let [nearest, vertex] = [Infinity, 0];
+    for (let k = 0; k < count; k++) {
+      const distance = (p[3 * k] - point.x) ** 2 + (p[3 * k + 1] - point.y) ** 2 + (p[3 * k + 2] - point.z) ** 2;
+      if (distance < nearest) [nearest, vertex] = [distance, k];
+    }
+    const outward = point.clone().sub(new three.Vector3().fromArray(p, 3 * vertex));
+    return outward.dot(this.normalAt(vertex)) < 0;
+  }
+
+  /** Whether a vertex within a distance [m] of a vertex, at rest, is fixed. */
+  isFixedNear(vertex, distance) {
+    const [x, y, z] = this.rest.subarray(3 * vertex, 3 * vertex + 3);
+    const near = (k) => Math.hypot(this.rest[3 * k] - x, this.rest[3 * k + 1] - y, this.rest[3 * k + 2] - z) <= distance;
+    return this.fixed.some((fixed, k) => fixed && near(k));
   }
 
   dispose() {

@@ -1,50 +1,47 @@
-// The colour map of shader and legend: viridis, as a polynomial by M. Zucker (public domain).
+// Colour maps of shader and legend, made for red tissue: zero is the colour of the tissue at rest.
 
-const TERMS = [
-  [0.2777273272234177, 0.005407344544966578, 0.3340998053353061],
-  [0.1050930431085774, 1.404613529898575, 1.384590162594685],
-  [-0.3308618287255563, 0.214847559468213, 0.09509516302823659],
-  [-4.634230498983486, -5.799100973351585, -19.33244095627987],
-  [6.228269936347081, 14.17993336680509, 56.69055260068105],
-  [4.776384997670288, -13.74514537774601, -65.35303263337234],
-  [-5.435455855934631, 4.645852612178535, 26.3124352495832],
-];
+export const TISSUE = [0.43, 0.15, 0.12]; // reflectance of tissue, sRGB
+const FRONT = [1.76, 1.61, 1.58]; // light of the shader on tissue that faces the eye
+const FLAT = 1.02; // the same where values are shown, in which the light is flatter
+const FLAT_FROM = 0.35; // share of the range at which the light is flat
 
-/** Colour at t in 0..1, as sRGB components in 0..1. */
-export function viridis(t) {
-  return [0, 1, 2].map((k) => TERMS.reduceRight((sum, term) => sum * t + term[k], 0));
+const linear = (part) => part ** 2.2;
+const encoded = (part) => (part <= 0.0031308 ? 12.92 * part : 1.055 * part ** (1 / 2.4) - 0.055);
+
+/** Tissue at rest as it is drawn, and the colours of 1/4, 2/4, 3/4 and 4/4 of the range; sRGB. */
+const ZERO = TISSUE.map((part, k) => encoded(FRONT[k] * linear(part)));
+const ABOVE = [[0.76, 0.32, 0.11], [0.91, 0.53, 0.16], [0.97, 0.76, 0.38], [1, 0.96, 0.82]];
+const BELOW = [[0.4, 0.35, 0.55], [0.36, 0.52, 0.8], [0.56, 0.76, 0.95], [0.86, 0.96, 1]];
+
+const share = (x) => Math.min(Math.max(x, 0), 1);
+const mix = (a, b, t) => a.map((part, k) => part + t * (b[k] - part));
+
+/** Colour at t in -1..1 as it is drawn on tissue that faces the eye, sRGB components in 0..1. */
+export function colourAt(t) {
+  const arm = t < 0 ? BELOW : ABOVE;
+  return arm.reduce((colour, next, k) => mix(colour, next, share(4 * Math.abs(t) - k)), ZERO);
 }
 
-const vector = (term) => `vec3(${term.map((part) => part.toFixed(8)).join(", ")})`;
-export const VIRIDIS = `vec3 viridis(float t) {
-  return ${TERMS.slice(0, -1).map((term) => `${vector(term)} + t * (`).join("")}${vector(TERMS.at(-1))}${")".repeat(6)};
-}`;
+const vector = (parts) => `vec3(${parts.map((part) => part.toFixed(5)).join(", ")})`;
+const steps = (arm, sign) =>
+  arm.map((colour, k) => `c = mix(c, ${vector(colour)}, clamp(${sign}4.0 * t - ${k}.0, 0.0, 1.0));`).join("\n  ");
 
-/** Opacity of the colour map over the tissue: 0 near a value of 0, and 1 everywhere for scalars of both signs. */
-export const COVER = `float cover(float value, vec2 range) {
-  return range.x < 0.0 ? 1.0 : smoothstep(0.0, 0.16, value / max(range.y, 1e-30));
-}`;
+/** GLSL: `colourAt`; `flatness` of the light; `reflectance`, linear, that appears as a colour in that light. */
+export const COLOUR_MAP = `
+vec3 colourAt(float t) {
+  vec3 c = ${vector(ZERO)};
+  ${steps(ABOVE, "")}
+  ${steps(BELOW, "-")}
+  return c;
+}
+float flatness(float t) { return smoothstep(0.0, ${FLAT_FROM}, abs(t)); }
+vec3 reflectance(float t) { return linear(colourAt(t)) / mix(${vector(FRONT)}, vec3(${FLAT}), flatness(t)); }`;
 
-const smooth = (x) => {
-  const t = Math.min(Math.max(x, 0), 1);
-  return t * t * (3 - 2 * t);
-};
-
-/** CSS gradient of the legend over tissue of an sRGB colour (components in 0..1). */
-export function gradient([low], tissue, stops = 24) {
+/** CSS gradient of the legend, from zero or from minus the range. */
+export function gradient(signed, stops = 32) {
   const colours = Array.from({ length: stops + 1 }, (_, k) => {
-    const share = low < 0 ? 1 : smooth(k / stops / 0.16);
-    const parts = viridis(k / stops).map((part, j) => 255 * (share * part + (1 - share) * tissue[j]));
-    return `rgb(${parts.map(Math.round).join(" ")})`;
+    const parts = colourAt(signed ? (2 * k) / stops - 1 : k / stops);
+    return `rgb(${parts.map((part) => Math.round(255 * part)).join(" ")})`;
   });
   return `linear-gradient(to right, ${colours.join(", ")})`;
-}
-
-const STEPS = [1, 2, 3, 5, 10];
-
-/** Round a positive number up to 1, 2, 3, 5 or 10 times a power of ten. */
-export function roundUp(value) {
-  if (!(value > 0)) return 0;
-  const decade = 10 ** Math.floor(Math.log10(value) + 1e-9);
-  return decade * STEPS.find((step) => value <= step * decade * (1 + 1e-9));
 }

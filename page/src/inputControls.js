@@ -3,9 +3,13 @@ import { Press } from "./press.js";
 
 const CURSOR_STEP = 0.02; // of an arrow key, in normalised device coordinates
 const DEPTH_STEP = 1e-3; // [m] of a key
+const CLICK_SLACK = 4; // [px] that the pointer may move in a click
 
 export class InputControls {
-  /** `page` has tool(), driver(), requestControl(), send(message), poseSent(sequence, stamp), pressChanged(press | null). */
+  /**
+   * `page` has tool(), driver(), requestControl(), send(message), poseSent(sequence, stamp), pressChanged(press | null),
+   * and missed(why, [x, y]) for a press that cannot begin.
+   */
   constructor(scene, page) {
     Object.assign(this, { scene, page, press: null, hover: null, pointers: new Map(), cameraMotion: null });
     const { canvas } = scene;
@@ -28,6 +32,7 @@ export class InputControls {
     this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
     if (this.pointers.size > 1) return this.startPinch();
     const hit = event.button === 0 && !event.shiftKey && this.scene.pick(...this.scene.deviceCoordinates(event));
+    this.click = !hit && event.button === 0 && !event.shiftKey && !event.ctrlKey && [event.clientX, event.clientY];
     if (!hit) this.cameraMotion = event.button === 1 || event.ctrlKey ? "pan" : "rotate";
     else this.begin(hit, event.timeStamp);
   }
@@ -50,6 +55,9 @@ export class InputControls {
 
   up(event) {
     this.pointers.delete(event.pointerId);
+    const still = this.click && Math.hypot(event.clientX - this.click[0], event.clientY - this.click[1]) < CLICK_SLACK;
+    if (still && event.type === "pointerup") this.miss(event);
+    this.click = null;
     if (this.pointers.size === 0) this.cameraMotion = null;
     if (this.press) this.release();
   }
@@ -63,6 +71,7 @@ export class InputControls {
 
   /** Two fingers rotate and zoom; they end a press by the first one. */
   startPinch() {
+    this.click = null;
     if (this.press) this.release();
     this.setHover(null);
     this.cameraMotion = null;
@@ -85,9 +94,22 @@ export class InputControls {
     this.scene.dirty = true;
   }
 
+  /** Answer a click next to the body. */
+  miss(event) {
+    const kind = this.page.driver() && this.scene.body && this.page.tool()?.kind;
+    if (!kind || kind === "group") return;
+    const box = this.scene.canvas.getBoundingClientRect();
+    this.page.missed(`nothing here to ${kind === "grasp" ? "hold" : "press"}`, [event.clientX - box.left, event.clientY - box.top]);
+  }
+
   begin(hit, stamp) {
     if (!this.page.driver()) {
       this.page.requestControl();
+      return;
+    }
+    const { kind, radius } = this.page.tool();
+    if (kind !== "group" && this.scene.body.isFixedNear(hit.vertex, kind === "grasp" ? radius : 0)) {
+      this.page.missed("fixed here", this.scene.project(hit.point.toArray()));
       return;
     }
     this.press = new Press(this.scene, this.page, hit, stamp);

@@ -1,8 +1,9 @@
 // Legend and scale bar.
-import { gradient, roundUp } from "./colours.js";
-import { TISSUE } from "./bodyMesh.js";
+import { ColourScale } from "./colourScale.js";
+import { gradient } from "./colours.js";
 
 const MAX_BAR_WIDTH = 120; // [px]
+const LEAST_END = { mm: 1, kPa: 0.2, Pa: 200 }; // hides noise of a body at rest
 
 export function updateScaleBar(byId, metresPerPixel) {
   const longest = 1e3 * MAX_BAR_WIDTH * metresPerPixel;
@@ -14,7 +15,7 @@ export function updateScaleBar(byId, metresPerPixel) {
   byId("scale").setAttribute("aria-label", `Scale bar: ${Number(length.toPrecision(1))} millimetres`);
 }
 
-/** Legend with a range that grows at once, shrinks slowly, and ends at round numbers. */
+/** Legend of the shown scalar, with the end of its scale. */
 export class Legend {
   constructor(byId) {
     this.byId = byId;
@@ -23,39 +24,32 @@ export class Legend {
 
   reset(scalar) {
     this.scalar = scalar;
-    this.peaks = [0, 0];
+    this.scale = new ColourScale(LEAST_END[scalar?.unit] ?? 1e-3);
     this.shown = "";
     this.byId("legend").hidden = true;
   }
 
-  /** Update the range by a state; returns the colour range in SI units, or null. */
+  /** Update the scale by a state; returns the colour range in SI units, or null. */
   updateRange(state, seconds) {
-    const { scalar } = this;
+    const { scalar, scale } = this;
     if (!scalar || !state.scalar) return null;
-    const fade = Math.exp(-seconds / 6);
-    const ends = [-state.low, state.high].map((end, k) => Math.max(end, 0, this.peaks[k] * fade));
-    this.peaks = ends;
     const factor = scalar.factor ?? 1;
-    const least = MIN_RANGE[scalar.unit] ?? 0;
-    const largest = Math.max(...ends) * factor;
-    const high = roundUp(Math.max(largest, least));
-    const low = ends[0] > 0.02 * Math.max(...ends) && ends[0] * factor > 0.02 * least ? -high : 0;
-    this.show(low, high, scalar);
-    return [low / factor, high / factor];
+    const end = scale.update(state.high * factor, seconds) / factor;
+    this.show(scale.end, scalar);
+    return [scalar.signed ? -end : 0, end];
   }
 
-  show(low, high, { name, unit, note }) {
-    const key = [low, high, name].join();
+  show(end, { name, unit, note, signed }) {
+    const key = [end, name].join();
     if (key === this.shown) return;
     this.shown = key;
     const write = (id, text) => (this.byId(id).textContent = text);
     write("legend-name", `${name[0].toUpperCase()}${name.slice(1)} [${unit}]`);
     write("legend-note", note ?? "");
-    write("legend-low", Number(low.toPrecision(3)).toString().replace("-", "−"));
-    write("legend-high", Number(high.toPrecision(3)).toString());
-    this.byId("legend-bar").style.background = gradient([low, high], TISSUE);
+    write("legend-low", signed ? `−${end}` : "0");
+    write("legend-middle", signed ? "0" : "");
+    write("legend-high", String(end));
+    this.byId("legend-bar").style.background = gradient(signed);
     this.byId("legend").hidden = false;
   }
 }
-
-const MIN_RANGE = { mm: 1, kPa: 0.2, Pa: 200 }; // hides noise of a body at rest

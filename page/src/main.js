@@ -3,6 +3,7 @@ import "./style.css";
 import { Vector3 } from "three";
 import { InputControls } from "./inputControls.js";
 import { Legend, updateScaleBar } from "./legend.js";
+import { paceText } from "./forceText.js";
 import { FrameMeter } from "./meter.js";
 import { StatusLine } from "./statusLine.js";
 import { Panel } from "./panel.js";
@@ -22,6 +23,8 @@ const FRICTION = 0.2;
 const COUPLING_STIFFNESS = 300; // [N/m], smooths the motion of a mouse
 const READOUT_INTERVAL = 60; // [ms] between updates of the readings
 const SPEECH_INTERVAL = 1500; // [ms] between announcements
+const AIR_TIME = 0.5; // [s] without a force after which a tool is in the air
+const LEAST_FORCE = 2e-3; // [N] of a tool that touches
 
 const session = { hello: null, status: {}, scalar: "displacement", state: null, next: null, waiting: null, tool: null, tools: {} };
 const replaying = () => session.hello?.mode === "replay";
@@ -39,6 +42,7 @@ const page = {
     byId("drive").focus();
   },
   poseSent: (sequence, stamp) => meter.poseSent(sequence, stamp),
+  missed: (why, place) => statusLine.showCallout(why, place),
   pressChanged(press) {
     if (press && session.status.state === "paused") statusLine.showToast("The session is paused: resume it to move the body.");
     if (!press) statusLine.announce("Released");
@@ -115,6 +119,7 @@ const answers = {
     const [low, high] = message.bounds;
     panel.offer(message, Math.hypot(...high.map((part, k) => part - low[k])));
     transport.offer(message);
+    session.pace = 1;
     statusLine.showMessage(null);
     const names = ["none", ...message.scalars.map(({ name }) => name)];
     scalar(names.includes(session.scalar) ? session.scalar : "none");
@@ -130,11 +135,18 @@ const answers = {
   },
   statistics(message) {
     panel.statistics(message);
+    session.pace = message.pace ?? 1;
+    showConnection();
     // A hidden page renders no frames. It must acknowledge them, or the server closes the connection.
     if (session.next && session.next === session.waiting) send({ type: "ack", sequence: session.next.sequence });
     session.waiting = session.next;
   },
-  error: ({ reason }) => statusLine.showToast(reason, true),
+  error({ reason }) {
+    statusLine.showToast(reason, true);
+    if (controls.press?.tool.kind !== "grasp" || session.state?.tool === "grasp") return;
+    statusLine.showCallout("cannot hold here", scene.project(controls.press.hit.point.toArray()));
+    controls.release();
+  },
   recorded: ({ file, frames }) => statusLine.showToast(`${frames} frames recorded in ${file}`),
 };
 
@@ -147,6 +159,7 @@ function frame(received) {
   else if (received.kind === 5) scene.setBody(received);
   else if (received.kind === 1) {
     scene.setBody(received);
+    byId("fixed-key").hidden = !received.fixed.includes(1);
     if (driver()) sendTool();
     scene.overlay.lines.visible = byId("overlay").checked && session.hello.overlay;
   } else if (received.kind === 3) {
@@ -174,15 +187,21 @@ function ended(why) {
   statusLine.showMessage(reasons[why]);
 }
 
-function showStatus() {
+/** Show whether the body lives, and its pace where that is not real time. */
+function showConnection() {
   const { status } = session;
   const viewers = status.viewers > 1 ? `, ${status.viewers} viewers` : "";
   const pause = { sleep: "after sleep", "viewers left": "no viewers" }[status.pause_reason] ?? status.pause_reason;
   const why = pause ? `: ${pause}` : "";
-  const rate = `Live at ${(session.hello.rate / 1000).toLocaleString("en")} kHz`;
-  const names = { running: rate, paused: `Paused${why}`, stopped: "Stopped", diverged: "Diverged: reset to continue" };
+  const pace = paceText(session.pace);
+  const names = { running: pace ? `Live, ${pace}` : "Live", paused: `Paused${why}`, stopped: "Stopped", diverged: "Diverged: reset to continue" };
   const live = status.state === "running";
   statusLine.setConnection((replaying() ? "Replay" : names[status.state]) + viewers, live ? "live" : status.state === "diverged" ? "bad" : "");
+}
+
+function showStatus() {
+  const { status } = session;
+  showConnection();
   byId("watching").hidden = driver() || replaying();
   if (controls.press && !driver()) {
     controls.press = null;
@@ -274,6 +293,7 @@ function renderFrame(now, seconds) {
   if (scene.body) {
     controls.update(seconds, session.state);
     showTool(session.state);
+    showAir(session.state, seconds);
   }
   if (scene.draw(seconds)) updateScaleBar(byId, scene.metresPerPixel());
   updateReadings(now);
@@ -290,7 +310,9 @@ function showState(state, now, seconds) {
   scene.body.update(state);
   scene.body.setColourRange(session.scalar === "none" ? null : legend.updateRange(state, seconds));
   scene.dirty = true;
-  if (state.state === "running") plots.add(now, state);
+  const beyond = panel.judge(state);
+  scene.tool.warn(beyond);
+  if (state.state === "running") plots.add(now, state, beyond);
   transport.time(state.time);
   announceForce(state, now);
 }
@@ -304,10 +326,24 @@ function updateReadings(now) {
 }
 
 let lastAnnouncement = 0;
-function announceForce({ newtons }, now) {
+function announceForce(state, now) {
   if (!controls.press || now - lastAnnouncement < SPEECH_INTERVAL) return;
   lastAnnouncement = now;
-  statusLine.announce(`${(1e3 * controls.press.depth).toFixed(1)} millimetres, ${newtons.toFixed(2)} newtons`);
+  const { about, value, range, note } = panel.force(state);
+  const words = value ? `${about ? "about " : ""}${value} newtons${range && `, ${range}`}` : note;
+  statusLine.announce(`${(1e3 * controls.press.depth).toFixed(1)} millimetres, ${words}`);
+}
+
+/** Say that a tool touches nothing, or is inside the body, next to the tool. */
+let airTime = 0;
+function showAir(state, seconds) {
+  const { press } = controls;
+  const touches = !press || press.grasps || state?.state !== "running" || state.newtons > LEAST_FORCE;
+  const before = airTime;
+  airTime = touches ? 0 : airTime + seconds;
+  panel.through = airTime > AIR_TIME && scene.body.isInside(press.position);
+  if (airTime > AIR_TIME) statusLine.showCallout(panel.through ? "slipped through" : "in the air", scene.project(press.position.toArray()));
+  else if (press && before > AIR_TIME) statusLine.hideCallout();
 }
 
 /** Draw the tool: at the driver's pointer for a rigid coupling, otherwise at the pose of the session. */
@@ -324,7 +360,7 @@ function showTool(state) {
   mark.at(position, quaternion);
   const ball = tool.kind === "sphere" || tool.kind === "capsule" ? tool.radius : 0;
   if (controls.press && !own) showPointer(position, tool);
-  if (state && state.tool !== "none") arrow.show(position, state.force, state.newtons, size, ball, tool.kind === "grasp");
+  if (state && state.tool !== "none" && !panel.beyond) arrow.show(position, state.force, state.newtons, size, ball, tool.kind === "grasp");
 }
 
 /** Draw the pose of the pointer where a soft coupling separates it from the tool. */

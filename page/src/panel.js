@@ -1,5 +1,6 @@
 // The panel: readings of the session, and settings.
 import { choice, slider, formatNumber } from "./widgets.js";
+import { forceReading, isBeyond } from "./forceText.js";
 
 const NAMES = { sphere: "Sphere", capsule: "Capsule", grasp: "Forceps" };
 const MIN_STIFFNESS_EXPONENT = 1.5; // power of ten of the coupling [N/m]
@@ -26,7 +27,9 @@ export class Panel {
     this.offerSizes(size);
     this.offerMaterials(hello.materials ?? []);
     this.trainingErrors = hello.training_errors;
-    this.full = hello.full;
+    this.full = Boolean(hello.full);
+    this.bound = undefined; // error bound of the force [N], null where it is not known
+    this.beyond = this.through = false;
     this.readings = {};
   }
 
@@ -47,7 +50,9 @@ export class Panel {
         settled: (power) => this.actions.change({ stiffness: power >= RIGID_EXPONENT ? null : Number((10 ** power).toPrecision(2)) }),
       }),
     };
-    this.byId("sizes").replaceChildren(...Object.values(this.sliders).map(({ label }) => label));
+    const { radius, length: long, stiffness } = this.sliders;
+    this.byId("sizes").replaceChildren(radius.label, long.label);
+    this.byId("coupling").replaceChildren(stiffness.label);
   }
 
   offerMaterials(materials) {
@@ -84,51 +89,62 @@ export class Panel {
     for (const input of [...own, ...this.byId("kinds").children]) input.disabled = !mine;
     this.byId("tools").hidden ||= replay;
     this.byId("materials").hidden ||= replay;
+    this.byId("coupling").hidden = this.byId("tools").hidden;
   }
 
   scalar(name) {
     this.markScalar(name);
   }
 
+  /** Take the trust number of a state; returns whether the state is beyond training. */
+  judge({ trust }) {
+    this.beyond = Boolean(this.trainingErrors) && isBeyond(trust, this.beyond);
+    return this.beyond;
+  }
+
+  /** The force of a state in words; see `forceReading`. */
+  force({ newtons }) {
+    const { bound, full, beyond, through } = this;
+    return forceReading({ newtons, bound, full, beyond, through, calibrated: Boolean(this.trainingErrors) });
+  }
+
   /** Show the readings of a state. */
-  state({ newtons, trust, strain, kinetic, computing }) {
-    this.write("force", newtons < 99.95 ? newtons.toFixed(2) : newtons.toFixed(0));
-    this.write("energy", (1e3 * (strain + kinetic)).toFixed(2));
-    this.write("step", (1e3 * computing).toFixed(2));
-    this.trust(trust);
+  state(state) {
+    const { about, value, range, note } = this.force(state);
+    this.write("force-about", about ? "about" : "");
+    this.write("force", value);
+    this.write("force-range", range && `(${range})`);
+    this.write("force-note", note);
+    this.byId("force-section").classList.toggle("beyond", this.beyond || this.through);
+    this.write("energy", (1e3 * (state.strain + state.kinetic)).toFixed(2));
+    this.write("step", (1e3 * state.computing).toFixed(2));
+    this.trust(state.trust);
   }
 
   trust(trust) {
     const known = Number.isFinite(trust) && this.trainingErrors;
-    const beyond = known && trust > 1;
-    this.write("trust-text", this.full ? "Full body" : !known ? "Trust not calibrated" : beyond ? "Outside training: force uncertain" : "Within training");
+    this.byId("trust").hidden = this.full;
+    this.write("trust-text", !known ? "Trust not calibrated" : this.beyond ? "Beyond training" : "Within training");
     this.write("trust-number", known ? trust.toFixed(2) : "");
-    this.write("trust-note", this.trustNote(known, beyond));
+    this.write("trust-note", this.trustNote(known));
     const { classList } = this.byId("trust");
-    classList.toggle("beyond", beyond);
+    classList.toggle("beyond", this.beyond);
     classList.toggle("none", !known);
     if (known) this.byId("trust-mark").style.left = `${(100 * Math.min(trust, 2)) / 2}%`;
   }
 
-  trustNote(known, beyond) {
-    if (this.full) return "The body itself is stepped. No model is reduced, so there is no error of a reduction.";
+  trustNote(known) {
     if (!known) return "Errors on held-out runs were not measured.";
-    if (beyond) return "The model was not trained on such a state.";
+    if (this.beyond) return "The model was not trained on such a state.";
     const error = this.trainingErrors.force_error;
     return error ? `Mean force error on held-out runs: ${formatNumber(100 * error, 2)} %` : "";
   }
 
-  boundText(bound) {
-    if (bound === undefined) return ""; // a replay
-    return bound === null ? "± unknown" : `± ${formatNumber(bound, 2)} N`;
-  }
-
-  statistics({ median_ms: median, p99_ms: late, misses, periods, pace, force_bound: bound }) {
+  statistics({ median_ms: median, p99_ms: late, misses, periods, force_bound: bound }) {
+    this.bound = bound;
     const share = periods ? (100 * misses) / periods : 0;
-    const missed = misses ? `${formatNumber(share, 2)} % missed` : "none missed";
-    this.write("force-bound", this.trainingErrors ? this.boundText(bound) : "");
-    const slow = pace < 0.98 ? `. Time runs at ${formatNumber(pace, 2)} of real time` : "";
-    this.write("rate", `Median ${median.toFixed(2)} ms, 99 % ${late.toFixed(2)} ms, ${missed}${slow}`);
+    const missed = misses ? `${formatNumber(share, 2)} % of the periods missed` : "none missed";
+    this.write("rate", `Median ${median.toFixed(2)} ms, 99 % ${late.toFixed(2)} ms, ${missed}`);
   }
 
   write(id, text) {

@@ -56,10 +56,10 @@ export class Plots {
     this.last = 0;
   }
 
-  add(now, state) {
+  add(now, state, beyond) {
     if (now - (this.times.at(-1) ?? -Infinity) < 15) return;
     this.times.push(now);
-    this.values.newtons.push(state.newtons);
+    this.values.newtons.push(beyond ? null : state.newtons); // a gap where a model was not trained
     this.values.strain.push(1e3 * state.strain);
     this.values.kinetic.push(1e3 * state.kinetic);
     this.values.computing.push(1e3 * state.computing);

@@ -11,7 +11,9 @@ export function decode(buffer) {
   const [kind, sequence, vertices, triangles] = new Uint32Array(buffer, 0, 4);
   if (kind === 1 || kind === 5) {
     const positions = new Float32Array(buffer, HEADER_BYTES, 3 * vertices);
-    return { kind, sequence, positions, triangles: new Uint32Array(buffer, HEADER_BYTES + 12 * vertices, 3 * triangles) };
+    const start = HEADER_BYTES + 12 * vertices;
+    const fixed = new Uint8Array(buffer, start + 12 * triangles, vertices);
+    return { kind, sequence, positions, triangles: new Uint32Array(buffer, start, 3 * triangles), fixed };
   }
   if (kind === 2) return state(buffer, sequence, vertices);
   if (kind === 3) return { kind, sequence, positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices) };

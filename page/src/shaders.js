@@ -1,4 +1,4 @@
-import { COVER, VIRIDIS } from "./colours.js";
+import { COLOUR_MAP } from "./colours.js";
 
 /** Normals of the vertices, rendered to one texel each: a mean over the triangles around the vertex. */
 export const normalsShader = {
@@ -28,15 +28,17 @@ const LIGHTS = `
   vec3 srgb(vec3 c) { return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
   vec3 linear(vec3 c) { return pow(max(c, 0.0), vec3(2.2)); }`;
 
-/** Shaded colour of the surface, from a normal and a position in eye coordinates and a scalar. */
+/** Shaded colour of the surface, from a normal and a position in eye coordinates, a scalar, and the share of a support. */
 const SHADE = `
-  uniform vec3 tissue; uniform vec2 range; uniform float shown; uniform mat4 viewMatrixOf;
-  ${LIGHTS} ${VIRIDIS} ${COVER}
-  vec3 shade(vec3 n, vec3 eye, float value, float mottled, float wet) {
-    vec3 view = normalize(-eye), albedo = mottled * tissue;
-    float t = clamp((value - range.x) / max(range.y - range.x, 1e-30), 0.0, 1.0);
-    float covered = shown * cover(value, range);
-    albedo = mix(albedo, linear(viridis(t)), covered);
+  const vec3 PALE = vec3(0.30, 0.23, 0.20); // reflectance of a support
+  uniform vec2 range; uniform float shown; uniform mat4 viewMatrixOf;
+  ${LIGHTS} ${COLOUR_MAP}
+  vec3 shade(vec3 n, vec3 eye, float value, float support, float mottled, float wet) {
+    vec3 view = normalize(-eye);
+    float t = shown * clamp(value, range.x, range.y) / max(range.y, 1e-30);
+    float covered = flatness(t), matte = smoothstep(0.4, 0.6, support);
+    vec3 albedo = mix(mottled, 1.0, covered) * reflectance(t);
+    albedo = mix(albedo, PALE, 0.6 * matte * (1.0 - covered));
     // subsurface scattering, strongest for red
     vec3 wrap = mix(vec3(0.52, 0.24, 0.20), vec3(0.35), covered);
     vec3 key = pow(max((dot(n, KEY) + wrap) / (1.0 + wrap), 0.0), vec3(1.3));
@@ -46,7 +48,7 @@ const SHADE = `
                + mix(vec3(0.20, 0.17, 0.16), vec3(0.40, 0.42, 0.46), sky);
     light = mix(light, 0.42 + 0.36 * light, covered); // keeps colours readable on the legend
     float edge = pow(1.0 - clamp(dot(n, view), 0.0, 1.0), 4.0);
-    float gloss = wet * (1.0 - 0.7 * covered);
+    float gloss = wet * (1.0 - 0.7 * covered) * (1.0 - matte);
     vec3 half1 = normalize(KEY + view);
     float shine = 0.24 * pow(max(dot(n, half1), 0.0), 90.0);
     #ifdef FINE
@@ -56,9 +58,13 @@ const SHADE = `
     vec3 colour = albedo * light + gloss * shine
                 + edge * (1.0 - 0.6 * covered) * (0.07 * vec3(1.0, 0.84, 0.80) + 0.6 * albedo) * (0.3 + 0.7 * sky);
     return srgb(clamp(colour, 0.0, 1.0));
-  }
-  /** The mean normal, or the triangle's own normal at a sharp edge. */
-  vec3 creased(vec3 mean, vec3 facet) { return normalize(mix(facet, mean, smoothstep(0.35, 0.7, dot(mean, facet)))); }`;
+  }`;
+
+/** Darker stripes across the screen where the surface is fixed. */
+const HATCH = `
+  float hatch(float support) {
+    return 1.0 - 0.16 * smoothstep(0.4, 0.6, support) * step(0.6, fract((gl_FragCoord.x + gl_FragCoord.y) / 9.0));
+  }`;
 
 /** The body. With LIT, for software rendering, colours are computed at vertices instead of pixels. */
 export const bodyShader = {
@@ -70,6 +76,7 @@ export const bodyShader = {
     #else
       out vec3 eye, smoothed, place; out float value;
     #endif
+    out float support;
     vec3 normalOf(int k) { return texelFetch(normals, ivec2(k % WIDTH, k / WIDTH), 0).xyz; }
     #ifdef REFINED
       // a cubic patch over each triangle with given normals at its corners (Vlachos et al. 2001); position: u, v
@@ -90,7 +97,7 @@ export const bodyShader = {
              + w.z * w.z * (w.z * c + 3.0 * (w.x * ca + w.y * cb)) + 6.0 * w.x * w.y * w.z * centre;
       }
     #else
-      in float scalar; in vec3 rest;
+      in vec2 scalar; in vec3 rest; // scalar, and 1 where the surface is fixed
     #endif
     void main() {
       #ifdef REFINED
@@ -99,18 +106,15 @@ export const bodyShader = {
         vec3 na = normalOf(k.x), nb = normalOf(k.y), nc = normalOf(k.z);
         vec3 a = three(positions, k.x), b = three(positions, k.y), c = three(positions, k.z);
         vec3 here = patched(w, a, b, c, na, nb, nc);
-        float number = 0.0;
-        for (int j = 0; j < 3; j++) number += w[j] * texelFetch(scalars, ivec2(k[j] % WIDTH, k[j] / WIDTH), 0).r;
-        #ifdef LIT
-          vec3 facet = normalize(cross(b - a, c - a));
-          vec3 mean = w.x * creased(na, facet) + w.y * creased(nb, facet) + w.z * creased(nc, facet);
-        #else
-          vec3 mean = w.x * na + w.y * nb + w.z * nc;
+        vec2 number = vec2(0.0);
+        for (int j = 0; j < 3; j++) number += w[j] * texelFetch(scalars, ivec2(k[j] % WIDTH, k[j] / WIDTH), 0).rg;
+        vec3 mean = w.x * na + w.y * nb + w.z * nc;
+        #ifndef LIT
           place = w.x * three(rests, k.x) + w.y * three(rests, k.y) + w.z * three(rests, k.z);
         #endif
       #else
         vec3 here = position;
-        float number = scalar;
+        vec2 number = scalar;
         #ifdef SMOOTH
           vec3 mean = normalOf(gl_VertexID);
         #else
@@ -126,20 +130,23 @@ export const bodyShader = {
         #ifdef TWO_FACED
           n *= dot(n, seen.xyz) > 0.0 ? -1.0 : 1.0;
         #endif
-        colour = shade(n, seen.xyz, number, 1.0, 1.0);
+        colour = shade(n, seen.xyz, number.x, number.y, 1.0, 1.0);
       #else
-        eye = seen.xyz; value = number;
+        eye = seen.xyz; value = number.x;
         smoothed = normalMatrix * mean;
       #endif
+      support = number.y;
       gl_Position = projectionMatrix * seen;
     }`,
   fragment: `
     precision highp float;
     uniform float veil;
+    in float support;
     out vec4 result;
+    ${HATCH}
     #ifdef LIT
       in vec3 colour;
-      void main() { result = vec4(colour, 1.0) * veil; }
+      void main() { result = vec4(hatch(support) * colour, 1.0) * veil; }
     #else
       uniform float size;
       in vec3 eye, smoothed, place; in float value;
@@ -158,11 +165,13 @@ export const bodyShader = {
         return normalize(abs(area) * n - sign(area) * (dFdx(height) * across + dFdy(height) * along));
       }
       void main() {
-        vec3 facet = normalize(cross(dFdx(eye), dFdy(eye)));
-        vec3 n = facet;
         #ifdef SMOOTH
-          vec3 mean = normalize(smoothed);
-          n = creased(mean * (dot(mean, facet) < 0.0 ? -1.0 : 1.0), facet);
+          vec3 n = normalize(smoothed);
+          #ifdef TWO_FACED
+            n *= dot(n, eye) > 0.0 ? -1.0 : 1.0;
+          #endif
+        #else
+          vec3 n = normalize(cross(dFdx(eye), dFdy(eye)));
         #endif
         float mottled = 1.0, wet = 1.0;
         #ifdef FINE
@@ -171,7 +180,7 @@ export const bodyShader = {
           wet = 0.6 + 0.7 * noise(14.0 * at + 7.0);
           n = uneven(n, size * (0.0011 * noise(38.0 * at) + 0.0028 * noise(16.0 * at)));
         #endif
-        result = vec4(shade(n, eye, value, mottled, wet), 1.0) * veil;
+        result = vec4(hatch(support) * shade(n, eye, value, support, mottled, wet), 1.0) * veil;
       }
     #endif`,
 };

@@ -1,6 +1,7 @@
 // The status line, toasts, and announcements for screen readers.
 
 const TOAST_DURATION = 5000; // [ms]
+const CALLOUT_DURATION = 1800;
 
 export class StatusLine {
   constructor(byId) {
@@ -24,6 +25,23 @@ export class StatusLine {
     toast.textContent = text;
     toasts.append(toast);
     setTimeout(() => toast.remove(), TOAST_DURATION);
+  }
+
+  /** Show a word at a place of the scene [px], for a short time; screen readers read it once. */
+  showCallout(text, [x, y]) {
+    const callout = this.byId("callout");
+    if (callout.textContent !== text) callout.textContent = text;
+    callout.hidden = false;
+    const room = callout.parentElement.clientWidth - callout.offsetWidth / 2 - 8;
+    callout.style.left = `${Math.max(Math.min(x, room), callout.offsetWidth / 2 + 8)}px`;
+    callout.style.top = `${Math.max(y, callout.offsetHeight + 20)}px`;
+    clearTimeout(this.calloutTimer);
+    this.calloutTimer = setTimeout(() => this.hideCallout(), CALLOUT_DURATION);
+  }
+
+  hideCallout() {
+    this.byId("callout").hidden = true;
+    this.byId("callout").textContent = "";
   }
 
   announce(text) {

@@ -17,6 +17,9 @@ function material(colour, opacity = 1, more = {}) {
   });
 }
 
+const STEEL = [0.914, 0.925, 0.933]; // sRGB
+const WARNING = [0.86, 0.2, 0.16]; // where a model was not trained
+
 /** A sphere, a capsule or forceps, in the tool's own frame. */
 export class ToolGlyph {
   constructor(opacity, fine) {
@@ -38,6 +41,11 @@ export class ToolGlyph {
     else if (kind === "capsule") {
       this.group.add(this.part(new three.CapsuleGeometry(radius, length, 8 * this.parts, 20 * this.parts).rotateX(Math.PI / 2)));
     } else for (const side of [1, -1]) this.group.add(this.jaw(side, 0.02 * size));
+  }
+
+  /** Colour the tool red beyond training. */
+  warn(beyond) {
+    this.material.uniforms.colour.value.fromArray(beyond ? WARNING : STEEL);
   }
 
   part(shape) {

@@ -95,6 +95,7 @@ class Client:
         if kind == 1:
             points = np.frombuffer(text, "<f4", 3 * n, 16).reshape(-1, 3)
             self.geometry = points, np.frombuffer(text, "<u4", 3 * t, 16 + 12 * n).reshape(-1, 3)
+            self.fixed = np.frombuffer(text, "u1", offset=16 + 12 * (n + t))
         elif kind == 2:
             head = np.frombuffer(text, "<f8", 25, 16)
             values = np.frombuffer(text, "<f4", offset=216)

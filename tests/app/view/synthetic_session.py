@@ -41,6 +41,7 @@ class SyntheticSession:
     def __init__(self, folder: Path, surface=None, **hello):
         self.folder, self.more = folder, hello
         self.rest, self.triangles = surface or sphere()
+        self.fixed = (self.rest[:, 2] < self.rest[:, 2].min() + 0.1 * np.ptp(self.rest[:, 2])).astype("u1")
         self.bounds = np.array([self.rest.min(axis=0), self.rest.max(axis=0)])
         self.size = float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
         self.viewers, self.driver, self.received = [], None, []
@@ -140,7 +141,8 @@ class SyntheticSession:
             "viewers": len(self.viewers), "mode": "live", "vertices": len(self.rest),
             "triangles": len(self.triangles), "spacing": 0.004,
             "bounds": self.bounds.tolist(), "tools": ["sphere", "capsule", "grasp"], "tool": self.tool,
-            "scalars": [{"name": name, "unit": unit, "factor": factor} for name, (unit, factor) in units.items()],
+            "scalars": [{"name": name, "unit": unit, "factor": factor, "signed": name == "pressure"}
+                        for name, (unit, factor) in units.items()],
             "materials": [modulus],
             "rate": 1000, "training_errors": {"force_error": 0.05}, "overlay": False, **self.more,
         }  # fmt: skip
@@ -198,7 +200,12 @@ class SyntheticSession:
 
     def _geometry(self):
         head = np.array([1, 0, len(self.rest), len(self.triangles)], dtype="<u4")
-        return head.tobytes() + self.rest.astype("<f4").tobytes() + self.triangles.astype("<u4").tobytes()
+        return (
+            head.tobytes()
+            + self.rest.astype("<f4").tobytes()
+            + self.triangles.astype("<u4").tobytes()
+            + self.fixed.tobytes()
+        )
 
     async def _send_states(self, viewer):
         last = 0.0

@@ -69,6 +69,7 @@ class SubdividedSurface:
             triangles, weights = fine, csr_array(more @ weights)
         self.triangles, self._weights = triangles, weights.astype(np.float32)
         self.rest: Singles = self._weights @ surface.rest
+        self.fixed: NDArray[np.bool_] = self._weights @ surface.fixed.astype(np.float32) > 0.5
 
     def displacements(self, *arguments: Any) -> Singles:
         """Return displacements as `palpate.reduction.realtime.display_surface.Surface.displacements` does."""

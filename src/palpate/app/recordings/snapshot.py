@@ -70,10 +70,13 @@ class Snapshot(PeriodRecord):
 
 
 def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:
-    """Return the descriptions of a surface's scalars for `hello`; ``"note"`` states what a scalar excludes."""
+    """Return the descriptions of a surface's scalars for `hello`.
+
+    ``"signed"`` states whether a scalar has both signs, and ``"note"`` what it excludes.
+    """
     local = not surface.local_indentation
     return [
-        {"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1],
+        {"name": name, "unit": UNITS[name][0], "factor": UNITS[name][1], "signed": name == "pressure",
          "note": MODES_ONLY if local and name != "displacement" else None}
         for name in surface.scalars
     ]  # fmt: skip

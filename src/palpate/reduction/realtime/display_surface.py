@@ -16,11 +16,12 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints, Singles
+from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.contact.compliance import secant_factor, static_displacements
 from palpate.reduction.hyper.model import ReducedModel
 
-__all__ = ["SCALARS", "DisplaySurface", "Surface"]
+__all__ = ["SCALARS", "DisplaySurface", "Surface", "fixed_nodes"]
 
 
 SCALARS = ("displacement", "stress", "pressure")
@@ -38,6 +39,8 @@ class DisplaySurface(Protocol):
         Of vertices, counter-clockwise from outside.
     rest : (n, 3) float32 array [m]
         Positions at rest.
+    fixed : (n,) bool array
+        Vertices of supports.
     local_indentation : bool
         Whether stresses include the indentation under a tool.
     """
@@ -46,6 +49,7 @@ class DisplaySurface(Protocol):
     nodes: Ints
     triangles: NDArray[np.uint32]
     rest: Singles
+    fixed: NDArray[np.bool_]
     local_indentation: bool
 
     @property
@@ -57,6 +61,14 @@ class DisplaySurface(Protocol):
 
     def scalar(self, name: str, coordinates: Floats, displacements: Singles) -> Singles:
         """Return a number (n,) for every vertex."""
+
+
+def fixed_nodes(model: ReducedModel | EnergySolid) -> NDArray[np.bool_]:
+    """Return the nodes (n,) of a body's supports, those that slide included."""
+    mask = np.zeros(len(model.cloud), dtype=bool)
+    for group in model.fixed:
+        mask[model.cloud.group(group)] = True
+    return mask
 
 
 class Surface:
@@ -79,6 +91,8 @@ class Surface:
         Of vertices, counter-clockwise from outside.
     rest : (n, 3) float32 array [m]
         Positions at rest.
+    fixed : (n,) bool array
+        Vertices of supports.
     """
 
     def __init__(self, model: ReducedModel) -> None:
@@ -92,6 +106,7 @@ class Surface:
         flat = cloud.points[self.nodes]
         self.rest = np.zeros((len(self.nodes), 3), dtype=np.float32)
         self.rest[:, : flat.shape[1]] = flat
+        self.fixed = fixed_nodes(model)[self.nodes]
         columns = model.body.vectors[:, self.nodes].reshape(model.count, -1)
         self._columns = np.ascontiguousarray(columns.T, dtype=np.float32)
         self._gradients: Singles | None = None

@@ -15,7 +15,7 @@ from palpate.arrays import Floats, Ints, Singles
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
 from palpate.reduction.hyper.model import ReducedModel
-from palpate.reduction.realtime.display_surface import SCALARS, DisplaySurface, Surface
+from palpate.reduction.realtime.display_surface import SCALARS, DisplaySurface, Surface, fixed_nodes
 
 __all__ = ["FullSurface", "display_surface"]
 
@@ -40,7 +40,7 @@ class FullSurface:
 
     Attributes
     ----------
-    nodes, triangles, rest
+    nodes, triangles, rest, fixed
         As of `Surface`.
     """
 
@@ -54,6 +54,7 @@ class FullSurface:
             raise InputError("cloud must have triangles to be drawn, got none; use fill, or a box")
         self.triangles = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.uint32)
         self.rest = model.cloud.points[self.nodes].astype(np.float32)
+        self.fixed = fixed_nodes(model)[self.nodes]
         self._patches = model.patches[self.nodes].astype(np.float32)
 
     def displacements(self, coordinates: Floats, nodes: Ints, forces: Floats, bonded: bool = False) -> Singles:

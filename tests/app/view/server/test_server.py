@@ -39,10 +39,12 @@ def get(site, path, **headers):
 def test_hello_describes_the_body(site, session):
     async def visit():
         async with site.client() as client:
-            return client.messages[0], client.geometry
+            return client.messages[0], client.geometry, client.fixed
 
-    hello, (points, triangles) = asyncio.run(visit())
+    hello, (points, triangles), fixed = asyncio.run(visit())
     assert hello["type"] == "hello"
+    assert [scalar["signed"] for scalar in hello["scalars"]] == [False, False, True]
+    np.testing.assert_array_equal(fixed, points[:, 2] < 1e-6)  # the block stands on its support
     assert (hello["driver"], hello["viewers"], hello["mode"], hello["title"]) == (True, 1, "live", "Block")
     assert hello["tools"] == ["sphere", "capsule", "grasp"]
     assert [scalar["name"] for scalar in hello["scalars"]] == ["displacement", "stress", "pressure"]

@@ -32,8 +32,8 @@ def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: 
 
 
 def geometry_frame(surface: DisplaySurface) -> bytes:
-    """Return the geometry frame of a surface: positions at rest and triangles."""
-    return _mesh_frame(GEOMETRY, surface.rest, surface.triangles)
+    """Return the geometry frame of a surface: positions at rest, triangles, and which vertices are fixed."""
+    return _mesh_frame(GEOMETRY, surface.rest, surface.triangles, surface.fixed.astype("u1").tobytes())
 
 
 def preview_frame(surface: Surface) -> bytes:
@@ -41,8 +41,8 @@ def preview_frame(surface: Surface) -> bytes:
     return _mesh_frame(PREVIEW, surface.vertices, surface.triangles)
 
 
-def _mesh_frame(kind: int, points: NDArray[Any], triangles: NDArray[Any]) -> bytes:
-    body = points.astype("<f4").tobytes() + triangles.astype("<u4").tobytes()
+def _mesh_frame(kind: int, points: NDArray[Any], triangles: NDArray[Any], more: bytes = b"") -> bytes:
+    body = points.astype("<f4").tobytes() + triangles.astype("<u4").tobytes() + more
     return pack_frame(kind, 0, len(points), body, len(triangles))
 
 

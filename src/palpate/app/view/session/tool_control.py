@@ -12,7 +12,7 @@ from palpate.arrays import Floats
 from palpate.dynamics.contact.geometry import compute_gaps
 from palpate.dynamics.contact.tools import Capsule, Forceps, Sphere, Tool
 from palpate.faults import InputError
-from palpate.reduction.realtime.display_surface import DisplaySurface
+from palpate.reduction.realtime.display_surface import DisplaySurface, fixed_nodes
 
 __all__ = ["NO_ROTATION", "SelectedTool", "ToolWorkspace", "compose_rotations", "make_forceps", "tool_shape"]
 
@@ -105,8 +105,7 @@ def make_forceps(
         )
     point = surface.rest[vertex].astype(float)
     near = np.flatnonzero(np.linalg.norm(model.cloud.points - point, axis=1) <= radius * (1 + 1e-9))
-    fixed = [model.cloud.group(name) for name in model.fixed]
-    if fixed and np.isin(near, np.concatenate(fixed)).any():
+    if fixed_nodes(model)[near].any():
         raise InputError("position of a grasp must be away from the support, got fixed nodes; choose another place")
     return Forceps(radius, tuple(point), np.inf), vertices[vertex].astype(float)
 

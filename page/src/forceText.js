@@ -1,0 +1,60 @@
+// The force in words: as many digits as its error bound supports.
+
+const BEYOND_FROM = 1; // trust number above which a model was not trained on a state
+const BEYOND_UNTIL = 0.92; // at which the page returns to numbers
+const SUPPORTED = 1.15; // largest step of the digits, in bounds
+const END_TOLERANCE = 0.25; // in steps, by which a rounded end may be inside the exact one
+
+export const BEYOND = "Beyond what the model was trained on: no force can be given here. Ease off.";
+export const THROUGH = "The tool slipped through the surface: let go.";
+export const FULL = "Full model: no error of reduction.";
+export const NOT_MEASURED = "The error of this model was not measured.";
+export const NOT_KNOWN = "Its error is not known after a state beyond training: reset the body.";
+
+/** Whether a state is beyond training; `before` is the answer for the last state. */
+export function isBeyond(trust, before) {
+  return trust > (before ? BEYOND_UNTIL : BEYOND_FROM);
+}
+
+/** A force [N] without a bound: two significant digits, and no more than two decimals. */
+export function plainForce(newtons) {
+  const decimals = newtons < 0.995 ? 2 : newtons < 9.95 ? 1 : 0;
+  return newtons < 0.005 ? "0" : newtons.toFixed(decimals);
+}
+
+/** The largest 1, 2 or 5 times a power of ten that an error bound supports. */
+function digitStep(bound) {
+  const decade = 10 ** Math.floor(Math.log10(SUPPORTED * bound));
+  return decade * [5, 2, 1].find((step) => step * decade <= SUPPORTED * bound * (1 + 1e-9));
+}
+
+/** "0.6" and "0.5 to 0.7" of a force and its error bound [N]. */
+export function boundedForce(newtons, bound) {
+  const step = digitStep(bound);
+  const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  const low = step * Math.max(Math.floor((newtons - bound) / step + END_TOLERANCE), 0);
+  const high = step * Math.ceil((newtons + bound) / step - END_TOLERANCE);
+  const value = step * Math.round(newtons / step);
+  return { value: value.toFixed(decimals), range: `${low.toFixed(decimals)} to ${high.toFixed(decimals)}` };
+}
+
+/**
+ * The reading of a force: `about` says whether it is rounded to a bound, `value` [N], `range` and a `note`.
+ *
+ * `bound` is undefined in a replay, and null where it is not known; `calibrated` says whether the error was measured,
+ * `beyond` whether the state is beyond training, and `through` whether the tool is inside the body without a force.
+ */
+export function forceReading({ newtons, bound, full, calibrated, beyond, through }) {
+  const plain = (note) => ({ about: false, value: plainForce(newtons), range: "", note });
+  if (through || beyond) return { about: false, value: "", range: "", note: through ? THROUGH : BEYOND };
+  if (full) return plain(FULL);
+  if (!calibrated) return plain(NOT_MEASURED);
+  if (newtons === 0 || bound === undefined) return plain("");
+  if (bound === null) return plain(NOT_KNOWN);
+  return { about: true, ...boundedForce(newtons, bound), note: "" };
+}
+
+/** The pace of a body's time, or "" in real time. */
+export function paceText(pace) {
+  return pace < 0.98 ? `${pace < 0.1 ? pace.toPrecision(1) : pace.toFixed(1)} of real time` : "";
+}

@@ -1,0 +1,151 @@
+"""What the page computes without a browser: the force in words, the end of the colour scale, and the colours."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import palpate
+
+SOURCES = Path(palpate.__file__).parents[2] / "page" / "src"
+NODE = shutil.which("node")
+
+pytestmark = pytest.mark.skipif(
+    NODE is None or not SOURCES.is_dir(), reason="needs Node and the page's sources; on Debian: apt-get install nodejs"
+)
+
+
+def evaluate(module: str, expression: str) -> Any:
+    """Return the value of a JavaScript expression in which `m` is a module of the page."""
+    code = f"import * as m from {json.dumps((SOURCES / module).as_uri())}; console.log(JSON.stringify({expression}));"
+    command = [str(NODE), "--input-type=module", "--eval", code]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+@pytest.mark.parametrize(
+    ("newtons", "bound", "value", "between"),
+    [
+        (0.57, 0.091, "0.6", "0.5 to 0.7"),
+        (1.44, 0.84, "1.5", "0.5 to 2.5"),
+        (0.03, 0.12, "0.0", "0.0 to 0.2"),
+        (12.34, 0.02, "12.34", "12.32 to 12.36"),
+        (34.0, 7.0, "35", "25 to 40"),
+    ],
+)
+def test_a_force_has_the_digits_that_its_bound_supports(newtons, bound, value, between):
+    assert evaluate("forceText.js", f"m.boundedForce({newtons}, {bound})") == {"value": value, "range": between}
+
+
+def test_rounding_leaves_most_of_the_bound():
+    cases = [(float(f), float(b)) for f in np.linspace(0, 9, 61) for b in np.geomspace(0.004, 3, 41)]
+    found = evaluate("forceText.js", f"{json.dumps(cases)}.map(([f, b]) => m.boundedForce(f, b).range)")
+    for (newtons, bound), between in zip(cases, found, strict=True):
+        low, high = (float(part) for part in between.split(" to "))
+        assert low <= max(newtons - 0.7 * bound, 0) + 1e-9
+        assert high >= newtons + 0.7 * bound - 1e-9
+
+
+@pytest.mark.parametrize(
+    ("state", "value", "note"),
+    [
+        ("newtons: 0.574, full: true, calibrated: false", "0.57", "Full model: no error of reduction."),
+        ("newtons: 12.4, full: true, calibrated: false", "12", "Full model: no error of reduction."),
+        ("newtons: 0, bound: 0.1, calibrated: true", "0", ""),
+        ("newtons: 3.44, bound: undefined, calibrated: true", "3.4", ""),
+        ("newtons: 0.5, bound: null, calibrated: true", "0.50", "Its error is not known"),
+        ("newtons: 0.5, bound: null, calibrated: false", "0.50", "The error of this model was not measured."),
+        ("newtons: 0, full: true, through: true", "", "The tool slipped through the surface"),
+        ("newtons: 9.5, bound: 0.1, calibrated: true, beyond: true", "", "Beyond what the model was trained on"),
+    ],
+)
+def test_a_force_without_a_bound_states_why(state, value, note):
+    reading = evaluate("forceText.js", f"m.forceReading({{ {state} }})")
+    assert reading["value"] == value
+    assert reading["note"].startswith(note)
+    assert reading["note"] or not note
+    assert not reading["about"]
+    assert reading["range"] == ""
+
+
+def test_the_limit_of_training_has_hysteresis():
+    trusts = [0.99, 1.01, 0.97, 0.93, 0.91, 0.97]
+    code = f"{trusts}.reduce((seen, trust) => [...seen, m.isBeyond(trust, seen.at(-1) ?? false)], [])"
+    assert evaluate("forceText.js", code) == [False, True, True, True, False, False]
+
+
+def test_a_pace_is_shown_below_real_time_only():
+    assert evaluate("forceText.js", "[1, 0.99, 0.62, 0.043].map(m.paceText)") == [
+        "", "", "0.6 of real time", "0.04 of real time"
+    ]  # fmt: skip
+
+
+def scale(percentiles, seconds=0.05, least=1.0):
+    """Return the rounded ends and the ends that colours use, after each percentile."""
+    code = (
+        f"(s => {json.dumps([float(p) for p in percentiles])}.map(p => {{ const shown = s.update(p, {seconds});"
+        f" return [s.end, shown]; }}))(new m.ColourScale({least}))"
+    )
+    return np.array(evaluate("colourScale.js", code)).T
+
+
+def test_the_scale_ends_at_rounded_numbers_that_hold_the_percentile():
+    for percentile, end in ((0.0, 1), (1.4, 2), (3.0, 5), (7.7, 10), (130.0, 200)):
+        ends, shown = scale([percentile] * 100)
+        assert ends[-1] == end
+        assert shown[-1] == pytest.approx(end, rel=0.01)
+
+
+def test_the_scale_does_not_follow_a_percentile_that_wavers_about_an_end():
+    wavering = 5 + 0.4 * np.sin(np.arange(2000))
+    ends, _ = scale([*[4.0] * 40, *wavering])
+    assert np.count_nonzero(np.diff(ends[40:])) <= 1
+
+
+def test_the_scale_shrinks_slowly_and_step_by_step():
+    ends, _ = scale([*[9.0] * 60, *[0.0] * 1200])
+    assert ends[59] == 10
+    assert (ends[60 : 60 + 60] == 10).all()  # for 3 s
+    assert sorted(set(ends[60:].tolist())) == [1, 2, 5, 10]
+    assert (np.diff(ends[60:]) <= 0).all()
+
+
+def test_the_colours_glide_to_a_new_end():
+    _, shown = scale([*[0.5] * 20, *[90.0] * 100], seconds=1 / 60)
+    assert (shown[1:] / shown[:-1]).max() < 1.8
+    assert shown[-1] == pytest.approx(100, rel=0.01)
+
+
+def lightness(colour):
+    """Return CIE L* of an sRGB colour."""
+    part = np.asarray(colour)
+    linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    luminance = linear @ [0.2126, 0.7152, 0.0722]
+    return 116 * np.cbrt(luminance) - 16
+
+
+def test_zero_is_tissue_and_both_signs_grow_lighter():
+    shares = np.linspace(-1, 1, 41)
+    colours = np.array(evaluate("colours.js", f"{shares.tolist()}.map(m.colourAt)"))
+    red, green, blue = colours[20]
+    assert red > 2.5 * max(green, blue)
+    found = lightness(colours)
+    assert (np.diff(found[20:]) > 1).all()
+    assert (np.diff(found[:21]) < -0.3).all()
+    # blue against yellow, which people with red-green blindness tell apart
+    assert (colours[:8, 2] > colours[:8, 0] + 0.1).all()
+    assert (colours[33:, 0] > colours[33:, 2] + 0.15).all()
+
+
+def test_the_legend_begins_at_zero_or_at_minus_its_end():
+    colour = "rgb({} {} {})"
+    zero, low = evaluate("colours.js", "[0, -1].map(t => m.colourAt(t).map(part => Math.round(255 * part)))")
+    assert evaluate("colours.js", "m.gradient(false)").startswith(f"linear-gradient(to right, {colour.format(*zero)},")
+    signed = evaluate("colours.js", "m.gradient(true)")
+    assert signed.startswith(f"linear-gradient(to right, {colour.format(*low)},")
+    assert colour.format(*zero) in signed
