@@ -6,22 +6,25 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.common.arguments import suggestion
+from palpate.app.common.arguments import option_names, suggestion
 from palpate.app.common.console import Console, count_nodes
+from palpate.app.painted import read_painted
 from palpate.arrays import Floats
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError, number_in_range
-from palpate.meshfree.cloud import box
-from palpate.meshfree.filling import fill
+from palpate.faults import CloudError, InputError, number_in_range
+from palpate.meshfree.attachment import painted
+from palpate.meshfree.cloud import Cloud, box
+from palpate.meshfree.filling import BODY, fill
+from palpate.meshfree.formats.names import FORMATS, format_of
 from palpate.meshfree.surface_checks import check_surface
-from palpate.meshfree.surface_files import READERS, read_surface
+from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surfaces import Surface
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.materials import Material
@@ -33,6 +36,8 @@ MASS_DAMPING = 8.0  # [1/s]: an amplitude decays to 2 % within a second
 CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of the page at its start
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which the default support holds
 SUPPORT = "support"  # name of the group
+MOST_HELD = 0.6  # of the nodes of a body
+FINER = 0.8  # factor of a guessed spacing that is too coarse for the tissue
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
@@ -52,8 +57,8 @@ class TouchOptions:
         Unit of the file.
     scale : float
         Factor of all lengths.
-    part : str, optional
-        Part of the file.
+    part : sequence of str
+        Names or patterns of parts of the file.
     spacing : float, optional [m]
         By default the finest that this machine steps in real time.
     law : str, optional
@@ -61,12 +66,13 @@ class TouchOptions:
     parameters : mapping
         Of the law, with ``density`` and ``poisson``.
     fixed : sequence of str
-        ``x-``, ``back``, ``lowest 15%`` or ``near X,Y,Z,R`` [mm]; by default ``back``.
+        ``x-``, ``back``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
+        surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
     """
 
     units: str | None = None
     scale: float = 1.0
-    part: str | None = None
+    part: Sequence[str] = ()
     spacing: float | None = None
     law: str | None = None
     parameters: Mapping[str, float] | None = None
@@ -75,59 +81,79 @@ class TouchOptions:
 
 def is_surface_file(what: str) -> bool:
     """Return True for the name of a surface file by its suffix."""
-    return Path(what).suffix[1:].lower() in READERS
+    return format_of(Path(what))[0] in FORMATS
 
 
 def open_surface(path: str | Path, options: TouchOptions, console: Console) -> tuple[EnergySolid, str]:
-    """Return the full body inside a surface and its title; print what was guessed.
+    """Return the full body inside a surface and its title; print what was guessed, repaired and noted.
 
     Raises
     ------
     InputError, FileFormatError, FileNotFoundError
         The file cannot be read or filled, or an option is out of range.
     """
-    surface = _read(path, options)
+    surface = read_surface(path, part=options.part or None, units=options.units, scale=options.scale, repair=True)
+    report = check_surface(surface)
+    if report.errors:
+        raise InputError(
+            f"{path} must hold a closed surface, got one that is not: {report.errors[0].what}; run palpate check for "
+            "pictures"
+        )
     material = _material(options)
-    spacing = options.spacing
-    guessed = spacing is None
-    if spacing is None:
-        with console.status("measuring this machine"):
-            spacing = realtime_spacing(abs(surface.volume), material)
-    spacing = number_in_range("spacing", spacing, 1e-5, surface.size, unit="m")
-    _check_count(surface, spacing)
-    with console.status("filling the surface with nodes"), warnings.catch_warnings(action="ignore"):
-        cloud = fill(surface, spacing)  # whose warnings are those of the surface, printed below
-    mask = support_mask(cloud.points, options.fixed)
-    _check_support(mask)
-    cloud = cloud.with_group(SUPPORT, mask)
-    with console.status("preparing the body (the first time on a machine compiles it)"):
-        model = EnergySolid(cloud, material, SUPPORT, mass_damping=MASS_DAMPING)
-    held = " and ".join(options.fixed) or "the side away from the first view"
-    for line in surface.warnings:
-        console.say(f"surface: {line.replace('give units=', '--units')}")
+    model, filled = _body(surface, material, options, console)
+    cloud, held_nodes = model.cloud, len(model.cloud.group(SUPPORT))
+    for line in (*surface.warnings, *filled):
+        console.say(f"surface: {option_names(line)}")
+    for problem in report.problems:
+        console.say(f"surface, {problem.kind}: {option_names(problem.what)}")
     console.say(
-        f"body: {count_nodes(len(cloud))} {1e3 * spacing:.3g} mm apart"
-        + (", the finest in real time on this machine" if guessed else "")
+        f"body: {count_nodes(len(cloud))} {1e3 * cloud.spacing:.3g} mm apart"
+        + (", the finest in real time on this machine" if options.spacing is None else "")
         + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long; another: --spacing, --units, --scale"
     )
     console.say(
         f"tissue: {type(material).__name__}, shear modulus {1e-3 * material.shear_modulus:.3g} kPa, Poisson's ratio "
         f"{material.poisson:.3g}; another: --law, --set"
     )
-    console.say(f"support: {held} ({int(mask.sum())} nodes); another: --fixed")
-    return model, Path(path).stem.replace("_", " ").capitalize()
+    held = " and ".join(options.fixed) or "the side away from the first view"
+    console.say(f"support: {held} ({held_nodes} nodes); another: --fixed")
+    return model, _title(PurePath(path))
 
 
-def _read(path: str | Path, options: TouchOptions) -> Surface:
-    scale = number_in_range("scale", options.scale, 1e-6, 1e6, open_low=True)
-    surface = read_surface(path, part=options.part, units=options.units, repair=True)
-    surface = Surface(scale * surface.vertices, surface.triangles, surface.name, surface.warnings)
-    errors = check_surface(surface).errors
-    if errors:
-        raise InputError(
-            f"{path} must hold a closed surface, got one that is not: {errors[0].what}; run palpate check for pictures"
-        )
-    return surface
+def _title(path: PurePath) -> str:
+    """Return the name of a file without the suffixes of its format and of gzip, in words."""
+    name = PurePath(path.stem).stem if format_of(path)[1] else path.stem
+    return name.replace("_", " ").capitalize()
+
+
+def _body(
+    surface: Surface, material: Material, options: TouchOptions, console: Console
+) -> tuple[EnergySolid, list[str]]:
+    """Return the body inside a surface, and what the filling warned of.
+
+    A spacing that is not given is that of real time, or a finer one where the tissue is too thin for it.
+    """
+    spacing = options.spacing
+    if spacing is None:
+        with console.status("measuring this machine"):
+            spacing = realtime_spacing(abs(surface.volume), material)
+    spacing = number_in_range("spacing", spacing, 1e-5, surface.size, unit="m")
+    while True:
+        _check_count(surface, spacing)
+        try:
+            with console.status("filling the surface with nodes"), warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                cloud = fill(surface, spacing)
+            cloud = cloud.with_group(SUPPORT, _support(cloud, options.fixed, surface.unit))
+            with console.status("preparing the body (the first time on a machine compiles it)"):
+                model = EnergySolid(cloud, material, SUPPORT, mass_damping=MASS_DAMPING)
+        except CloudError:  # too thin for the spacing
+            finer = float(f"{FINER * spacing:.2g}")
+            if options.spacing is not None or _count(surface, finer) > MOST_NODES:
+                raise
+            spacing = finer
+        else:
+            return model, sorted({str(each.message) for each in caught} - set(surface.warnings))
 
 
 def _material(options: TouchOptions) -> Material:
@@ -179,8 +205,13 @@ def _seconds_per_node(material: Material) -> float:
     return STEP_OVER_FORCE * float(np.median(durations)) / len(body.cloud)
 
 
+def _count(surface: Surface, spacing: float) -> float:
+    """Return the expected number of nodes."""
+    return float(NODES_PER_CELL * abs(surface.volume) / spacing**3)
+
+
 def _check_count(surface: Surface, spacing: float) -> None:
-    count = NODES_PER_CELL * abs(surface.volume) / spacing**3
+    count = _count(surface, spacing)
     if count > MOST_NODES:
         coarser = np.cbrt(NODES_PER_CELL * abs(surface.volume) / MOST_NODES)
         raise InputError(
@@ -189,20 +220,57 @@ def _check_count(surface: Surface, spacing: float) -> None:
         )
 
 
-def support_mask(points: Floats, fixed: Sequence[str]) -> NDArray[np.bool_]:
-    """Return the nodes (n,) that texts of supports hold; see `TouchOptions.fixed`."""
-    mask = np.zeros(len(points), dtype=bool)
-    for text in fixed or ("back",):
-        mask |= _one_support(points, text.strip())
+def _support(cloud: Cloud, fixed: Sequence[str], unit: float) -> NDArray[np.bool_]:
+    """Return the nodes (n,) that texts of supports hold, checked for each of several bodies.
+
+    The default support holds a side of each body.
+    """
+    names = [name for name in cloud.groups if name.startswith(f"{BODY} ")]
+    bodies = [cloud.group(name) for name in names] or [np.arange(len(cloud))]
+    mask = np.zeros(len(cloud), dtype=bool)
+    if fixed:
+        mask = support_mask(cloud, fixed, unit)
+    for nodes, name in zip(bodies, names or ["it"], strict=True):
+        if not fixed:
+            mask[nodes] = _far_share(cloud.points[nodes] @ np.array(CAMERA_SIDE), SUPPORT_SHARE)
+        where = f" of {name} of {len(bodies)}" if names else ""
+        if mask[nodes].sum() < 3:
+            raise InputError(
+                f"fixed must hold at least 3 nodes{where}, got {int(mask[nodes].sum())}; hold a larger part"
+            )
+        if mask[nodes].mean() > MOST_HELD:
+            raise InputError(
+                f"fixed must leave tissue free, got {mask[nodes].mean():.0%} of the nodes{where} held; hold a smaller "
+                "part"
+            )
     return mask
 
 
-def _one_support(points: Floats, text: str) -> NDArray[np.bool_]:
+def support_mask(cloud: Cloud, fixed: Sequence[str], unit: float = 1.0) -> NDArray[np.bool_]:
+    """Return the nodes (n,) that texts of supports hold; see `TouchOptions.fixed`.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    fixed : sequence of str
+    unit : float [m]
+        Length of a unit of painted files.
+    """
+    mask = np.zeros(len(cloud), dtype=bool)
+    for text in fixed:
+        mask |= _one_support(cloud, text.strip(), unit)
+    return mask
+
+
+def _one_support(cloud: Cloud, text: str, unit: float) -> NDArray[np.bool_]:
+    points = cloud.points
     if text in SIDES:
         axis, sign = SIDES[text]
         return _far_share(sign * points[:, axis], SUPPORT_SHARE)
     if text == "back":
         return _far_share(points @ np.array(CAMERA_SIDE), SUPPORT_SHARE)
+    if text.startswith("painted "):
+        return _painted_support(cloud, text.removeprefix("painted ").strip(), unit)
     lowest = re.fullmatch(r"lowest ([\d.]+) ?%", text)
     if lowest:
         share = number_in_range("fixed", float(lowest[1]), 0.0, 100.0, open_low=True, unit="%")
@@ -212,18 +280,25 @@ def _one_support(points: Floats, text: str) -> NDArray[np.bool_]:
         x, y, z, radius = (1e-3 * float(each) for each in near.groups())
         return np.asarray(np.linalg.norm(points - [x, y, z], axis=1) <= radius)
     raise InputError(
-        f"fixed must be {', '.join(SIDES)}, back, 'lowest 15%' or 'near X,Y,Z,R' in mm, got {text!r:.60}; "
-        "use one of them"
+        f"fixed must be {', '.join(SIDES)}, back, 'lowest 15%', 'near X,Y,Z,R' in mm or 'painted FILE', got "
+        f"{text!r:.60}; use one of them"
     )
+
+
+def _painted_support(cloud: Cloud, text: str, unit: float) -> NDArray[np.bool_]:
+    """Return the surface nodes nearest to painted vertices of ``FILE`` or of a field of it, ``FILE:FIELD``."""
+    file, colon, name = text.rpartition(":")
+    if not colon or Path(text).exists():
+        file, name = text, ""
+    places, values = read_painted(file, name or None)
+    mask = np.zeros(len(cloud), dtype=bool)
+    try:
+        mask[painted(cloud, unit * places, values)] = True
+    except InputError as error:
+        raise InputError(f"fixed must hold painted nodes, got {file!r:.60}: {error}") from error
+    return mask
 
 
 def _far_share(heights: Floats, share: float) -> NDArray[np.bool_]:
     """Return True for the nodes in the lowest share of the extent."""
     return np.asarray(heights <= heights.min() + share * np.ptp(heights))
-
-
-def _check_support(mask: NDArray[np.bool_]) -> None:
-    if mask.sum() < 3:
-        raise InputError(f"fixed must hold at least 3 nodes, got {int(mask.sum())}; hold a larger part")
-    if mask.mean() > 0.6:
-        raise InputError(f"fixed must leave tissue free, got {mask.mean():.0%} of the nodes held; hold a smaller part")

@@ -42,7 +42,7 @@ def view(
     script: Path | None = None,
     units: str | None = None,
     scale: float = 1.0,
-    part: str | None = None,
+    part: Sequence[str] | None = None,
     spacing: float | None = None,
     law: str | None = None,
     given: Sequence[str] = (),
@@ -95,7 +95,7 @@ def view(
         open_listener(host, port).close()  # refuses a wrong address before a model is trained
     if record is not None:
         _check_record(record, what)
-    options = TouchOptions(units, scale, part, spacing, law, _parameters(given), tuple(fixed))
+    options = TouchOptions(units, scale, tuple(part or ()), spacing, law, _parameters(given), tuple(fixed))
     if not is_surface_file(what) and options != TouchOptions(parameters={}):
         raise InputError(
             "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
