@@ -13,6 +13,7 @@ import re
 import shutil
 import stat
 import time
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from hashlib import sha256
@@ -25,12 +26,13 @@ from palpate.faults import FileFormatError, InputError
 
 __all__ = [
     "check_folder", "check_space", "digest_of", "json_of", "plain", "read_bytes", "read_json", "read_sealed_json",
-    "read_text", "regular_file", "settle", "shortened", "whole_file", "write_json", "write_sealed_json",
+    "read_text", "regular_file", "settle", "shortened", "unpack_gzip", "whole_file", "write_json", "write_sealed_json",
 ]  # fmt: skip
 
 STALE_AGE = 86400.0  # [s] of temporary files of dead writers
 MAX_DEPTH = 32  # of nested lists and objects in JSON
 MAX_TEXT_BYTES = 16 << 20
+MAX_EXPANSION = 64  # of a packed file; text of coordinates expands less than 10 times
 MAX_INTEGER = 2**53  # larger integers are not exact in other programs
 
 
@@ -135,6 +137,39 @@ def read_bytes(path: Path, what: str, most: int | None = None) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise FileFormatError(f"{path} cannot be read ({error.strerror or error})") from error
+
+
+def unpack_gzip(data: bytes, path: Path, most: int) -> bytes:
+    """Return the content of one gzip file.
+
+    Parameters
+    ----------
+    data : bytes
+        Of the file.
+    path : path
+        For messages.
+    most : int
+        Largest size of the content [bytes]; it is also at most 64 times that of the file.
+
+    Raises
+    ------
+    FileFormatError
+        The content is larger, damaged, or cut off.
+    """
+    most = min(most, MAX_EXPANSION * len(data))
+    stream = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
+    try:
+        content = stream.decompress(data, most + 1)
+    except zlib.error as error:
+        raise FileFormatError(f"{path} is not a whole gzip file ({error}); compress it again") from None
+    if len(content) > most:
+        raise FileFormatError(
+            f"{path} must unpack to at most {most} bytes ({MAX_EXPANSION} times its size), got more; unpack it first"
+        )
+    if not stream.eof or stream.unused_data:
+        what = "is cut off" if not stream.eof else "has data after its end"
+        raise FileFormatError(f"{path} is not a whole gzip file: it {what}; compress it again")
+    return content
 
 
 def read_text(path: Path, what: str, most: int = MAX_TEXT_BYTES) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 from itertools import product
 
@@ -23,6 +24,8 @@ def samples(folder):
     made = {name: data.encode() if isinstance(data, str) else data for name, data in made.items()}
     made.update(vtk_samples(body, folder))
     made["big.ply"] = big_endian_ply(body)
+    made["text.trian"] = trian(body)
+    made["packed.off.gz"] = gzip.compress(made["exported.off"], mtime=0)
     return made
 
 
@@ -94,3 +97,15 @@ def big_endian_ply(body):
         "property list uchar int vertex_index\nproperty uchar flag\nend_header\n"
     )
     return head.encode() + points.tobytes() + bytes(4) + rows + b"\2" + bytes(8) + b"\7"
+
+
+def trian(body):
+    """A trian file of SOFA: vertices, then triangles with their neighbours opposite to each vertex."""
+    triangles = body.triangles
+    edges = {
+        (a, b): t for t, face in enumerate(triangles.tolist()) for a, b in zip(face, face[1:] + face[:1], strict=True)
+    }
+    rows = [(*face, *(edges[face[k - 1], face[k - 2]] for k in range(3))) for face in triangles.tolist()]
+    lines = [f"{len(body.vertices)}", *(" ".join(map(repr, point)) for point in body.vertices.tolist())]
+    lines += [f"{len(rows)}", *(" ".join(map(str, row)) for row in rows)]
+    return "\n".join(lines).encode()

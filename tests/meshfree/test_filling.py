@@ -117,9 +117,10 @@ def test_a_cube_keeps_its_faces():
     [
         (lambda: inverted(ball()), "inside out"),
         (lambda: pt.Surface(ball().vertices, ball().triangles[1:]), "open"),
-        (lambda: joined(ball(), ball(centre=(0.2, 0, 0))), "2 parts"),
-        (lambda: joined(ball(), inverted(ball(0.03))), "cavities"),
-        (lambda: joined(ball(), inverted(ball(0.0495))), "hollow|cavities"),
+        (lambda: joined(ball(), ball(centre=(0.11, 0, 0))), "2 separate bodies"),
+        (lambda: joined(ball(), ball(0.03)), "a cavity outwards"),
+        (lambda: joined(ball(), inverted(ball(0.0495))), "hollow"),
+        (lambda: joined(ball(), inverted(ball(0.047))), "walls 3 mm thick on average.*; use at most 0.0012 m"),
         (lambda: joined(ball(), ball(centre=(0.02, 0.003, 0.001))), "pass through each other"),
     ],
 )
@@ -144,3 +145,76 @@ def test_surfaces_that_cannot_be_filled_are_refused_with_the_reason(surface, sai
 def test_invalid_arguments_are_refused_by_name(body, spacing, more, said):
     with pytest.raises(pt.InputError, match=said):
         pt.fill(body, spacing, **more)
+
+
+OUTER, INNER = 0.05, 0.03  # radii of a hollow ball [m]
+
+
+@pytest.fixture(scope="module")
+def hollow():
+    return pt.fill(joined(ball(OUTER), inverted(ball(INNER))), 0.007)
+
+
+def test_a_cavity_stays_empty_and_nodes_lie_on_its_wall(hollow):
+    radius = np.linalg.norm(hollow.points, axis=1)
+    wall = hollow.points[hollow.face_nodes]
+    away = np.linalg.norm(wall, axis=1)
+    inner = away < 0.5 * (OUTER + INNER)
+    assert radius.min() > 0.96 * INNER
+    assert away[inner] == pytest.approx(INNER, rel=0.04)
+    assert inner.sum() > 100
+    # normals point out of the tissue: into the cavity, and outwards
+    outwards = np.sum(hollow.face_normals * wall, axis=1) / away
+    assert outwards[inner].max() < -0.98
+    assert outwards[~inner].min() > 0.98
+
+
+def test_volume_area_and_triangles_of_a_hollow_ball_are_those_of_its_surface(hollow):
+    surface = joined(ball(OUTER), inverted(ball(INNER)))
+    assert hollow.volumes.sum() == pytest.approx(surface.volume, rel=1e-12)
+    assert surface.volume == pytest.approx(4 / 3 * np.pi * (OUTER**3 - INNER**3), rel=0.005)
+    vectors = hollow.face_areas[:, None] * hollow.face_normals
+    assert np.abs(vectors.sum(axis=0)).max() < 1e-12 * surface.area
+    assert hollow.face_areas.sum() == pytest.approx(surface.area, rel=0.03)
+    tensor = vectors.T @ hollow.points[hollow.face_nodes]
+    assert tensor == pytest.approx(surface.volume * np.eye(3), abs=0.02 * surface.volume)
+    mean = hollow.volumes @ np.sum(hollow.points**2, axis=1) / hollow.volumes.sum()
+    assert mean == pytest.approx(0.6 * (OUTER**5 - INNER**5) / (OUTER**3 - INNER**3), rel=0.03)
+    drawn = pt.Surface(hollow.points[hollow.group("surface")], hollow.triangles)
+    assert pt.io.check_surface(drawn).errors == ()
+    assert pt.io.check_surface(drawn).components == 2
+
+
+def test_cavities_finer_than_the_spacing_are_filled_with_a_warning():
+    surface = joined(ball(), inverted(ball(0.005, 0.001)))
+    with pytest.warns(UserWarning, match="cavities finer than the spacing are filled with tissue: 1"):
+        cloud = pt.fill(surface, SPACING)
+    assert cloud.volumes.sum() == pytest.approx(ball().volume, rel=1e-12)
+
+
+def test_bodies_far_apart_share_a_cloud_and_no_stencil():
+    cloud = pt.fill(joined(ball(), ball(0.04, centre=(0.2, 0, 0))), 0.01)
+    left = cloud.points[:, 0] < 0.1
+    assert cloud.volumes[left].sum() == pytest.approx(ball().volume, rel=0.01)
+    assert cloud.volumes[~left].sum() == pytest.approx(ball(0.04).volume, rel=0.01)
+    x, y, z = cloud.points.T
+    gradient = moving_least_squares(cloud.points, order=2, neighbours=42).gradient(np.where(left, x * y, z))
+    exact = np.where(left, [y, x, 0 * x], [0 * x, 0 * x, 1 + 0 * x]).T
+    assert gradient == pytest.approx(exact, abs=1e-10)
+
+
+@pytest.mark.slow
+def test_a_hollow_ball_is_softer_under_a_press(hollow):
+    solid = pt.fill(ball(OUTER), 0.007)
+    law = pt.materials.MooneyRivlin(C1=1e3, C2=0.0, density=1000.0, poisson=0.45)
+    forces = []
+    for cloud in (solid, hollow):
+        z = cloud.points[:, 2]
+        groups = {"floor": z < -0.8 * OUTER, "top": z > 0.8 * OUTER}
+        for name, mask in groups.items():
+            cloud = cloud.with_group(name, mask)
+        push = pt.PrescribedMotion("top", lambda points, time: (0.0, 0.0, -0.002))
+        found = pt.equilibrium(pt.Solid(cloud, law, "floor"), [push], time=1.0)
+        forces.append(-found.reactions["top"][2])
+        assert found.reactions["floor"] == pytest.approx(-found.reactions["top"], abs=1e-3 * forces[-1])
+    assert 0.2 * forces[0] < forces[1] < 0.8 * forces[0]

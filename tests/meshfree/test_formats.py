@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 import os
 import re
@@ -18,6 +19,8 @@ from meshfree_surfaces import ball, cube
 from surface_samples import gltf, samples
 
 import palpate as pt
+from palpate.meshfree.formats.names import FORMATS, format_of, listed_formats
+from palpate.meshfree.surface_files import READERS
 
 HUGE = (b"99999999", b"2147483648", b"18446744073709551616", b"-1", b"0.5", b"1e308", b"1e999", b"nan", b"0")
 LEGACY = b"# vtk DataFile Version 3.0\nx\n%s\nDATASET POLYDATA\nPOINTS 3 float\n%s\n"
@@ -128,6 +131,12 @@ ATTACKS = [
     ("count.off", b"OFF\n99999999 1 0\n0 0 0\n3 0 0 0\n", "vertices must be at most 1 .*got 99999999"),
     ("faces.off", b"OFF\n1 999999 0\n0 0 0\n3 0 0 0\n", "triangles must be at most 2 .*got 999999"),
     ("size.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n99999999 0 1 2\n", "corners of a face"),
+    ("count.trian", b"99999999\n0 0 0\n1\n0 0 0 -1 -1 -1\n", "vertices must be at most"),
+    ("faces.trian", b"1\n0 0 0\n9\n0 0 0 -1 -1 -1\n", "triangles must be at most"),
+    ("half.trian", b"1.5\n0 0 0\n1\n", "must be an integer"),
+    ("rows.trian", b"3\n0 0 0 1 0 0 0 1 0\n1\n0 1 2 -1 -1 -1 7\n", "three neighbours"),
+    ("index.trian", b"3\n0 0 0 1 0 0 0 1 0\n1\n0 1 9 -1 -1 -1\n", "triangles must hold vertices in"),
+    ("short.trian", b"3\n0 0 0 1 0 0 0 1 0\n", "number of triangles is missing"),
     ("index.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 99999999\n", "triangles must hold vertices in"),
     ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999\n", "triangles must hold vertices in"),
     ("huge.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999999999999999\n", "does not exist"),
@@ -358,7 +367,7 @@ def test_nodes_of_a_gltf_file_place_turn_and_mirror_their_meshes(tmp_path):
     assert surface.volume == pytest.approx(8 * 6e-3, rel=1e-6)
     assert np.ptp(surface.vertices, axis=0) == pytest.approx([0.4, 0.2, 0.6])
     assert surface.vertices.mean(axis=0) == pytest.approx([2, 4, 6])
-    two = gltf(BODY, nodes=[{"mesh": 0}, {"mesh": 0}], scenes=[{"nodes": [0, 1]}])
+    two = gltf(BODY, nodes=[{"mesh": 0}, {"mesh": 0, "translation": [1, 0, 0]}], scenes=[{"nodes": [0, 1]}])
     with pytest.raises(pt.InputError, match="part must be given for a file of 2 parts; choose one of cube, cube_1"):
         read(tmp_path, "two.gltf", two)
     assert read(tmp_path, "two.gltf", two, part="cube_1").volume == pytest.approx(1e-3, rel=1e-6)
@@ -367,13 +376,47 @@ def test_nodes_of_a_gltf_file_place_turn_and_mirror_their_meshes(tmp_path):
 def test_objects_of_an_obj_file_and_solids_of_an_stl_file_are_parts(tmp_path, valid):
     text = valid["exported.obj"]
     second = b"\no second\n" + b"\n".join(line for line in text.splitlines() if line.startswith(b"f"))
-    with pytest.raises(pt.InputError, match="2 parts"):
-        read(tmp_path, "two.obj", text + second)
+    (warning,) = read(tmp_path, "two.obj", text + second).warnings
+    assert "two.obj has 2 parts" in warning
     assert read(tmp_path, "two.obj", text + second, part="second").volume == pytest.approx(1e-3)
     solids = b"\n".join(re.sub(rb"solid[^\n]*", b"solid " + name, valid["text.stl"]) for name in (b"left", b"right"))
-    with pytest.raises(pt.InputError, match="choose one of left, right"):
-        read(tmp_path, "two.stl", solids)
+    (warning,) = read(tmp_path, "two.stl", solids).warnings
+    assert "left (0.001 litres) chosen" in warning.replace("1 litres", "0.001 litres")
     assert read(tmp_path, "two.stl", solids, part="left").volume == pytest.approx(1e-3)
+
+
+def test_every_format_of_the_table_has_a_reader_and_is_named_in_help_and_documents():
+    assert list(READERS) == list(FORMATS)
+    root = Path(__file__).parents[2]
+    texts = [(root / "docs" / name).read_text() for name in ("view.md", "organs.md")]
+    texts.append(pt.io.read_surface.__doc__)
+    for text in texts:
+        missing = [name for name in FORMATS.values() if not re.search(rf"\b{name}\b", text)]
+        assert missing == []
+    assert all(name in listed_formats() for name in FORMATS.values())
+
+
+def test_a_compressed_file_is_read_by_the_suffix_within(valid, tmp_path):
+    for name in ("exported.stl", "exported.obj", "exported.glb", "text.trian"):
+        packed = read(tmp_path, f"{name}.gz", gzip.compress(valid[name]))
+        assert packed.volume == pytest.approx(1e-3, rel=1e-6)
+    assert format_of(Path("a/Organ.STL.GZ")) == ("stl", True)
+    assert format_of(Path("organ.gz")) == ("", True)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (gzip.compress(b"OFF\n" + bytes(50_000_000)), "must unpack to at most"),
+        (gzip.compress(b"OFF\n")[:-3], "cut off"),
+        (gzip.compress(b"OFF\n") + b"more", "after its end"),
+        (b"OFF\n3 1 0\n", "not a whole gzip file"),
+        (b"", "not a whole gzip file|must not be empty"),
+    ],
+)
+def test_compressed_files_that_expand_too_far_or_are_cut_are_refused(data, said, tmp_path):
+    with pytest.raises(pt.FileFormatError, match=said):
+        read(tmp_path, "bomb.off.gz", data)
 
 
 def test_messages_name_the_path_of_the_file(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 from pathlib import Path
@@ -12,9 +13,10 @@ from meshfree_surfaces import ball, cube, inverted, joined
 
 import palpate as pt
 from palpate.meshfree.crossings import column_crossings
+from palpate.meshfree.nesting import winding_number
 from palpate.meshfree.refining import poisson_discs, refine_surface
 from palpate.meshfree.surface_repair import repair_surface
-from palpate.meshfree.surfaces import boundary_loops, weld
+from palpate.meshfree.surfaces import boundary_loops, scaled, weld
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the organ surfaces are not at hand")
@@ -73,7 +75,8 @@ def test_welding_joins_coincident_vertices_and_drops_triangles_without_area():
     [
         (lambda: pt.Surface(ball().vertices, ball().triangles[3:]), "open"),
         (lambda: inverted(ball()), "inside out"),
-        (lambda: joined(ball(), ball(centre=(0.3, 0, 0))), "several parts"),
+        (lambda: joined(ball(), ball(0.03)), "inside out"),
+        (lambda: joined(*(ball(0.002, 0.004, (0.01 * k, 0, 0)) for k in range(101))), "several parts"),
         (lambda: joined(ball(), ball(centre=(0.03, 0.002, 0.001))), "self-intersecting"),
     ],
 )
@@ -155,7 +158,7 @@ def test_vtk_files_give_the_same_surface(kind, tmp_path):
 def test_a_file_of_parts_needs_the_name_of_one(tmp_path):
     trimesh = pytest.importorskip("trimesh")
     scene = trimesh.Scene()
-    for name, body in (("left", ball()), ("right", cube())):
+    for name, body in (("left", ball()), ("right", cube(centre=(0.3, 0, 0)))):
         scene.add_geometry(
             trimesh.Trimesh(body.vertices, body.triangles, process=False), geom_name=name, node_name=name
         )
@@ -265,3 +268,65 @@ def test_an_open_surface_reports_no_volume(tmp_path):
     (warning,) = [each for each in pt.io.read_surface(path, repair=False).warnings if "units" in each]
     assert "mm assumed, for an open surface" in warning
     assert "litres" not in warning
+
+
+def kinds(surface):
+    return {(problem.kind, problem.name) for problem in pt.io.check_surface(surface).problems}
+
+
+def test_cavities_and_separate_bodies_are_noted():
+    assert ("note", "cavities") in kinds(joined(ball(), inverted(ball(0.03))))
+    assert ("note", "several bodies") in kinds(joined(ball(), ball(centre=(0.3, 0, 0))))
+    assert ("note", "several bodies") in kinds(joined(ball(), inverted(ball(0.03)), ball(0.01, 0.004)))
+
+
+def test_repair_turns_nested_components_by_their_depth():
+    shells = [ball(radius, 0.006) for radius in (0.05, 0.03, 0.015)]
+    expected = shells[0].volume - shells[1].volume + shells[2].volume
+    for mixed in (joined(*shells), joined(*map(inverted, shells)), joined(shells[0], inverted(shells[1]), shells[2])):
+        repaired = repair_surface(mixed)
+        assert names(repaired) == set()
+        assert repaired.volume == pytest.approx(expected, rel=1e-12)
+
+
+def test_winding_numbers_are_one_inside_and_zero_outside():
+    body = ball()
+    corners = body.vertices[body.triangles]
+    for point, expected in (((0.01, 0.02, 0.0), 1.0), ((0.04, 0.04, 0.0), 0.0), ((0.3, 0.0, 0.0), 0.0)):
+        assert winding_number(corners, np.array(point)) == pytest.approx(expected, abs=1e-9)
+    assert winding_number(corners[:, ::-1], np.zeros(3)) == pytest.approx(-1.0)
+
+
+def test_sheets_that_touch_in_a_point_are_separated():
+    left, right = cube(0.1, 0.2), cube(0.1, 0.2, (0.1, 0.1, 0.1))
+    touching = weld(joined(left, right))
+    assert "pinched" in names(touching)
+    repaired = repair_surface(touching)
+    assert names(repaired) == set()
+    assert ("repair", "separated sheets") in kinds(repaired)
+
+
+def test_repairs_are_listed_with_their_places():
+    body = ball()
+    speck = ball(0.002, 0.001, (0.2, 0, 0))
+    holed = pt.Surface(body.vertices, body.triangles[body.vertices[body.triangles].mean(axis=1)[:, 0] < 0.04])
+    repaired = repair_surface(inverted(joined(holed, speck)))
+    listed = {each.name: each for each in repaired.repairs}
+    assert set(listed) == {"specks", "closed holes", "turned"}
+    assert listed["specks"].points == pytest.approx(np.array([[0.2, 0, 0]]), abs=1e-3)
+    assert listed["closed holes"].points[:, 0].min() > 0.035  # the rim
+    assert len(listed["turned"].points) == len(holed.triangles)
+    assert repair_surface(body).repairs == ()
+    assert kinds(repaired) >= {("repair", name) for name in listed}
+    assert scaled(repaired, 2.0).repairs[0].points == pytest.approx(2 * repaired.repairs[0].points)
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(1000.0, "scale=0.001"), (0.01, "scale=100"), (7e4, "scale=1e-05|scale=")]
+)
+def test_an_implausible_volume_names_the_factor_of_an_organ(factor, said):
+    body = scaled(ball(), factor)
+    (note,) = [each for each in pt.io.check_surface(body).problems if each.name == "scale"]
+    assert re.search(said, note.what)
+    found = float(re.search(r"scale=(\S+)", note.what)[1])
+    assert 2e-6 < (factor * found) ** 3 * ball().volume < 2e-2

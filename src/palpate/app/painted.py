@@ -29,15 +29,15 @@ MEMORY, SECONDS = 400 << 20, 30  # of the reader, with which it begins; more for
 PER_BYTE, RATE = 20, 1_000_000  # of memory, and bytes a second
 
 
-def read_painted(path: str | Path, name: str) -> tuple[Floats, Floats]:
+def read_painted(path: str | Path, name: str | None = None) -> tuple[Floats, Floats]:
     """Read a mesh's vertices and a scalar field on them.
 
     Parameters
     ----------
     path : path
         A PLY file or one of VTK's (.vtk, .vtp, .vtu), lengths in metres.
-    name : str
-        Of the field on its points.
+    name : str, optional
+        Of the field on its points; by default the only one.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def read_painted(path: str | Path, name: str) -> tuple[Floats, Floats]:
     if path.suffix.lower() not in FORMATS:
         raise FileFormatError(f"{path}: a painted mesh is one of {', '.join(FORMATS)}")
     require("pyvista", "reading a painted mesh")
-    command = [sys.executable, "-P", "-m", "palpate.app.painted", str(path.absolute()), name, str(size)]
+    command = [sys.executable, "-P", "-m", "palpate.app.painted", str(path.absolute()), name or "", str(size)]
     try:
         done = subprocess.run(command, capture_output=True, timeout=4 * (SECONDS + size / RATE), check=False)
     except subprocess.TimeoutExpired:
@@ -71,6 +71,8 @@ def read_painted(path: str | Path, name: str) -> tuple[Floats, Floats]:
         raise FileFormatError(f"{path} holds no points, or is not a {path.suffix} file")
     if fields.dtype.kind == "U":  # there is no such field: the names of those there are
         known = ", ".join(shortened(repr(str(each))) for each in fields) or "none"
+        if name is None:
+            raise InputError(f"{path} must have one field on its points, got {known}; name one of them")
         raise InputError(f"{path} has no field {name!r} on its points, but {known}")
     if fields.shape != (len(points),):
         raise InputError(f"{path}: the field {name!r} is not a scalar; its shape is {fields.shape}")
@@ -104,6 +106,7 @@ def _main(path: str, name: str, size: str) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # VTK writes to standard output
     mesh: Any = pyvista.read(path)
     fields = mesh.point_data
+    name = name or (fields.keys()[0] if len(fields) == 1 else "")
     values = np.asarray(fields[name], dtype=float) if name in fields else np.array([*fields], dtype=str)
     for array in (np.asarray(mesh.points, dtype=float), values):
         stream = io.BytesIO()

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import cKDTree
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.quadrature import integration_weights, quadratic_residuals
@@ -133,9 +134,15 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
         raise CloudError(_VOLUME_ERROR) from None
     coupling = scaled @ exactness.T
     system = (scaled @ divergence.T - coupling @ inverse @ coupling.T).tocsr()
-    wanted = _balance_boundary(boundary, points, volumes) * spacing / np.median(volumes)
+    links = sparse.csr_matrix((np.ones(len(node)), (node, other)), (n, n))
+    body = connected_components(links, directed=False)[1]  # bodies that no stencil connects balance by themselves
+    wanted = boundary.copy()
+    for k in range(int(body.max()) + 1):
+        own = body == k
+        wanted[own] = _balance_boundary(boundary[own], points[own], volumes[own])
+    wanted *= spacing / np.median(volumes)
     missing = wanted - divergence @ weights
-    multipliers = _solve(system, missing, points, spacing)
+    multipliers = _solve(system, missing, points, spacing, body)
     change = freedom[:, None] * (divergence.T @ multipliers - exactness.T @ (inverse @ (coupling.T @ multipliers)))
     weights += change
     left, changed = np.abs(wanted - divergence @ weights).max(axis=1), np.abs(change).max(axis=1)
@@ -151,13 +158,16 @@ def consistent_gradient(stencils: Stencils, points: Floats, volumes: Floats, bou
     return result
 
 
-def _solve(system: Any, sides: Floats, points: Floats, spacing: float) -> Floats:
+def _solve(system: Any, sides: Floats, points: Floats, spacing: float, body: Ints) -> Floats:
     """Solve for all right-hand sides (n, d) at once, because most of the time is for reading the matrix."""
     shape = sides.shape
     diagonal, (patches, coarse) = system.diagonal()[:, None], _patches(system, points, spacing)
     linear = np.linalg.qr(np.column_stack([np.ones(len(points)), points - points.mean(axis=0)]))[0]
+    if body.max() > 0:
+        fields = [np.where((body == k)[:, None], linear, 0.0) for k in range(int(body.max()) + 1)]
+        linear = np.linalg.qr(np.concatenate(fields, axis=1))[0]
 
-    def remove_linear(field: Floats) -> Floats:  # linear fields are in the null space
+    def remove_linear(field: Floats) -> Floats:  # linear fields of each body are in the null space
         return field - linear @ (linear.T @ field)
 
     def precondition(residual: Floats) -> Floats:

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from palpate.arrays import Floats
 from palpate.faults import CloudError, InputError, brief, first_few, integer_in_range, number_in_range
 from palpate.meshfree.cloud import Cloud, warn_of_size
-from palpate.meshfree.gate import faulty_nodes
+from palpate.meshfree.gate import STENCIL_NODES, faulty_nodes
+from palpate.meshfree.nesting import body_numbers, enclosures
 from palpate.meshfree.refining import refine_surface
 from palpate.meshfree.relaxing import (
     MIN_DEPTH,
@@ -28,9 +30,17 @@ from palpate.meshfree.remeshing import SurfaceNodes, remesh
 from palpate.meshfree.surface_checks import check_surface
 from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surface_repair import repair_surface
-from palpate.meshfree.surfaces import Surface, weld
+from palpate.meshfree.surfaces import (
+    Surface,
+    components,
+    part_centroids,
+    part_volumes,
+    select_triangles,
+    vertex_components,
+    weld,
+)
 
-__all__ = ["Region", "fill"]
+__all__ = ["BODY", "Region", "fill"]
 
 Region = tuple[Sequence[float], float, float]  # centre [m], radius [m], spacing [m]
 
@@ -40,13 +50,15 @@ GRADING = 0.35  # growth of the spacing with the distance from a refined region
 MAX_NODES = 500_000
 MAX_REPAIRS = 4  # rounds of removing nodes that the stencil check rejects
 MIN_INTERIOR_NODES = 40
+BODY = "body"  # beginning of the names of groups, of several bodies
+MIN_CAVITY_DIAMETER = 2.0  # in spacings; smaller cavities are filled
 
 
 def fill(
     surface: Surface | str | Path | tuple[ArrayLike, ArrayLike],
     spacing: float,
     *,
-    part: str | None = None,
+    part: str | Sequence[str] | None = None,
     units: str | None = None,
     repair: bool = False,
     lattice: str = "bcc",
@@ -58,7 +70,7 @@ def fill(
     Nodes on the surface lie 0.8 spacings apart, with the surface's normals, and are joined by
     triangles. Nodes inside start from a lattice at least 0.65 spacings below the surface and are
     relaxed until evenly spaced. Nodal volumes are those of Voronoi cells, and sum to the volume of
-    the body.
+    the body. Components inside others are cavities: they stay empty, with nodes on their walls.
 
     Parameters
     ----------
@@ -83,23 +95,24 @@ def fill(
     Returns
     -------
     Cloud
-        Group ``"surface"`` contains the surface nodes, which `triangles` join. Every such node has
-        one entry in the faces, its area vector. Area vectors sum to zero. The sum of their lengths
-        is the area of the surface, reduced by the curvature within each node's part.
+        Group ``"surface"`` contains the surface nodes, which `triangles` join; of several separate
+        bodies, ``"body 0"`` and so on contain the nodes of each. Every surface node has one entry in
+        the faces, its area vector. Area vectors sum to zero. The sum of their lengths is the area of
+        the surface, reduced by the curvature within each node's part.
 
     Raises
     ------
     InputError
-        A surface that is open, hollow, inside out, of several parts or self-intersecting; a
-        parameter out of range; or a spacing that is too coarse for the body.
+        A surface that is open, hollow, inside out or self-intersecting; or a parameter out of range.
     CloudError
-        The cloud does not support moving least squares, because parts of the body are much thinner
-        than the spacing.
+        The spacing is too coarse: too few nodes lie inside, the cloud does not support moving least
+        squares, or separate bodies are so close that their stencils would overlap.
 
     Warns
     -----
     UserWarning
-        The units of a file are assumed, or a body is larger than 10 m or smaller than 0.1 mm.
+        The units of a file are assumed, a part is chosen, cavities finer than the spacing are
+        filled, or a body is larger than 10 m or smaller than 0.1 mm.
     """
     spacing = number_in_range("spacing", spacing, 0.0, open_low=True, unit="m")
     seed = integer_in_range("seed", seed, 0)
@@ -112,14 +125,16 @@ def fill(
     report = check_surface(body)
     if report.errors:
         problems = "; ".join(problem.what for problem in report.errors)
-        raise InputError(f"{body.name} must be a closed surface of one solid body; {problems}")
+        raise InputError(f"{body.name} must be a closed surface of a solid body; {problems}")
+    body = _without_small_cavities(body, sizing)
     _check_size(body, spacing, sizing)
     warn_of_size(body.vertices)
     vertices, triangles = refine_surface(body.vertices, body.triangles, lambda points: MAX_EDGE * sizing(points))
     inside = DepthQuery.of(vertices, triangles)
     nodes = remesh(vertices, triangles, SURFACE_SPACING * sizing(vertices), seed)
-    inner = _interior_nodes(inside, nodes, sizing, lattice if not refine else "scattered", seed)
-    return _repair_cloud(body, inside, nodes, inner, sizing)
+    inner = _interior_nodes(body, inside, nodes, sizing, lattice if not refine else "scattered", seed)
+    cloud = _repair_cloud(body, inside, nodes, inner, sizing)
+    return _label_bodies(body, inside, cloud)
 
 
 @dataclass(frozen=True)
@@ -166,7 +181,10 @@ class Sizing:
 
 
 def _body(
-    surface: Surface | str | Path | tuple[ArrayLike, ArrayLike], part: str | None, units: str | None, repair: bool
+    surface: Surface | str | Path | tuple[ArrayLike, ArrayLike],
+    part: str | Sequence[str] | None,
+    units: str | None,
+    repair: bool,
 ) -> Surface:
     if isinstance(surface, (str, Path)):
         return read_surface(surface, part=part, units=units, repair=repair)
@@ -176,6 +194,52 @@ def _body(
         vertices, triangles = (np.asarray(each) for each in surface)
         surface = Surface(vertices, triangles)
     return repair_surface(surface) if repair else weld(surface)
+
+
+def _without_small_cavities(body: Surface, sizing: Sizing) -> Surface:
+    """Return the body without cavities that are finer than the spacing; warn of them."""
+    label = components(body)
+    volumes = part_volumes(body, label)
+    area = np.bincount(label, np.linalg.norm(body.area_vectors, axis=1))
+    local = sizing(part_centroids(body, label))
+    small = (volumes < 0) & (
+        6 * np.abs(volumes) < MIN_CAVITY_DIAMETER * local * area
+    )  # 6 V / A of a ball: its diameter
+    if not small.any():
+        return body
+    warnings.warn(
+        f"cavities finer than the spacing are filled with tissue: {int(small.sum())} of together "
+        f"{1e6 * np.abs(volumes[small]).sum():.3g} ml in {body.name}; use a smaller spacing to keep them",
+        stacklevel=3,
+    )
+    small |= enclosures(body, label)[:, small].any(axis=1)  # with what is inside them
+    return select_triangles(body, ~small[label])
+
+
+def _label_bodies(body: Surface, inside: DepthQuery, cloud: Cloud) -> Cloud:
+    """Return the cloud with a group for each of several bodies; check that their stencils do not overlap."""
+    label = components(body)
+    enclosed = enclosures(body, label)
+    bodies = body_numbers(enclosed)
+    if bodies.max() == 0:
+        return cloud
+    # a refined vertex has the component of the body's triangle next to it; no wall lies between a node and its nearest
+    wall = vertex_components(inside.triangles, len(inside.vertices))
+    component = np.zeros(int(wall.max()) + 1, dtype=np.int64)
+    component[wall[body.triangles[:, 0]]] = label  # the first refined vertices are those of the body
+    owner = bodies[component[wall[inside.tree.query(cloud.points, workers=-1)[1]]]]
+    near = cKDTree(cloud.points).query(cloud.points, k=STENCIL_NODES, workers=-1)[1]
+    mixed = np.flatnonzero((owner[near] != owner[:, None]).any(axis=1))
+    if mixed.size:
+        raise CloudError(
+            f"spacing must be finer for the {int(bodies.max()) + 1} separate bodies of {body.name}, got "
+            f"{cloud.spacing:g} m: stencils of {len(mixed)} nodes would reach from one to another, the first at "
+            f"{cloud.points[mixed[0]]} m; use a finer spacing, or choose one body",
+            mixed,
+        )
+    for k in range(int(bodies.max()) + 1):
+        cloud = cloud.with_group(f"{BODY} {k}", owner == k)
+    return cloud
 
 
 def _check_size(body: Surface, spacing: float, sizing: Sizing) -> None:
@@ -190,13 +254,15 @@ def _check_size(body: Surface, spacing: float, sizing: Sizing) -> None:
             f"use at least {spacing * (expected / MAX_NODES) ** (1 / 3):.2g} m"
         )
     if abs(body.volume) < MIN_INTERIOR_NODES * spacing**3:
-        raise InputError(
+        raise CloudError(
             f"spacing must be at most {across / 5:.2g} m, got {spacing:g} m; it is too coarse for a body of "
             f"{1e3 * abs(body.volume):.3g} litres, {1e3 * across:.3g} mm thick on average"
         )
 
 
-def _interior_nodes(inside: DepthQuery, nodes: SurfaceNodes, sizing: Sizing, lattice: str, seed: int) -> Floats:
+def _interior_nodes(
+    body: Surface, inside: DepthQuery, nodes: SurfaceNodes, sizing: Sizing, lattice: str, seed: int
+) -> Floats:
     """Return relaxed interior nodes."""
     if lattice == "scattered":
         points = scattered_inside(inside, sizing.min_spacing, sizing, seed)
@@ -204,9 +270,11 @@ def _interior_nodes(inside: DepthQuery, nodes: SurfaceNodes, sizing: Sizing, lat
         points = (body_centred_lattice if lattice == "bcc" else cubic_lattice)(inside, sizing.spacing)
     points = points[inside.depth(points, sizing.spacing)[0] >= MIN_DEPTH * sizing(points)]
     if len(points) < MIN_INTERIOR_NODES:
-        raise InputError(
+        thickness = 2 * body.volume / body.area
+        raise CloudError(
             f"spacing must leave at least {MIN_INTERIOR_NODES} nodes inside the body, got {sizing.spacing:g} m "
-            f"({len(points)} nodes); use a smaller one"
+            f"({len(points)} nodes, walls {1e3 * thickness:.2g} mm thick on average); use at most "
+            f"{0.4 * thickness:.2g} m"
         )
     return relax(points, nodes.points, sizing(points), sizing(nodes.points), inside)
 

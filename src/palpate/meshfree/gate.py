@@ -10,7 +10,9 @@ from palpate.faults import CloudError
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.stencils import moving_least_squares
 
-__all__ = ["faulty_nodes", "nearest_spacing"]
+__all__ = ["STENCIL_NODES", "faulty_nodes", "nearest_spacing"]
+
+STENCIL_NODES = 42  # neighbours in a stencil, the default of `palpate.Solid`
 
 
 def nearest_spacing(points: Floats) -> Floats:
@@ -18,7 +20,7 @@ def nearest_spacing(points: Floats) -> Floats:
     return np.asarray(cKDTree(points).query(points, k=2, workers=-1)[0][:, 1])
 
 
-def faulty_nodes(cloud: Cloud, neighbours: int = 42) -> tuple[Ints, str]:
+def faulty_nodes(cloud: Cloud, neighbours: int = STENCIL_NODES) -> tuple[Ints, str]:
     """Return the nodes with unusable stencils and the reason; none if all are usable.
 
     Parameters

@@ -2,47 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components
 
 from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
 from palpate.meshfree.intersections import MAX_PAIRS, self_intersections
-from palpate.meshfree.surfaces import Surface, boundary_loops, components, directed_edges, part_volumes
+from palpate.meshfree.nesting import MAX_COMPONENTS, cavities, enclosures
+from palpate.meshfree.surfaces import (
+    Surface,
+    SurfaceProblem,
+    boundary_loops,
+    components,
+    directed_edges,
+    part_centroids,
+    part_volumes,
+    pinched_vertices,
+)
 
-__all__ = ["SurfaceProblem", "SurfaceReport", "check_surface", "has_closed_topology"]
-
-Kind = Literal["error", "note"]
+__all__ = ["TYPICAL_VOLUME", "SurfaceReport", "check_surface", "shape_problems"]
 
 PLAUSIBLE_VOLUMES = (2e-6, 2e-2)  # [m^3] of an organ
+TYPICAL_VOLUME = 5e-4  # [m^3] of an organ: geometric mean of an adrenal gland and a liver
+UNIT_FACTORS = (1e-1, 10.0, 1e-2, 100.0, 1e-3, 1000.0)  # between metres, centimetres and millimetres
 # smallest mean thickness 2 V / A over the cube root of V: 0.33 for a cube, 0.12 for a plate 20 times as wide as thick
 MIN_THICKNESS_RATIO = 0.05
-
-
-@dataclass(frozen=True)
-class SurfaceProblem:
-    """Problem of a surface.
-
-    Parameters
-    ----------
-    kind : str
-        ``"error"`` if the surface cannot be filled, else ``"note"``.
-    what : str
-        Description and remedy.
-    points : (k, 3) array [m]
-        Positions.
-    name : str
-        Short name.
-    """
-
-    kind: Kind
-    name: str
-    what: str
-    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
@@ -75,38 +60,27 @@ class SurfaceReport:
 
 
 def check_surface(surface: Surface) -> SurfaceReport:
-    """Return the problems of a welded surface: holes, folds, several parts, hollow shells and scale."""
-    undirected, label, problems = _topology(surface)
-    parts = int(label.max()) + 1
-    problems += [*_crossing_problems(surface), *_scale_problems(surface)]
+    """Return the problems of a welded surface: holes, folds, several parts, hollow shells, scale; and its repairs."""
+    edges, _ = directed_edges(surface.triangles)
+    undirected = len(np.unique(np.sort(edges, axis=1), axis=0))
+    problems = [*shape_problems(surface), *_crossing_problems(surface), *_scale_problems(surface), *surface.repairs]
     return SurfaceReport(
-        len(surface.vertices), len(surface.triangles), parts,
-        len(surface.vertices) - len(undirected) + len(surface.triangles),
+        len(surface.vertices), len(surface.triangles), int(components(surface).max()) + 1,
+        len(surface.vertices) - undirected + len(surface.triangles),
         surface.area, surface.volume,
         tuple(np.ptp(surface.vertices, axis=0).tolist()), tuple(problems),
     )  # fmt: skip
 
 
-def has_closed_topology(surface: Surface) -> bool:
-    """Return whether a welded surface is one closed and oriented part; it may intersect itself."""
-    return not _topology(surface)[2]
-
-
-def _topology(surface: Surface) -> tuple[Ints, Ints, list[SurfaceProblem]]:
-    """Return the edges (e, 2), the part of every triangle, and the problems of a surface without intersections."""
+def shape_problems(surface: Surface) -> list[SurfaceProblem]:
+    """Return the problems of edges, vertices and volumes of a welded surface: all but crossings and scale."""
     edges, _ = directed_edges(surface.triangles)
     undirected, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     turns = np.zeros(len(undirected), dtype=int)
     np.add.at(turns, inverse.ravel(), np.where(edges[:, 0] < edges[:, 1], 1, -1))
     middles = surface.vertices[undirected].mean(axis=1)
-    label = components(surface)
-    problems = [
-        *_open_problems(surface, undirected, count, turns, middles),
-        *_pinch_problems(surface),
-    ]
-    if not problems:
-        problems += _volume_problems(surface, label)
-    return undirected, label, problems
+    problems = [*_open_problems(surface, undirected, count, turns, middles), *_pinch_problems(surface)]
+    return problems or _volume_problems(surface, components(surface))
 
 
 def _place_text(point: Floats) -> str:
@@ -152,58 +126,55 @@ def _open_problems(surface: Surface, edges: Ints, count: Ints, turns: Ints, midd
 
 def _pinch_problems(surface: Surface) -> list[SurfaceProblem]:
     """Return the problem of vertices where two sheets touch in a point."""
-    corners = surface.triangles.ravel()
-    t = len(surface.triangles)
-    # corners at one vertex are connected if their triangles share an edge there
-    number = np.arange(3 * t).reshape(t, 3)
-    pairs = []
-    for k in range(3):
-        ahead, behind = (k + 1) % 3, (k + 2) % 3
-        pairs.append((surface.triangles[:, k], surface.triangles[:, ahead], number[:, k]))
-        pairs.append((surface.triangles[:, k], surface.triangles[:, behind], number[:, k]))
-    centre, other, corner = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    order = np.lexsort((other, centre))
-    centre, other, corner = centre[order], other[order], corner[order]
-    same = (centre[1:] == centre[:-1]) & (other[1:] == other[:-1])
-    graph = sparse.coo_matrix((np.ones(same.sum()), (corner[:-1][same], corner[1:][same])), (3 * t, 3 * t))
-    _, fan = connected_components(graph, directed=False)
-    owner = np.zeros(fan.max() + 1, dtype=np.int64)
-    owner[fan] = corners
-    fans = np.bincount(owner, minlength=len(surface.vertices))
-    bad = np.flatnonzero(fans > 1)
+    bad, _ = pinched_vertices(surface.triangles, len(surface.vertices))
     if not bad.size:
         return []
     return [
         SurfaceProblem(
             "error", "pinched",
             f"at {len(bad)} vertices the surface touches itself in a point (first: vertex {bad[0]} at "
-            f"{_place_text(surface.vertices[bad[0]])}): separate the sheets there",
+            f"{_place_text(surface.vertices[bad[0]])}): repair separates the sheets there",
             surface.vertices[bad],
         )
     ]  # fmt: skip
 
 
 def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
-    """Return problems of a closed surface: parts, orientation, hollow shells."""
+    """Return problems of a closed surface: parts, orientation, cavities, hollow shells."""
     found = []
     volumes = part_volumes(surface, label)
-    if len(volumes) > 1:
-        litres = ", ".join(f"{1e3 * v:.3g}" for v in sorted(volumes, key=abs, reverse=True)[:6])
-        kind = "with cavities inside" if min(volumes) < 0 < max(volumes) else "side by side or inside each other"
-        found.append(
+    places = part_centroids(surface, label)
+    if len(volumes) > MAX_COMPONENTS:
+        return [
             SurfaceProblem(
                 "error", "several parts",
-                f"the surface has {len(volumes)} parts of {litres} litres, {kind}: one solid body is needed; keep the "
-                f"outer one, or fill each by itself (repair drops parts below a thousandth of the whole)",
-                _part_centroids(surface, label),
+                f"the surface has {len(volumes)} parts of {_litres(volumes)} litres; keep at most {MAX_COMPONENTS} "
+                f"(repair drops parts below a thousandth of the whole)",
+                places,
             )
-        )  # fmt: skip
-    elif surface.volume < 0:
+        ]  # fmt: skip
+    cavity = cavities(enclosures(surface, label))
+    wrong = (volumes > 0) == cavity
+    if wrong.any():
+        inner = ", or a cavity outwards" if cavity[wrong].any() else ""
         found.append(
             SurfaceProblem(
-                "error", "inside out", "the surface is inside out: its triangles face inwards; repair turns them"
+                "error", "inside out",
+                f"the surface is inside out: triangles of {int(wrong.sum())} of {len(volumes)} parts face "
+                f"inwards{inner}; repair turns them",
+                places[wrong],
             )
+        )  # fmt: skip
+    if cavity.any():
+        what = (
+            f"cavities inside the tissue, which stay empty: {int(cavity.sum())}, of {_litres(volumes[cavity])} litres"
         )
+        found.append(SurfaceProblem("note", "cavities", what, places[cavity]))
+    if (~cavity).sum() > 1:
+        what = (
+            f"{int((~cavity).sum())} separate bodies of {_litres(volumes[~cavity])} litres: each needs its own support"
+        )
+        found.append(SurfaceProblem("note", "several bodies", what, places[~cavity]))
     volume = abs(surface.volume)
     thickness = 2 * volume / max(surface.area, 1e-300)
     if thickness < MIN_THICKNESS_RATIO * np.cbrt(volume) or volume == 0:
@@ -212,16 +183,16 @@ def _volume_problems(surface: Surface, label: Ints) -> list[SurfaceProblem]:
                 "error", "hollow",
                 f"the surface is a hollow shell, watertight as it is: it encloses {1e3 * volume:.3g} litres with "
                 f"{1e4 * surface.area:.3g} cm^2, a wall {1e3 * thickness:.2g} mm thick on average; a solid organ has "
-                f"one outer surface: remove the inner one",
+                f"one outer surface: remove the inner one, or choose other parts",
             )
         )  # fmt: skip
     return found
 
 
-def _part_centroids(surface: Surface, label: Ints) -> Floats:
-    """Return the mean corner of each part."""
-    corners = surface.vertices[surface.triangles].mean(axis=1)
-    return np.column_stack([np.bincount(label, corners[:, a]) for a in range(3)]) / np.bincount(label)[:, None]
+def _litres(volumes: Floats) -> str:
+    """Return the largest volumes for a message."""
+    listed = sorted(np.abs(volumes).tolist(), reverse=True)
+    return ", ".join(f"{1e3 * v:.3g}" for v in listed[:6]) + ", ..." * (len(listed) > 6)
 
 
 def _crossing_problems(surface: Surface) -> list[SurfaceProblem]:
@@ -246,7 +217,16 @@ def _crossing_problems(surface: Surface) -> list[SurfaceProblem]:
 
 def _scale_problems(surface: Surface) -> list[SurfaceProblem]:
     volume = abs(surface.volume)
-    if PLAUSIBLE_VOLUMES[0] <= volume <= PLAUSIBLE_VOLUMES[1]:
+    low, high = PLAUSIBLE_VOLUMES
+    if low <= volume <= high:
         return []
-    what = f"its volume of {1e3 * volume:.3g} litres is not that of an organ; check the units"
-    return [SurfaceProblem("note", "scale", what)]
+    what = f"its volume of {1e3 * volume:.3g} litres is not that of an organ ({1e3 * low:g} to {1e3 * high:g} litres)"
+    remedy = "; check the units"
+    if volume > 0:
+        factor = next((f for f in UNIT_FACTORS if low <= volume * f**3 <= high), None)
+        remedy = (
+            f"; scale={factor:g} would make it {1e3 * volume * factor**3:.3g} litres"
+            if factor
+            else (f"; scale={np.cbrt(TYPICAL_VOLUME / volume):.2g} would make it {1e3 * TYPICAL_VOLUME:g} litres")
+        )
+    return [SurfaceProblem("note", "scale", what + remedy)]

@@ -1,39 +1,45 @@
-"""Surfaces from files: STL, OBJ, PLY, OFF, glTF and VTK, with their units."""
+"""Surfaces from files of the formats in `palpate.meshfree.formats.names`, with their parts and units."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from palpate.arrays import Floats, Ints
-from palpate.faults import FileFormatError, InputError, brief
-from palpate.files import read_bytes, regular_file, shortened
-from palpate.meshfree.formats.common import Parts
+from palpate.faults import FileFormatError, InputError, brief, number_in_range
+from palpate.files import read_bytes, regular_file, shortened, unpack_gzip
+from palpate.meshfree.formats.common import Parts, triangle_count_error
 from palpate.meshfree.formats.gltf import read_glb, read_gltf
-from palpate.meshfree.formats.plain import read_obj, read_off, read_stl
+from palpate.meshfree.formats.names import FORMATS, FORMATS_WITH_PARTS, format_of
+from palpate.meshfree.formats.plain import read_obj, read_off, read_stl, read_trian
 from palpate.meshfree.formats.ply import read_ply
 from palpate.meshfree.formats.vtk import read_vtk
 from palpate.meshfree.formats.vtp import read_vtp
+from palpate.meshfree.surface_checks import TYPICAL_VOLUME
+from palpate.meshfree.surface_parts import MAX_PARTS, choose_body, join_parts, matching_parts, names_text
 from palpate.meshfree.surface_repair import repair_surface
-from palpate.meshfree.surfaces import Surface, weld
+from palpate.meshfree.surfaces import MAX_TRIANGLES, Surface, scaled, weld
 
 __all__ = ["UNITS", "read_surface"]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254}
 READERS = {
     "stl": read_stl, "obj": read_obj, "ply": read_ply, "off": read_off, "glb": read_glb, "gltf": read_gltf,
-    "vtk": read_vtk, "vtp": read_vtp,
+    "vtk": read_vtk, "vtp": read_vtp, "trian": read_trian,
 }  # fmt: skip
-FORMATS_WITH_PARTS = ("glb", "gltf", "obj", "stl")
-MAX_BYTES = 300_000_000
-MAX_LISTED_NAMES = 40  # of parts, in a message
+MAX_BYTES = 300_000_000  # of a file, packed or not
 OPEN_SHARE = 0.05  # volume of an organ over the cube of its diagonal, for a surface that is open
-TYPICAL_VOLUME = 5e-4  # [m^3] of an organ: geometric mean of an adrenal gland and a liver
 
 
 def read_surface(
-    path: str | Path, *, part: str | None = None, units: str | None = None, repair: bool = False
+    path: str | Path,
+    *,
+    part: str | Sequence[str] | None = None,
+    units: str | None = None,
+    scale: float = 1.0,
+    repair: bool = False,
 ) -> Surface:
     """Read a closed surface.
 
@@ -42,13 +48,18 @@ def read_surface(
     Parameters
     ----------
     path : str or path
-        An STL, OBJ, PLY, OFF, GLB, glTF, VTK or VTP file.
-    part : str, optional
-        Name of the part in a file of several.
+        An STL, OBJ, PLY, OFF, GLB, glTF, VTK, VTP or trian file, or one of them compressed by gzip:
+        ``"organ.stl.gz"``.
+    part : str or sequence of str, optional
+        Names of parts in a file of several, or shell-style patterns. Several parts become one
+        surface, joined where their borders coincide; a closed part inside another is a cavity. By
+        default the largest closed body, if it is around all others, with a warning.
     units : str, optional
         Unit of length in the file: ``"m"``, ``"cm"``, ``"mm"`` or ``"in"``. A glTF file is in
         metres; other formats do not state a unit. By default it is the unit for which the volume is
         nearest to that of an organ, with a warning.
+    scale : float
+        Factor of all lengths.
     repair : bool
         Whether to repair the surface, see `palpate.meshfree.surface_repair.repair_surface`.
 
@@ -59,26 +70,25 @@ def read_surface(
     FileFormatError
         The file is not regular, of another format, damaged, over 300 MB, or without triangles.
     InputError
-        The file has several parts and `part` is not given, or too many triangles, or unknown units.
+        The file has several bodies and `part` is not given, or too many triangles, or unknown units.
     """
     path = Path(path)
     if units is not None and units not in UNITS:
         raise InputError(f"units must be one of {', '.join(map(repr, UNITS))}, got {brief(units)}")
+    scale = number_in_range("scale", scale, 1e-6, 1e6, open_low=True)
     regular_file(path, "surface file")
-    kind = path.suffix[1:].lower()
+    kind, packed = format_of(path)
     if kind == "msh":
         raise FileFormatError(
             f"{path} is a Gmsh file{_gmsh_version(path)} of a volume mesh; export its surface as STL, PLY or "
             f"OBJ (in Gmsh: File, Export)"
         )
-    if kind not in READERS:
-        raise FileFormatError(f"{path}: the format must be one of {', '.join(READERS).upper()}, got {kind!r}")
+    if kind not in FORMATS:
+        raise FileFormatError(f"{path}: the format must be one of {', '.join(FORMATS).upper()}, got {kind!r}")
     if part is not None and kind not in FORMATS_WITH_PARTS:
         raise InputError(f"part must be omitted for {kind.upper()} files, which have no named parts, got {brief(part)}")
-    vertices, triangles = _read(path, kind, part)
-    surface = Surface(vertices, triangles, path.name if part is None else f"{path.name}, part {part}")
-    surface = repair_surface(surface) if repair else weld(surface)
-    return _in_metres(surface, "m" if units is None and kind in ("glb", "gltf") else units)
+    surface = _read(path, kind, packed, part, repair)
+    return scaled(_in_metres(surface, "m" if units is None and kind in ("glb", "gltf") else units), scale)
 
 
 def _gmsh_version(path: Path) -> str:
@@ -90,14 +100,20 @@ def _gmsh_version(path: Path) -> str:
     return f" of version {shortened(version[0].decode(errors='replace'), 10)}" if version else ""
 
 
-def _read(path: Path, kind: str, part: str | None) -> tuple[Floats, Ints]:
-    """Return the vertices and triangles of a file, or of a part of it."""
+def _read(path: Path, kind: str, packed: bool, part: str | Sequence[str] | None, repair: bool) -> Surface:
+    """Return the welded or repaired surface of a file, or of parts of it."""
+    finish = repair_surface if repair else weld
     data = read_bytes(path, "surface file", MAX_BYTES)
+    if packed:
+        data = unpack_gzip(data, path, MAX_BYTES)
     if not data:
         raise FileFormatError(f"{path} must not be empty")
     try:
         parts = READERS[kind](data)
-        vertices, triangles = parts[_choose_part(parts, part)]()
+        if not parts:
+            raise FileFormatError("it must hold triangles, got none")
+        names = list(parts) if part is None else matching_parts(list(parts), part)
+        surfaces = _surfaces(parts, names, path.name)
     except FileFormatError as error:
         raise FileFormatError(f"{path} cannot be read as {kind.upper()}: {error}") from error
     except InputError as error:
@@ -105,23 +121,34 @@ def _read(path: Path, kind: str, part: str | None) -> tuple[Floats, Ints]:
     except (ArithmeticError, LookupError, MemoryError, RecursionError, TypeError, ValueError) as error:
         # errors that no check of a reader has found
         raise FileFormatError(f"{path} is damaged ({type(error).__name__}: {shortened(str(error))})") from error
-    if not len(triangles):
+    if not surfaces:
         raise FileFormatError(f"{path} must hold triangles, got none")
-    return vertices, triangles
+    if part is None and len(surfaces) > 1:
+        return choose_body(surfaces, path.name, finish)
+    return finish(join_parts(surfaces, path.name if part is None else f"{path.name}, part {names_text(names, 3)}"))
 
 
-def _choose_part(parts: Parts, part: str | None) -> str:
-    plain = (shortened(name if name.isprintable() else repr(name)) for name in sorted(parts)[:MAX_LISTED_NAMES])
-    names = ", ".join(plain) + ", ..." * (len(parts) > MAX_LISTED_NAMES)
-    if part is None:
-        if len(parts) > 1:
-            raise InputError(f"part must be given for a file of {len(parts)} parts; choose one of {names}")
-        if not parts:
-            raise FileFormatError("it must hold triangles, got none")
-        return next(iter(parts))
-    if part not in parts:
-        raise InputError(f"part must be one of {names or 'none'}, got {shortened(repr(part))}")
-    return part
+def _surfaces(parts: Parts, names: Sequence[str], file: str) -> dict[str, Surface]:
+    """Return the surfaces of parts, of several ones without unused vertices."""
+    if len(names) > MAX_PARTS:
+        raise InputError(
+            f"part must be given for a file of {len(parts)} parts, at most {MAX_PARTS} of them; choose one of "
+            f"{names_text(sorted(parts))}"
+        )
+    surfaces, total = dict[str, Surface](), 0
+    for name in names:
+        vertices, triangles = parts[name]()
+        total += len(triangles)
+        if total > MAX_TRIANGLES:
+            raise triangle_count_error(total)
+        if len(names) > 1 and len(triangles):
+            if triangles.min() < 0 or triangles.max() >= len(vertices):
+                raise InputError(f"triangles must hold vertices in [0, {len(vertices) - 1}], got others")
+            used, triangles = np.unique(triangles, return_inverse=True)
+            vertices, triangles = vertices[used], triangles.reshape(-1, 3)
+        if len(triangles):
+            surfaces[name] = Surface(vertices, triangles, file if len(parts) == 1 else f"{file}, part {name}")
+    return surfaces
 
 
 def _in_metres(surface: Surface, units: str | None) -> Surface:
@@ -140,4 +167,4 @@ def _in_metres(surface: Surface, units: str | None) -> Surface:
             + "; give units= to be sure"
         )
         warnings = (*warnings, guess)
-    return Surface(surface.vertices * UNITS[units], surface.triangles, surface.name, warnings)
+    return replace(scaled(surface, UNITS[units]), warnings=warnings)

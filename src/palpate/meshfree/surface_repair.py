@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.csgraph import connected_components
 
-from palpate.arrays import Ints
+from palpate.arrays import Floats, Ints
 from palpate.faults import InputError
 from palpate.meshfree.intersections import MAX_PAIRS, self_intersections
+from palpate.meshfree.nesting import orient_components
 from palpate.meshfree.surfaces import (
     Surface,
+    SurfaceProblem,
     boundary_loops,
     components,
     directed_edges,
+    part_centroids,
     part_volumes,
+    pinched_vertices,
     select_triangles,
     weld,
 )
@@ -22,6 +28,7 @@ from palpate.meshfree.surfaces import (
 __all__ = ["repair_surface"]
 
 MAX_HOLE_RATIO = 0.6  # rim length of a closed hole, over pi times the diagonal of the body
+SPECK_SHARE = 1e-3  # of the volume; smaller components are removed
 MAX_SMOOTHINGS = 30  # of folds
 
 
@@ -30,20 +37,64 @@ def repair_surface(surface: Surface) -> Surface:
 
     A hole is closed by a fan of triangles about the mean of its rim, if the rim is shorter than 0.6
     pi times the diagonal of the body. Parts of less than a thousandth of the volume are removed.
-    The corners of intersecting triangles are moved towards the mean of their neighbours until no
-    intersection remains, or for 30 rounds. `check_surface` reports the remaining problems.
+    Components inside others face into their cavities. The corners of intersecting triangles are
+    moved towards the mean of their neighbours until no intersection remains, or for 30 rounds.
+    `Surface.repairs` lists what was done; `check_surface` reports the remaining problems.
     """
-    surface = weld(surface)
-    label = components(surface)
-    if label.max() > 0:
-        volumes = np.abs(part_volumes(surface, label))
-        keep = np.flatnonzero(volumes > 1e-3 * volumes.sum())
-        surface = select_triangles(surface, np.isin(label, keep)) if len(keep) else surface
-    surface = Surface(surface.vertices, _orient_triangles(surface.triangles), surface.name, surface.warnings)
+    surface = _remove_specks(weld(surface))
+    surface, before = _separate_sheets(surface, _orient_triangles(surface.triangles))
     surface = _close_holes(surface)
-    if surface.volume < 0:
-        surface = Surface(surface.vertices, surface.triangles[:, ::-1], surface.name, surface.warnings)
+    if surface.closed:
+        surface = orient_components(surface)
+    elif surface.volume < 0:
+        surface = replace(surface, triangles=surface.triangles[:, ::-1])
+    turned = np.flatnonzero(np.any(surface.triangles[: len(before)] != before, axis=1))
+    if len(turned):
+        places = surface.vertices[before[turned]].mean(axis=1)
+        surface = _listed(surface, "turned", f"{len(turned)} triangles that faced inwards were turned", places)
     return _smooth_folds(surface)
+
+
+def _listed(surface: Surface, name: str, what: str, points: Floats) -> Surface:
+    """Return a surface with one more repair in its list."""
+    return replace(surface, repairs=(*surface.repairs, SurfaceProblem("repair", name, what, points)))
+
+
+def _remove_specks(surface: Surface) -> Surface:
+    """Return a surface without components of less than a thousandth of the volume."""
+    label = components(surface)
+    if label.max() == 0:
+        return surface
+    volumes = np.abs(part_volumes(surface, label))
+    small = volumes <= SPECK_SHARE * volumes.sum()
+    if small.all() or not small.any():
+        return surface
+    places = part_centroids(surface, label)[small]
+    surface = select_triangles(surface, ~small[label])
+    what = f"{int(small.sum())} components below a thousandth of the volume were removed"
+    return _listed(surface, "specks", what, places)
+
+
+def _separate_sheets(surface: Surface, triangles: Ints) -> tuple[Surface, Ints]:
+    """Return a surface of oriented triangles in which each sheet at a pinched vertex has its own copy of it.
+
+    Also its triangles before they were oriented. The smoothing of folds moves the copies apart.
+    """
+    bad, fan = pinched_vertices(triangles, len(surface.vertices))
+    if not len(bad):
+        return replace(surface, triangles=triangles), surface.triangles
+    corner = triangles.ravel().copy()
+    vertices, n = [surface.vertices], len(surface.vertices)
+    for vertex in bad:
+        for sheet in np.unique(fan[corner == vertex])[1:]:
+            corner[fan == sheet] = n
+            vertices.append(surface.vertices[[vertex]])
+            n += 1
+    separated = replace(surface, vertices=np.concatenate(vertices), triangles=corner.reshape(-1, 3))
+    turned = np.any(triangles != surface.triangles, axis=1)
+    before = np.where(turned[:, None], separated.triangles[:, ::-1], separated.triangles)
+    what = f"{len(bad)} vertices where sheets touched in a point were separated"
+    return _listed(separated, "separated sheets", what, surface.vertices[bad]), before
 
 
 def _smooth_folds(surface: Surface) -> Surface:
@@ -54,6 +105,7 @@ def _smooth_folds(surface: Surface) -> Surface:
     near = sparse.csr_matrix((np.ones(len(both)), both.T), (n, n))
     near.data[:] = 1.0
     near = sparse.diags(1.0 / near.sum(axis=1).A1) @ near
+    moved = np.zeros(n, dtype=bool)
     for _ in range(MAX_SMOOTHINGS):
         try:
             crossing = self_intersections(vertices, surface.triangles)
@@ -62,8 +114,13 @@ def _smooth_folds(surface: Surface) -> Surface:
         if not 0 < len(crossing) < MAX_PAIRS:  # so many crossings are not small folds
             break
         corners = np.unique(surface.triangles[crossing])
+        moved[corners] = True
         vertices[corners] = 0.5 * vertices[corners] + 0.5 * (near[corners] @ vertices)
-    return Surface(vertices, surface.triangles, surface.name, surface.warnings)
+    if not moved.any():
+        return surface
+    farthest = 1e3 * np.linalg.norm(vertices - surface.vertices, axis=1).max() / surface.size
+    what = f"{int(moved.sum())} vertices at folds were smoothed, by up to {farthest:.2g} thousandths of the size"
+    return _listed(replace(surface, vertices=vertices), "folds", what, vertices[moved])
 
 
 def _orient_triangles(triangles: Ints) -> Ints:
@@ -89,7 +146,7 @@ def _orient_triangles(triangles: Ints) -> Ints:
 
 def _close_holes(surface: Surface) -> Surface:
     vertices, triangles = [surface.vertices], [surface.triangles]
-    n, longest = len(surface.vertices), np.pi * MAX_HOLE_RATIO * surface.size
+    rims, n, longest = list[int](), len(surface.vertices), np.pi * MAX_HOLE_RATIO * surface.size
     for loop in boundary_loops(surface.triangles):
         rim = surface.vertices[loop]
         length = np.linalg.norm(rim - np.roll(rim, -1, axis=0), axis=1).sum()
@@ -98,5 +155,11 @@ def _close_holes(surface: Surface) -> Surface:
         vertices.append(rim.mean(axis=0, keepdims=True))
         ahead = np.roll(loop, -1)
         triangles.append(np.column_stack([ahead, loop, np.full(len(loop), n)]))
+        rims += loop
         n += 1
-    return Surface(np.concatenate(vertices), np.concatenate(triangles), surface.name, surface.warnings)
+    if not rims:
+        return surface
+    surface = replace(surface, vertices=np.concatenate(vertices), triangles=np.concatenate(triangles))
+    holes = n - len(vertices[0])
+    what = f"{holes} {'hole' if holes == 1 else 'holes'} with {len(rims)} edges closed by fans of triangles"
+    return _listed(surface, "closed holes", what, surface.vertices[rims])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sparse
@@ -18,11 +19,17 @@ from palpate.plotting import body_svg
 __all__ = [
     "MAX_TRIANGLES",
     "Surface",
+    "SurfaceProblem",
     "boundary_loops",
+    "coincident_vertices",
     "components",
     "directed_edges",
+    "part_centroids",
     "part_volumes",
+    "pinched_vertices",
+    "scaled",
     "select_triangles",
+    "vertex_components",
     "weld",
 ]
 
@@ -31,6 +38,31 @@ WELD_TOLERANCE = 1e-6  # distance of coinciding vertices, over the size
 MAX_COORDINATE = 1e9  # in any unit; beyond it volumes overflow or lose all digits
 MIN_SIZE = 1e-9  # of the bounding box, in any unit
 MAX_OFFSET_RATIO = 1e7  # largest coordinate over the size; beyond it WELD_TOLERANCE is not resolved
+
+
+Kind = Literal["error", "note", "repair"]
+
+
+@dataclass(frozen=True)
+class SurfaceProblem:
+    """Problem of a surface, or a repair that was made.
+
+    Parameters
+    ----------
+    kind : str
+        ``"error"`` if the surface cannot be filled, ``"repair"`` for what was repaired, else ``"note"``.
+    what : str
+        Description and remedy.
+    points : (k, 3) array [m]
+        Positions.
+    name : str
+        Short name.
+    """
+
+    kind: Kind
+    name: str
+    what: str
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
@@ -46,6 +78,10 @@ class Surface(Described):
         Name in messages.
     warnings : tuple of str
         Assumptions in reading the surface.
+    repairs : tuple of SurfaceProblem
+        What was repaired, with the places.
+    unit : float [m]
+        Length of a unit of the file that it was read from.
 
     Raises
     ------
@@ -58,6 +94,8 @@ class Surface(Described):
     triangles: Ints
     name: str = "surface"
     warnings: tuple[str, ...] = ()
+    repairs: tuple[SurfaceProblem, ...] = ()
+    unit: float = 1.0
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=float)
@@ -95,6 +133,7 @@ class Surface(Described):
             ("open", not self.closed or None, ""),
             ("area", self.area, "m^2"),
             ("warnings", "; ".join(self.warnings) or None, ""),
+            ("repairs", "; ".join(each.what for each in self.repairs) or None, ""),
         ]
 
     def _picture(self) -> str:
@@ -132,6 +171,12 @@ class Surface(Described):
         return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
 
 
+def scaled(surface: Surface, factor: float) -> Surface:
+    """Return a surface with all lengths, also of its unit and repairs, multiplied by a factor."""
+    repairs = tuple(replace(each, points=factor * each.points) for each in surface.repairs)
+    return replace(surface, vertices=factor * surface.vertices, repairs=repairs, unit=factor * surface.unit)
+
+
 def weld(surface: Surface) -> Surface:
     """Return a surface with merged vertices, without degenerate, duplicate or unused elements.
 
@@ -147,10 +192,8 @@ def weld(surface: Surface) -> Surface:
         raise InputError(
             f"{surface.name} must lie within {MAX_OFFSET_RATIO:g} times its size of the origin; move it there"
         )
-    cells = np.rint(surface.vertices / (WELD_TOLERANCE * size)).astype(np.int64)
-    x, y, z = (cells - cells.min(axis=0)).T  # below 2^20 each
-    _, first, inverse = np.unique((x << 42) | (y << 21) | z, return_index=True, return_inverse=True)
-    triangles = inverse.ravel()[surface.triangles]
+    first, label = coincident_vertices(surface.vertices, size)
+    triangles = label[surface.triangles]
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
     if len(triangles) == 0:
@@ -158,8 +201,15 @@ def weld(surface: Surface) -> Surface:
     _, once = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
     triangles = triangles[np.sort(once)]
     used, triangles = np.unique(triangles, return_inverse=True)
-    vertices = surface.vertices[first][used]
-    return Surface(vertices, triangles.reshape(-1, 3), surface.name, surface.warnings)
+    return replace(surface, vertices=surface.vertices[first][used], triangles=triangles.reshape(-1, 3))
+
+
+def coincident_vertices(vertices: Floats, size: float) -> tuple[Ints, Ints]:
+    """Return the first vertex at each place, within a millionth of the size, and the place of each vertex."""
+    cells = np.rint(vertices / (WELD_TOLERANCE * size)).astype(np.int64)
+    x, y, z = (cells - cells.min(axis=0)).T  # below 2^20 each
+    _, first, label = np.unique((x << 42) | (y << 21) | z, return_index=True, return_inverse=True)
+    return first, label.ravel()
 
 
 def directed_edges(triangles: Ints) -> tuple[Ints, Ints]:
@@ -170,11 +220,15 @@ def directed_edges(triangles: Ints) -> tuple[Ints, Ints]:
 
 def components(surface: Surface) -> Ints:
     """Return the connected component of each triangle."""
-    edges, _ = directed_edges(surface.triangles)
-    n = len(surface.vertices)
-    graph = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (n, n))
-    _, label = connected_components(graph, directed=False)
+    label = vertex_components(surface.triangles, len(surface.vertices))
     return np.unique(label[surface.triangles[:, 0]], return_inverse=True)[1]
+
+
+def vertex_components(triangles: Ints, n: int) -> Ints:
+    """Return the connected component of each of n vertices."""
+    edges, _ = directed_edges(triangles)
+    graph = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def part_volumes(surface: Surface, label: Ints) -> Floats:
@@ -186,10 +240,41 @@ def part_volumes(surface: Surface, label: Ints) -> Floats:
     return np.asarray(np.bincount(label, np.einsum("ta,ta->t", heights, surface.area_vectors) / 3), dtype=float)
 
 
+def part_centroids(surface: Surface, label: Ints) -> Floats:
+    """Return the mean corner of each part [m], with the numbers of `components`."""
+    corners = surface.vertices[surface.triangles].mean(axis=1)
+    return np.column_stack([np.bincount(label, corners[:, a]) for a in range(3)]) / np.bincount(label)[:, None]
+
+
 def select_triangles(surface: Surface, keep: NDArray[np.bool_]) -> Surface:
     """Return the triangles that a mask (t,) keeps, with their vertices."""
     used, triangles = np.unique(surface.triangles[keep], return_inverse=True)
-    return Surface(surface.vertices[used], triangles.reshape(-1, 3), surface.name, surface.warnings)
+    return replace(surface, vertices=surface.vertices[used], triangles=triangles.reshape(-1, 3))
+
+
+def corner_fans(triangles: Ints) -> Ints:
+    """Return the fan of each corner, shape (3 t,): triangles at a vertex that are connected by edges there."""
+    corners, t = triangles.ravel(), len(triangles)
+    number = np.arange(3 * t).reshape(t, 3)
+    pairs = []
+    for k in range(3):
+        ahead, behind = (k + 1) % 3, (k + 2) % 3
+        pairs.append((triangles[:, k], triangles[:, ahead], number[:, k]))
+        pairs.append((triangles[:, k], triangles[:, behind], number[:, k]))
+    centre, other, corner = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    order = np.lexsort((other, centre))
+    centre, other, corner = centre[order], other[order], corner[order]
+    same = (centre[1:] == centre[:-1]) & (other[1:] == other[:-1])
+    graph = sparse.coo_matrix((np.ones(same.sum()), (corner[:-1][same], corner[1:][same])), (len(corners),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def pinched_vertices(triangles: Ints, n: int) -> tuple[Ints, Ints]:
+    """Return the vertices of n at which several sheets touch in a point, and the fan of each corner (3 t,)."""
+    fan = corner_fans(triangles)
+    owner = np.zeros(fan.max() + 1, dtype=np.int64)
+    owner[fan] = triangles.ravel()
+    return np.flatnonzero(np.bincount(owner, minlength=n) > 1), fan
 
 
 def boundary_loops(triangles: Ints) -> list[list[int]]:

@@ -9,13 +9,17 @@ import pytest
 
 import palpate as pt
 from palpate.app.common.console import Console
-from palpate.app.models.touch import MOST_NODES, open_surface, realtime_spacing
-from palpate.app.models.touch_options import TouchOptions, is_surface_file, read_touched_surface, support_mask
+from palpate.app.models.touch import MOST_NODES, open_surface, realtime_spacing, support_mask
+from palpate.app.models.touch_options import TouchOptions, is_surface_file, read_touched_surface
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
 from palpate.scenes.organ import liver_surface
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
+CLOUD = pt.Cloud(
+    points=POINTS, volumes=np.ones(500), face_nodes=np.arange(500), face_normals=np.tile([0.0, 0.0, 1.0], (500, 1)),
+    face_areas=np.ones(500), groups={}, triangles=np.zeros((0, 3), dtype=np.int64), spacing=0.2,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +41,8 @@ def opened(path, options):
 def test_surface_files_are_known_by_their_suffix():
     assert is_surface_file("organ.STL")
     assert is_surface_file("a/b.ply")
+    assert is_surface_file("organ.obj.gz")
+    assert not is_surface_file("model.rom.gz")
     assert not is_surface_file("model.rom")
     assert not is_surface_file("liver")
 
@@ -51,24 +57,24 @@ def test_surface_files_are_known_by_their_suffix():
     ],
 )
 def test_supports_hold_the_nodes_of_their_text(text, expected):
-    np.testing.assert_array_equal(support_mask(POINTS, [text]), expected)
+    np.testing.assert_array_equal(support_mask(CLOUD, [text]), expected)
 
 
 def test_several_supports_hold_the_nodes_of_all():
-    both = support_mask(POINTS, ["x-", "x+"])
-    np.testing.assert_array_equal(both, support_mask(POINTS, ["x-"]) | support_mask(POINTS, ["x+"]))
+    both = support_mask(CLOUD, ["x-", "x+"])
+    np.testing.assert_array_equal(both, support_mask(CLOUD, ["x-"]) | support_mask(CLOUD, ["x+"]))
 
 
 def test_the_default_support_is_away_from_the_first_view():
-    held = POINTS[support_mask(POINTS, ())]
+    held = POINTS[support_mask(CLOUD, ("back",))]
     assert held[:, 1].mean() > 0.5  # the camera is at negative y
     assert held[:, 2].mean() < 0.0  # and above
 
 
-@pytest.mark.parametrize("text", ["x", "lowest", "near 1,2,3", "lowest 0%", "lowest 150%"])
+@pytest.mark.parametrize("text", ["x", "lowest", "near 1,2,3", "lowest 0%", "lowest 150%", "painted"])
 def test_other_texts_of_supports_are_refused(text):
     with pytest.raises(pt.InputError, match="fixed must be"):
-        support_mask(POINTS, [text])
+        support_mask(CLOUD, [text])
 
 
 def test_a_slower_machine_steps_a_coarser_body(monkeypatch):
@@ -170,3 +176,75 @@ def test_a_surface_that_is_open_is_refused(organ, tmp_path):
     path.write_text("\n".join(["OFF", f"{vertices} {triangles // 2} 0", *lines[2 : 2 + vertices + triangles // 2]]))
     with pytest.raises(pt.InputError, match="must hold a closed surface"):
         read_touched_surface(path, TouchOptions(units="mm"))
+
+
+def off(path, surface, unit=1.0):
+    """Write a surface as an OFF file."""
+    path.write_text(
+        f"OFF\n{len(surface.vertices)} {len(surface.triangles)} 0\n"
+        + "".join(f"{x} {y} {z}\n" for x, y, z in surface.vertices / unit)
+        + "".join(f"3 {a} {b} {c}\n" for a, b, c in surface.triangles)
+    )
+
+
+def test_a_painted_support_is_in_the_unit_of_the_surface(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    mesh = pyvista.PolyData(1e3 * POINTS)
+    mesh["held"] = (POINTS[:, 0] > 0.5).astype(float)
+    mesh.save(tmp_path / "paint.vtp")
+    expected = POINTS[:, 0] > 0.5
+    np.testing.assert_array_equal(support_mask(CLOUD, [f"painted {tmp_path / 'paint.vtp'}"], unit=1e-3), expected)
+    mesh["other"] = np.zeros(500)
+    mesh.save(tmp_path / "two.vtp")
+    named = support_mask(CLOUD, [f"painted {tmp_path / 'two.vtp'}:held"], unit=1e-3)
+    np.testing.assert_array_equal(named, expected)
+    with pytest.raises(pt.InputError, match="must have one field on its points, got 'held', 'other'"):
+        support_mask(CLOUD, [f"painted {tmp_path / 'two.vtp'}"], unit=1e-3)
+    with pytest.raises(pt.InputError, match=r"fixed must hold painted nodes, got .*paint of at least 0\.5 must hold"):
+        support_mask(CLOUD, [f"painted {tmp_path / 'two.vtp'}:other"], unit=1e-3)
+    with pytest.raises(FileNotFoundError, match="no painted mesh at"):
+        support_mask(CLOUD, [f"painted {tmp_path / 'none.vtp'}"])
+
+
+@pytest.mark.slow
+def test_two_bodies_are_held_each_by_the_default_support(organ, tmp_path):
+    surface = pt.io.read_surface(organ, units="mm")
+    moved = surface.vertices + np.array([0.0, 0.3, 0.0])
+    both = pt.Surface(
+        np.concatenate([surface.vertices, moved]),
+        np.concatenate([surface.triangles, surface.triangles + len(moved)]),
+    )
+    off(tmp_path / "pair.off", both)
+    model = opened(tmp_path / "pair.off", TouchOptions(spacing=0.006, units="m"))
+    held = model.cloud.points[model.cloud.group("support")][:, 1]
+    assert (held < 0.15).sum() > 3
+    assert (held > 0.15).sum() > 3
+    x, y, z = 1e3 * model.cloud.points[model.cloud.group("support")[0]]
+    near = TouchOptions(spacing=0.006, units="m", fixed=(f"near {x:.3f},{y:.3f},{z:.3f},15",))
+    with pytest.raises(pt.InputError, match=r"at least 3 nodes of body \d of 2, got 0"):
+        opened(tmp_path / "pair.off", near)
+
+
+@pytest.mark.slow
+def test_a_guessed_spacing_is_refined_where_tissue_is_thin(tmp_path, monkeypatch):
+    outer, inner = liver_surface(0.006, 6e-5), liver_surface(0.006, 6e-5)
+    middle = outer.vertices.mean(axis=0)
+    shell = pt.Surface(
+        np.concatenate([outer.vertices, middle + 0.75 * (inner.vertices - middle)]),
+        np.concatenate([outer.triangles, inner.triangles[:, ::-1] + len(outer.vertices)]),
+    )
+    off(tmp_path / "hollow.off", shell)
+    monkeypatch.setattr("palpate.app.models.touch._seconds_per_node", lambda material: 1e-5)
+    model = opened(tmp_path / "hollow.off", TouchOptions(units="m"))
+    assert model.cloud.spacing < 0.8 * realtime_spacing(shell.volume, model.material)
+
+
+@pytest.mark.slow
+def test_what_was_repaired_and_noted_is_printed(organ, tmp_path, capsys):
+    surface = pt.io.read_surface(organ, units="mm")
+    off(tmp_path / "holed.off", pt.Surface(surface.vertices, surface.triangles[3:]))
+    opened(tmp_path / "holed.off", TouchOptions(spacing=0.6, units="m", scale=100.0))
+    printed = capsys.readouterr().err
+    assert "surface, repair: 1 hole with" in printed
+    assert "surface, note: its volume of 6e+04 litres is not that of an organ" in printed
+    assert "--scale 0.01 would make it" in printed

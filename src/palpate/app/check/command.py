@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from palpate.app.check.picture import draw_cloud, draw_surface
+from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, quantities_table
 from palpate.app.common.rendering import DrawingError, check_drawing
 from palpate.app.common.report import REPORTS, deliver, machine
@@ -32,8 +34,9 @@ def check(
     *,
     file: Path,
     spacing: float | None = None,
-    part: str | None = None,
+    part: Sequence[str] | None = None,
     units: str | None = None,
+    scale: float = 1.0,
     repair: bool = False,
     seed: int = 0,
     out: Path,
@@ -47,7 +50,9 @@ def check(
         A surface, as for `palpate.io.read_surface`.
     spacing : float, optional [m]
         Between nodes; by default one that gives some 4,000.
-    part, units, repair, seed
+    part, units, scale, repair
+        As for `palpate.io.read_surface`.
+    seed : int
         As for `palpate.fill`.
     out : path
         Folder; made if it does not exist.
@@ -67,7 +72,7 @@ def check(
         There is no such file.
     """
     check_folder(out)
-    surface = read_surface(file, part=part, units=units, repair=repair)
+    surface = read_surface(file, part=part, units=units, scale=scale, repair=repair)
     console = Console()
     with console.status("examining the surface"):
         found = check_surface(surface)
@@ -103,14 +108,18 @@ def _fill(
     """Return the cloud and add it to the report; return None, with the reason there, if filling is refused."""
     if found.errors:
         return None
-    with console.status("filling it (the first time on a machine compiles: half a minute)"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the report has them
+    with (
+        console.status("filling it (the first time on a machine compiles: half a minute)"),
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("always")
         begin = perf_counter()
         try:
             cloud = fill(surface, spacing, seed=seed)
         except InputError as error:
             report["refused"] = " ".join(str(error).split())
             return None
+    report["surface"]["warnings"] += [str(each.message) for each in caught if str(each.message) not in surface.warnings]
     report["cloud"] = _cloud_entry(cloud) | {"seconds": perf_counter() - begin}
     return cloud
 
@@ -171,8 +180,10 @@ def _rows(report: dict[str, Any]) -> dict[str, str]:
 
 
 def _remarks(report: dict[str, Any]) -> list[str]:
-    remarks = [f"{each['name']}: {each['what']}" for each in report["surface"]["problems"]]
-    remarks += [f"note: {each}" for each in report["surface"]["warnings"]]
+    problems = report["surface"]["problems"]
+    repaired = [f"repaired, {each['name']}: {each['what']}" for each in problems if each["kind"] == "repair"]
+    remarks = [f"{each['name']}: {option_names(each['what'])}" for each in problems if each["kind"] != "repair"]
+    remarks += repaired + [f"note: {option_names(each)}" for each in report["surface"]["warnings"]]
     if "refused" in report:
         remarks.append(f"refused: {report['refused']}")
     return remarks or ["nothing is wrong with the surface"]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from palpate.app.common.arguments import Command, add_command, add_output, existing_file, number, whole
+from palpate.app.common.arguments import Command, add_command, add_output, add_parts, existing_file, number, whole
+from palpate.meshfree.formats.names import listed_formats
 
 __all__ = ["add_check"]
 
@@ -22,16 +23,17 @@ def add_check(commands: Any) -> None:
         "check",
         _load,
         summary="examine the surface of an organ and fill it with nodes",
-        description="Read a closed surface (STL, OBJ, PLY, OFF, GLB, VTK), list its faults, and fill it with nodes if "
-        "it has none. Leave a report with pictures in a folder. See docs/organs.md.",
+        description=f"Read a closed surface ({listed_formats()}), list its faults, and fill it with nodes if it has "
+        "none. Leave a report with pictures in a folder. See docs/organs.md.",
     )
     add = check.add_argument
     add("file", type=existing_file, metavar="FILE", help="file of the surface")
     text = "distance between nodes [m] (default: one that gives about 4,000 nodes)"
     add("--spacing", type=number, metavar="M", help=text)
-    add("--part", metavar="NAME", help="part to read from a file of several")
+    add_parts(check)
     text = "unit of length in the file (default: guessed, with a warning)"
     add("--units", choices=("m", "cm", "mm", "in"), help=text)
+    add("--scale", type=number, default=1.0, metavar="S", help="factor of all lengths")
     text = "close small holes, turn triangles, smooth folds, and remove specks"
     add("--repair", action="store_true", help=text)
     add("--seed", type=whole, default=0, metavar="K", help="seed of the nodes' positions")

@@ -17,8 +17,8 @@ from unicodedata import category
 from palpate.app.common.exit_status import BAD_INPUT, one_line
 
 __all__ = [
-    "LOAD", "PARSER", "Command", "Parser", "add_command", "add_json", "add_output", "existing_file",
-    "in_option_words", "number", "path", "suggestion", "unprintable_word", "whole",
+    "LOAD", "PARSER", "Command", "Parser", "add_command", "add_json", "add_output", "add_parts", "existing_file",
+    "in_option_words", "number", "option_names", "path", "suggestion", "unprintable_word", "whole",
 ]  # fmt: skip
 
 Command = Callable[..., int]  # takes the options by name, and returns the exit code
@@ -143,6 +143,15 @@ def add_output(parser: argparse.ArgumentParser, out: str) -> None:
     add_json(parser, "the report")
 
 
+def add_parts(parser: Any) -> None:
+    """Add the option that chooses parts of a surface file."""
+    text = (
+        "part of a file of several, by its name or a pattern such as '*lobe*'; may be repeated (default: the largest "
+    )
+    text += "closed one, if it is around all others)"
+    parser.add_argument("--part", action="append", metavar="NAME", help=text)
+
+
 def add_json(parser: argparse.ArgumentParser, what: str) -> None:
     """Add the option that prints JSON for other programs."""
     parser.add_argument("--json", action="store_true", dest="as_json", help=f"print {what} as JSON, for other programs")
@@ -221,6 +230,11 @@ def in_option_words(message: str, parser: Parser, options: Mapping[str, Any]) ->
 
     message = re.sub(rf"(?:^|(?<=: ))({known})(?= (?:must|=|is|cannot) |:)", lambda match: names[match[1]], message)
     return re.sub(rf"(?<![\w.-])({known})=(True|[\w'\"]*)", keyword, message)
+
+
+def option_names(message: str) -> str:
+    """Return a note about a surface with its arguments as options: ``give units= to be sure``, ``scale=0.1``."""
+    return re.sub(r"\b(part|scale|units)=(\S*)", lambda match: f"--{match[1]} {match[2]}".rstrip(), message)
 
 
 def _option_name(action: argparse.Action) -> str:

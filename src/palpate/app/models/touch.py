@@ -1,27 +1,40 @@
-"""A full body to touch at once, from the file of a surface: tissue, support and spacing that fit."""
+"""A full body to touch at once, inside a surface: tissue, support and spacing that fit."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from palpate.app.common.arguments import option_names
 from palpate.app.common.console import Console, count_nodes
-from palpate.app.models.touch_options import TouchOptions, check_closed, support_mask, touched_material
+from palpate.app.models.touch_options import (
+    PAINTED,
+    TouchOptions,
+    check_closed,
+    held_by,
+    touched_material,
+)
+from palpate.app.painted import read_painted
 from palpate.dynamics.solid.model import EnergySolid
-from palpate.faults import InputError, number_in_range
-from palpate.meshfree.cloud import box
-from palpate.meshfree.filling import fill
+from palpate.faults import CloudError, InputError, number_in_range
+from palpate.meshfree.attachment import painted
+from palpate.meshfree.cloud import Cloud, box
+from palpate.meshfree.filling import BODY, fill
 from palpate.meshfree.surface_repair import repair_surface
 from palpate.meshfree.surfaces import Surface
 from palpate.tissue.liver import MASS_DAMPING
 from palpate.tissue.materials import Material
 
-__all__ = ["open_surface"]
+__all__ = ["open_surface", "realtime_spacing", "support_mask"]
 
 SUPPORT = "support"  # name of the group
+MOST_HELD = 0.6  # of the nodes of a body
+FINER = 0.8  # factor of a guessed spacing that is too coarse for the tissue
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
@@ -31,7 +44,7 @@ SAMPLE_SECONDS = 0.6  # of the measurement of this machine
 
 
 def open_surface(surface: Surface, options: TouchOptions, console: Console) -> EnergySolid:
-    """Return the full body inside a surface (of `read_touched_surface`); print what was guessed.
+    """Return the full body inside a surface (of `read_touched_surface`); print what was guessed, repaired and noted.
 
     Raises
     ------
@@ -41,35 +54,55 @@ def open_surface(surface: Surface, options: TouchOptions, console: Console) -> E
     material = touched_material(options)
     with console.status("checking the surface"):
         surface = repair_surface(surface)
-        check_closed(surface)
-    spacing = options.spacing
-    guessed = spacing is None
-    if spacing is None:
-        with console.status("measuring this machine"):
-            spacing = realtime_spacing(abs(surface.volume), material)
-    spacing = number_in_range("spacing", spacing, 1e-5, surface.size, unit="m")
-    _check_count(surface, spacing)
-    with console.status("filling the surface with nodes"), warnings.catch_warnings(action="ignore"):
-        cloud = fill(surface, spacing)  # whose warnings are those of the surface, printed below
-    mask = support_mask(cloud.points, options.fixed)
-    _check_support(mask)
-    cloud = cloud.with_group(SUPPORT, mask)
-    with console.status("preparing the body (the first time on a machine compiles it)"):
-        model = EnergySolid(cloud, material, SUPPORT, mass_damping=MASS_DAMPING)
-    held = " and ".join(options.fixed) or "the side away from the first view"
-    for line in surface.warnings:
-        console.say(f"surface: {line.replace('give units=', '--units')}")
+        report = check_closed(surface)
+    model, filled = _body(surface, material, options, console)
+    cloud, held_nodes = model.cloud, len(model.cloud.group(SUPPORT))
+    for line in (*surface.warnings, *filled):
+        console.say(f"surface: {option_names(line)}")
+    for problem in report.problems:
+        console.say(f"surface, {problem.kind}: {option_names(problem.what)}")
     console.say(
-        f"body: {count_nodes(len(cloud))} {1e3 * spacing:.3g} mm apart"
-        + (", the finest in real time on this machine" if guessed else "")
+        f"body: {count_nodes(len(cloud))} {1e3 * cloud.spacing:.3g} mm apart"
+        + (", the finest in real time on this machine" if options.spacing is None else "")
         + f", {1e3 * np.ptp(cloud.points, axis=0).max():.3g} mm long; another: --spacing, --units, --scale"
     )
     console.say(
         f"tissue: {type(material).__name__}, shear modulus {1e-3 * material.shear_modulus:.3g} kPa, Poisson's ratio "
         f"{material.poisson:.3g}; another: --law, --set"
     )
-    console.say(f"support: {held} ({int(mask.sum())} nodes); another: --fixed")
+    held = " and ".join(options.fixed) or "the side away from the first view"
+    console.say(f"support: {held} ({held_nodes} nodes); another: --fixed")
     return model
+
+
+def _body(
+    surface: Surface, material: Material, options: TouchOptions, console: Console
+) -> tuple[EnergySolid, list[str]]:
+    """Return the body inside a surface, and what the filling warned of.
+
+    A spacing that is not given is that of real time, or a finer one where the tissue is too thin for it.
+    """
+    spacing = options.spacing
+    if spacing is None:
+        with console.status("measuring this machine"):
+            spacing = realtime_spacing(abs(surface.volume), material)
+    spacing = number_in_range("spacing", spacing, 1e-5, surface.size, unit="m")
+    while True:
+        _check_count(surface, spacing)
+        try:
+            with console.status("filling the surface with nodes"), warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                cloud = fill(surface, spacing)
+            cloud = cloud.with_group(SUPPORT, _support(cloud, options.fixed, surface.unit))
+            with console.status("preparing the body (the first time on a machine compiles it)"):
+                model = EnergySolid(cloud, material, SUPPORT, mass_damping=MASS_DAMPING)
+        except CloudError:  # too thin for the spacing
+            finer = float(f"{FINER * spacing:.2g}")
+            if options.spacing is not None or _count(surface, finer) > MOST_NODES:
+                raise
+            spacing = finer
+        else:
+            return model, sorted({str(each.message) for each in caught} - set(surface.warnings))
 
 
 def realtime_spacing(volume: float, material: Material) -> float:
@@ -104,8 +137,13 @@ def _seconds_per_node(material: Material) -> float:
     return STEP_OVER_FORCE * float(np.median(durations)) / len(body.cloud)
 
 
+def _count(surface: Surface, spacing: float) -> float:
+    """Return the expected number of nodes."""
+    return float(NODES_PER_CELL * abs(surface.volume) / spacing**3)
+
+
 def _check_count(surface: Surface, spacing: float) -> None:
-    count = NODES_PER_CELL * abs(surface.volume) / spacing**3
+    count = _count(surface, spacing)
     if count > MOST_NODES:
         coarser = np.cbrt(NODES_PER_CELL * abs(surface.volume) / MOST_NODES)
         raise InputError(
@@ -114,8 +152,60 @@ def _check_count(surface: Surface, spacing: float) -> None:
         )
 
 
-def _check_support(mask: NDArray[np.bool_]) -> None:
-    if mask.sum() < 3:
-        raise InputError(f"fixed must hold at least 3 nodes, got {int(mask.sum())}; hold a larger part")
-    if mask.mean() > 0.6:
-        raise InputError(f"fixed must leave tissue free, got {mask.mean():.0%} of the nodes held; hold a smaller part")
+def _support(cloud: Cloud, fixed: Sequence[str], unit: float) -> NDArray[np.bool_]:
+    """Return the nodes (n,) that texts of supports hold, checked for each of several bodies.
+
+    The default support holds a side of each body.
+    """
+    names = [name for name in cloud.groups if name.startswith(f"{BODY} ")]
+    bodies = [cloud.group(name) for name in names] or [np.arange(len(cloud))]
+    mask = np.zeros(len(cloud), dtype=bool)
+    if fixed:
+        mask = support_mask(cloud, fixed, unit)
+    for nodes, name in zip(bodies, names or ["it"], strict=True):
+        if not fixed:
+            mask[nodes] = held_by(cloud.points[nodes], "back")
+        where = f" of {name} of {len(bodies)}" if names else ""
+        if mask[nodes].sum() < 3:
+            raise InputError(
+                f"fixed must hold at least 3 nodes{where}, got {int(mask[nodes].sum())}; hold a larger part"
+            )
+        if mask[nodes].mean() > MOST_HELD:
+            raise InputError(
+                f"fixed must leave tissue free, got {mask[nodes].mean():.0%} of the nodes{where} held; hold a smaller "
+                "part"
+            )
+    return mask
+
+
+def support_mask(cloud: Cloud, fixed: Sequence[str], unit: float = 1.0) -> NDArray[np.bool_]:
+    """Return the nodes (n,) that texts of supports hold; see `TouchOptions.fixed`.
+
+    Parameters
+    ----------
+    cloud : Cloud
+    fixed : sequence of str
+    unit : float [m]
+        Length of a unit of painted files.
+    """
+    mask = np.zeros(len(cloud), dtype=bool)
+    for text in fixed:
+        text = text.strip()
+        is_painted = text.startswith(PAINTED)
+        mask |= _painted_support(cloud, text, unit) if is_painted else held_by(cloud.points, text)
+    return mask
+
+
+def _painted_support(cloud: Cloud, text: str, unit: float) -> NDArray[np.bool_]:
+    """Return the surface nodes nearest to painted vertices of ``painted FILE``, or ``painted FILE:FIELD``."""
+    text = text.removeprefix(PAINTED).strip()
+    file, colon, name = text.rpartition(":")
+    if not colon or Path(text).exists():
+        file, name = text, ""
+    places, values = read_painted(file, name or None)
+    mask = np.zeros(len(cloud), dtype=bool)
+    try:
+        mask[painted(cloud, unit * places, values)] = True
+    except InputError as error:
+        raise InputError(f"fixed must hold painted nodes, got {file!r:.60}: {error}") from error
+    return mask

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -14,16 +14,20 @@ from numpy.typing import NDArray
 from palpate.app.common.arguments import suggestion
 from palpate.arrays import Floats
 from palpate.faults import InputError, number_in_range
-from palpate.meshfree.surface_checks import check_surface, has_closed_topology
-from palpate.meshfree.surface_files import READERS, read_surface
+from palpate.meshfree.formats.names import FORMATS, format_of
+from palpate.meshfree.surface_checks import SurfaceReport, check_surface, shape_problems
+from palpate.meshfree.surface_files import read_surface
 from palpate.meshfree.surfaces import Surface
 from palpate.tissue.catalogue import LAWS
 from palpate.tissue.liver import DENSITY, POISSON, SHEAR_MODULUS
 from palpate.tissue.materials import Material
 
 __all__ = [
-    "TouchOptions", "check_closed", "is_surface_file", "read_touched_surface", "support_mask", "touched_material",
+    "PAINTED", "TouchOptions", "check_closed", "check_fixed", "held_by", "is_surface_file", "read_touched_surface",
+    "surface_title", "touched_material",
 ]  # fmt: skip
+
+PAINTED = "painted "  # begins the text of a painted support
 
 CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of the page at its start
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which the default support holds
@@ -40,8 +44,8 @@ class TouchOptions:
         Unit of the file.
     scale : float
         Factor of all lengths.
-    part : str, optional
-        Part of the file.
+    part : sequence of str
+        Names or patterns of parts of the file.
     spacing : float, optional [m]
         By default the finest that this machine steps in real time.
     law : str, optional
@@ -49,12 +53,13 @@ class TouchOptions:
     parameters : mapping
         Of the law, with ``density`` and ``poisson``.
     fixed : sequence of str
-        ``x-``, ``back``, ``lowest 15%`` or ``near X,Y,Z,R`` [mm]; by default ``back``.
+        ``x-``, ``back``, ``lowest 15%``, ``near X,Y,Z,R`` [mm], or ``painted FILE`` in the unit of the
+        surface, with ``:FIELD`` where the file has several; by default ``back``, of each body.
     """
 
     units: str | None = None
     scale: float = 1.0
-    part: str | None = None
+    part: Sequence[str] = ()
     spacing: float | None = None
     law: str | None = None
     parameters: Mapping[str, float] | None = None
@@ -63,7 +68,13 @@ class TouchOptions:
 
 def is_surface_file(what: str) -> bool:
     """Return True for the name of a surface file by its suffix."""
-    return Path(what).suffix[1:].lower() in READERS
+    return format_of(Path(what))[0] in FORMATS
+
+
+def surface_title(path: PurePath) -> str:
+    """Return the name of a file without the suffixes of its format and of gzip, in words."""
+    name = PurePath(path.stem).stem if format_of(path)[1] else path.stem
+    return name.replace("_", " ").capitalize()
 
 
 def read_touched_surface(path: str | Path, options: TouchOptions) -> Surface:
@@ -74,22 +85,23 @@ def read_touched_surface(path: str | Path, options: TouchOptions) -> Surface:
     InputError, FileFormatError, FileNotFoundError
         The file cannot be read, or holds no closed surface; or an option is out of range.
     """
-    scale = number_in_range("scale", options.scale, 1e-6, 1e6, open_low=True)
-    surface = read_surface(path, part=options.part, units=options.units)
-    if not has_closed_topology(surface):
-        surface = read_surface(path, part=options.part, units=options.units, repair=True)
+    chosen: Any = {"part": options.part or None, "units": options.units, "scale": options.scale}
+    surface = read_surface(path, **chosen)
+    if any(problem.kind == "error" for problem in shape_problems(surface)):
+        surface = read_surface(path, **chosen, repair=True)
         check_closed(surface)
-    return Surface(scale * surface.vertices, surface.triangles, surface.name, surface.warnings)
+    return surface
 
 
-def check_closed(surface: Surface) -> None:
-    """Raise InputError for a surface that cannot be filled."""
-    errors = check_surface(surface).errors
-    if errors:
+def check_closed(surface: Surface) -> SurfaceReport:
+    """Return the report of a surface; raise InputError if it cannot be filled."""
+    report = check_surface(surface)
+    if report.errors:
         raise InputError(
-            f"{surface.name} must hold a closed surface, got one that is not: {errors[0].what}; run palpate check for "
-            "pictures"
+            f"{surface.name} must hold a closed surface, got one that is not: {report.errors[0].what}; run palpate "
+            "check for pictures"
         )
+    return report
 
 
 def touched_material(options: TouchOptions) -> Material:
@@ -115,15 +127,15 @@ def touched_material(options: TouchOptions) -> Material:
     return known[name].kind(**(parameters | given))
 
 
-def support_mask(points: Floats, fixed: Sequence[str]) -> NDArray[np.bool_]:
-    """Return the nodes (n,) that texts of supports hold; see `TouchOptions.fixed`."""
-    mask = np.zeros(len(points), dtype=bool)
-    for text in fixed or ("back",):
-        mask |= _one_support(points, text.strip())
-    return mask
+def check_fixed(points: Floats, fixed: Sequence[str]) -> None:
+    """Raise `InputError` for texts that name no support; the files of painted ones are read later."""
+    for text in fixed:
+        if not text.strip().startswith(PAINTED):
+            held_by(points, text.strip())
 
 
-def _one_support(points: Floats, text: str) -> NDArray[np.bool_]:
+def held_by(points: Floats, text: str) -> NDArray[np.bool_]:
+    """Return the nodes (n,) that the text of a support holds, unless it is a painted one; see `TouchOptions.fixed`."""
     if text in SIDES:
         axis, sign = SIDES[text]
         return _far_share(sign * points[:, axis], SUPPORT_SHARE)
@@ -138,8 +150,8 @@ def _one_support(points: Floats, text: str) -> NDArray[np.bool_]:
         x, y, z, radius = (1e-3 * float(each) for each in near.groups())
         return np.asarray(np.linalg.norm(points - [x, y, z], axis=1) <= radius)
     raise InputError(
-        f"fixed must be {', '.join(SIDES)}, back, 'lowest 15%' or 'near X,Y,Z,R' in mm, got {text!r:.60}; "
-        "use one of them"
+        f"fixed must be {', '.join(SIDES)}, back, 'lowest 15%', 'near X,Y,Z,R' in mm or 'painted FILE', got "
+        f"{text!r:.60}; use one of them"
     )
 
 

@@ -16,9 +16,10 @@ from palpate.app.common.console import Console, print_json, print_plain, quantit
 from palpate.app.common.exit_status import DONE, FAILED, INTERRUPTED
 from palpate.app.models.touch_options import (
     TouchOptions,
+    check_fixed,
     is_surface_file,
     read_touched_surface,
-    support_mask,
+    surface_title,
     touched_material,
 )
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
@@ -52,7 +53,7 @@ def view(
     script: Path | None = None,
     units: str | None = None,
     scale: float = 1.0,
-    part: str | None = None,
+    part: Sequence[str] | None = None,
     spacing: float | None = None,
     law: str | None = None,
     given: Sequence[str] = (),
@@ -105,7 +106,7 @@ def view(
         open_listener(host, port).close()  # refuses a wrong address before a model is trained
     if record is not None:
         _check_record(record, what)
-    options = TouchOptions(units, scale, part, spacing, law, _parameters(given), tuple(fixed))
+    options = TouchOptions(units, scale, tuple(part or ()), spacing, law, _parameters(given), tuple(fixed))
     if not is_surface_file(what) and options != TouchOptions(parameters={}):
         raise InputError(
             "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
@@ -148,8 +149,8 @@ def _read_subject(what: str, options: TouchOptions) -> _Subject:
     if is_surface_file(what):
         surface = read_touched_surface(what, options)
         touched_material(options)
-        support_mask(surface.vertices, options.fixed)  # refuses what names no support
-        return _Subject(what, Path(what).stem.replace("_", " ").capitalize(), options, surface)
+        check_fixed(surface.vertices, options.fixed)
+        return _Subject(what, surface_title(Path(what)), options, surface)
     if what in SCENES:
         return _Subject(what, what.capitalize(), options)
     from palpate.app.models.loader import open_model

@@ -9,11 +9,13 @@ from palpate.app.common.arguments import (
     Parser,
     add_command,
     add_json,
+    add_parts,
     existing_file,
     number,
     path,
     whole,
 )
+from palpate.meshfree.formats.names import listed_formats
 from palpate.scenes.names import listed_scenes
 
 __all__ = ["add_replay", "add_view"]
@@ -42,7 +44,7 @@ def add_view(commands: Any) -> None:
     )
     add = view.add_argument
     text = (
-        f"a surface file (STL, OBJ, PLY ...), whose full body is touched at once; a scene ({listed_scenes()}); or the "
+        f"a surface file ({listed_formats()}), whose full body is touched at once; a scene ({listed_scenes()}); or the "
         "file of a reduced model, such as model.rom of palpate train"
     )
     add("what", metavar="SCENE|FILE", help=text)
@@ -59,18 +61,19 @@ def add_view(commands: Any) -> None:
 
 def _add_surface(parser: Parser) -> None:
     """Add the options of a body from a surface file."""
-    add = parser.add_argument_group("of a surface file").add_argument
+    group = parser.add_argument_group("of a surface file")
+    add = group.add_argument
     add("--units", choices=("m", "cm", "mm", "in"), help="unit of length of the file (default: guessed by size)")
     add("--scale", type=number, default=1.0, metavar="S", help="factor of all lengths (default: 1)")
-    add("--part", metavar="NAME", help="part of a file of several")
+    add_parts(group)
     text = "distance of the nodes [m] (default: the finest that this machine steps in real time)"
     add("--spacing", type=number, metavar="M", help=text)
     add("--law", metavar="LAW", help="law of the tissue, see palpate laws (default: liver, 2.2 kPa)")
     text = "parameters of the law, density and poisson, in SI units"
     add("--set", nargs="+", action="extend", default=[], dest="given", metavar="NAME=X", help=text)
     text = (
-        "part that is held: x-, x+, y-, y+, z-, z+, back, 'lowest 15%%' or 'near X,Y,Z,R' in mm; may be repeated "
-        "(default: back, the side away from the first view)"
+        "part that is held: x-, x+, y-, y+, z-, z+, back, 'lowest 15%%', 'near X,Y,Z,R' in mm or 'painted FILE'; may "
+        "be repeated (default: back, the side away from the first view)"
     )
     add("--fixed", action="append", default=[], metavar="WHERE", help=text)
 

@@ -1,4 +1,4 @@
-"""STL, OBJ and OFF files."""
+"""STL, OBJ, OFF and trian files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from palpate.meshfree.formats.common import (
 )
 from palpate.meshfree.surfaces import MAX_TRIANGLES
 
-__all__ = ["read_obj", "read_off", "read_stl"]
+__all__ = ["read_obj", "read_off", "read_stl", "read_trian"]
 
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -117,3 +117,35 @@ def read_off(data: bytes) -> Parts:
     corners = check_indices(read_numbers(b" ".join(chain.from_iterable(faces))), "indices")
     sizes = np.fromiter(map(len, faces), dtype=np.int64, count=len(faces))
     return {"": lambda: (vertices.reshape(-1, 3), fans(corners, sizes))}
+
+
+def read_trian(data: bytes) -> Parts:
+    """Return the surface of a trian file of SOFA.
+
+    The text holds the number of vertices, their coordinates, the number of triangles, and for each triangle three
+    vertices and three neighbours, -1 at a border (SOFA, `MeshTrianLoader`). The neighbours are not used.
+    """
+    values = read_numbers(data)
+    if not len(values):
+        raise FileFormatError("the number of vertices is missing")
+    vertices = _count_at(values, 0, "vertices", 3)
+    if 1 + 3 * vertices >= len(values):
+        raise FileFormatError("the number of triangles is missing")
+    triangles = _count_at(values, 1 + 3 * vertices, "triangles", 6)
+    rows = values[2 + 3 * vertices :]
+    if len(rows) != 6 * triangles:
+        raise FileFormatError(
+            f"its {triangles} triangles must have three vertices and three neighbours each, {6 * triangles} numbers, "
+            f"got {len(rows)}"
+        )
+    corners = check_indices(rows.reshape(-1, 6)[:, :3], "vertices of triangles")
+    return {"": lambda: (values[1 : 1 + 3 * vertices].reshape(-1, 3), corners)}
+
+
+def _count_at(values: Floats, place: int, what: str, width: int) -> int:
+    """Return the count at a place of numbers, whose rows of a width must fit behind it."""
+    most = (len(values) - place - 1) // width
+    number = values[place]
+    if not float(number).is_integer():
+        raise FileFormatError(f"the number of {what} must be an integer, got {number:g}")
+    return read_count(str(int(number)), what, most)

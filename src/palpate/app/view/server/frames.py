@@ -33,16 +33,16 @@ def pack_frame(kind: int, sequence: int, vertices: int, body: bytes, triangles: 
 
 def geometry_frame(surface: DisplaySurface) -> bytes:
     """Return the geometry frame of a surface: positions at rest, triangles, and which vertices are fixed."""
-    return _mesh_frame(GEOMETRY, surface.rest, surface.triangles, surface.fixed.astype("u1").tobytes())
+    return _mesh_frame(GEOMETRY, surface.rest, surface.triangles, surface.fixed)
 
 
 def preview_frame(surface: Surface) -> bytes:
-    """Return the preview frame of the surface of a file, shown until the body is ready."""
-    return _mesh_frame(PREVIEW, surface.vertices, surface.triangles)
+    """Return the preview frame of the surface of a file, shown until the body is ready; no vertex is fixed."""
+    return _mesh_frame(PREVIEW, surface.vertices, surface.triangles, np.zeros(len(surface.vertices)))
 
 
-def _mesh_frame(kind: int, points: NDArray[Any], triangles: NDArray[Any], more: bytes = b"") -> bytes:
-    body = points.astype("<f4").tobytes() + triangles.astype("<u4").tobytes() + more
+def _mesh_frame(kind: int, points: NDArray[Any], triangles: NDArray[Any], fixed: NDArray[Any]) -> bytes:
+    body = points.astype("<f4").tobytes() + triangles.astype("<u4").tobytes() + fixed.astype("u1").tobytes()
     return pack_frame(kind, 0, len(points), body, len(triangles))
 
 
