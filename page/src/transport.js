@@ -14,11 +14,10 @@ export class Transport {
     addEventListener("pointerup", () => (this.held = false));
   }
 
-  offer({ mode, duration, full }) {
+  offer({ mode, duration }) {
     this.replay = mode === "replay";
     this.duration = duration ?? 0;
     this.byId("transport").hidden = this.replay;
-    this.byId("record").hidden = Boolean(full); // sessions of full bodies cannot be kept
     this.byId("replay").hidden = !this.replay;
     if (this.replay) Object.assign(this.byId("time"), { max: this.duration, step: this.duration / 1000 || 0.001 });
   }

@@ -11,11 +11,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
 import palpate
 import palpate as pt
-from palpate.dynamics.compiled.cache import KeyedFile, kernel_sources, law_digest
+from palpate.dynamics.compiled.cache import KeyedFile, kernel_sources, law_digest, law_njit
 from palpate.dynamics.loads.supports import FIXED
 
 pytestmark = pytest.mark.slow
@@ -36,6 +38,15 @@ for f in (model._internal_force, model._advance, rom._projected_force, rom._adva
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["MooneyRivlin(C1=20e3, C2=5e3, ", "Ogden(C=(5e3, 300.0), alpha=(1.3, 5.0), "])
+def test_a_kernel_that_allocates_must_say_so():
+    def doubled(values):
+        return values + values
+
+    assert law_njit("test", cached=False, allocates=True)(doubled)(np.ones(2)).tolist() == [2.0, 2.0]
+    with pytest.raises(NumbaError):
+        law_njit("test", cached=False)(doubled)(np.ones(2))
+
+
 def test_a_second_process_compiles_nothing(law):
     made = f"pt.materials.{law}density=1000.0, poisson=0.45)"
     for attempt in range(2):  # the first may find nothing yet
