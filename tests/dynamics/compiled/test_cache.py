@@ -36,8 +36,6 @@ for f in (model._internal_force, model._advance, rom._projected_force, rom._adva
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("law", ["MooneyRivlin(C1=20e3, C2=5e3, ", "Ogden(C=(5e3, 300.0), alpha=(1.3, 5.0), "])
 def test_a_kernel_that_allocates_must_say_so():
     def doubled(values):
         return values + values
@@ -47,6 +45,8 @@ def test_a_kernel_that_allocates_must_say_so():
         law_njit("test", cached=False)(doubled)(np.ones(2))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["MooneyRivlin(C1=20e3, C2=5e3, ", "Ogden(C=(5e3, 300.0), alpha=(1.3, 5.0), "])
 def test_a_second_process_compiles_nothing(law):
     made = f"pt.materials.{law}density=1000.0, poisson=0.45)"
     for attempt in range(2):  # the first may find nothing yet
