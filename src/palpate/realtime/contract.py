@@ -26,11 +26,11 @@ class Realtime(NamedTuple):
     ----------
     advance : function
         ``advance(data, q, v, target, period, report)`` advances the coordinates `q` (m,) and velocities `v` (m,) in
-        place by `period` [s], while the tool's coordinates move linearly to `target` (l,). It writes `report`
-        (8 + l,). Element 0 is 0, or 1 if the step did not converge or is not finite. Element 1 is the trust number,
-        above 1 where the model was not trained. Element 2 counts steps or iterations. Elements 3 and 4 are the kinetic
-        and the strain energy [J]. From element 8 on are the generalised forces of the tool on the body, conjugate to
-        the tool's coordinates.
+        place by `period` [s], while the tool's coordinates move linearly to `target` (l,). A model whose tool does
+        not get there writes where it is into `target`. It writes `report` (8 + l,). Element 0 is 0, or 1 if the step
+        did not converge or is not finite. Element 1 is the trust number, above 1 where the model was not trained.
+        Element 2 counts steps or iterations. Elements 3 and 4 are the kinetic and the strain energy [J]. From element
+        8 on are the generalised forces of the tool on the body, conjugate to the tool's coordinates.
     stiffness : function or None
         ``stiffness(data, q, out)`` writes the derivatives (l, l) of those forces by the tool's coordinates.
     data : any type that Numba supports

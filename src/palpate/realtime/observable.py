@@ -253,7 +253,9 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
         contact = data.inner.contact_work
         for i in range(3):
             coupling.force[i] = -report[FORCES + i]
-            values[TOOL_POSITION + i] = moved[i]
+            if coupled:
+                coupling.position[i] = moved[i]
+            values[TOOL_POSITION + i] = moved[i]  # where the tool is, which may be held
             if not coupled:
                 values[DEVICE_FORCE + i] = coupling.force[i]
         for m in range(q.shape[0]):

@@ -35,6 +35,7 @@ __all__ = [
 ]
 
 CONTACT_GAP = {"nodes": 1e-6, "patches": 1e-3}  # gap of a node or patch in contact, in spacings
+OVERLAP = 0.05  # depth of a patch in a tool, in spacings; runs, whose tools begin outside, have less
 SEARCH_GAP = 0.1  # gap of a patch that is included in the sweeps, in spacings
 PATCH_RADIUS = 3.0  # largest distance of a patch from its node, in spacings
 
@@ -66,6 +67,8 @@ class Contacts(NamedTuple):
         Index in `slide` of a node that slides on a support; -1 for others.
     slide : (r, 3, 3) array
         Projections on the directions in which sliding nodes are free.
+    overlap : float [m]
+        Depth of a patch in a tool beyond which it is not pushed out in a single step.
     contact_gap : float [m]
         Gap below which a patch is in contact at the end of a call.
     search_gap : float [m]
@@ -105,6 +108,7 @@ class Contacts(NamedTuple):
     prescribed_until: Floats
     slide_of: NDArray[np.int64]
     slide: Floats
+    overlap: float
     contact_gap: float
     search_gap: float
     patch_radius: float
@@ -315,6 +319,7 @@ def contacts(
         prescribed_until=prescribed_until,
         slide_of=sliding[0],
         slide=sliding[1],
+        overlap=OVERLAP * cloud.spacing,
         contact_gap=CONTACT_GAP["nodes" if patches is None else "patches"] * cloud.spacing,
         search_gap=SEARCH_GAP * cloud.spacing,
         patch_radius=0.0 if patches is None else PATCH_RADIUS * cloud.spacing,

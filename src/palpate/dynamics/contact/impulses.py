@@ -29,6 +29,7 @@ __all__ = ["apply_contact_impulses", "push_patches"]
 
 MAX_SWEEPS = 30
 MIN_FREEDOM = 0.01  # of a sliding node: least squared part of a tool's normal along its free directions
+RECOVERY_TIME = 0.01  # [s] in which a patch leaves a tool that was put down in it
 SWEEP_TOLERANCE = 3e-2  # largest change of an impulse in the last sweep, relative to the largest impulse
 
 
@@ -109,6 +110,20 @@ def _velocity_change(contacts, i, response, x, y, z):  # type: ignore[no-untyped
 
 
 @kernel_njit(inner=True)
+def _overlap(contacts, k, step, u, velocity):  # type: ignore[no-untyped-def]
+    """Return the gap that a patch may keep after the step: negative if it was deep in the tool before it.
+
+    Pushed out in a single step, it would gain energy that no work of the tool explains.
+    """
+    i, t = contacts.nodes[k], contacts.tool[k]
+    x, y, z, _, _, _ = patch(
+        contacts.points, contacts.patch_start, contacts.patch_nodes, contacts.patch_weights, i, 0.0, u, velocity
+    )
+    before = gap(contacts.kind[t], contacts.sizes[t], contacts.frames[t, 0], x, y, z)[0] + contacts.overlap
+    return min(0.0, before) * max(0.0, 1.0 - step / RECOVERY_TIME)
+
+
+@kernel_njit(inner=True)
 def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
     """Update the impulse of every active patch; return the largest change and the largest impulse [m/s].
 
@@ -135,7 +150,8 @@ def _sweep(contacts, ends, step, u, velocity):  # type: ignore[no-untyped-def]
         if ends:
             normal = -(wx * nx + wy * ny + wz * nz) if g < tolerance else 0.0
         else:
-            normal = own_x * nx + own_y * ny + own_z * nz - g / step
+            normal = own_x * nx + own_y * ny + own_z * nz
+            normal -= (g - _overlap(contacts, k, step, u, velocity) if g < -contacts.overlap else g) / step
         px, py, pz = 0.0, 0.0, 0.0
         if normal > 0.0:
             px, py, pz = coulomb(normal, friction[t], wx, wy, wz, nx, ny, nz)

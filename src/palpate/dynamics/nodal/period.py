@@ -9,7 +9,9 @@ costs one evaluation of the force:
 The tool moves evenly to its target during a period. The force on it is the mean over the steps of the period. The
 stable step follows from a power iteration on the present tangent, one iteration every `ESTIMATE_PERIODS`; it is at
 most that at rest. A period in which a node moves too far, or after which the body has more kinetic energy than the
-tool has done work, is repeated with shorter steps. The functions allocate nothing and do not call Python.
+tool has done work, is repeated: with shorter steps, then with the tool at rest, at last with a body that has lost its
+velocities. A tool moves by at most a share of the spacing in a step. It is held where it would crush tissue that is
+stiff already. Then it follows its target later. The functions allocate nothing and do not call Python.
 """
 
 from __future__ import annotations
@@ -48,12 +50,17 @@ STEP_SAFETY = 0.85  # step over the stable one
 NOISE = 0.005  # added to the vector of the iteration, so that another mode can grow
 MAX_STEPS = 400  # in a period; beyond it the body's time runs slower
 MAX_ATTEMPTS, STIFFENING = 6, 1.6  # of a period, and factor of the frequency in the next attempt
-TRIALS_OF_ENERGY = 2  # repetitions after which a gain of energy is accepted
+TRIALS_OF_ENERGY = 2  # repetitions after which a gain of energy is accepted that is not of this period
+HELD_ATTEMPT, STOPPED_ATTEMPT = 3, 5  # from which on the tool is held, and the body loses its velocities
+CRUSHED = 6.0  # frequency over that at rest from which on the tool does not move on
+STIFF, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it is estimated after fewer periods
+MOST_STIFF = 100.0  # largest estimate over that at rest
 MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
 # entries of `NodalPeriodData.clock`
-BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND, REPEATED, GAINED = range(11)
+BEHIND, STEP, FREQUENCY, UNTIL_ESTIMATE, WORK, LOST, KINETIC_ENERGY, GIVEN, NEXT_BEHIND = range(9)
+REPEATED, GAINED, HELD = range(9, 12)
 # frames in `NodalPeriodData.path`
 START, END, HOME = range(3)
 # rows of `NodalPeriodData.secant` after those of the matrix
@@ -93,11 +100,11 @@ class NodalPeriodData(NamedTuple):
     scratch : StepScratch
     grip : Grip
         Nodes that forceps hold.
-    clock : (11,) array
+    clock : (12,) array
         Time [s] by which the body is behind, step [s], highest frequency [rad/s], periods until its next
         estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
-        time by which the body will be behind, number of periods that were repeated with shorter steps, and
-        gains of energy that shorter steps did not cure [J].
+        time by which the body will be behind, number of periods that were repeated with shorter steps, gains
+        of energy that shorter steps did not cure [J], and number of periods in which the tool was held.
     secant : (5, 3) array
         Contact stiffness [N/m], and position and force of the tool at its last update.
     tool_force : (12,) array
@@ -110,10 +117,10 @@ class NodalPeriodData(NamedTuple):
         Of the power iteration.
     amplitude : float [m]
         Displacement of its difference quotient.
-    reach : float [m]
-        Largest way of a node in a step.
-    saved : (2, n, 3) array
-        Displacements and velocities at the start of the period.
+    reach, tool_reach : float [m]
+        Largest ways of a node and of the tool in a step.
+    saved : (3, n, 3) array
+        Displacements, velocities and the last internal forces at the start of the period.
     saved_history : HistoryCopy
         History variables at the start of the period.
     contact_work : ContactReport
@@ -138,10 +145,61 @@ class NodalPeriodData(NamedTuple):
     noise: Floats
     amplitude: float
     reach: float
+    tool_reach: float
     saved: Floats
     saved_history: HistoryCopy
     contact_work: ContactReport
     free: Any
+
+
+@kernel_njit(inner=True)
+def limit_path(path, most):  # type: ignore[no-untyped-def]
+    """Shorten the way of the tool to `most` [m]; return True if it was longer."""
+    square = 0.0
+    for i in range(3):
+        square += (path[END, i, 3] - path[START, i, 3]) ** 2
+    if square <= most * most:
+        return False
+    share = most / np.sqrt(square)
+    for i in range(3):
+        for j in range(4):
+            path[END, i, j] = path[START, i, j] + share * (path[END, i, j] - path[START, i, j])
+    for j in range(3):  # a mean of rotations is none: orthonormal columns (Gram and Schmidt)
+        for k in range(j):
+            along = 0.0
+            for i in range(3):
+                along += path[END, i, j] * path[END, i, k]
+            for i in range(3):
+                path[END, i, j] -= along * path[END, i, k]
+        length = 0.0
+        for i in range(3):
+            length += path[END, i, j] ** 2
+        for i in range(3):
+            path[END, i, j] /= np.sqrt(length)
+    return True
+
+
+@kernel_njit(inner=True)
+def _crushes(data):  # type: ignore[no-untyped-def]
+    """Return True if the tool would move on into tissue that is stiff already."""
+    if data.clock[FREQUENCY] < CRUSHED * data.resting_frequency:
+        return False
+    work = 0.0
+    for i in range(3):
+        work += data.tool_force[i] * (data.path[END, i, 3] - data.path[START, i, 3])
+    return work > 0.0
+
+
+@kernel_njit(inner=True)
+def _write_place(path, target):  # type: ignore[no-untyped-def]
+    """Write displacement and R - I of the end of the path, from home, into a target (12,)."""
+    for i in range(3):
+        target[i] = path[END, i, 3] - path[HOME, i, 3]
+        for j in range(3):
+            value = -1.0 if i == j else 0.0
+            for k in range(3):
+                value += path[END, i, k] * path[HOME, j, k]
+            target[3 + 3 * i + j] = value
 
 
 @kernel_njit()
@@ -268,7 +326,8 @@ def nodal_period(formulation: Formulation) -> Any:
     -------
     function
         ``advance(data, q, v, target, period, report)`` advances displacements and velocities (3 n,) by about a
-        period [s] while the tool moves evenly to `target` (12,). The entries of the `report` (20,) are those of
+        period [s] while the tool moves evenly to `target` (12,). A tool that is held or late does not reach it:
+        then `target` gets where it is. The entries of the `report` (20,) are those of
         `palpate.dynamics.run.period_report`. The state is unchanged if the period fails.
     """
     digest = law_digest(__name__, formulation.digest)
@@ -325,13 +384,15 @@ def nodal_period(formulation: Formulation) -> Any:
         clock = data.clock
         clock[UNTIL_ESTIMATE] -= 1.0
         if clock[UNTIL_ESTIMATE] <= 0.0:
-            clock[UNTIL_ESTIMATE] = ESTIMATE_PERIODS
             frequency = estimate(data, u)
             if frequency > 0.0 and frequency < np.inf:
                 # an iteration that has not converged must not lengthen the step at once
-                clock[FREQUENCY] = max(
-                    FREQUENCY_MARGIN * frequency, SLOWEST_DECREASE * clock[FREQUENCY], data.resting_frequency
+                clock[FREQUENCY] = min(
+                    max(FREQUENCY_MARGIN * frequency, SLOWEST_DECREASE * clock[FREQUENCY], data.resting_frequency),
+                    MOST_STIFF * data.resting_frequency,
                 )
+            is_stiff = clock[FREQUENCY] > STIFF * data.resting_frequency
+            clock[UNTIL_ESTIMATE] = STIFF_ESTIMATE if is_stiff else ESTIMATE_PERIODS
         set_step(data)
 
     @law_njit(digest, inner=True)
@@ -386,7 +447,7 @@ def nodal_period(formulation: Formulation) -> Any:
         if at_rest:  # the start of a run, or a reset
             reset_history(history)
             clock[BEHIND], clock[WORK], clock[LOST], clock[KINETIC_ENERGY], clock[GIVEN] = 0.0, 0.0, 0.0, 0.0, 0.0
-            clock[REPEATED], clock[GAINED] = 0.0, 0.0
+            clock[REPEATED], clock[GAINED], clock[HELD] = 0.0, 0.0, 0.0
             for i in range(n):
                 for c in range(3):
                     data.scratch.previous[i, c] = 0.0
@@ -396,15 +457,22 @@ def nodal_period(formulation: Formulation) -> Any:
         if at_rest:
             copy_values(data.path[END], contacts.frames[0, 1])
         clock[GIVEN] += kinetic_energy(data.nodes, velocity) - clock[KINETIC_ENERGY]  # of velocities that were set
+        excess_before = kinetic_energy(data.nodes, velocity) - (clock[GIVEN] + clock[WORK] - clock[LOST])
         choose_step(data, u)
+        late = limit_path(data.path, data.tool_reach * max(1.0, period / clock[STEP]))
+        if _crushes(data):
+            copy_values(data.path[START], data.path[END])
+            late = True
         copy_values(u, data.saved[0])
         copy_values(velocity, data.saved[1])
+        copy_values(data.scratch.previous, data.saved[2])
         copy_history(history, data.saved_history)
-        count, work_before, lost_before = -1, clock[WORK], clock[LOST]
+        count, work_before, lost_before, frequency_before = -1, clock[WORK], clock[LOST], clock[FREQUENCY]
         for attempt in range(MAX_ATTEMPTS):
             if attempt > 0:
                 copy_values(data.saved[0], u)
                 copy_values(data.saved[1], velocity)
+                copy_values(data.saved[2], data.scratch.previous)
                 copy_history(data.saved_history, history)
                 copy_values(data.path[START], contacts.frames[0, 1])
                 contacts.patch_impulses[:] = 0.0
@@ -412,6 +480,14 @@ def nodal_period(formulation: Formulation) -> Any:
                 clock[FREQUENCY] *= STIFFENING
                 clock[REPEATED] += 1.0 if attempt == 1 else 0.0
                 set_step(data)
+                if attempt >= HELD_ATTEMPT:
+                    copy_values(data.path[START], data.path[END])
+                    late = True
+                if attempt >= STOPPED_ATTEMPT:
+                    clock[LOST] += kinetic_energy(data.nodes, velocity)
+                    for i in range(n):
+                        for c in range(3):
+                            velocity[i, c] = 0.0
             contacts.tool_impulses[:] = 0.0
             count = take_steps(data, u, velocity, period)
             if count < 0:
@@ -420,16 +496,26 @@ def nodal_period(formulation: Formulation) -> Any:
             excess = clock[KINETIC_ENERGY] - (clock[GIVEN] + clock[WORK] - clock[LOST])
             if excess <= MAX_GAIN * abs(clock[WORK]) + LEAST_ENERGY:
                 break
-            if attempt == TRIALS_OF_ENERGY:  # shorter steps make no difference: the sums of work have drifted
+            # shorter steps make no difference, and the period has no gain: the sums of work have drifted
+            drifted = excess - excess_before <= MAX_GAIN * abs(clock[WORK]) + LEAST_ENERGY
+            if attempt >= TRIALS_OF_ENERGY and (drifted or attempt == MAX_ATTEMPTS - 1):
                 clock[GIVEN] += excess
                 clock[GAINED] += excess
                 break
         if count < 0:
             copy_values(data.saved[0], u)
             copy_values(data.saved[1], velocity)
+            copy_values(data.saved[2], data.scratch.previous)
+            clock[FREQUENCY], clock[WORK], clock[LOST] = frequency_before, work_before, lost_before
             report[STATUS] = 1.0
             return
         clock[BEHIND] = clock[NEXT_BEHIND]
+        if attempt >= HELD_ATTEMPT:  # the remedy was another one
+            clock[FREQUENCY] = min(STIFFENING * frequency_before, MOST_STIFF * data.resting_frequency)
+            set_step(data)
+        if late:
+            clock[HELD] += 1.0
+            _write_place(data.path, target)
         if count > 0:
             for k in range(FORCES, report.shape[0]):
                 report[k] = 0.0

@@ -15,12 +15,23 @@ from palpate.dynamics.loads.supports import FREE
 from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
-from palpate.dynamics.nodal.period import END, HOME, START, ContactReport, NodalPeriodData, nodal_period
+from palpate.dynamics.nodal.period import (
+    END,
+    FREQUENCY,
+    GAINED,
+    HELD,
+    HOME,
+    REPEATED,
+    START,
+    ContactReport,
+    NodalPeriodData,
+    nodal_period,
+)
 from palpate.faults import InputError
 
-__all__ = ["change_full_tool", "full_period"]
+__all__ = ["change_full_tool", "full_period", "step_statistics"]
 
-MAX_WAY = 0.4  # of a node in a step, in spacings
+MAX_WAY, MAX_TOOL_WAY = 0.4, 0.25  # of a node and of the tool in a step, in spacings
 AWAY = 1e3  # [m] beyond the body, where a tool stays while forceps hold it
 
 
@@ -61,7 +72,7 @@ def full_period(
         contacts=contacts,
         grip=empty_grip(n),
         scratch=work.step,
-        clock=np.array([0.0, model.stability.step, frequency, *np.zeros(8)]),
+        clock=np.array([0.0, model.stability.step, frequency, *np.zeros(9)]),
         secant=np.zeros((5, 3)),
         tool_force=np.zeros(12),
         path=path,
@@ -70,7 +81,8 @@ def full_period(
         noise=noise,
         amplitude=1e-6 * model.cloud.spacing,
         reach=MAX_WAY * model.cloud.spacing,
-        saved=np.zeros((2, n, 3)),
+        tool_reach=MAX_TOOL_WAY * model.cloud.spacing,
+        saved=np.zeros((3, n, 3)),
         saved_history=history_copy(work.passes.history),
         contact_work=ContactReport(np.zeros(2 * n, dtype=np.int64), np.zeros((2 * n, 3)), np.zeros(3, dtype=np.int64)),
         free=np.zeros(0, dtype=np.bool_),
@@ -79,6 +91,25 @@ def full_period(
         forceps = Forceps(contact.radius, contact.point, contact.until)
         change_full_tool(model, data, forceps, contact.poses(np.zeros(1))[0], 0.0)
     return nodal_period(model.formulation), data
+
+
+def step_statistics(data: NodalPeriodData) -> dict[str, float]:
+    """Return how a full body was stepped since rest.
+
+    Returns
+    -------
+    dict
+        ``"step_share"``: present step over that at rest; ``"repeated"``: number of periods that were repeated with
+        shorter steps; ``"held"``: number of periods in which the tool was held or late; ``"energy_gained"``: gain
+        of energy that shorter steps did not cure [J].
+    """
+    clock = data.clock
+    return {
+        "step_share": float(data.resting_frequency / clock[FREQUENCY]),
+        "repeated": int(clock[REPEATED]),
+        "held": int(clock[HELD]),
+        "energy_gained": float(clock[GAINED]),
+    }
 
 
 def change_full_tool(

@@ -38,6 +38,7 @@ from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import DisplaySurface
+from palpate.reduction.realtime.full_body import step_statistics
 from palpate.reduction.realtime.full_surface import display_surface
 from palpate.reduction.realtime.model import realtime_model
 
@@ -175,6 +176,7 @@ class Session:
             "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
             "misses": statistics.missed, "periods": statistics.count, "pace": statistics.pace,
             "force_bound": bound if math.isfinite(bound) else None,
+            **(step_statistics(self._realtime_model.data) if self.is_full else {}),
         }  # fmt: skip
 
     @property
