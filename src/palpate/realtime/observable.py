@@ -195,8 +195,9 @@ class ObservableModel(NamedTuple):
             parameters[:] = 0.0
             return
         stiffness = number_in_range("stiffness", stiffness, 1.0, 1e4, unit="N/m")
-        limit = number_in_range("force_limit", force_limit, 0.0, np.inf, open_low=True, unit="N")
-        parameters[:] = stiffness, 2.0 * np.sqrt(stiffness * TOOL_MASS), TOOL_MASS, limit
+        if force_limit != np.inf:
+            force_limit = number_in_range("force_limit", force_limit, 0.0, open_low=True, unit="N")
+        parameters[:] = stiffness, 2.0 * np.sqrt(stiffness * TOOL_MASS), TOOL_MASS, force_limit
 
 
 def make_observable(model: RealtimeModel) -> ObservableModel:

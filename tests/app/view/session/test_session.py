@@ -215,12 +215,13 @@ def test_the_virtual_coupling_produces_no_energy(model):
 @pytest.mark.slow  # as above
 def test_a_saturated_coupling_produces_no_energy_and_pulls_with_its_limit(model):
     path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
-    balance, limit = runpy.run_path(str(path))["balance"], 0.1
-    free, books = (balance(model, 300.0, radius=BALL, depth=0.004, limit=f) for f in (np.inf, limit))
+    balance = runpy.run_path(str(path))["balance"]
+    free = balance(model, 300.0, radius=BALL, depth=0.004)
+    limit = 0.3 * free["force"].max()
+    books = balance(model, 300.0, radius=BALL, depth=0.004, limit=limit)
     most = books["body"].max()
-    assert most < 0.5 * free["body"].max()  # the tool lags behind
+    assert most < 0.9 * free["body"].max()  # the tool lags behind
     assert np.isclose(books["force"], limit, rtol=1e-9).mean() > 0.1
-    assert books["force"].max() < free["force"].max()
     assert books["work"].min() > -1e-3 * most
     assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
 
