@@ -1,6 +1,9 @@
 """Passivity of the virtual coupling: the device never receives more energy than it supplied.
 
     python validation/virtual_coupling.py model.rom 300
+    python validation/virtual_coupling.py model.rom 300 0.5
+
+The second number limits the spring's force [N].
 
 The model must have tool contact, such as one of `palpate train liver`. A ball presses the body repeatedly, faster each
 time, at 1 kHz of model time. After every period the script balances the energies.
@@ -14,13 +17,15 @@ import numpy as np
 
 import palpate as pt
 from palpate.realtime.contract import KINETIC, STATUS, STRAIN
-from palpate.realtime.observable import DAMPING, DEVICE_FORCE, MASS, STIFFNESS, make_observable
+from palpate.realtime.observable import DAMPING, DEVICE_FORCE, MASS, make_observable
 
 PERIOD, DURATION, RADIUS, DEPTH, GAP = 1e-3, 4.0, 0.02, 0.008, 0.002  # [s], [s], [m], [m], [m]
 
 
-def balance(model: pt.ReducedModel, stiffness: float, radius: float = RADIUS, depth: float = DEPTH) -> dict:
-    """Press a body through a coupling [N/m]; return work and energies (t,) [J] after every period."""
+def balance(
+    model: pt.ReducedModel, stiffness: float, radius: float = RADIUS, depth: float = DEPTH, limit: float = np.inf
+) -> dict:
+    """Press a body through a coupling [N/m] with a force limit [N]; return work, energies [J] and forces by period."""
     cloud = model.cloud
     fixed = np.concatenate([cloud.group(name) for name in model.fixed])
     free = np.setdiff1d(pt.tools.surface_nodes(cloud), fixed)
@@ -32,10 +37,10 @@ def balance(model: pt.ReducedModel, stiffness: float, radius: float = RADIUS, de
     body = make_observable(
         pt.realtime_model(model, contact=pt.tools.Contact(pt.tools.Sphere(radius), home, friction=0.2))
     )
-    body.set_coupling(stiffness)
+    body.set_coupling(stiffness, limit)
     data, coupling, q, v = body.data, body.data.coupling, body.rest.copy(), np.zeros_like(body.rest)
     report, device, work = np.zeros(20), np.zeros(3), 0.0
-    energies = {"work": [], "body": [], "coupling": []}
+    energies = {"work": [], "body": [], "coupling": [], "force": []}
     for k in range(round(DURATION / PERIOD)):
         time = (k + 1) * PERIOD
         wanted = -(depth + GAP) * np.sin(np.pi * (time + time**2)) ** 2 * normal
@@ -44,16 +49,20 @@ def balance(model: pt.ReducedModel, stiffness: float, radius: float = RADIUS, de
             raise SystemExit("the state diverged")
         work -= data.values[DEVICE_FORCE : DEVICE_FORCE + 3] @ (wanted - device)  # of the device on the coupling
         device = wanted
-        spring = 0.5 * coupling.parameters[STIFFNESS] * np.sum((device - coupling.position) ** 2)
+        length = np.linalg.norm(device - coupling.position)
+        slack = max(length - limit / stiffness, 0.0)  # beyond which the spring has a constant force
+        spring = 0.5 * stiffness * (length - slack) ** 2 + (limit * slack if slack else 0.0)
         kinetic = 0.5 * coupling.parameters[MASS] * np.sum(coupling.velocity**2)
         stored = report[KINETIC] + report[STRAIN]
-        for name, value in (("work", work), ("body", stored), ("coupling", spring + kinetic)):
+        force = np.linalg.norm(data.values[DEVICE_FORCE : DEVICE_FORCE + 3])
+        for name, value in (("work", work), ("body", stored), ("coupling", spring + kinetic), ("force", force)):
             energies[name].append(value)
     return {name: np.array(values) for name, values in energies.items()} | {"damping": coupling.parameters[DAMPING]}
 
 
 if __name__ == "__main__":
-    energies = balance(pt.load(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 300.0)
+    numbers = [float(text) for text in sys.argv[2:4]]
+    energies = balance(pt.load(sys.argv[1]), *numbers[:1] or [300.0], limit=numbers[1] if len(numbers) > 1 else np.inf)
     dissipated = energies["work"] - energies["body"] - energies["coupling"]
     print(f"damping of the coupling {energies['damping']:.3g} N s/m")
     print(f"largest energy in the body {1e3 * energies['body'].max():.3g} mJ")

@@ -234,6 +234,28 @@ def test_lost_trust_is_reported_once(engine_of):
     assert engine.read().worst_trust < 0.5
 
 
+def test_the_largest_trust_is_forgotten_when_the_body_is_at_rest_again(engine_of):
+    """Not while it still vibrates: rest is 1e-4 of the largest energy of the motion."""
+    engine = engine_of(trusted=0.01, damping=2.0, options={"on_distrust": "ignore"})
+    engine.set_pose((0.02, 0.0, 0.0))
+    run_steps(engine, 50)
+    bad = engine.read()
+    assert bad.worst_trust == pytest.approx(2.0)
+    assert bad.largest_force > 0
+    engine.set_pose((0.0, 0.0, 0.0))
+    until_back = engine.read().steps + 30
+    while engine.read().steps < until_back:
+        run_steps(engine, 5)
+        vibrating = engine.read()
+        assert vibrating.worst_trust == pytest.approx(2.0)
+    assert vibrating.kinetic + vibrating.strain > 0
+    run_steps(engine, 1500)
+    calm = engine.read()
+    assert calm.kinetic + calm.strain < 1e-4 * (bad.kinetic + bad.strain)
+    assert calm.worst_trust < 1.0
+    assert calm.largest_force < 0.1 * bad.largest_force
+
+
 def test_clamping_holds_the_tool_where_the_model_was_trusted(engine_of, history):
     engine = engine_of(trusted=0.01, options={"on_distrust": "clamp", "max_speed": 0.5})
     engine.set_pose((0.03, 0.0, 0.0))

@@ -31,6 +31,7 @@ from palpate.realtime.loop import (
     STOPPED,
     TIME_SCALE,
     WARN,
+    WORST_SINCE_RESET,
     Channels,
     Settings,
     Work,
@@ -335,7 +336,7 @@ class Engine(Described):
             The model's step raised an exception, or the black box could not be written.
         """
         record = snapshot(self._channels.record)
-        worst = record[field_offset("worst_trust")]
+        worst = self._work.clock[WORST_SINCE_RESET]
         if worst > 1 and not self._warned and self._settings.on_distrust == WARN:
             self._warned = True
             warnings.warn(

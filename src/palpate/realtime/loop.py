@@ -30,6 +30,7 @@ __all__ = [
     "STOPPED",
     "TIME_SCALE",
     "WARN",
+    "WORST_SINCE_RESET",
     "Channels",
     "Settings",
     "Work",
@@ -44,7 +45,8 @@ MAX_SLEEP = 10_000_000  # [ns], which bounds the delay of a command
 MAX_TRAIL = 256  # stored trusted poses
 RETREAT = 4  # the tool moves back by 1 / RETREAT of its trail ...
 SETTLING_TIME = 0.05  # [s] ... if trust does not return within this time, in which vibrations decay
-MODEL_TIME, TIME_SCALE, WAITED = range(3)  # indices in `Work.clock`
+REST_ENERGY = 1e-4  # energy of a body at rest, over the largest since it was at rest: 1 % of the amplitude
+MODEL_TIME, TIME_SCALE, WAITED, LARGEST_ENERGY, WORST_SINCE_RESET = range(5)  # indices in `Work.clock`
 
 TIME, PERIODS, FAILED, ITERATIONS = (field_offset(name) for name in ("time", "steps", "failed", "iterations"))
 COMPUTING, LATENESS, TRUSTED, WORST_TRUST = (field_offset(n) for n in ("computing", "lateness", "trust", "worst_trust"))
@@ -125,8 +127,9 @@ class Work(NamedTuple):
         Results of the model's functions.
     record : (HEADER_SIZE + 2 m,)
         Record of the present period.
-    clock : (3,)
-        Model time [ns], model time per wall-clock time, and the time [s] that a clamped tool has waited for trust.
+    clock : (5,)
+        Model time [ns], model time per wall-clock time, the time [s] that a clamped tool has waited for trust, the
+        largest energy [J] since the body was at rest, and the largest trust number since the reset.
     """
 
     q: Floats
@@ -154,7 +157,7 @@ class Work(NamedTuple):
         poses["trail"] = np.zeros((MAX_TRAIL, len(IDENTITY)))
         coordinates = {name: np.zeros(tools) for name in ("target", "lost_at", "last_trusted", "wanted_coordinates")}
         report, tangent, record = np.zeros(FORCES + tools), np.zeros((tools, tools)), np.zeros(HEADER_SIZE + 2 * m)
-        clock = np.array([0.0, 1.0, 0.0])
+        clock = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
         work = cls(
             np.zeros(m), np.zeros(m), tool, **poses, length=np.ones(1, dtype=np.int64),
             fetched=np.zeros(len(IDENTITY) + 1), **coordinates, report=report, tangent=tangent, record=record,
@@ -169,7 +172,7 @@ class Work(NamedTuple):
             array[:] = 0.0
         self._start_trail(IDENTITY)
         self.q[:] = rest
-        self.clock[MODEL_TIME] = 0.0
+        self.clock[[MODEL_TIME, LARGEST_ENERGY, WORST_SINCE_RESET]] = 0.0
         self.record[POSE : POSE + 7] = IDENTITY
         self.record[HEADER_SIZE : HEADER_SIZE + len(rest)] = rest
 
@@ -289,6 +292,15 @@ def _is_finite(array):  # type: ignore[no-untyped-def]
     return total == 0.0
 
 
+@kernel_njit(inner=True)
+def _forget_at_rest(work):  # type: ignore[no-untyped-def]
+    """Forget the largest trust number and force of a motion when the body is at rest again."""
+    energy, clock = work.report[KINETIC] + work.report[STRAIN], work.clock
+    clock[LARGEST_ENERGY] = max(clock[LARGEST_ENERGY], energy)
+    if clock[LARGEST_ENERGY] > 0.0 and energy <= REST_ENERGY * clock[LARGEST_ENERGY]:
+        clock[LARGEST_ENERGY], work.record[WORST_TRUST], work.record[LARGEST_FORCE] = 0.0, 0.0, 0.0
+
+
 @kernel_njit()
 def _write_record(work, settings):  # type: ignore[no-untyped-def]
     """Write the model's report to the record; return whether the state is finite."""
@@ -300,7 +312,9 @@ def _write_record(work, settings):  # type: ignore[no-untyped-def]
         work.clock[MODEL_TIME] += work.clock[TIME_SCALE] * settings.period
     record[TIME] = 1e-9 * work.clock[MODEL_TIME]
     record[ITERATIONS], record[TRUSTED] = report[STEPS], report[TRUST]
+    _forget_at_rest(work)
     record[WORST_TRUST] = max(record[WORST_TRUST], report[TRUST])
+    work.clock[WORST_SINCE_RESET] = max(work.clock[WORST_SINCE_RESET], report[TRUST])
     record[ENERGIES], record[ENERGIES + 1] = report[KINETIC], report[STRAIN]
     _copy_to(work.pose, record, POSE)
     force, moment = record[FORCE : FORCE + 3], record[MOMENT : MOMENT + 3]

@@ -11,6 +11,10 @@ where m is a small mass of the tool and f the force of the body. The spring and 
 period and f at its start (symplectic Euler). The coupling is passive if B > K' h / 2 and m > K' h^2 / 4, for a body of
 stiffness K' and a period h. Rotations are not coupled: the tool follows them directly.
 
+With a force limit F the spring saturates where K |p - x| > F: it pulls with F towards the device, and the damper
+resists the tool's own velocity. The potential is then F |p - x| - F^2 / (2 K), so that the coupling stays passive,
+and the tool lags behind the device.
+
 Multiplying all moduli by s at constant density is a change of time scale: M q'' = s f(q) in t is M q'' = f(q) in
 sqrt(s) t, with forces and energies multiplied by s. This is exact for every law without relaxation times. Rayleigh
 damping scales with it: each vibration decays in the same number of its own periods.
@@ -45,7 +49,7 @@ DEVICE_FORCE, TOOL_POSITION, CONTACT_COUNT, MODULUS_RATIO, COORDINATES = 0, 3, 6
 CONTACT_SIZE = 4  # values of a contact: node, force (3,)
 PRESENT, TARGET = 0, 1  # indices in `modulus_ratio`
 MAX_RATIO_RATE = 5.0  # [1/s]: largest rate of the logarithm of the modulus ratio, in model time
-STIFFNESS, DAMPING, MASS = range(3)  # indices in `VirtualCoupling.parameters`
+STIFFNESS, DAMPING, MASS, FORCE_LIMIT = range(4)  # indices in `VirtualCoupling.parameters`
 TOOL_MASS = 0.05  # [kg] of a coupled tool
 
 
@@ -54,8 +58,8 @@ class VirtualCoupling(NamedTuple):
 
     Parameters
     ----------
-    parameters : (3,) array
-        Stiffness [N/m], 0 for a rigid coupling; damping [N s/m]; mass [kg].
+    parameters : (4,) array
+        Stiffness [N/m], 0 for a rigid coupling; damping [N s/m]; mass [kg]; largest force of the spring [N].
     position, velocity : (3,) arrays [m], [m/s]
         Displacement and velocity of the tool.
     device : (3,) array [m]
@@ -171,20 +175,29 @@ class ObservableModel(NamedTuple):
         """
         self.data.modulus_ratio[TARGET] = number_in_range("ratio", ratio, 0.1, 10.0)
 
-    def set_coupling(self, stiffness: float | None) -> None:
+    def set_coupling(self, stiffness: float | None, force_limit: float = np.inf) -> None:
         """Couple the tool by a critically damped spring [N/m], or rigidly if None; the engine must not run.
+
+        Parameters
+        ----------
+        stiffness : float or None [N/m]
+        force_limit : float [N]
+            Largest force of the spring, beyond which the tool lags behind the device. The force limit of
+            `palpate.Engine` scales only the reported force.
 
         Raises
         ------
         InputError
-            The stiffness is not from 1 to 10,000 N/m.
+            The stiffness is not from 1 to 10,000 N/m, or the force limit is not positive.
         """
         parameters = self.data.coupling.parameters
         if stiffness is None:
             parameters[:] = 0.0
             return
         stiffness = number_in_range("stiffness", stiffness, 1.0, 1e4, unit="N/m")
-        parameters[:] = stiffness, 2.0 * np.sqrt(stiffness * TOOL_MASS), TOOL_MASS
+        if force_limit != np.inf:
+            force_limit = number_in_range("force_limit", force_limit, 0.0, open_low=True, unit="N")
+        parameters[:] = stiffness, 2.0 * np.sqrt(stiffness * TOOL_MASS), TOOL_MASS, force_limit
 
 
 def make_observable(model: RealtimeModel) -> ObservableModel:
@@ -197,7 +210,7 @@ def make_observable(model: RealtimeModel) -> ObservableModel:
         inner=model.data,
         slot=Slot.zeros(len(values)),
         values=values,
-        coupling=VirtualCoupling(*np.zeros((5, 3))),
+        coupling=VirtualCoupling(np.zeros(4), *np.zeros((4, 3))),
         target=np.zeros(tools),
         tangent=np.zeros((tools, tools)),
         modulus_ratio=np.ones(2),
@@ -216,8 +229,28 @@ def _compile(inner_advance: Any, inner_stiffness: Any) -> tuple[Any, Any]:
     def move_coupled_tool(coupling, target, values, period):  # type: ignore[no-untyped-def]
         """Advance the coupled tool by a period; write its position to `target` and the device's force."""
         stiffness, damping = coupling.parameters[STIFFNESS], coupling.parameters[DAMPING]
-        mass = coupling.parameters[MASS]
+        mass, limit = coupling.parameters[MASS], coupling.parameters[FORCE_LIMIT]
         effective_mass = mass + period * damping + period * period * stiffness
+        # squared lengths of the spring after the period: with its force, and saturated but for the pull
+        slow, square, apart = mass + period * damping, 0.0, 0.0
+        for i in range(3):
+            rate = (target[i] - coupling.device[i]) / period
+            force = stiffness * (target[i] - coupling.position[i]) + damping * rate + coupling.force[i]
+            after = coupling.position[i] + period * (mass * coupling.velocity[i] + period * force) / effective_mass
+            square += (target[i] - after) ** 2
+            free = coupling.position[i] + period * (mass * coupling.velocity[i] + period * coupling.force[i]) / slow
+            apart += (target[i] - free) ** 2
+        if stiffness * np.sqrt(square) > limit and stiffness * np.sqrt(apart) > limit:
+            for i in range(3):
+                wanted = target[i]
+                momentum = mass * coupling.velocity[i] + period * coupling.force[i]
+                pull = limit * (wanted - coupling.position[i] - period * momentum / slow) / np.sqrt(apart)
+                coupling.velocity[i] = (momentum + period * pull) / slow
+                coupling.position[i] += period * coupling.velocity[i]
+                values[DEVICE_FORCE + i] = -pull
+                coupling.device[i] = wanted
+                target[i] = coupling.position[i]
+            return
         for i in range(3):
             wanted = target[i]
             rate = (wanted - coupling.device[i]) / period

@@ -108,9 +108,11 @@ class Reading(PeriodRecord):
     Parameters
     ----------
     worst_trust : float
-        Largest trust number since the last reset; `palpate.ReducedModel.expected_error` converts it to an error.
+        Largest trust number since the body was at rest; `palpate.ReducedModel.expected_error` converts it to an
+        error. The body is at rest when its energy has fallen to 1e-4 of the largest of the motion: what is left
+        of an error is below 1 % of the amplitude.
     largest_force : float [N]
-        Largest force on the tool since the last reset.
+        Largest force on the tool since the body was at rest.
     force_bound : float [N]
         Error bound of the force, which runs of the kind of the held-out runs keep with the level of
         `palpate.ReducedModel.expected_error`. Infinite where the error is unknown: above all trust numbers of

@@ -14,7 +14,7 @@ from palpate.dynamics.contact.geometry import gap
 from palpate.reduction.basis.linear_modes import interpolated_modes
 from palpate.reduction.contact.compliance import NO_COMPLIANCE, contact_displacements
 from palpate.reduction.contact.gauss_seidel import settle
-from palpate.reduction.contact.surface import RigidTools, contact_scratch, contact_surface
+from palpate.reduction.contact.surface import RigidTools, contact_scratch, contact_surface, rigid_tools
 
 SPACING, RADIUS = 0.002, 0.008
 HELD = np.zeros((3, 3))  # an inverse mass matrix of modes that do not respond
@@ -45,7 +45,7 @@ def ball(of, friction=0.0, tools=1):
     return RigidTools(
         np.zeros(tools, dtype=np.int64), np.tile([RADIUS, 0.0, 0.0], (tools, 1)), np.full(tools, friction),
         np.zeros((tools, 3)), frames, np.zeros(3), np.zeros(3), np.zeros((tools, 6)),
-        np.zeros((len(of.nodes), 3)), np.zeros((3, 3, 4)),
+        np.zeros((len(of.nodes), 3)), rigid_tools(None, of).held, np.zeros((3, 3, 4)),
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from palpate.arrays import Floats
+from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.tools import BONDED, CAPSULE, PLANE, Contact
 from palpate.faults import InputError
@@ -22,11 +22,13 @@ from palpate.meshfree.cloud import Cloud
 
 __all__ = [
     "Contacts",
+    "HeldNodes",
     "compute_gaps",
     "compute_patch_positions",
     "contacts",
     "coulomb",
     "gap",
+    "held_nodes",
     "material_velocity",
     "patch",
     "project",
@@ -38,6 +40,35 @@ CONTACT_GAP = {"nodes": 1e-6, "patches": 1e-3}  # gap of a node or patch in cont
 OVERLAP = 0.05  # depth of a patch in a tool, in spacings; runs, whose tools begin outside, have less
 SEARCH_GAP = 0.1  # gap of a patch that is included in the sweeps, in spacings
 PATCH_RADIUS = 3.0  # largest distance of a patch from its node, in spacings
+SLIDING_RESISTANCE = 20.0  # of a held node, in masses times the speed of the fastest waves over the spacing
+
+
+class HeldNodes(NamedTuple):
+    """Nodes that supports hold in all directions, and the forces of tools on them.
+
+    Parameters
+    ----------
+    nodes : (h,) int array
+    points : (h, 3) array [m]
+    stiffness, impedance : (h,) arrays [N/m], [N s/m]
+    reach : (t, h) bool array
+        Whether a tool acts on a node.
+    forces : (h, 3) array [N]
+        Mean forces in the last step.
+    impulses : (h, 3) array [N s]
+        Their impulses since the start of a call.
+    energy : (1,) array [J]
+        Of the tissue over the supports after the last step.
+    """
+
+    nodes: Ints
+    points: Floats
+    stiffness: Floats
+    impedance: Floats
+    reach: NDArray[np.bool_]
+    forces: Floats
+    impulses: Floats
+    energy: Floats
 
 
 class Contacts(NamedTuple):
@@ -94,6 +125,7 @@ class Contacts(NamedTuple):
     tool_impulses : (t, 6) array [N s], [N m s]
         Impulse of every tool on the body and its moment about the tool's origin, since the start of
         a call.
+    held : HeldNodes
     """
 
     kind: NDArray[np.int64]
@@ -122,17 +154,44 @@ class Contacts(NamedTuple):
     step_impulses: Floats
     nodal_impulses: Floats
     tool_impulses: Floats
+    held: HeldNodes
 
 
 SCRATCH = (
     "frames", "active_count", "active", "patch_impulses", "inverse_mass", "step_impulses", "nodal_impulses",
     "tool_impulses",
 )  # fmt: skip
+HELD_SCRATCH = ("forces", "impulses", "energy")
 
 
 def with_scratch(contacts: Contacts) -> Contacts:
     """Return the same tools and patches with new scratch arrays."""
-    return contacts._replace(**{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH})
+    held = contacts.held._replace(**{name: np.zeros_like(getattr(contacts.held, name)) for name in HELD_SCRATCH})
+    return contacts._replace(held=held, **{name: np.zeros_like(getattr(contacts, name)) for name in SCRATCH})
+
+
+def held_nodes(nodes: Ints, points: Floats, masses: Floats, rate: float, reach: NDArray[np.bool_]) -> HeldNodes:
+    """Return held nodes without forces.
+
+    Parameters
+    ----------
+    nodes : (h,) int array
+    points : (h, 3) array [m]
+    masses : (h,) array [kg]
+    rate : float [1/s]
+        Speed of the fastest waves over the spacing.
+    reach : (t, h) bool array
+    """
+    return HeldNodes(
+        nodes=nodes,
+        points=np.ascontiguousarray(points),
+        stiffness=masses * rate**2,
+        impedance=SLIDING_RESISTANCE * masses * rate,
+        reach=np.ascontiguousarray(reach),
+        forces=np.zeros((len(nodes), 3)),
+        impulses=np.zeros((len(nodes), 3)),
+        energy=np.zeros(1),
+    )
 
 
 @kernel_njit(forceinline=True)
@@ -333,6 +392,7 @@ def contacts(
         step_impulses=np.zeros((count, 3)),
         nodal_impulses=np.zeros((count, 3)),
         tool_impulses=np.zeros((tools, 6)),
+        held=held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((tools, 0), bool)),
     )
 
 

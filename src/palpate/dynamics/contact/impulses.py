@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import coulomb, gap, material_velocity, patch, project, rotation
+from palpate.dynamics.contact.held import press_held_nodes
 
 __all__ = ["apply_contact_impulses", "push_patches"]
 
@@ -268,4 +269,8 @@ def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: igno
         if impulses[k, 0] != 0.0 or impulses[k, 1] != 0.0 or impulses[k, 2] != 0.0:
             works = _add_patch_impulse(contacts, k, ahead, step, kick, u, velocity, (nodes, scratch, gravity))
             tools, lost, loads = tools + works[0], lost + works[1], loads + works[2]
-    return tools, lost, loads
+    held = press_held_nodes(
+        contacts.held, contacts.kind, contacts.sizes, contacts.friction, contacts.frames, step, kick,
+        contacts.tool_impulses,
+    )  # fmt: skip
+    return tools + held[0], lost + held[1], loads

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from inspect import isabstract
+from itertools import pairwise
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from palpate.arrays import Floats
 from palpate.describe import Described, Fact
-from palpate.dynamics.contact.geometry import Contacts, contacts, with_scratch
+from palpate.dynamics.contact.geometry import Contacts, contacts, held_nodes, with_scratch
 from palpate.dynamics.contact.tools import Contact, Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad, ForcePattern
@@ -394,6 +395,25 @@ def prepare_loads(
         grasps=grasps,
         directions=constrained_directions(cloud, supports),
     )
+
+
+def with_held_nodes(prepared: PreparedLoads, masses: Floats, rate: float) -> PreparedLoads:
+    """Return prepared loads whose tools also press on the nodes that supports hold in all directions.
+
+    Parameters
+    ----------
+    prepared : PreparedLoads
+    masses : (n,) array [kg]
+    rate : float [1/s]
+        Speed of the fastest waves over the spacing.
+    """
+    contacts, nodes = prepared.contacts, np.flatnonzero(prepared.sites.kind == FIXED)
+    if not prepared.tools or not len(nodes):
+        return prepared
+    own = [contacts.nodes[begin:end] for begin, end in pairwise(contacts.start)]
+    reach = np.array([np.isin(nodes, each) for each in own])
+    held = held_nodes(nodes, contacts.points[nodes], masses[nodes], rate, reach)
+    return replace(prepared, contacts=contacts._replace(held=held))
 
 
 def _constraints(cloud: Cloud, supports: Sequence[Support], loads: Sequence[Load]) -> _Constraints:

@@ -247,7 +247,8 @@ class Membrane(NodalModel):
         return np.stack(nominal, axis=-1)
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        return prepare_loads(self.cloud, self.supports, loads, partial(load_areas, self.cloud, self.prestretch))
+        areas = partial(load_areas, self.cloud, self.prestretch)
+        return self._press_supports(prepare_loads(self.cloud, self.supports, loads, areas))
 
     def _step(self, frequency: float, prepared: PreparedLoads) -> float:
         # a slack region can become taut before the next estimate

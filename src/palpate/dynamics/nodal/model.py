@@ -16,7 +16,7 @@ from palpate.dynamics.compiled.lanes import Lanes
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.rows import Rows
 from palpate.dynamics.contact.tools import surface_nodes
-from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads
+from palpate.dynamics.loads.prepared import LoadHistory, PreparedLoads, with_held_nodes
 from palpate.dynamics.loads.supports import FIXED, SupportedNodes, free_directions, supported_nodes
 from palpate.dynamics.material.fibres import always_taut
 from palpate.dynamics.material.relaxation import equilibrium_history as evaluate_equilibrium
@@ -114,10 +114,10 @@ class NodalModel(Model):
         self._internal_force, self._advance = internal_force(formulation), full_step(formulation)
         self.slot = np.zeros(len(self.cloud), dtype=np.int64)
         self.slot[lanes.nodes.ravel()] = np.arange(lanes.nodes.size)
+        self.wave_speed = np.inf
         self.prepare(())  # refuses a body without free nodes
         self.supported = supported_nodes(self.cloud, self.supports)
         self.fixed_mask = self.supported.kind == FIXED
-        self.wave_speed = np.inf
         self._history_at_rest: History = ()
 
     def _set_stability(self, report: StabilityReport) -> None:
@@ -304,6 +304,10 @@ class NodalModel(Model):
         frequency, vector = self.highest_frequency(state.coordinates, constrained, state.history, start, work)
         return self._step(frequency, prepared), replace(state, estimate=() if vector is None else (vector,))
 
+    def _press_supports(self, prepared: PreparedLoads) -> PreparedLoads:
+        """Return prepared loads whose tools also press on fixed nodes."""
+        return with_held_nodes(prepared, self.masses, self.wave_speed / self.cloud.spacing)
+
     def _step(self, frequency: float, prepared: PreparedLoads) -> float:
         """Return the stable step [s] for a highest frequency [rad/s], with foundations."""
         sites = prepared.sites
@@ -343,7 +347,7 @@ class NodalModel(Model):
             work.step,
         )
         if prepared.tools:
-            check_penetration(prepared, contacts, schedule, u, surface_nodes(self.cloud), self.cloud.spacing)
+            check_penetration(prepared, contacts, schedule, u, surface_nodes(self.cloud), self.cloud.spacing, step)
         history: History = ()
         if self.material.prony is not None:
             lost += self._relaxed_energy(work)
@@ -392,6 +396,7 @@ class NodalModel(Model):
 
     def outputs(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> Outputs:
         strain_energy = self.strain_energy(state.coordinates, state.history, work)
+        strain_energy += state.contact_state.held_energy if state.contact_state is not None else 0.0
         return nodal_outputs(self, self._fields(state, prepared, work), state, prepared, strain_energy)
 
     def _fields(self, state: State, prepared: PreparedLoads, work: NodalWork | None = None) -> NodalFields:

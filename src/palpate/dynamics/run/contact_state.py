@@ -46,6 +46,7 @@ def check_initial_penetration(
             continue
         compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[0, t], positions, depth)
         free = schedule.times[0] > contacts.prescribed_until
+        free[contacts.held.nodes] = True
         if tool.group is not None:  # other nodes may be inside on purpose
             free &= np.isin(np.arange(len(free)), contacts.nodes[contacts.start[t] : contacts.start[t + 1]])
         inside = np.flatnonzero(free & (depth < -MAX_INITIAL_DEPTH * spacing))
@@ -85,6 +86,7 @@ def check_penetration(
     displacements: Floats,
     surface: NDArray[np.int64],
     spacing: float,
+    step: float,
 ) -> None:
     """Check that no tool has passed between the nodes of the surface at the last time of a load history.
 
@@ -107,7 +109,8 @@ def check_penetration(
         compute_gaps(contacts.kind[t], contacts.sizes[t], schedule.poses[-1, t], positions, depth)
         depth[schedule.times[-1] <= contacts.prescribed_until] = 0.0
         deepest = int(np.argmin(depth))
-        through = impulses[below].sum() > MAX_INTERIOR_SHARE * impulses.sum()
+        borne = float(np.linalg.norm(contacts.held.forces, axis=1).sum()) * step
+        through = impulses[below].sum() > MAX_INTERIOR_SHARE * (impulses.sum() + borne)
         if through or depth[deepest] < -MAX_NODE_DEPTH * spacing:
             node = nodes[below][np.argmax(impulses[below])] if through else deepest
             raise DivergenceError(
@@ -162,10 +165,15 @@ def next_contact_state(
     """
     (sites, contacts), after = after_steps, before
     if prepared.tools:
+        held, forces = contacts.held, contacts.step_impulses / kick
+        nodal_impulses = before.nodal_impulses + contacts.nodal_impulses
+        forces[held.nodes] += held.forces
+        nodal_impulses[held.nodes] += held.impulses
         after = before._replace(
-            forces=contacts.step_impulses / kick,
+            forces=forces,
             impulses=before.impulses + contacts.tool_impulses,
-            nodal_impulses=before.nodal_impulses + contacts.nodal_impulses,
+            nodal_impulses=nodal_impulses,
+            held_energy=float(held.energy[0]),
         )
     if not len(before.constraint_impulses):
         return after

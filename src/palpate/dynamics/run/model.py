@@ -46,6 +46,8 @@ class ContactState(NamedTuple):
         Forces on those nodes.
     constraint_impulses : (p, 3) array [N s]
         Impulses on the prescribed nodes since `start_time`; empty without a `Grasp`.
+    held_energy : float [J]
+        Energy of the tissue over supports that tools press.
     """
 
     forces: Floats
@@ -55,6 +57,7 @@ class ContactState(NamedTuple):
     surface_positions: Floats
     surface_forces: Floats
     constraint_impulses: Floats
+    held_energy: float = 0.0
 
     def reset_impulses(self, time: float) -> ContactState:
         """Return the same forces with zero impulses, summed from a time [s] on."""

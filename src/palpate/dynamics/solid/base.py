@@ -150,7 +150,7 @@ class Solid(NodalModel):
         raise NotImplementedError
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
-        return prepare_loads(self.cloud, self.supports, listed(loads))
+        return self._press_supports(prepare_loads(self.cloud, self.supports, listed(loads)))
 
     def _own_facts(self) -> list[Fact]:
         report = self.stability

@@ -143,12 +143,14 @@ class EnergySolid(Solid):
     def _energy(self, state: State, work: NodalWork | None) -> float:
         """Return the kinetic and strain energy [J] of a state."""
         kinetic = 0.5 * sum_of_products(self.masses[:, None], state.velocities**2)
-        return kinetic + self.strain_energy(state.coordinates, state.history, work)
+        held = state.contact_state.held_energy if state.contact_state is not None else 0.0
+        return kinetic + self.strain_energy(state.coordinates, state.history, work) + held
 
     def prepare(self, loads: Sequence[Load]) -> PreparedLoads:
         loads = listed(loads)
         in_contact = any(isinstance(load, Contact) for load in loads)
-        return prepare_loads(self.cloud, self.supports, loads, patches=self.patches if in_contact else None)
+        patches = self.patches if in_contact else None
+        return self._press_supports(prepare_loads(self.cloud, self.supports, loads, patches=patches))
 
     @cached_property
     def patches(self) -> sparse.csr_array:

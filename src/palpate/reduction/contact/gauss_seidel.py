@@ -21,6 +21,7 @@ import numpy as np
 
 from palpate.dynamics.compiled.cache import kernel_njit
 from palpate.dynamics.contact.geometry import gap, material_velocity
+from palpate.dynamics.contact.held import press_held_nodes
 from palpate.dynamics.contact.tools import BONDED
 from palpate.reduction.contact.compliance import energy_factor, pair, refresh, secant_factor, stiffened_force
 from palpate.reduction.contact.surface import PAIRS, SWEEPS, UNCONVERGED
@@ -298,11 +299,14 @@ def settle(surface, contact, tools, a, v, step, response, moving):  # type: igno
         Work of the tools, and the part that friction dissipates.
     """
     tools.load[:] = 0.0
+    held = press_held_nodes(
+        tools.held, tools.kind, tools.sizes, tools.friction, tools.frames, step, step, tools.impulses
+    )
     deepest = _detect(surface, contact, tools, a, v, step)
     count = contact.numbers[PAIRS]
     contact.numbers[SWEEPS] = 0
     if count == 0:
-        return 0.0, 0.0
+        return held
     cached = refresh(surface.compliance, contact.active, contact.point, count)
     _start_factors(surface, contact, tools)
     for e in range(count):
@@ -323,7 +327,8 @@ def settle(surface, contact, tools, a, v, step, response, moving):  # type: igno
     if largest >= SWEEP_TOLERANCE * deepest:
         contact.numbers[UNCONVERGED] += 1
     _scale_forces(surface, contact, tools, step, response, moving)
-    return _store(surface, contact, tools, step)
+    work, lost = _store(surface, contact, tools, step)
+    return work + held[0], lost + held[1]
 
 
 @kernel_njit(inner=True)
@@ -367,7 +372,8 @@ def set_tool_path(tools, home, target, at_rest):  # type: ignore[no-untyped-def]
         for i in range(3):
             for j in range(4):
                 tools.path[PATH_START, i, j] = tools.path[PATH_END, i, j]
-        place_frame(tools.path[PATH_END], home, tools.frames[0, 1])
+    if at_rest:
+        place_frame(tools.path[PATH_START], home, tools.frames[0, 1])
 
 
 @kernel_njit(inline="always")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.arrays import Floats, Ints
+from palpate.dynamics.contact.geometry import HeldNodes, held_nodes, with_scratch
 from palpate.dynamics.contact.tools import Forceps
 from palpate.dynamics.loads.prepared import PreparedLoads
 from palpate.reduction.contact.compliance import (
@@ -60,6 +61,7 @@ class RigidTools(NamedTuple):
     own_load: Floats  # (m,) scratch: those of one tool
     impulses: Floats  # (t, 6) sums of impulses [N s] and moments about the origins [N m s] on the body
     nodal_impulses: Floats  # (k, 3) sums of impulses [N s] on the nodes
+    held: HeldNodes
     path: Floats  # (3, 3, 4) in real time: rotation from home and position before and after a period, and now
 
 
@@ -124,7 +126,9 @@ def _clusters(points: Floats, size: int) -> tuple[Ints, Ints]:
 def rigid_tools(prepared: PreparedLoads | None, of: ContactSurface) -> RigidTools:
     """Return the tools of prepared loads; none for None."""
     kind, sizes, friction, origins = np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
+    held = held_nodes(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros((0, 0), bool))
     if prepared is not None:
+        held = with_scratch(prepared.contacts).held
         kind, sizes, friction = prepared.contacts.kind, prepared.contacts.sizes, prepared.contacts.friction
         shapes = [load.tool for load in prepared.tools]
         origins = np.array([s.point if isinstance(s, Forceps) else np.zeros(3) for s in shapes]).reshape(-1, 3)
@@ -138,6 +142,7 @@ def rigid_tools(prepared: PreparedLoads | None, of: ContactSurface) -> RigidTool
         own_load=np.zeros(of.columns.shape[2]),
         impulses=np.zeros((len(kind), 6)),
         nodal_impulses=np.zeros((len(of.nodes), 3)),
+        held=held,
         path=np.tile(np.eye(3, 4), (3, 1, 1)),
     )
 

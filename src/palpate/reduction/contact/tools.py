@@ -49,7 +49,7 @@ class ContactTools:
         check_tool_step(self.prepared, schedule, spacing)
         scratch = self.scratch
         scratch.force[:], scratch.place[:], scratch.busy[:] = before.surface_forces, before.surface_positions, True
-        self.tools.impulses[:], self.tools.nodal_impulses[:] = 0.0, 0.0
+        self.tools.impulses[:], self.tools.nodal_impulses[:], self.tools.held.impulses[:] = 0.0, 0.0, 0.0
         for t, tool in enumerate(self.prepared.tools):
             if isinstance(tool.tool, Forceps):
                 schedule.poses[times > tool.tool.until * (1 + 1e-9), t] = np.nan
@@ -63,9 +63,12 @@ class ContactTools:
         forces, nodal_impulses = np.zeros_like(before.forces), before.nodal_impulses.copy()
         forces[nodes] = self.scratch.force.sum(axis=0)
         nodal_impulses[nodes] += self.tools.nodal_impulses
+        held = self.tools.held
+        forces[held.nodes] += held.forces
+        nodal_impulses[held.nodes] += held.impulses
         return ContactState(
             forces, before.impulses + self.tools.impulses, before.start_time, nodal_impulses,
-            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses,
+            self.scratch.place.copy(), self.scratch.force.copy(), before.constraint_impulses, float(held.energy[0]),
         )  # fmt: skip
 
 

@@ -13,7 +13,15 @@ from palpate.dynamics.contact.tools import Contact, Forceps, Grasp
 from palpate.dynamics.loads.body_force import Gravity
 from palpate.dynamics.loads.dead_load import DeadLoad
 from palpate.dynamics.loads.foundation import Foundation
-from palpate.dynamics.loads.prepared import Load, LoadSites, PreparedLoads, check_kinds, listed, prepare_loads
+from palpate.dynamics.loads.prepared import (
+    Load,
+    LoadSites,
+    PreparedLoads,
+    check_kinds,
+    listed,
+    prepare_loads,
+    with_held_nodes,
+)
 from palpate.dynamics.loads.prescribed_motion import PrescribedMotion
 from palpate.dynamics.loads.supports import PRESCRIBED
 from palpate.dynamics.membrane.model import load_areas
@@ -108,6 +116,7 @@ def prepare_reduced_loads(
     ]
     areas = partial(load_areas, data.cloud, kinematics.prestretch) if kinematics.sheet else None
     ready = prepare_loads(data.cloud, data.supports, loads, areas)
+    ready = with_held_nodes(ready, body.masses, data.wave_speed / data.cloud.spacing)
     if ready.tools and (data.prescribed or kinematics.sheet):
         raise InputError(
             "loads must hold no Contact or Grasp for a reduced membrane or a model with prescribed groups, got one; "

@@ -292,7 +292,7 @@ class ReducedModel(CoordinateModel):
         if self.step is not None or self.data.lifting_count:
             return True
         for state in (before, after):
-            if state.contact_state is not None and state.contact_state.surface_forces.any():
+            if state.contact_state is not None and state.contact_state.forces.any():
                 return True
         with np.errstate(all="ignore"):  # an unstable body
             first, last = (self._total_energy(state, work) for state in (before, after))
@@ -333,13 +333,14 @@ class ReducedModel(CoordinateModel):
         forces, moments, contact_forces, _ = contact_outputs(state, prepared)
         residual, residual_energy = self._tool_displacements(state, prepared)
         constraints = constraint_forces(self.body, state, prepared, work)
+        held_energy = state.contact_state.held_energy if state.contact_state is not None else 0.0
         bonded = bonded_nodes(self.body.surface, state.contact_state, prepared)
         return Outputs(
             np.tensordot(state.coordinates, self.body.vectors, 1) + residual,
             self.velocity(state, prepared),
             reactions(self.body, state, prepared, constraints) | forces,
             float(0.5 * state.velocities @ self.body.mass @ state.velocities),
-            self.body.energy(state.coordinates, state.history, work) + residual_energy,
+            self.body.energy(state.coordinates, state.history, work) + residual_energy + held_energy,
             state.external_work,
             state.dissipated,
             moments,

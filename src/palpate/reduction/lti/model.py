@@ -224,8 +224,8 @@ class LinearModel(CoordinateModel):
         if isinstance(self.reduced, FirstOrder):
             slope = prepared.rates(inputs, state.time)[0]
         motion = state.coordinates[: self.count], state.velocities[: self.count]
-        driven = np.concatenate([now, bends + self.mass_damping * state.velocities[self.count :]])
-        own = self.reduced.accelerations(*motion, driven, np.concatenate([slope, self.mass_damping * bends]))
+        damped_inputs = np.concatenate([now, bends + self.mass_damping * state.velocities[self.count :]])
+        own = self.reduced.accelerations(*motion, damped_inputs, np.concatenate([slope, self.mass_damping * bends]))
         return np.concatenate([own, bends])
 
 

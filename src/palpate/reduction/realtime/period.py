@@ -407,7 +407,8 @@ def period_functions(law: MaterialPoint, single: bool) -> tuple[Any, Any]:
             else:
                 taken = substeps(data, q, v, vectors[TOOL_RATES], period, report, refinement)
             flexible = compliance_energy(data.contact_surface, data.contact_work)
-            good = taken > 0 and finish(data, q, v, target, period, report, flexible)
+            over_supports = data.tools.held.energy[0]
+            good = taken > 0 and finish(data, q, v, target, period, report, flexible + over_supports)
             if good or taken == MAX_SUBSTEPS:
                 break
         if not good:

@@ -15,7 +15,7 @@ from view_scenes import BALL, MIDDLE, SIZE
 import palpate as pt
 from palpate.app.recordings.recording import load_recording, save_recording
 from palpate.app.view.session.messages import validate_message
-from palpate.app.view.session.session import Session
+from palpate.app.view.session.session import HAND_FORCE, Session
 from palpate.dynamics.run.journal import Journal
 from palpate.sealed import kind_of_file
 
@@ -210,6 +210,27 @@ def test_the_virtual_coupling_produces_no_energy(model):
     assert books["work"].min() > -1e-3 * most  # the hand never gets more than it gave
     assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
     assert books["work"][-1] > 0.0
+
+
+@pytest.mark.slow  # as above
+def test_a_saturated_coupling_produces_no_energy_and_pulls_with_its_limit(model):
+    path = Path(__file__).parents[4] / "validation" / "virtual_coupling.py"
+    balance = runpy.run_path(str(path))["balance"]
+    free = balance(model, 300.0, radius=BALL, depth=0.004)
+    limit = 0.3 * free["force"].max()
+    books = balance(model, 300.0, radius=BALL, depth=0.004, limit=limit)
+    most = books["body"].max()
+    assert most < 0.9 * free["body"].max()  # the tool lags behind
+    assert np.isclose(books["force"], limit, rtol=1e-9).mean() > 0.1
+    assert books["work"].min() > -1e-3 * most
+    assert (books["work"] - books["body"] - books["coupling"]).min() > -0.02 * most
+
+
+def test_a_coupled_tool_lags_behind_a_pointer_deep_in_the_body(session, ball, until):
+    session.handle(validate_message({**ball, "stiffness": 2000.0}))
+    session.handle(pose(tuple(np.array(PRESSED) - [0.0, 0.0, 0.02])))
+    until(lambda: session.snapshot().steps > 500 and calm(session.snapshot()))
+    assert abs(session.snapshot().force[2]) <= 1.05 * HAND_FORCE
 
 
 def test_a_model_without_tools_is_refused(model):

@@ -53,6 +53,7 @@ SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have 
 ABSENT_TOOL_DISTANCE = 10.0  # [m] beyond the body, where an absent tool is
 NO_TOOL = SelectedTool("none", None)
 MODULUS = "shear modulus"
+HAND_FORCE = 3.3  # [N] of a coupled tool: the largest of a common haptic device (Touch, 3D Systems, data sheet)
 MIN_MODULUS_RATIO, MAX_MODULUS_RATIO = 0.25, 4.0  # to the model's own moduli
 
 
@@ -435,7 +436,7 @@ class Session:
         rotation = NO_ROTATION if grasps else quaternion
         if self._realtime_model.change_tool is not None:
             self._realtime_model.change_tool(tool.shape, np.concatenate([position, rotation]), tool.friction)
-        self._observable.set_coupling(tool.stiffness)
+        self._observable.set_coupling(tool.stiffness, HAND_FORCE)
         self._observable.set_state(self.engine.read().coordinates, np.zeros(3))
         self.engine.place_tool(np.zeros(3), NO_ROTATION, sequence)
         self.tool, self._tool_origin, self._tool_rotation = tool, np.array(position), np.array(quaternion)
