@@ -22,6 +22,7 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.passes import Formulation, internal_force
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import Contacts
 from palpate.dynamics.contact.impulses import push_patches
 from palpate.dynamics.loads.prepared import LoadSites
@@ -132,7 +133,7 @@ class NodalPeriodData(NamedTuple):
     free: Any
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def set_path(path, target, at_rest):  # type: ignore[no-untyped-def]
     """Set the frames of the tool for a period that ends at a target (12,): displacement and R - I, from home."""
     copy_values(path[END], path[START])
@@ -306,8 +307,8 @@ def nodal_period(formulation: Formulation) -> Any:
         clock[NEXT_BEHIND] = behind + period - count * step
         return count
 
-    @law_njit(digest)
-    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+    @law_njit(digest, inner=True)
+    def run_period(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
         n, clock, contacts = data.nodes.volumes.shape[0], data.clock, data.contacts
         u, velocity = q.reshape((n, 3)), v.reshape((n, 3))
         history = data.passes[1].history
@@ -369,5 +370,9 @@ def nodal_period(formulation: Formulation) -> Any:
         report[STEPS] = count
         report[KINETIC] = clock[KINETIC_ENERGY]
         report[STRAIN] = max(0.0, clock[GIVEN] + clock[WORK] - clock[LOST] - report[KINETIC])
+
+    @law_njit(digest, inline="always")
+    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+        run_period(reference(data), q, v, target, period, report)
 
     return advance
