@@ -209,7 +209,7 @@ def _copy_to(values, out, first):  # type: ignore[no-untyped-def]
         out[first + i] = values[i]
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
     """Move the tool towards the newest pose, or a clamped tool towards its last trusted pose."""
     if fetch(slot, work.fetched):  # during a write, the next period reads it
@@ -236,7 +236,7 @@ def _is_beyond(work):  # type: ignore[no-untyped-def]
     return beyond > 0.0
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _clamp_tool(work, seconds):  # type: ignore[no-untyped-def]
     """After a period [s], store a trusted pose, or clamp the tool to the last one."""
     if work.record[TRUSTED] > 1.0 and not work.record[CLAMPED]:
@@ -301,7 +301,7 @@ def _forget_at_rest(work):  # type: ignore[no-untyped-def]
         clock[LARGEST_ENERGY], work.record[WORST_TRUST], work.record[LARGEST_FORCE] = 0.0, 0.0, 0.0
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def _write_record(work, settings):  # type: ignore[no-untyped-def]
     """Write the model's report to the record; return whether the state is finite."""
     report, record = work.report, work.record
@@ -346,11 +346,6 @@ def _write_stiffness(work):  # type: ignore[no-untyped-def]
             work.record[STIFFNESS + 3 * i + j] = total
 
 
-@kernel_njit()
-def _no_stiffness(data, q, out):  # type: ignore[no-untyped-def]
-    out[:] = 0.0
-
-
 def function_key(function: Any) -> str | None:
     """Return a key that identifies a compiled function in all processes, or None if there is none."""
     digest = getattr(function._cache, "_digest", None)  # of `law_njit`
@@ -374,8 +369,8 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
         ``loop(data, work, channels, settings)`` runs until the command changes, the state diverges, or trust is lost
         with `on_distrust` STOP. It returns the command, DIVERGED or PAUSED.
     """
-    stiffness = _no_stiffness if stiffness is None else stiffness
-    names = [function_key(function) for function in (advance, stiffness)]
+    has_stiffness = stiffness is not None
+    names = [function_key(function) for function in (advance, stiffness) if function is not None]
     cached = None not in names
     digest = law_digest(__name__, *(names if cached else (repr(advance), repr(stiffness))))
 
@@ -388,9 +383,11 @@ def compile_loop(advance: Any, stiffness: Any) -> Any:
             _move_tool(work, channels.pose, settings)
             advance(data, work.q, work.v, work.target, 1e-9 * period * work.clock[TIME_SCALE], work.report)
             valid = _write_record(work, settings)
-            if valid and settings.stiffness_every > 0 and (record[PERIODS] - 1) % settings.stiffness_every == 0:
-                stiffness(data, work.q, work.tangent)
-                _write_stiffness(work)
+            if has_stiffness:  # a constant of the compiled loop
+                due = settings.stiffness_every > 0 and (record[PERIODS] - 1) % settings.stiffness_every == 0
+                if valid and due:
+                    stiffness(data, work.q, work.tangent)
+                    _write_stiffness(work)
             if settings.on_distrust == CLAMP:
                 _clamp_tool(work, 1e-9 * period * work.clock[TIME_SCALE])
             record[COMPUTING], record[LATENESS] = 1e-9 * (thread_time() - thread_began), 1e-9 * (began - deadline)

@@ -7,7 +7,7 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -169,6 +169,7 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
     list of str
         Failures of recordings.
     """
+    from palpate.app.view.compile_ahead import compile_ahead
     from palpate.app.view.server.host import serve
     from palpate.app.view.server.preparation import Preparation
 
@@ -178,7 +179,10 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
     with serve(preparation, console, *address) as host, contextlib.ExitStack() as stack:
         try:
             with _end_after_interrupt(patience):
-                session = stack.enter_context(_session(subject, record, console))
+                compiles = subject.model is None and subject.surface is not None and not preparation.code_is_compiled
+                ahead = compile_ahead(subject.options) if compiles else contextlib.nullcontext()
+                with ahead as wait:
+                    session = stack.enter_context(_session(subject, record, console, wait))
                 preparation.end()
         except Exception as error:
             host.fail(str(error) if isinstance(error, InputError) else "palpate ended; its terminal says why")
@@ -194,8 +198,13 @@ def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]
 
 
 @contextlib.contextmanager
-def _session(subject: _Subject, record: Path | None, console: Console) -> Iterator[Session]:
-    """Yield a running session; stop it at the end, and write its recordings."""
+def _session(
+    subject: _Subject, record: Path | None, console: Console, wait: Callable[[], object] | None = None
+) -> Iterator[Session]:
+    """Yield a running session; stop it at the end, and write its recordings.
+
+    The engine is prepared after `wait`, if there is one.
+    """
     console.begin_phase("importing")
     from palpate.app.models.loader import open_model
     from palpate.app.models.touch import open_surface
@@ -209,6 +218,8 @@ def _session(subject: _Subject, record: Path | None, console: Console) -> Iterat
     else:
         model, _ = open_model(subject.what, console)
     with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
+        if wait is not None:
+            wait()
         session = Session(model, subject.title)
     session.start()
     if record is not None:

@@ -234,7 +234,7 @@ def apply_contact_impulses(contacts, schedule, s, step, kick, u, velocity, data)
     return push_patches(contacts, ends, (ahead, step, kick, time), ratio, u, velocity, (*data, schedule.gravity[s]))
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def push_patches(contacts, ends, times, ratio, u, velocity, data):  # type: ignore[no-untyped-def]
     """Push the patches out of the tools, whose frames before and after the step are given.
 

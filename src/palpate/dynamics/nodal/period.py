@@ -24,6 +24,7 @@ import numpy as np
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.passes import Formulation, internal_force
+from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import Contacts, project
 from palpate.dynamics.contact.grip import COUNT, Grip, begin_grip, hold_nodes, store_velocities
 from palpate.dynamics.contact.impulses import push_patches
@@ -202,7 +203,7 @@ def _write_place(path, target):  # type: ignore[no-untyped-def]
             target[3 + 3 * i + j] = value
 
 
-@kernel_njit()
+@kernel_njit(inner=True)
 def set_path(path, target, at_rest):  # type: ignore[no-untyped-def]
     """Set the frames of the tool for a period that ends at a target (12,): displacement and R - I, from home."""
     copy_values(path[END], path[START])
@@ -436,8 +437,8 @@ def nodal_period(formulation: Formulation) -> Any:
         clock[NEXT_BEHIND] = behind + period - count * step
         return count
 
-    @law_njit(digest)
-    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+    @law_njit(digest, inner=True)
+    def run_period(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
         n, clock, contacts = data.nodes.volumes.shape[0], data.clock, data.contacts
         u, velocity = q.reshape((n, 3)), v.reshape((n, 3))
         history = data.passes[1].history
@@ -527,5 +528,9 @@ def nodal_period(formulation: Formulation) -> Any:
         report[STEPS] = count
         report[KINETIC] = clock[KINETIC_ENERGY]
         report[STRAIN] = max(0.0, clock[GIVEN] + clock[WORK] - clock[LOST] - report[KINETIC])
+
+    @law_njit(digest, inline="always")
+    def advance(data, q, v, target, period, report):  # type: ignore[no-untyped-def]
+        run_period(reference(data), q, v, target, period, report)
 
     return advance

@@ -45,6 +45,11 @@ class Preparation:
         Shown meanwhile, with fewer triangles if it has many.
     file : path, optional
         Of the durations; by default in the user's cache.
+
+    Attributes
+    ----------
+    code_is_compiled : bool
+        Whether a run of the same body has ended since the sources or the cache of compiled functions changed.
     """
 
     def __init__(self, title: str, body: str, surface: Surface | None = None, file: Path | None = None) -> None:
@@ -57,8 +62,8 @@ class Preparation:
         self._start = self._began
         self._kept = _read_durations(self._file)
         kept = self._kept.get(body, {})
-        code_is_compiled = kept.get("code") == self._code
-        self._expected: Durations = kept.get(COMPILED if code_is_compiled else COMPILING, {})
+        self.code_is_compiled = kept.get("code") == self._code
+        self._expected: Durations = kept.get(COMPILED if self.code_is_compiled else COMPILING, {})
         self._functions = _CompiledFunctions()
 
     def begin(self, phase: str) -> None:

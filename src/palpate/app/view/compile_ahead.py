@@ -1,0 +1,71 @@
+"""Compilation of the engine of a full body in a process of its own, while this one fills the surface.
+
+Both processes read what the other has kept in the cache of compiled functions.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+
+from palpate.app.models.touch_options import TouchOptions, touched_material
+
+__all__ = ["compile_ahead", "compile_for_options"]
+
+CODE = "from palpate.app.view.compile_ahead import compile_for_options; compile_for_options()"
+BLOCK_SIZE, BLOCK_SPACING = 0.1, 0.02  # [m] of a body whose engine has the same types
+
+
+@contextlib.contextmanager
+def compile_ahead(options: TouchOptions) -> Iterator[Callable[[], object]]:
+    """Compile for the law of options in another process within a context, where there is a second processor.
+
+    Yields
+    ------
+    function
+        Waits until that process has ended. What it has not compiled is compiled when it is called.
+    """
+    if _processors() < 2:
+        yield lambda: None
+        return
+    words = json.dumps([options.law, dict(options.parameters or {})])
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", CODE, words], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        yield process.wait
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def compile_for_options() -> None:
+    """Make a session of a block, with a law from the command line; end when the standard input does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process ends this one
+
+    def watch() -> None:
+        sys.stdin.read()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    from palpate.app.view.session.session import Session
+    from palpate.dynamics.solid.model import EnergySolid
+    from palpate.meshfree.cloud import box
+
+    law, parameters = json.loads(sys.argv[1])
+    cloud = box((BLOCK_SIZE,) * 3, BLOCK_SPACING, jitter=0.2)
+    body = EnergySolid(cloud, touched_material(TouchOptions(law=law, parameters=parameters)), "z-", mass_damping=1.0)
+    session = Session(body, "block")
+    session.start()  # compiles the loop
+    session.close()
