@@ -54,6 +54,15 @@ export function forceReading({ newtons, bound, full, calibrated, beyond, through
   return { about: true, ...boundedForce(newtons, bound), note: "" };
 }
 
+/** The forces [N] on the tool of a full and of a reduced model, and how they differ. */
+export function comparisonText(reduced, full) {
+  const difference = reduced - full;
+  const share = full > 0.02 ? ` (${Math.round(100 * Math.abs(difference) / full)} %)` : "";
+  const more = difference < 0 ? "less" : "more";
+  const [own, other] = [reduced, full].map((newtons) => newtons.toFixed(2));
+  return `reduced ${own} N, full ${other} N: ${Math.abs(difference).toFixed(2)} N ${more}${share}`;
+}
+
 /** The pace of a body's time, or "" in real time. */
 export function paceText(pace) {
   return pace < 0.98 ? `${pace < 0.1 ? pace.toPrecision(1) : pace.toFixed(1)} of real time` : "";

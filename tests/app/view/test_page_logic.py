@@ -79,6 +79,12 @@ def test_the_limit_of_training_has_hysteresis():
     assert evaluate("forceText.js", code) == [False, True, True, True, False, False]
 
 
+def test_two_forces_are_compared_in_newtons_and_percent():
+    assert evaluate("forceText.js", "m.comparisonText(0.61, 0.58)") == "reduced 0.61 N, full 0.58 N: 0.03 N more (5 %)"
+    assert evaluate("forceText.js", "m.comparisonText(0.5, 0.58)").endswith("0.08 N less (14 %)")
+    assert evaluate("forceText.js", "m.comparisonText(0.01, 0)") == "reduced 0.01 N, full 0.00 N: 0.01 N more"
+
+
 def test_a_pace_is_shown_below_real_time_only():
     assert evaluate("forceText.js", "[1, 0.99, 0.62, 0.043].map(m.paceText)") == [
         "", "", "0.6 of real time", "0.04 of real time"

@@ -16,14 +16,14 @@ from palpate.app.models.loader import open_model
 from palpate.app.models.touch import TouchOptions, is_surface_file, open_surface
 from palpate.app.recordings.recording_journal import is_recording
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK, open_listener
+from palpate.app.view.session.comparison import Comparison
+from palpate.app.view.session.full_model_replay import full_model
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.script import read_script, run_script
 from palpate.app.view.session.session import Session
-from palpate.dynamics.solid.model import EnergySolid
 from palpate.extras import require
 from palpate.faults import InputError, integer_in_range, number_in_range
 from palpate.files import check_folder
-from palpate.reduction.hyper.model import ReducedModel
 
 __all__ = ["view"]
 
@@ -47,6 +47,8 @@ def view(
     law: str | None = None,
     given: Sequence[str] = (),
     fixed: Sequence[str] = (),
+    compare: bool = False,
+    scene: str | None = None,
     as_json: bool = False,
 ) -> int:
     """Show a body in real time on a page until interrupted, or drive it by a script without a page.
@@ -71,6 +73,10 @@ def view(
         Script of a headless session; see `palpate.app.view.session.script.read_script`.
     units, scale, part, spacing, law, given, fixed
         Of a body from a surface file, see `palpate.app.models.touch.TouchOptions`.
+    compare : bool
+        Also step the full model of the reduced model's training scene, under the same tool.
+    scene : str, optional
+        With `compare`: the user's own scene, ``"module:function"``, which the model must name.
     as_json : bool
         Print the summary of a headless session as JSON.
 
@@ -101,7 +107,11 @@ def view(
             "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
             f"{what!r:.60}"
         )
-    with _exit_on_signals(), _session(what, options, record, console) as session:
+    if compare and is_surface_file(what):
+        raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
+    if scene is not None and not compare:
+        raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
+    with _exit_on_signals(), _session(what, options, (compare, scene), record, console) as session:
         if run is None:
             from palpate.app.view.server.host import serve_source
 
@@ -115,15 +125,11 @@ def view(
 
 
 @contextlib.contextmanager
-def _session(what: str, options: TouchOptions, record: Path | None, console: Console) -> Iterator[Session]:
+def _session(
+    what: str, options: TouchOptions, comparison: tuple[bool, str | None], record: Path | None, console: Console
+) -> Iterator[Session]:
     """Yield a running session; stop it at the end, and write its recordings."""
-    model: ReducedModel | EnergySolid
-    if is_surface_file(what):
-        model, title = open_surface(what, options, console)
-    else:
-        model, title = open_model(what, console)
-    with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
-        session = Session(model, title)
+    session = _open_session(what, options, comparison, console)
     session.start()
     if record is not None:
         session.start_recording(record)
@@ -133,6 +139,24 @@ def _session(what: str, options: TouchOptions, record: Path | None, console: Con
         session.close()
         with contextlib.suppress(OSError):  # the terminal was closed
             _print_notifications(session, console)
+
+
+def _open_session(what: str, options: TouchOptions, comparison: tuple[bool, str | None], console: Console) -> Session:
+    """Return a session of a full body, a reduced model, or both."""
+    preparing = "preparing the engine (the first run on a machine compiles it, which takes some minutes)"
+    if is_surface_file(what):
+        body, title = open_surface(what, options, console)
+        with console.status(preparing):
+            return Session(body, title)
+    model, title = open_model(what, console)
+    compare, scene = comparison
+    if not compare:
+        with console.status(preparing):
+            return Session(model, title)
+    with console.status("preparing the full model (the first run on a machine compiles it)"):
+        full = full_model(model, scene)
+    with console.status(preparing):
+        return Comparison(model, full, title)
 
 
 def _parameters(given: Sequence[str]) -> dict[str, float]:

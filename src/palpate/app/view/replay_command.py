@@ -116,7 +116,7 @@ def _replay_full(recording: Recording, scene: str | None, console: Console) -> d
     with console.status(
         "preparing the full model (the first run on a machine compiles it, which takes a minute or two)"
     ):
-        model = full_model(recording, scene)
+        model = full_model(recording.model, scene)
     console.say(f"replaying the recorded path on {count_nodes(len(model.cloud))} of the full model ...")
     full = replay_on_full_model(recording, model)
     errors = full["errors"]

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, OverlayState, Snapshot
 from palpate.arrays import Singles
 from palpate.reduction.realtime.display_surface import DisplaySurface
 
@@ -56,9 +56,10 @@ def colour_range(values: Singles) -> tuple[float, float]:
     return (-high if len(values) and values.min() < 0 else 0.0), high
 
 
-def overlay_body(positions: Singles) -> bytes:
-    """Return the body of an overlay frame: positions (n, 3) [m] of the full model."""
-    return positions.astype("<f4").tobytes()
+def overlay_body(full: OverlayState) -> bytes:
+    """Return the body of an overlay frame: positions and force of the full model, NaN if the force is unknown."""
+    force = np.full(3, np.nan) if full.force is None else full.force
+    return full.positions.astype("<f4").tobytes() + force.astype("<f4").tobytes()
 
 
 def force_frame(snapshot: Snapshot, sequence: int) -> bytes:

@@ -17,6 +17,7 @@ from palpate.dynamics.run.rollout import rollout
 from palpate.dynamics.run.trajectory import Trajectory
 from palpate.faults import InputError
 from palpate.files import shortened
+from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import Surface
 from palpate.scenes.names import SCENES
 from palpate.scenes.training import search_current_folder, training_scene, typed
@@ -28,50 +29,50 @@ MAX_INITIAL_DISPLACEMENT = 0.02  # of the body when the tool comes, as a fractio
 POINT_TOLERANCE = 1e-6  # between equal points of two bodies, as a fraction of the spacing
 
 
-def full_model(recording: Recording, trusted_scene: str | None = None) -> Model:
-    """Return the full model of the scene that the recorded model was trained on.
+def full_model(reduced: ReducedModel, trusted_scene: str | None = None) -> Model:
+    """Return the full model of the scene that a reduced model was trained on.
 
     Names in a file are never imported: without `trusted_scene` the scene must be one of palpate's own.
 
     Parameters
     ----------
-    recording : Recording
+    reduced : ReducedModel
     trusted_scene : str, optional
-        Scene that the user trusts, ``"module:function"``; it must equal the one in the recording.
+        Scene that the user trusts, ``"module:function"``; it must equal the one in the file.
 
     Raises
     ------
     InputError
-        The recording names no scene, a scene other than `trusted_scene`, or a scene that is not palpate's; or the
-        scene's body is not the recorded one.
+        The model names no scene, a scene other than `trusted_scene`, or a scene that is not palpate's; or the
+        scene's body is not that of the model.
     """
-    scene_record = recording.model.report.get("scene")
+    scene_record = reduced.report.get("scene")
     if not scene_record:
         raise InputError(
-            "recording must have a model that names its training scene, got one without; train the model by "
+            "model must name its training scene for a full model, got one without; train the model by "
             "`palpate train SCENE`"
         )
     scene = scene_record["name"]
     if trusted_scene is not None and trusted_scene != scene:
-        raise InputError(f"scene must be {scene!r}, on which the recorded model was trained, got {trusted_scene!r}")
+        raise InputError(f"scene must be {scene!r}, on which the model was trained, got {trusted_scene!r}")
     if trusted_scene is None and scene not in SCENES:
         raise InputError(
-            f"scene of the recording must be one of {', '.join(SCENES)}, got {shortened(scene)!r}; names in a file "
+            f"scene of the model must be one of {', '.join(SCENES)}, got {shortened(scene)!r}; names in a file "
             "are not imported: add --scene MODULE:FUNCTION if you trust that module"
         )
     if trusted_scene is not None:
         search_current_folder()
-    parameters, cloud = typed(scene, scene_record["parameters"]), recording.model.cloud
+    parameters, cloud = typed(scene, scene_record["parameters"]), reduced.cloud
     if "spacing" in parameters and not np.isclose(parameters["spacing"], cloud.spacing, rtol=1e-6):
         raise InputError(
-            f"spacing of the scene must be that of the recorded body, {cloud.spacing:g} m, got "
-            f"{parameters['spacing']:g} m; record the session again"
+            f"spacing of the scene must be that of the model's body, {cloud.spacing:g} m, got "
+            f"{parameters['spacing']:g} m; train the model again"
         )
     model = training_scene(scene, scene_record["parameters"]).model
     points, tolerance = model.cloud.points, POINT_TOLERANCE * cloud.spacing
     if points.shape != cloud.points.shape or not np.allclose(points, cloud.points, atol=tolerance):
         raise InputError(
-            f"body of scene {scene!r} must be the recorded one, got different points; record the session again"
+            f"body of scene {scene!r} must be that of the model, got different points; train the model again"
         )
     return model
 
@@ -151,7 +152,7 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
         The full model diverged.
     """
     part, tool = tool_path(recording)
-    model = model or full_model(recording)
+    model = model or full_model(recording.model)
     snapshots = recording.snapshots[part]
     model_times = np.array([snapshot.time for snapshot in snapshots])
     keep = np.concatenate([[True], np.diff(model_times) > 0])  # one snapshot of a pause

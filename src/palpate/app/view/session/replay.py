@@ -7,10 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.recordings.recording import Recording
-from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
+from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
 from palpate.faults import InputError
 from palpate.reduction.realtime.display_surface import DisplaySurface, Surface
@@ -77,12 +76,12 @@ class Replay:
             "quaternion": snapshot.quaternion.tolist(),
         }  # fmt: skip
 
-    def overlay(self, time: float) -> NDArray[np.float32] | None:
-        """Return the full model's positions (n, 3) [m] at a time of the recording [s], or None without a run."""
+    def overlay(self, time: float) -> OverlayState | None:
+        """Return the full model's state at a time of the recording [s], or None without a run."""
         full = self.recording.full
         if not full:
             return None
-        return np.asarray(full["positions"][int(np.argmin(np.abs(full["times"] - time)))])
+        return OverlayState(np.asarray(full["positions"][int(np.argmin(np.abs(full["times"] - time)))]), None)
 
     def status(self) -> dict[str, Any]:
         """Return the properties that change rarely, for `status`."""

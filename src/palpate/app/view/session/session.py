@@ -17,7 +17,7 @@ import numpy as np
 
 from palpate.app.recordings.recording import Recording, SurfaceFileError, save_recording
 from palpate.app.recordings.recording_journal import RecordingJournal
-from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
+from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.recorder import Recorder
 from palpate.app.view.session.tool_control import (
@@ -156,8 +156,8 @@ class Session:
             now, active = self.snapshot(), self.tool is self.selected_tool
             return now, self.selected_tool.describe(now.position, now.quaternion, active)
 
-    def overlay(self, time: float) -> None:
-        """Return None: a session has no full model to show."""
+    def overlay(self, time: float) -> OverlayState | None:
+        """Return None: a session of one body has no full model to show."""
         return None
 
     def status(self) -> dict[str, Any]:
