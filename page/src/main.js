@@ -317,8 +317,8 @@ let lastAnnouncement = 0;
 function announceForce(state, now) {
   if (!controls.press || now - lastAnnouncement < SPEECH_INTERVAL) return;
   lastAnnouncement = now;
-  const { about, value, range, note } = panel.force(state);
-  const words = value ? `${about ? "about " : ""}${value} newtons${range && `, ${range}`}` : note;
+  const { lead, value, range, note } = panel.force(state);
+  const words = value ? `${lead} ${value} newtons${range && `, ${range}`}` : note;
   statusLine.announce(`${(1e3 * controls.press.depth).toFixed(1)} millimetres, ${words}`);
 }
 
@@ -326,12 +326,12 @@ function announceForce(state, now) {
 let airTime = 0;
 function showAir(state, seconds) {
   const { press } = controls;
-  const touches = !press || press.grasps || state?.state !== "running" || state.newtons > LEAST_FORCE;
+  const touches = !press || press.grasps || press.approach > 0 || state?.state !== "running" || state.newtons > LEAST_FORCE;
   const before = airTime;
   airTime = touches ? 0 : airTime + seconds;
   panel.through = airTime > AIR_TIME && scene.body.isInside(press.position);
   if (airTime > AIR_TIME) statusLine.showCallout(panel.through ? "slipped through" : "in the air", scene.project(press.position.toArray()));
-  else if (press && before > AIR_TIME) statusLine.hideCallout();
+  else if (before > AIR_TIME) statusLine.hideCallout();
 }
 
 /** Draw the tool: at the driver's pointer for a rigid coupling, otherwise at the pose of the session. */

@@ -112,8 +112,8 @@ export class Panel {
 
   /** Show the readings of a state, with the force [N] of the full model if it is compared. */
   state(state, fullNewtons) {
-    const { about, value, range, note } = this.force(state);
-    this.write("force-about", about ? "about" : "");
+    const { lead, value, range, note } = this.force(state);
+    this.write("force-lead", lead);
     this.write("force", value);
     this.write("force-range", range && `(${range})`);
     this.write("force-note", note);

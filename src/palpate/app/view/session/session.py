@@ -8,6 +8,7 @@ import math
 import shutil
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import mkdtemp
@@ -35,6 +36,7 @@ from palpate.faults import InputError
 from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
+from palpate.realtime.statistics import Statistics
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.change_tool import change_tool
 from palpate.reduction.realtime.display_surface import DisplaySurface, Surface
@@ -48,6 +50,7 @@ __all__ = ["Session"]
 RATE = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
+PACE_SECONDS = 3.0  # [s] over which the pace is taken
 SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
 ABSENT_TOOL_DISTANCE = 10.0  # [m] beyond the body, where an absent tool is
 NO_TOOL = SelectedTool("none", None)
@@ -105,6 +108,7 @@ class Session:
         self._recorder: Recorder | None = None
         self.failures: list[str] = []  # of recordings, one line each
         self._writers: list[threading.Thread] = []
+        self._paces: deque[tuple[float, int, int]] = deque()  # time [s], periods, dropped periods
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
 
     # queries
@@ -169,14 +173,27 @@ class Session:
         }  # fmt: skip
 
     def statistics(self) -> dict[str, Any]:
-        """Return the deadline statistics since the start, and the error bound of the force, None if unknown."""
+        """Return the deadline statistics since the start, the pace of the last seconds, and the bound of the force.
+
+        The pace is the model time over real time. The error bound [N] is None if it is unknown.
+        """
         statistics, bound = self.engine.statistics(), self.engine.read().force_bound
         computing = statistics.computing
         return {
             "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
-            "misses": statistics.missed, "periods": statistics.count, "pace": statistics.pace,
+            "misses": statistics.missed, "periods": statistics.count, "pace": self._recent_pace(statistics),
             "force_bound": bound if math.isfinite(bound) else None,
         }  # fmt: skip
+
+    def _recent_pace(self, statistics: Statistics) -> float:
+        """Return the pace of the last seconds, from the counts of periods in the statistics of that time."""
+        now = time.monotonic()
+        self._paces.append((now, statistics.count, statistics.dropped))
+        while self._paces[0][0] < now - PACE_SECONDS and len(self._paces) > 2:
+            self._paces.popleft()
+        _, count, dropped = self._paces[0]
+        steps, lost = statistics.count - count, statistics.dropped - dropped
+        return steps / (steps + lost) if steps > 0 and lost >= 0 else statistics.pace
 
     @property
     def tool_kinds(self) -> list[str]:
