@@ -59,7 +59,8 @@ export class Plots {
   add(now, state, beyond, fullNewtons) {
     if (now - (this.times.at(-1) ?? -Infinity) < 15) return;
     this.times.push(now);
-    this.values.newtons.push(beyond ? null : state.newtons); // a gap where a model was not trained
+    const gap = beyond && !Number.isFinite(fullNewtons); // where a model was not trained, and nothing is compared
+    this.values.newtons.push(gap ? null : state.newtons);
     this.values.fullNewtons.push(Number.isFinite(fullNewtons) ? fullNewtons : null);
     this.values.strain.push(1e3 * state.strain);
     this.values.kinetic.push(1e3 * state.kinetic);
