@@ -17,7 +17,7 @@ export function decode(buffer) {
   }
   if (kind === 2) return state(buffer, sequence, vertices);
   if (kind === 3) {
-    const force = new Float32Array(buffer, HEADER_BYTES + 12 * vertices, 3); // NaN if unknown
+    const force = new Float32Array(buffer, HEADER_BYTES + 12 * vertices, 3);
     return { kind, sequence, positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices), newtons: Math.hypot(...force) };
   }
   return { kind, sequence };

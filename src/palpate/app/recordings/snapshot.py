@@ -68,10 +68,10 @@ class Snapshot(PeriodRecord):
 
 
 class OverlayState(NamedTuple):
-    """Positions (n, 3) [m] of the full model's vertices, and the force (3,) [N] on its tool, None if unknown."""
+    """Positions (n, 3) [m] of the full model's vertices, and the force (3,) [N] on its tool."""
 
     positions: NDArray[np.float32]
-    force: Floats | None
+    force: Floats
 
 
 def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:

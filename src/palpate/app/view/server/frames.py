@@ -57,9 +57,8 @@ def colour_range(values: Singles) -> tuple[float, float]:
 
 
 def overlay_body(full: OverlayState) -> bytes:
-    """Return the body of an overlay frame: positions and force of the full model, NaN if the force is unknown."""
-    force = np.full(3, np.nan) if full.force is None else full.force
-    return full.positions.astype("<f4").tobytes() + force.astype("<f4").tobytes()
+    """Return the body of an overlay frame: positions and force of the full model."""
+    return full.positions.astype("<f4").tobytes() + full.force.astype("<f4").tobytes()
 
 
 def force_frame(snapshot: Snapshot, sequence: int) -> bytes:

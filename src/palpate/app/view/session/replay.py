@@ -81,7 +81,8 @@ class Replay:
         full = self.recording.full
         if not full:
             return None
-        return OverlayState(np.asarray(full["positions"][int(np.argmin(np.abs(full["times"] - time)))]), None)
+        nearest = int(np.argmin(np.abs(full["times"] - time)))
+        return OverlayState(full["positions"][nearest], full["force"][nearest])
 
     def status(self) -> dict[str, Any]:
         """Return the properties that change rarely, for `status`."""
