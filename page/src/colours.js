@@ -23,16 +23,15 @@ export function colourAt(t) {
 }
 
 const vector = (parts) => `vec3(${parts.map((part) => part.toFixed(5)).join(", ")})`;
-const steps = (arm, sign) =>
-  arm.map((colour, k) => `c = mix(c, ${vector(colour)}, clamp(${sign}4.0 * t - ${k}.0, 0.0, 1.0));`).join("\n  ");
+const STOPS = [...BELOW.toReversed(), ZERO, ...ABOVE]; // from -1 to 1
 
 /** GLSL: `colourAt`; `flatness` of the light; `reflectance`, linear, that appears as a colour in that light. */
 export const COLOUR_MAP = `
+const vec3 STOPS[${STOPS.length}] = vec3[](${STOPS.map(vector).join(", ")});
 vec3 colourAt(float t) {
-  vec3 c = ${vector(ZERO)};
-  ${steps(ABOVE, "")}
-  ${steps(BELOW, "-")}
-  return c;
+  float place = 4.0 * t + 4.0;
+  int k = clamp(int(place), 0, ${STOPS.length - 2});
+  return mix(STOPS[k], STOPS[k + 1], place - float(k));
 }
 float flatness(float t) { return smoothstep(0.0, ${FLAT_FROM}, abs(t)); }
 vec3 reflectance(float t) { return linear(colourAt(t)) / mix(${vector(FRONT)}, vec3(${FLAT}), flatness(t)); }`;

@@ -28,33 +28,43 @@ function digitStep(bound) {
   return decade * [5, 2, 1].find((step) => step * decade <= SUPPORTED * bound * (1 + 1e-9));
 }
 
-/** "0.6" and "0.5 to 0.7" of a force and its error bound [N]. */
+/** "about", "0.6" and "0.5 to 0.7" of a force and its error bound [N]; "under" and "0.2" of one that rounds to 0. */
 export function boundedForce(newtons, bound) {
   const step = digitStep(bound);
   const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   const low = step * Math.max(Math.floor((newtons - bound) / step + END_TOLERANCE), 0);
   const high = step * Math.ceil((newtons + bound) / step - END_TOLERANCE);
   const value = step * Math.round(newtons / step);
-  return { value: value.toFixed(decimals), range: `${low.toFixed(decimals)} to ${high.toFixed(decimals)}` };
+  if (value === 0) return { lead: "under", value: high.toFixed(decimals), range: "" };
+  return { lead: "about", value: value.toFixed(decimals), range: `${low.toFixed(decimals)} to ${high.toFixed(decimals)}` };
 }
 
 /**
- * The reading of a force: `about` says whether it is rounded to a bound, `value` [N], `range` and a `note`.
+ * The reading of a force: `lead` is "about", "under" or empty, `value` [N], `range` and a `note`.
  *
  * `bound` is undefined in a replay, and null where it is not known; `calibrated` says whether the error was measured,
  * `beyond` whether the state is beyond training, and `through` whether the tool is inside the body without a force.
  */
 export function forceReading({ newtons, bound, full, calibrated, beyond, through }) {
-  const plain = (note) => ({ about: false, value: plainForce(newtons), range: "", note });
-  if (through || beyond) return { about: false, value: "", range: "", note: through ? THROUGH : BEYOND };
+  const plain = (note) => ({ lead: "", value: plainForce(newtons), range: "", note });
+  if (through || beyond) return { lead: "", value: "", range: "", note: through ? THROUGH : BEYOND };
   if (full) return plain(FULL);
   if (!calibrated) return plain(NOT_MEASURED);
   if (newtons === 0 || bound === undefined) return plain("");
   if (bound === null) return plain(NOT_KNOWN);
-  return { about: true, ...boundedForce(newtons, bound), note: "" };
+  return { ...boundedForce(newtons, bound), note: "" };
+}
+
+/** The forces [N] on the tool of a full and of a reduced model, and how they differ. */
+export function comparisonText(reduced, full) {
+  const difference = reduced - full;
+  const share = full > 0.02 ? ` (${Math.round(100 * Math.abs(difference) / full)} %)` : "";
+  const more = difference < 0 ? "less" : "more";
+  const [own, other] = [reduced, full].map((newtons) => newtons.toFixed(2));
+  return `reduced ${own} N, full ${other} N: ${Math.abs(difference).toFixed(2)} N ${more}${share}`;
 }
 
 /** The pace of a body's time, or "" in real time. */
 export function paceText(pace) {
-  return pace < 0.98 ? `${pace < 0.1 ? pace.toPrecision(1) : pace.toFixed(1)} of real time` : "";
+  return pace < 0.95 ? `${pace < 0.1 ? pace.toPrecision(1) : pace.toFixed(1)} of real time` : "";
 }

@@ -119,7 +119,8 @@ const answers = {
     const [low, high] = message.bounds;
     panel.offer(message, Math.hypot(...high.map((part, k) => part - low[k])));
     transport.offer(message);
-    session.pace = 1;
+    Object.assign(session, { pace: 1, fullNewtons: NaN });
+    if (message.compare) byId("overlay").checked = true;
     statusLine.showMessage(null);
     const names = ["none", ...message.scalars.map(({ name }) => name)];
     scalar(names.includes(session.scalar) ? session.scalar : "none");
@@ -164,6 +165,7 @@ function frame(received) {
     scene.overlay.lines.visible = byId("overlay").checked && session.hello.overlay;
   } else if (received.kind === 3) {
     scene.overlay?.update(received.positions);
+    session.fullNewtons = received.newtons;
     scene.dirty = true;
   }
 }
@@ -215,13 +217,14 @@ function showStatus() {
 // input of the user
 
 /** Initial sizes of each kind of tool, from the size of the body. */
-function initialTools({ bounds: [low, high], spacing }) {
+function initialTools({ bounds: [low, high], spacing, full, compare }) {
   const size = Math.hypot(...high.map((part, k) => part - low[k]));
   const round = (metres) => Math.max(Math.round(1e3 * metres), 1) / 1e3;
-  const held = { friction: FRICTION, stiffness: COUPLING_STIFFNESS };
+  const least = full || compare ? Math.ceil(2e3 * spacing) / 2e3 : 0; // of a tool that touches a full body
+  const held = { friction: FRICTION, stiffness: compare ? null : COUPLING_STIFFNESS };
   return {
-    sphere: { kind: "sphere", radius: round(0.075 * size), length: round(0.2 * size), ...held },
-    capsule: { kind: "capsule", radius: round(0.04 * size), length: round(0.2 * size), ...held },
+    sphere: { kind: "sphere", radius: Math.max(round(0.075 * size), least), length: round(0.2 * size), ...held },
+    capsule: { kind: "capsule", radius: Math.max(round(0.04 * size), least), length: round(0.2 * size), ...held },
     grasp: { kind: "grasp", radius: round(Math.max(0.05 * size, 1.5 * (spacing ?? 0))), length: round(0.2 * size), ...held },
   };
 }
@@ -312,7 +315,7 @@ function showState(state, now, seconds) {
   scene.dirty = true;
   const beyond = panel.judge(state);
   scene.tool.warn(beyond);
-  if (state.state === "running") plots.add(now, state, beyond);
+  if (state.state === "running") plots.add(now, state, beyond, session.fullNewtons);
   transport.time(state.time);
   announceForce(state, now);
 }
@@ -322,15 +325,15 @@ let lastReading = { at: 0, state: null };
 function updateReadings(now) {
   if (!session.state || lastReading.state === session.state || now - lastReading.at < READOUT_INTERVAL) return;
   lastReading = { at: now, state: session.state };
-  panel.state(session.state);
+  panel.state(session.state, session.fullNewtons);
 }
 
 let lastAnnouncement = 0;
 function announceForce(state, now) {
   if (!controls.press || now - lastAnnouncement < SPEECH_INTERVAL) return;
   lastAnnouncement = now;
-  const { about, value, range, note } = panel.force(state);
-  const words = value ? `${about ? "about " : ""}${value} newtons${range && `, ${range}`}` : note;
+  const { lead, value, range, note } = panel.force(state);
+  const words = value ? `${lead} ${value} newtons${range && `, ${range}`}` : note;
   statusLine.announce(`${(1e3 * controls.press.depth).toFixed(1)} millimetres, ${words}`);
 }
 
@@ -338,12 +341,12 @@ function announceForce(state, now) {
 let airTime = 0;
 function showAir(state, seconds) {
   const { press } = controls;
-  const touches = !press || press.grasps || state?.state !== "running" || state.newtons > LEAST_FORCE;
+  const touches = !press || press.grasps || press.approach > 0 || state?.state !== "running" || state.newtons > LEAST_FORCE;
   const before = airTime;
   airTime = touches ? 0 : airTime + seconds;
   panel.through = airTime > AIR_TIME && scene.body.isInside(press.position);
   if (airTime > AIR_TIME) statusLine.showCallout(panel.through ? "slipped through" : "in the air", scene.project(press.position.toArray()));
-  else if (press && before > AIR_TIME) statusLine.hideCallout();
+  else if (before > AIR_TIME) statusLine.hideCallout();
 }
 
 /** Draw the tool: at the driver's pointer for a rigid coupling, otherwise at the pose of the session. */

@@ -1,6 +1,6 @@
 // The panel: readings of the session, and settings.
 import { choice, slider, formatNumber } from "./widgets.js";
-import { forceReading, isBeyond } from "./forceText.js";
+import { comparisonText, forceReading, isBeyond } from "./forceText.js";
 
 const NAMES = { sphere: "Sphere", capsule: "Capsule", grasp: "Forceps" };
 const MIN_STIFFNESS_EXPONENT = 1.5; // power of ten of the coupling [N/m]
@@ -24,16 +24,18 @@ export class Panel {
     this.markScalar = choice(byId("scalars"), scalars, actions.scalar);
     byId("scalars").classList.toggle("four", scalars.length > 3);
     byId("overlay-row").hidden = !hello.overlay;
-    this.offerSizes(size);
+    this.offerSizes(size, hello.full || hello.compare ? 1e3 * hello.spacing : 0);
     this.offerMaterials(hello.materials ?? []);
     this.trainingErrors = hello.training_errors;
     this.full = Boolean(hello.full);
+    this.compare = Boolean(hello.compare);
     this.bound = undefined; // error bound of the force [N], null where it is not known
     this.beyond = this.through = false;
     this.readings = {};
   }
 
-  offerSizes(size) {
+  /** Sliders for a body of a size [m]; a full body takes no tool with a radius [mm] below its spacing. */
+  offerSizes(size, leastRadius) {
     const millimetres = (share, least) => Math.max(Math.round(1e3 * share * size), least);
     const length = (value) => `${formatNumber(value)} mm`;
     const metres = (name) => ({
@@ -42,7 +44,7 @@ export class Panel {
       settled: (value) => this.actions.change({ [name]: value / 1e3 }),
     });
     this.sliders = {
-      radius: slider({ name: "Radius", low: millimetres(0.012, 1), high: millimetres(0.12, 4), value: 0, ...metres("radius") }),
+      radius: slider({ name: "Radius", low: Math.max(millimetres(0.012, 1), Math.ceil(2 * leastRadius) / 2), high: Math.max(millimetres(0.12, 4), 2 * leastRadius), value: 0, ...metres("radius") }),
       length: slider({ name: "Length", low: millimetres(0.03, 2), high: millimetres(0.4, 20), value: 0, ...metres("length") }),
       stiffness: slider({
         name: "Coupling stiffness", low: MIN_STIFFNESS_EXPONENT, high: RIGID_EXPONENT, step: 0.01, value: RIGID_EXPONENT,
@@ -89,7 +91,7 @@ export class Panel {
     for (const input of [...own, ...this.byId("kinds").children]) input.disabled = !mine;
     this.byId("tools").hidden ||= replay;
     this.byId("materials").hidden ||= replay;
-    this.byId("coupling").hidden = this.byId("tools").hidden;
+    this.byId("coupling").hidden = this.byId("tools").hidden || this.compare;
   }
 
   scalar(name) {
@@ -108,13 +110,14 @@ export class Panel {
     return forceReading({ newtons, bound, full, beyond, through, calibrated: Boolean(this.trainingErrors) });
   }
 
-  /** Show the readings of a state. */
-  state(state) {
-    const { about, value, range, note } = this.force(state);
-    this.write("force-about", about ? "about" : "");
+  /** Show the readings of a state, with the force [N] of the full model if it is compared. */
+  state(state, fullNewtons) {
+    const { lead, value, range, note } = this.force(state);
+    this.write("force-lead", lead);
     this.write("force", value);
     this.write("force-range", range && `(${range})`);
     this.write("force-note", note);
+    this.write("force-comparison", Number.isFinite(fullNewtons) ? comparisonText(state.newtons, fullNewtons) : "");
     this.byId("force-section").classList.toggle("beyond", this.beyond || this.through);
     this.write("energy", (1e3 * (state.strain + state.kinetic)).toFixed(2));
     this.write("step", (1e3 * state.computing).toFixed(2));

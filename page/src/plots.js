@@ -47,19 +47,21 @@ class Strip {
 export class Plots {
   constructor(byId) {
     this.strips = [
-      [new Strip(byId("plot-force"), 0.5, ["--accent"], true), ["newtons"]],
+      [new Strip(byId("plot-force"), 0.5, ["--accent", "--faint"], true), ["newtons", "fullNewtons"]],
       [new Strip(byId("plot-energy"), 0.1, ["--accent", "--faint"], false), ["strain", "kinetic"]],
       [new Strip(byId("plot-step"), 0.1, ["--accent"], false), ["computing"]],
     ];
     this.times = [];
-    this.values = { newtons: [], strain: [], kinetic: [], computing: [] };
+    this.values = { newtons: [], fullNewtons: [], strain: [], kinetic: [], computing: [] };
     this.last = 0;
   }
 
-  add(now, state, beyond) {
+  add(now, state, beyond, fullNewtons) {
     if (now - (this.times.at(-1) ?? -Infinity) < 15) return;
     this.times.push(now);
-    this.values.newtons.push(beyond ? null : state.newtons); // a gap where a model was not trained
+    const gap = beyond && !Number.isFinite(fullNewtons); // where a model was not trained, and nothing is compared
+    this.values.newtons.push(gap ? null : state.newtons);
+    this.values.fullNewtons.push(Number.isFinite(fullNewtons) ? fullNewtons : null);
     this.values.strain.push(1e3 * state.strain);
     this.values.kinetic.push(1e3 * state.kinetic);
     this.values.computing.push(1e3 * state.computing);

@@ -16,7 +16,10 @@ export function decode(buffer) {
     return { kind, sequence, positions, triangles: new Uint32Array(buffer, start, 3 * triangles), fixed };
   }
   if (kind === 2) return state(buffer, sequence, vertices);
-  if (kind === 3) return { kind, sequence, positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices) };
+  if (kind === 3) {
+    const force = new Float32Array(buffer, HEADER_BYTES + 12 * vertices, 3);
+    return { kind, sequence, positions: new Float32Array(buffer, HEADER_BYTES, 3 * vertices), newtons: Math.hypot(...force) };
+  }
   return { kind, sequence };
 }
 

@@ -63,6 +63,7 @@ const SHADE = `
 /** Darker stripes across the screen where the surface is fixed. */
 const HATCH = `
   float hatch(float support) {
+    if (support < 0.4) return 1.0;
     return 1.0 - 0.16 * smoothstep(0.4, 0.6, support) * step(0.6, fract((gl_FragCoord.x + gl_FragCoord.y) / 9.0));
   }`;
 

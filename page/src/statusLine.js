@@ -30,11 +30,14 @@ export class StatusLine {
   /** Show a word at a place of the scene [px], for a short time; screen readers read it once. */
   showCallout(text, [x, y]) {
     const callout = this.byId("callout");
-    if (callout.textContent !== text) callout.textContent = text;
-    callout.hidden = false;
-    const room = callout.parentElement.clientWidth - callout.offsetWidth / 2 - 8;
-    callout.style.left = `${Math.max(Math.min(x, room), callout.offsetWidth / 2 + 8)}px`;
-    callout.style.top = `${Math.max(y, callout.offsetHeight + 20)}px`;
+    if (callout.textContent !== text || callout.hidden) {
+      callout.textContent = text;
+      callout.hidden = false;
+      this.margins = [callout.offsetWidth / 2 + 8, callout.parentElement.clientWidth - callout.offsetWidth / 2 - 8, callout.offsetHeight + 20];
+    }
+    const [left, right, top] = this.margins; // measured once, because each measurement costs a layout
+    callout.style.left = `${Math.max(Math.min(x, right), left)}px`;
+    callout.style.top = `${Math.max(y, top)}px`;
     clearTimeout(this.calloutTimer);
     this.calloutTimer = setTimeout(() => this.hideCallout(), CALLOUT_DURATION);
   }

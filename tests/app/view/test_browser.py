@@ -68,7 +68,7 @@ def test_a_drag_presses_and_letting_go_ends_the_force(opened):
         tab.mouse("Moved", x, y + 3 * k)
         sleep(0.02)
     tab.wait(f"palpate.force > {1.2 * first}")  # deeper is more
-    tab.wait("document.getElementById('force-about').textContent === 'about'")
+    tab.wait("document.getElementById('force-lead').textContent === 'about'")
     assert float(tab.evaluate("document.getElementById('force').textContent")) > 0
     assert tab.evaluate("palpate.scene.arrow.group.visible && palpate.scene.tool.group.visible")
     tab.mouse("Released", x, y)

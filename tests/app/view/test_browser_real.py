@@ -7,6 +7,7 @@ cache, else of a block.
 from __future__ import annotations
 
 import os
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,8 @@ from palpate import load
 from palpate.app.models.cache import cache_folder
 from palpate.app.recordings.recording import ERROR_NAMES, load_recording, save_recording
 from palpate.app.train.campaign import MODEL
+from palpate.app.view.session.comparison import Comparison
+from palpate.app.view.session.full_model_replay import full_model
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.replay import Replay
 from palpate.app.view.session.session import Session
@@ -110,6 +113,26 @@ def test_a_real_recording_is_replayed_with_the_full_model_over_it(browser, site_
         np.testing.assert_allclose(shown, own + 1e-3, atol=1e-6)
         tab.evaluate("document.getElementById('play').click()")
         tab.wait(f"palpate.session.state.time !== {float(recording.times[most])}")
+
+
+def test_a_comparison_shows_both_bodies_and_both_forces(browser, model, site_of):
+    compared = Comparison(model, full_model(model, "view_scenes:block"), "Block")
+    compared.start()
+    try:
+        with opening(browser) as open_tab:
+            tab = open_tab(site_of(compared).address)
+            assert tab.evaluate("palpate.scene.overlay.lines.visible") is True
+            assert tab.evaluate("document.querySelector('#kinds [value=grasp]')") is None
+            x, y = hold(tab)
+            text = "document.getElementById('force-comparison').textContent"
+            said = tab.wait(f"palpate.force > 0.02 && palpate.session.fullNewtons > 0.02 && {text}")
+            assert re.fullmatch(r"reduced [\d.]+ N, full [\d.]+ N: [\d.]+ N (more|less)( \(\d+ %\))?", said)
+            moved = "palpate.scene.overlay.place.array.some((x, k) => Math.abs(x - palpate.scene.body.rest[k]) > 1e-3)"
+            assert tab.evaluate(moved)
+            tab.mouse("Released", x, y)
+            tab.wait("palpate.force === 0 && palpate.session.fullNewtons === 0")
+    finally:
+        compared.close()
 
 
 @pytest.mark.skipif("PALPATE_SCREENSHOTS" not in os.environ, reason="PALPATE_SCREENSHOTS names no folder")

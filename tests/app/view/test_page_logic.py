@@ -33,19 +33,25 @@ def evaluate(module: str, expression: str) -> Any:
     [
         (0.57, 0.091, "0.6", "0.5 to 0.7"),
         (1.44, 0.84, "1.5", "0.5 to 2.5"),
-        (0.03, 0.12, "0.0", "0.0 to 0.2"),
         (12.34, 0.02, "12.34", "12.32 to 12.36"),
         (34.0, 7.0, "35", "25 to 40"),
     ],
 )
 def test_a_force_has_the_digits_that_its_bound_supports(newtons, bound, value, between):
-    assert evaluate("forceText.js", f"m.boundedForce({newtons}, {bound})") == {"value": value, "range": between}
+    reading = evaluate("forceText.js", f"m.boundedForce({newtons}, {bound})")
+    assert reading == {"lead": "about", "value": value, "range": between}
+
+
+def test_a_force_that_rounds_to_nothing_is_under_its_largest_value():
+    reading = evaluate("forceText.js", "m.boundedForce(0.03, 0.12)")
+    assert reading == {"lead": "under", "value": "0.2", "range": ""}
 
 
 def test_rounding_leaves_most_of_the_bound():
     cases = [(float(f), float(b)) for f in np.linspace(0, 9, 61) for b in np.geomspace(0.004, 3, 41)]
-    found = evaluate("forceText.js", f"{json.dumps(cases)}.map(([f, b]) => m.boundedForce(f, b).range)")
-    for (newtons, bound), between in zip(cases, found, strict=True):
+    found = evaluate("forceText.js", f"{json.dumps(cases)}.map(([f, b]) => m.boundedForce(f, b))")
+    for (newtons, bound), reading in zip(cases, found, strict=True):
+        between = reading["range"] if reading["lead"] == "about" else f"0 to {reading['value']}"
         low, high = (float(part) for part in between.split(" to "))
         assert low <= max(newtons - 0.7 * bound, 0) + 1e-9
         assert high >= newtons + 0.7 * bound - 1e-9
@@ -69,7 +75,7 @@ def test_a_force_without_a_bound_states_why(state, value, note):
     assert reading["value"] == value
     assert reading["note"].startswith(note)
     assert reading["note"] or not note
-    assert not reading["about"]
+    assert reading["lead"] == ""
     assert reading["range"] == ""
 
 
@@ -79,8 +85,14 @@ def test_the_limit_of_training_has_hysteresis():
     assert evaluate("forceText.js", code) == [False, True, True, True, False, False]
 
 
+def test_two_forces_are_compared_in_newtons_and_percent():
+    assert evaluate("forceText.js", "m.comparisonText(0.61, 0.58)") == "reduced 0.61 N, full 0.58 N: 0.03 N more (5 %)"
+    assert evaluate("forceText.js", "m.comparisonText(0.5, 0.58)").endswith("0.08 N less (14 %)")
+    assert evaluate("forceText.js", "m.comparisonText(0.01, 0)") == "reduced 0.01 N, full 0.00 N: 0.01 N more"
+
+
 def test_a_pace_is_shown_below_real_time_only():
-    assert evaluate("forceText.js", "[1, 0.99, 0.62, 0.043].map(m.paceText)") == [
+    assert evaluate("forceText.js", "[1, 0.96, 0.62, 0.043].map(m.paceText)") == [
         "", "", "0.6 of real time", "0.04 of real time"
     ]  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from palpate.reduction.hyper.model import ReducedModel
     from palpate.reduction.realtime.display_surface import DisplaySurface
 
-__all__ = ["STATES", "TOOL_KINDS", "UNITS", "Snapshot", "scalar_descriptions", "training_errors"]
+__all__ = ["STATES", "TOOL_KINDS", "UNITS", "OverlayState", "Snapshot", "scalar_descriptions", "training_errors"]
 
 
 STATES = ("stopped", "running", "paused", "diverged")
@@ -67,6 +67,13 @@ class Snapshot(PeriodRecord):
             values = surface.scalar(name, self.coordinates, displacements)
             values = values if name == "displacement" else np.float32(self.modulus_ratio) * values
         return np.nan_to_num(values, nan=0.0, posinf=MAX_FINITE, neginf=-MAX_FINITE)
+
+
+class OverlayState(NamedTuple):
+    """Positions (n, 3) [m] of the full model's vertices, and the force (3,) [N] on its tool."""
+
+    positions: NDArray[np.float32]
+    force: Floats
 
 
 def scalar_descriptions(surface: DisplaySurface) -> list[dict[str, Any]]:

@@ -58,6 +58,8 @@ def view(
     law: str | None = None,
     given: Sequence[str] = (),
     fixed: Sequence[str] = (),
+    compare: bool = False,
+    scene: str | None = None,
     as_json: bool = False,
 ) -> int:
     """Show a body in real time on a page until interrupted, or drive it by a script without a page.
@@ -82,6 +84,10 @@ def view(
         Script of a headless session; see `palpate.app.view.session.script.read_script`.
     units, scale, part, spacing, law, given, fixed
         Of a body from a surface file, see `palpate.app.models.touch_options.TouchOptions`.
+    compare : bool
+        Also step the full model of the reduced model's training scene, under the same tool.
+    scene : str, optional
+        With `compare`: the user's own scene, ``"module:function"``, which the model must name.
     as_json : bool
         Print the summary of a headless session as JSON.
 
@@ -112,7 +118,11 @@ def view(
             "units, scale, part, spacing, law, set and fixed must be left out unless a surface file is viewed, got "
             f"{what!r:.60}"
         )
-    subject = _read_subject(what, options)
+    if compare and is_surface_file(what):
+        raise InputError(f"compare must be left out for a full body, got {what!r:.60}; give a reduced model")
+    if scene is not None and not compare:
+        raise InputError(f"scene must be left out without --compare, got {scene!r:.60}; add --compare")
+    subject = _read_subject(what, options, compare, scene)
     with _exit_on_signals():
         if run is None:
             return FAILED if _show(subject, record, (port, host, browser)) else DONE
@@ -133,18 +143,20 @@ class _Subject:
     options: TouchOptions
     surface: Surface | None = None
     model: ReducedModel | None = None
+    compare: bool = False
+    scene: str | None = None
 
     @property
     def durations_name(self) -> str:
         """Name under which the durations of its preparation are kept."""
         if self.model is not None:
-            return str(Path(self.what).resolve())
+            return f"{Path(self.what).resolve()}{' compared' if self.compare else ''}"
         if self.surface is None:
             return self.what
         return f"surface {self.options.law or ''} {self.options.spacing or ''}".rstrip()
 
 
-def _read_subject(what: str, options: TouchOptions) -> _Subject:
+def _read_subject(what: str, options: TouchOptions, compare: bool, scene: str | None) -> _Subject:
     """Read a surface or a model, and check the options of a surface."""
     if is_surface_file(what):
         surface = read_touched_surface(what, options)
@@ -152,13 +164,14 @@ def _read_subject(what: str, options: TouchOptions) -> _Subject:
         check_fixed(surface.vertices, options.fixed)
         return _Subject(what, surface_title(Path(what)), options, surface)
     if what in SCENES:
-        return _Subject(what, what.capitalize(), options)
+        return _Subject(what, what.capitalize(), options, compare=compare, scene=scene)
     from palpate.app.models.loader import open_model
 
     model, title = open_model(what, Console())
     cloud = model.cloud
     has_surface = len(cloud.triangles) and cloud.points.shape[1] == 3
-    return _Subject(what, title, options, Surface(cloud.points, cloud.triangles) if has_surface else None, model)
+    shown = Surface(cloud.points, cloud.triangles) if has_surface else None
+    return _Subject(what, title, options, shown, model, compare, scene)
 
 
 def _show(subject: _Subject, record: Path | None, address: tuple[int, str, bool]) -> list[str]:
@@ -208,7 +221,6 @@ def _session(
     console.begin_phase("importing")
     from palpate.app.models.loader import open_model
     from palpate.app.models.touch import open_surface
-    from palpate.app.view.session.session import Session
 
     model: ReducedModel | EnergySolid
     if subject.model is not None:
@@ -220,7 +232,7 @@ def _session(
     with console.status("preparing the engine (the first run on a machine compiles it, which takes some minutes)"):
         if wait is not None:
             wait()
-        session = Session(model, subject.title)
+        session = _open_session(model, subject)
     session.start()
     if record is not None:
         session.start_recording(record)
@@ -230,6 +242,18 @@ def _session(
         session.close()
         with contextlib.suppress(OSError):  # the terminal was closed
             _print_notifications(session, console)
+
+
+def _open_session(model: ReducedModel | EnergySolid, subject: _Subject) -> Session:
+    """Return a session of a body, or of a reduced model and its full body."""
+    from palpate.app.view.session.comparison import Comparison
+    from palpate.app.view.session.full_model_replay import full_model
+    from palpate.app.view.session.session import Session
+    from palpate.reduction.hyper.model import ReducedModel
+
+    if subject.compare and isinstance(model, ReducedModel):
+        return Comparison(model, full_model(model, subject.scene), subject.title)
+    return Session(model, subject.title)
 
 
 @contextlib.contextmanager

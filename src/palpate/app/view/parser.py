@@ -49,6 +49,10 @@ def add_view(commands: Any) -> None:
     )
     add("what", metavar="SCENE|FILE", help=text)
     _add_surface(view)
+    text = "of a reduced model: also step the full model of its training scene under the same tool, and compare forces"
+    add("--compare", action="store_true", help=text)
+    text = "with --compare: your own scene, which the model must name; also from the current folder"
+    add("--scene", metavar="MODULE:FUNCTION", help=text)
     _add_address(view)
     text = "record the session, and write it to this file when the session ends"
     add("--record", type=path, metavar="FILE.h5", help=text)

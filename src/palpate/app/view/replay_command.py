@@ -17,7 +17,7 @@ from palpate.app.view.film import (
     write_picture,
 )
 from palpate.app.view.server.address import DEFAULT_PORT, LOOPBACK
-from palpate.app.view.session.full_model_replay import full_model, replay_on_full_model, tool_path
+from palpate.app.view.session.full_model_replay import full_model, reduced_model, replay_on_full_model, tool_path
 from palpate.app.view.session.replay import Replay
 from palpate.dynamics.run.progress import progress_bar
 from palpate.extras import require
@@ -116,7 +116,7 @@ def _replay_full(recording: Recording, scene: str | None, console: Console) -> d
     with console.status(
         "preparing the full model (the first run on a machine compiles it, which takes a minute or two)"
     ):
-        model = full_model(recording, scene)
+        model = full_model(reduced_model(recording), scene)
     console.say(f"replaying the recorded path on {count_nodes(len(model.cloud))} of the full model ...")
     full = replay_on_full_model(recording, model)
     errors = full["errors"]

@@ -132,7 +132,9 @@ def test_the_full_model_has_nearly_the_same_force_and_displacement(recorded, cap
     assert "largest force over the full model's" in capsys.readouterr().out
     replay = Replay(load_recording(path))
     assert replay.hello()["overlay"] is True
-    np.testing.assert_array_equal(replay.overlay(full["times"][deepest]), full["positions"][deepest])
+    drawn = replay.overlay(full["times"][deepest])
+    np.testing.assert_array_equal(drawn.positions, full["positions"][deepest])
+    np.testing.assert_array_equal(drawn.force, full["force"][deepest])
 
 
 @pytest.mark.slow
@@ -363,7 +365,7 @@ def test_no_module_that_a_recording_names_is_imported(recorded, tmp_path, forge,
 @pytest.mark.parametrize(
     ("scene", "parameters", "message"),
     [
-        ("beam", {}, "the recorded body"),
+        ("beam", {}, "must be that of the model"),
         ("beam", {"spacing": 1e-9}, "spacing"),
         ("liver", {"depth": "deep"}, "depth"),
         ("liver", {"colour": 1}, "got 'colour'"),
@@ -375,7 +377,7 @@ def test_a_recording_that_names_another_body_is_refused(recorded, tmp_path, forg
 
     path = forge(recorded[0], change, FORMAT, VERSION, tmp_path / "other.h5")
     with pytest.raises(pt.InputError, match=message):
-        full_model(load_recording(path))
+        full_model(load_recording(path).model)
 
 
 def test_recordings_with_several_tools_are_not_run_on_the_full_model(recorded):

@@ -366,3 +366,13 @@ def test_a_recording_is_written_to_its_path_whoever_stops_it(session, tmp_path, 
     session.handle(validate_message({"type": "record", "action": "stop"}))
     session.close()
     assert session.notifications[0]["file"] == str(tmp_path / "all.h5")
+
+
+def test_the_pace_is_that_of_the_last_seconds(session, monkeypatch):
+    session.pause()
+    paces, real = [], session.engine.statistics()
+    for count, dropped in ((1000, 1000), (2000, 1000), (2300, 1600)):
+        told = replace(real, count=count, dropped=dropped)
+        monkeypatch.setattr(session.engine, "statistics", lambda told=told: told)
+        paces.append(session.statistics()["pace"])
+    assert paces == pytest.approx([0.5, 1.0, 1300 / 1900])  # the first one since the start

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, Snapshot
+from palpate.app.recordings.snapshot import STATES, TOOL_KINDS, OverlayState, Snapshot
 from palpate.arrays import Singles
 
 if TYPE_CHECKING:
@@ -69,9 +69,9 @@ def colour_range(values: Singles) -> tuple[float, float]:
     return (-high if len(values) and values.min() < 0 else 0.0), high
 
 
-def overlay_body(positions: Singles) -> bytes:
-    """Return the body of an overlay frame: positions (n, 3) [m] of the full model."""
-    return positions.astype("<f4").tobytes()
+def overlay_body(full: OverlayState) -> bytes:
+    """Return the body of an overlay frame: positions and force of the full model."""
+    return full.positions.astype("<f4").tobytes() + full.force.astype("<f4").tobytes()
 
 
 def force_frame(snapshot: Snapshot, sequence: int) -> bytes:

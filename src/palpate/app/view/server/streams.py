@@ -52,10 +52,9 @@ class Streams:
                 await asyncio.sleep(POLL_INTERVAL)
                 continue
             sent_key, sequence, vertices = state.key, viewer.next_frame(), len(self.source.surface.rest)
-            positions = self.source.overlay(state.time)
-            if positions is not None:
-                overlay = frames.overlay_body(positions)
-                await viewer.send(frames.pack_frame(frames.OVERLAY, sequence, vertices, overlay))
+            full = self.source.overlay(state.time)
+            if full is not None:
+                await viewer.send(frames.pack_frame(frames.OVERLAY, sequence, vertices, frames.overlay_body(full)))
             await viewer.send(frames.pack_frame(frames.STATE, sequence, vertices, state.body))
             await asyncio.sleep(max(0.0, start + STATE_INTERVAL - time.monotonic()))
 

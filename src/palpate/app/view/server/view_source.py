@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from palpate.app.recordings.snapshot import Snapshot
+from palpate.app.recordings.snapshot import OverlayState, Snapshot
 from palpate.app.view.session.messages import Message
 
 if TYPE_CHECKING:
@@ -49,5 +49,5 @@ class ViewSource(Protocol):
     def release(self) -> None:
         """Put the tool away."""
 
-    def overlay(self, time: float) -> Any:
-        """Return positions (n, 3) of the full model at the time of a snapshot, or None."""
+    def overlay(self, time: float) -> OverlayState | None:
+        """Return the state of the full model at the time of a snapshot, or None."""

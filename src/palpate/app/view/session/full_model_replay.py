@@ -22,64 +22,64 @@ from palpate.reduction.realtime.display_surface import Surface
 from palpate.scenes.names import SCENES
 from palpate.scenes.training import search_current_folder, training_scene, typed
 
-__all__ = ["full_model", "replay_errors", "replay_on_full_model", "tool_path"]
+__all__ = ["full_model", "reduced_model", "replay_errors", "replay_on_full_model", "tool_path"]
 
 
 MAX_INITIAL_DISPLACEMENT = 0.02  # of the body when the tool comes, as a fraction of the spacing
 POINT_TOLERANCE = 1e-6  # between equal points of two bodies, as a fraction of the spacing
 
 
-def full_model(recording: Recording, trusted_scene: str | None = None) -> Model:
-    """Return the full model of the scene that the recorded model was trained on.
+def full_model(reduced: ReducedModel, trusted_scene: str | None = None) -> Model:
+    """Return the full model of the scene that a reduced model was trained on.
 
     Names in a file are never imported: without `trusted_scene` the scene must be one of palpate's own.
 
     Parameters
     ----------
-    recording : Recording
+    reduced : ReducedModel
     trusted_scene : str, optional
-        Scene that the user trusts, ``"module:function"``; it must equal the one in the recording.
+        Scene that the user trusts, ``"module:function"``; it must equal the one in the file.
 
     Raises
     ------
     InputError
-        The recording names no scene, a scene other than `trusted_scene`, or a scene that is not palpate's; or the
-        scene's body is not the recorded one.
+        The model names no scene, a scene other than `trusted_scene`, or a scene that is not palpate's; or the
+        scene's body is not that of the model.
     """
-    scene_record = _reduced(recording).report.get("scene")
+    scene_record = reduced.report.get("scene")
     if not scene_record:
         raise InputError(
-            "recording must have a model that names its training scene, got one without; train the model by "
+            "model must name its training scene for a full model, got one without; train the model by "
             "`palpate train SCENE`"
         )
     scene = scene_record["name"]
     if trusted_scene is not None and trusted_scene != scene:
-        raise InputError(f"scene must be {scene!r}, on which the recorded model was trained, got {trusted_scene!r}")
+        raise InputError(f"scene must be {scene!r}, on which the model was trained, got {trusted_scene!r}")
     if trusted_scene is None and scene not in SCENES:
         raise InputError(
-            f"scene of the recording must be one of {', '.join(SCENES)}, got {shortened(scene)!r}; names in a file "
+            f"scene of the model must be one of {', '.join(SCENES)}, got {shortened(scene)!r}; names in a file "
             "are not imported: add --scene MODULE:FUNCTION if you trust that module"
         )
     if trusted_scene is not None:
         search_current_folder()
-    parameters, cloud = typed(scene, scene_record["parameters"]), recording.model.cloud
+    parameters, cloud = typed(scene, scene_record["parameters"]), reduced.cloud
     if "spacing" in parameters and not np.isclose(parameters["spacing"], cloud.spacing, rtol=1e-6):
         raise InputError(
-            f"spacing of the scene must be that of the recorded body, {cloud.spacing:g} m, got "
-            f"{parameters['spacing']:g} m; record the session again"
+            f"spacing of the scene must be that of the model's body, {cloud.spacing:g} m, got "
+            f"{parameters['spacing']:g} m; train the model again"
         )
     if "mass_damping" in parameters and "mass_damping" not in scene_record["parameters"]:
-        parameters["mass_damping"] = recording.model.mass_damping  # of a scene that had none when it was recorded
+        parameters["mass_damping"] = reduced.mass_damping  # of a scene that had none when it was recorded
     model = training_scene(scene, parameters).model
     points, tolerance = model.cloud.points, POINT_TOLERANCE * cloud.spacing
     if points.shape != cloud.points.shape or not np.allclose(points, cloud.points, atol=tolerance):
         raise InputError(
-            f"body of scene {scene!r} must be the recorded one, got different points; record the session again"
+            f"body of scene {scene!r} must be that of the model, got different points; train the model again"
         )
     return model
 
 
-def _reduced(recording: Recording) -> ReducedModel:
+def reduced_model(recording: Recording) -> ReducedModel:
     """Return the reduced model of a recording; raise `InputError` for one of a full body."""
     if not isinstance(recording.model, ReducedModel):
         raise InputError("full must be left out for a recording of a full body, got one; replay it without --full")
@@ -95,7 +95,7 @@ def tool_path(recording: Recording) -> tuple[slice, dict[str, Any]]:
         The recording has no active tool or several ones, the body was not at rest at first, the session was reset, or
         the moduli were changed.
     """
-    _reduced(recording)
+    reduced_model(recording)
     active = np.array([snapshot.tool != "none" for snapshot in recording.snapshots])
     if not active.any():
         raise InputError("recording must have an active tool, got none; record a press or a grasp")
@@ -114,7 +114,7 @@ def tool_path(recording: Recording) -> tuple[slice, dict[str, Any]]:
 
 def _check_path(recording: Recording, snapshots: list[Snapshot], kind: str) -> None:
     """Raise InputError for a path that the full model cannot follow."""
-    model, times = _reduced(recording), np.array([snapshot.time for snapshot in snapshots])
+    model, times = reduced_model(recording), np.array([snapshot.time for snapshot in snapshots])
     if any(snapshot.tool != kind for snapshot in snapshots):
         raise InputError(f"tools of the snapshots must all be {kind!r}, got another one; record the session again")
     if kind == "group" and len(model.data.prescribed) != 1:
@@ -162,7 +162,7 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
         The full model diverged.
     """
     part, tool = tool_path(recording)
-    model = model or full_model(recording)
+    model = model or full_model(reduced_model(recording))
     snapshots = recording.snapshots[part]
     model_times = np.array([snapshot.time for snapshot in snapshots])
     keep = np.concatenate([[True], np.diff(model_times) > 0])  # one snapshot of a pause
@@ -175,7 +175,7 @@ def replay_on_full_model(recording: Recording, model: Model | None = None) -> di
     load = make_load(recording, tool, snapshots, times)
     every = float(times[-1] / (len(times) - 1))
     run = rollout(model, [load], duration=float(times[-1]), every=every)
-    surface = Surface(_reduced(recording))
+    surface = Surface(reduced_model(recording))
     at = np.array([int(np.argmin(np.abs(run.times - t))) for t in times])
     displacements = run.displacements[at][:, surface.nodes]
     if isinstance(load, Contact):

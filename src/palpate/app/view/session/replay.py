@@ -7,10 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from palpate.app.recordings.recording import Recording
-from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
+from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.view.session.messages import Message
 from palpate.dynamics.solid.model import EnergySolid
 from palpate.faults import InputError
@@ -79,12 +78,13 @@ class Replay:
             "quaternion": snapshot.quaternion.tolist(),
         }  # fmt: skip
 
-    def overlay(self, time: float) -> NDArray[np.float32] | None:
-        """Return the full model's positions (n, 3) [m] at a time of the recording [s], or None without a run."""
+    def overlay(self, time: float) -> OverlayState | None:
+        """Return the full model's state at a time of the recording [s], or None without a run."""
         full = self.recording.full
         if not full:
             return None
-        return np.asarray(full["positions"][int(np.argmin(np.abs(full["times"] - time)))])
+        nearest = int(np.argmin(np.abs(full["times"] - time)))
+        return OverlayState(full["positions"][nearest], full["force"][nearest])
 
     def status(self) -> dict[str, Any]:
         """Return the properties that change rarely, for `status`."""

@@ -8,6 +8,7 @@ import math
 import shutil
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import mkdtemp
@@ -17,7 +18,7 @@ import numpy as np
 
 from palpate.app.recordings.recording import RECORDING_INTERVAL, Recording, SurfaceFileError, save_recording
 from palpate.app.recordings.recording_journal import RecordingJournal
-from palpate.app.recordings.snapshot import Snapshot, scalar_descriptions, training_errors
+from palpate.app.recordings.snapshot import OverlayState, Snapshot, scalar_descriptions, training_errors
 from palpate.app.recordings.snapshot_arrays import coordinates_type
 from palpate.app.view.session.messages import Message
 from palpate.app.view.session.recorder import Recorder
@@ -36,6 +37,7 @@ from palpate.faults import InputError
 from palpate.realtime.engine import Engine
 from palpate.realtime.observable import Observation, make_observable
 from palpate.realtime.record import Reading
+from palpate.realtime.statistics import Statistics
 from palpate.reduction.hyper.model import ReducedModel
 from palpate.reduction.realtime.display_surface import DisplaySurface
 from palpate.reduction.realtime.full_body import step_statistics
@@ -49,6 +51,7 @@ RATE = 1000.0  # [Hz]
 MAX_TOOL_SPEED = 0.5  # [m/s]
 FULL_INTERVAL = 0.04  # [s] between snapshots of a full body: a minute of 3,000 nodes takes 54 MB
 MAX_READS = 1000  # attempts to read the engine and the model in the same period
+PACE_SECONDS = 3.0  # [s] over which the pace is taken
 SLEEP_TIME = 3.0  # [s] without a tick after which the machine is taken to have slept
 ABSENT_TOOL_DISTANCE = 10.0  # [m] beyond the body, where an absent tool is
 NO_TOOL = SelectedTool("none", None)
@@ -107,6 +110,7 @@ class Session:
         self._recorder: Recorder | None = None
         self.failures: list[str] = []  # of recordings, one line each
         self._writers: list[threading.Thread] = []
+        self._paces: deque[tuple[float, int, int]] = deque()  # time [s], periods, dropped periods
         self._lock, self._last_tick = threading.RLock(), (time.time(), time.monotonic())
 
     # queries
@@ -157,8 +161,8 @@ class Session:
             now, active = self.snapshot(), self.tool is self.selected_tool
             return now, self.selected_tool.describe(now.position, now.quaternion, active)
 
-    def overlay(self, time: float) -> None:
-        """Return None: a session has no full model to show."""
+    def overlay(self, time: float) -> OverlayState | None:
+        """Return None: a session of one body has no full model to show."""
         return None
 
     def status(self) -> dict[str, Any]:
@@ -170,15 +174,28 @@ class Session:
         }  # fmt: skip
 
     def statistics(self) -> dict[str, Any]:
-        """Return the deadline statistics since the start, and the error bound of the force, None if unknown."""
+        """Return the deadline statistics since the start, the pace of the last seconds, and the bound of the force.
+
+        The pace is the model time over real time. The error bound [N] is None if it is unknown.
+        """
         statistics, bound = self.engine.statistics(), self.engine.read().force_bound
         computing = statistics.computing
         return {
             "median_ms": 1e3 * computing.percentile(50), "p99_ms": 1e3 * computing.percentile(99),
-            "misses": statistics.missed, "periods": statistics.count, "pace": statistics.pace,
+            "misses": statistics.missed, "periods": statistics.count, "pace": self._recent_pace(statistics),
             "force_bound": bound if math.isfinite(bound) else None,
             **(step_statistics(self._realtime_model.data) if self.is_full else {}),
         }  # fmt: skip
+
+    def _recent_pace(self, statistics: Statistics) -> float:
+        """Return the pace of the last seconds, from the counts of periods in the statistics of that time."""
+        now = time.monotonic()
+        self._paces.append((now, statistics.count, statistics.dropped))
+        while self._paces[0][0] < now - PACE_SECONDS and len(self._paces) > 2:
+            self._paces.popleft()
+        _, count, dropped = self._paces[0]
+        steps, lost = statistics.count - count, statistics.dropped - dropped
+        return steps / (steps + lost) if steps > 0 and lost >= 0 else statistics.pace
 
     @property
     def tool_kinds(self) -> list[str]:

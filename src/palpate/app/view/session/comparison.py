@@ -1,0 +1,124 @@
+"""A reduced model and its full body in one session, both under the same tool."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from palpate.app.recordings.snapshot import OverlayState
+from palpate.app.view.session.messages import Message
+from palpate.app.view.session.session import NO_TOOL, RATE, Session
+from palpate.dynamics.run.model import Model
+from palpate.dynamics.solid.model import EnergySolid
+from palpate.faults import InputError
+from palpate.reduction.hyper.model import ReducedModel
+
+__all__ = ["Comparison"]
+
+SHARED = ("pose", "tool", "material", "speed")  # messages that `Session.handle` does not pass to a command below
+
+
+class Comparison(Session):
+    """The session of a reduced model, with the full body in an engine of its own.
+
+    Both have the same tool at the same pose, with a rigid coupling: the tools of two springs would differ. Each
+    body has its own clock. While one is slower than real time and the tool moves, the two are at different times.
+
+    Parameters
+    ----------
+    model : ReducedModel
+        A model with tool contact.
+    full_model : Model
+        Its full model, with the same nodes; see `palpate.app.view.session.full_model_replay.full_model`.
+    title : str
+    rate : float [Hz]
+
+    Raises
+    ------
+    InputError
+        A model takes no tool, the full model is not a solid of the energy form, or the surfaces differ.
+    """
+
+    def __init__(self, model: ReducedModel, full_model: Model, title: str, rate: float = RATE) -> None:
+        if not isinstance(full_model, EnergySolid) or model.data.compliance is None:
+            raise InputError(
+                "model must be of a solid that a tool touches to be compared, got another one; leave --compare out"
+            )
+        self.full = Session(full_model, title, rate)
+        super().__init__(model, title, rate)
+        if not np.array_equal(self.full.surface.triangles, self.surface.triangles):
+            raise InputError("full_model must have the surface of the model, got another one; train the model again")
+
+    def hello(self) -> dict[str, Any]:
+        """Return the constant properties for `hello`."""
+        return {**super().hello(), "overlay": True, "compare": True}
+
+    def statistics(self) -> dict[str, Any]:
+        """Return the statistics of the reduced model, with the pace of the slower body."""
+        own, full = super().statistics(), self.full.statistics()
+        return {**own, "pace": min(own["pace"], full["pace"])}
+
+    def overlay(self, time: float) -> OverlayState:
+        """Return positions (n, 3) [m] of the full body, and the force (3,) [N] on its tool."""
+        snapshot = self.full.snapshot()
+        return OverlayState(self.full.surface.rest + snapshot.displacements(self.full.surface), snapshot.force)
+
+    @property
+    def tool_kinds(self) -> list[str]:
+        """Kinds of tools that both bodies take."""
+        return self.full.tool_kinds
+
+    def handle(self, message: Message) -> None:
+        """Execute a message of the driver for both bodies.
+
+        Raises
+        ------
+        InputError
+            The message cannot be executed by one of them; the tool is then put away.
+        """
+        if message["type"] == "tool":
+            if message["kind"] not in self.tool_kinds:
+                allowed = ", ".join(map(repr, self.tool_kinds))
+                raise InputError(f"kind must be one of {allowed} in a comparison, got {message['kind']!r}; use another")
+            message = {**message, "stiffness": None}
+        super().handle(message)
+        if message["type"] not in SHARED:
+            return
+        try:
+            self.full.handle(message)
+        except InputError:
+            self.release()
+            raise
+        if (self.tool is NO_TOOL) != (self.full.tool is NO_TOOL):  # one body is in the way of its tool
+            self.release()
+
+    def start(self) -> None:
+        """Start both engines."""
+        self.full.start()
+        super().start()
+
+    def stop(self) -> None:
+        """Stop both engines."""
+        self.full.stop()
+        super().stop()
+
+    def pause(self, reason: str | None = None) -> None:
+        """Pause both engines."""
+        self.full.pause(reason)
+        super().pause(reason)
+
+    def resume(self) -> None:
+        """Resume or start both engines."""
+        self.full.resume()
+        super().resume()
+
+    def reset(self) -> None:
+        """Set both bodies to rest and put the tool away."""
+        self.full.reset()
+        super().reset()
+
+    def release(self) -> None:
+        """Put the tool away."""
+        self.full.release()
+        super().release()
