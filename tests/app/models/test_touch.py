@@ -237,6 +237,6 @@ def test_what_was_repaired_and_noted_is_printed(organ, tmp_path, capsys):
     off(tmp_path / "holed.off", pt.Surface(surface.vertices, surface.triangles[3:]))
     open_surface(tmp_path / "holed.off", TouchOptions(spacing=0.6, units="m", scale=100.0), Console())
     printed = capsys.readouterr().err
-    assert "surface, repair: 1 hole with" in printed
+    assert "surface, repair: holes were closed by fans of triangles: 1, with" in printed
     assert "surface, note: its volume of 6e+04 litres is not that of an organ" in printed
     assert "--scale 0.01 would make it" in printed

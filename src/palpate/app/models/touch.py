@@ -37,7 +37,7 @@ CAMERA_SIDE = (0.277, -0.833, 0.479)  # direction from the body to the camera of
 SUPPORT_SHARE = 0.12  # of the extent along a direction, which the default support holds
 SUPPORT = "support"  # name of the group
 MOST_HELD = 0.6  # of the nodes of a body
-FINER = 0.8  # factor of a guessed spacing that is too coarse for the tissue
+FINER, MAX_FINER = 0.8, 4  # factor of a guessed spacing that is too coarse for the tissue; how often
 NODES_PER_CELL = 1.45  # nodes over volume / spacing^3 in a filled organ
 STEP_PER_WAVE = 0.37  # stable step over the time of a pressure wave over a spacing
 STEP_OVER_FORCE = 1.6  # time of a step over that of its force evaluation
@@ -138,7 +138,7 @@ def _body(
         with console.status("measuring this machine"):
             spacing = realtime_spacing(abs(surface.volume), material)
     spacing = number_in_range("spacing", spacing, 1e-5, surface.size, unit="m")
-    while True:
+    for trial in range(MAX_FINER + 1):
         _check_count(surface, spacing)
         try:
             with console.status("filling the surface with nodes"), warnings.catch_warnings(record=True) as caught:
@@ -149,11 +149,12 @@ def _body(
                 model = EnergySolid(cloud, material, SUPPORT, mass_damping=MASS_DAMPING)
         except CloudError:  # too thin for the spacing
             finer = float(f"{FINER * spacing:.2g}")
-            if options.spacing is not None or _count(surface, finer) > MOST_NODES:
+            if options.spacing is not None or trial == MAX_FINER or _count(surface, finer) > MOST_NODES:
                 raise
             spacing = finer
         else:
             return model, sorted({str(each.message) for each in caught} - set(surface.warnings))
+    raise AssertionError("the last trial returns or raises")
 
 
 def _material(options: TouchOptions) -> Material:

@@ -327,6 +327,8 @@ def nodal_period(formulation: Formulation) -> Any:
             copy_values(data.path[END], contacts.frames[0, 1])
         clock[GIVEN] += kinetic_energy(data.nodes, velocity) - clock[KINETIC_ENERGY]  # of velocities that were set
         choose_step(data, u)
+        if at_rest:  # whose clock starts in every period: longer steps would never begin
+            clock[STEP] = min(clock[STEP], period)
         copy_values(u, data.saved[0])
         copy_values(velocity, data.saved[1])
         copy_history(history, data.saved_history)
