@@ -108,7 +108,7 @@ export class InputControls {
       return;
     }
     const { kind, radius } = this.page.tool();
-    if (kind !== "group" && this.scene.body.isFixedNear(hit.vertex, kind === "grasp" ? radius : 0)) {
+    if (kind === "grasp" && this.scene.body.isFixedNear(hit.vertex, radius)) {
       this.page.missed("fixed here", this.scene.project(hit.point.toArray()));
       return;
     }

@@ -75,8 +75,8 @@ def test_errors_name_options_as_typed(line, parts, assert_refused, tmp_path):
 
 def test_a_missing_part_of_a_surface_is_named_with_its_option(assert_refused, tmp_path):
     triangles = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{}f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
-    own = triangles.format("o left\n")
-    (tmp_path / "two.obj").write_text(own + own.replace("left", "right"))
+    right = "v 5 0 0\nv 6 0 0\nv 5 1 0\nv 5 0 1\no right\nf 5 7 6\nf 5 6 8\nf 6 7 8\nf 5 8 7\n"
+    (tmp_path / "two.obj").write_text(triangles.format("o left\n") + right)
     line = ["check", str(tmp_path / "two.obj"), "--units", "m", "--out", str(tmp_path / "out")]
     assert_refused(line, ": --part must be given for a file of 2 parts; choose one of left, right")
 

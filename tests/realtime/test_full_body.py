@@ -73,6 +73,20 @@ def test_the_force_of_a_slow_press_is_that_of_a_run(block):
     np.testing.assert_allclose(pressed.q.reshape(-1, 3), run.displacements[15], atol=0.01 * scale)
 
 
+def test_a_body_at_rest_is_touched_in_periods_shorter_than_its_step(block):
+    stepped, period = Stepped(block), 2e-4
+    assert stepped.model.data.clock[1] > 2 * period
+    reports = []
+    for k in range(500):
+        target = np.zeros(12)
+        target[2] = -depth(min((k + 1) * period, 0.1))
+        stepped.model.advance(stepped.model.data, stepped.q, stepped.v, target, period, stepped.report)
+        reports.append(stepped.report.copy())
+    means = np.array(reports)[:, 10].reshape(10, 50).mean(axis=1)
+    slower = Stepped(block).press(0.1)[:, 10].reshape(10, 10).mean(axis=1)
+    np.testing.assert_allclose(means, slower, atol=0.02 * np.abs(slower).max())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("tool", "height"),

@@ -103,7 +103,7 @@ def join_parts(parts: Mapping[str, Surface], name: str) -> Surface:
         repairs.append(SurfaceProblem("repair", "joined parts", what, places))
     if not kept.all():
         walls = vertices[joined[~kept]].mean(axis=1)
-        what = f"{int((~kept).sum())} triangles of walls between parts were removed"
+        what = f"walls between parts were removed, with {int((~kept).sum())} triangles"
         repairs.append(SurfaceProblem("repair", "inner walls", what, walls))
     return weld(Surface(vertices, joined[kept], name, repairs=tuple(repairs)))
 

@@ -51,7 +51,9 @@ def repair_surface(surface: Surface) -> Surface:
     turned = np.flatnonzero(np.any(surface.triangles[: len(before)] != before, axis=1))
     if len(turned):
         places = surface.vertices[before[turned]].mean(axis=1)
-        surface = _listed(surface, "turned", f"{len(turned)} triangles that faced inwards were turned", places)
+        surface = _listed(
+            surface, "turned", f"triangles that faced inwards were turned: {len(turned)} of {len(before)}", places
+        )
     return _smooth_folds(surface)
 
 
@@ -71,7 +73,7 @@ def _remove_specks(surface: Surface) -> Surface:
         return surface
     places = part_centroids(surface, label)[small]
     surface = select_triangles(surface, ~small[label])
-    what = f"{int(small.sum())} components below a thousandth of the volume were removed"
+    what = f"components below a thousandth of the volume were removed: {int(small.sum())}"
     return _listed(surface, "specks", what, places)
 
 
@@ -93,7 +95,7 @@ def _separate_sheets(surface: Surface, triangles: Ints) -> tuple[Surface, Ints]:
     separated = replace(surface, vertices=np.concatenate(vertices), triangles=corner.reshape(-1, 3))
     turned = np.any(triangles != surface.triangles, axis=1)
     before = np.where(turned[:, None], separated.triangles[:, ::-1], separated.triangles)
-    what = f"{len(bad)} vertices where sheets touched in a point were separated"
+    what = f"sheets that touched in a point were separated, at vertices: {len(bad)}"
     return _listed(separated, "separated sheets", what, surface.vertices[bad]), before
 
 
@@ -119,7 +121,7 @@ def _smooth_folds(surface: Surface) -> Surface:
     if not moved.any():
         return surface
     farthest = 1e3 * np.linalg.norm(vertices - surface.vertices, axis=1).max() / surface.size
-    what = f"{int(moved.sum())} vertices at folds were smoothed, by up to {farthest:.2g} thousandths of the size"
+    what = f"folds were smoothed, at {int(moved.sum())} vertices, by up to {farthest:.2g} thousandths of the size"
     return _listed(replace(surface, vertices=vertices), "folds", what, vertices[moved])
 
 
@@ -161,5 +163,5 @@ def _close_holes(surface: Surface) -> Surface:
         return surface
     surface = replace(surface, vertices=np.concatenate(vertices), triangles=np.concatenate(triangles))
     holes = n - len(vertices[0])
-    what = f"{holes} {'hole' if holes == 1 else 'holes'} with {len(rims)} edges closed by fans of triangles"
+    what = f"holes were closed by fans of triangles: {holes}, with {len(rims)} edges"
     return _listed(surface, "closed holes", what, surface.vertices[rims])

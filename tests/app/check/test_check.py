@@ -53,6 +53,41 @@ def test_an_open_surface_is_reported_not_filled(liver, tmp_path, capsys):
     assert not (tmp_path / "out" / "cloud.png").exists()
 
 
+def test_repairs_are_listed_and_drawn(liver, tmp_path, capsys, assert_drawn):
+    trimesh = pytest.importorskip("trimesh")
+    body = pt.io.read_surface(liver, units="mm")
+    trimesh.Trimesh(body.vertices, body.triangles[:, ::-1][4:], process=False).export(tmp_path / "open.ply")
+    line = ["check", str(tmp_path / "open.ply"), "--units", "m", "--spacing", "0.014", "--repair"]
+    assert main([*line, "--out", str(tmp_path / "out")]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert [problem["name"] for problem in report["surface"]["problems"]] == ["closed holes", "turned"]
+    assert {problem["kind"] for problem in report["surface"]["problems"]} == {"repair"}
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "repaired, closed holes: holes were closed by fans of triangles: 1, with" in printed
+    assert_drawn(tmp_path / "out" / "surface.png")
+    orange = _pixels(tmp_path / "out" / "surface.png", (230, 159, 0))
+    assert main([*line[:2], "--units", "m", "--out", str(tmp_path / "without")]) == 1
+    assert orange > 20 > _pixels(tmp_path / "without" / "surface.png", (230, 159, 0))
+
+
+def _pixels(path, colour):
+    """Number of pixels of a hue, in light or shade."""
+    import matplotlib.pyplot as plt
+
+    image = plt.imread(path)[..., :3]
+    shade = image.max(axis=2, keepdims=True)
+    near = np.abs(image / np.maximum(shade, 0.2) - np.array(colour) / max(colour)).max(axis=2) < 0.08
+    return int(near.sum())
+
+
+def test_an_implausible_volume_names_the_scale(liver, tmp_path, capsys):
+    line = ["check", str(liver), "--units", "m", "--spacing", "14", "--out", str(tmp_path / "out")]
+    main(line)
+    assert "--scale 0.001 would make it 1.5 litres" in " ".join(capsys.readouterr().out.split())
+    assert main([*line[:4], "--scale", "0.001", "--spacing", "0.014", *line[-2:]]) == 0
+    assert "--scale" not in capsys.readouterr().out
+
+
 def test_a_spacing_that_is_too_coarse_is_reported(liver, tmp_path, capsys):
     assert main(["check", str(liver), "--spacing", "0.06", "--json", "--out", str(tmp_path / "out")]) == 1
     assert "too coarse" in json.loads(capsys.readouterr().out)["refused"]

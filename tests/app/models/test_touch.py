@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from time import monotonic, sleep
 
 import numpy as np
@@ -9,7 +10,14 @@ import pytest
 
 import palpate as pt
 from palpate.app.common.console import Console
-from palpate.app.models.touch import MOST_NODES, open_surface, realtime_spacing, support_mask
+from palpate.app.models.touch import (
+    FINER_NODES,
+    FORCE_ERRORS,
+    MOST_NODES,
+    open_surface,
+    realtime_spacing,
+    support_mask,
+)
 from palpate.app.models.touch_options import TouchOptions, is_surface_file, read_touched_surface
 from palpate.app.view.session.messages import validate_message
 from palpate.app.view.session.session import Session
@@ -109,11 +117,19 @@ def test_a_surface_is_touched_at_once(organ, capsys):
     assert model.mass_damping > 0
     assert model.material.shear_modulus == pytest.approx(2200.0)
     printed = capsys.readouterr().err
-    for word in ("6 mm apart", "--units", "shear modulus 2.2 kPa", "--law", "--fixed", "mm assumed"):
+    for word in (
+        "6 mm apart",
+        "half the spacing here: about",
+        "--units",
+        "shear modulus 2.2 kPa",
+        "--law",
+        "--fixed",
+        "mm assumed",
+    ):
         assert word in printed, printed
     session = Session(model, "Organ")
     assert session.hello()["full"]
-    assert session.tool_kinds == ["sphere", "capsule"]
+    assert session.tool_kinds == ["sphere", "capsule", "grasp"]
     front = model.cloud.points[np.argmin(model.cloud.points[:, 1])]
     session.start()
     try:
@@ -245,6 +261,53 @@ def test_what_was_repaired_and_noted_is_printed(organ, tmp_path, capsys):
     off(tmp_path / "holed.off", pt.Surface(surface.vertices, surface.triangles[3:]))
     opened(tmp_path / "holed.off", TouchOptions(spacing=0.6, units="m", scale=100.0))
     printed = capsys.readouterr().err
-    assert "surface, repair: 1 hole with" in printed
+    assert "surface, repair: holes were closed by fans of triangles: 1, with" in printed
     assert "surface, note: its volume of 6e+04 litres is not that of an organ" in printed
     assert "--scale 0.01 would make it" in printed
+
+
+def test_the_printed_errors_of_the_force_are_those_of_the_table():
+    text = (Path(__file__).parents[3] / "docs" / "verification.md").read_text()
+    section = text.partition("## The force on organs of real-time spacing")[2].partition("\n## ")[0]
+    rows = [line.split("|") for line in section.splitlines() if line.startswith("|") and line.count("%") == 3]
+    errors = [abs(float(row[6].strip(" %"))) / 100 for row in rows]
+    nodes = [[int(each.replace(",", "")) for each in row[2].split(", ")] for row in rows]
+    assert len(rows) == 8
+    assert (pytest.approx(np.median(errors), abs=6e-4), pytest.approx(max(errors))) == FORCE_ERRORS
+    assert pytest.approx(np.mean([fine / coarse for coarse, fine in nodes]), abs=0.1) == FINER_NODES
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--fixed", "near 1000,0,0,5"], "--fixed must hold at least 3 nodes, got 0; hold a larger part"),
+        (["--fixed", "near 0,0,0,500"], "--fixed must leave tissue free, got 100% of the nodes held"),
+        (["--fixed", "painted nothing.vtp"], "there is no painted mesh at nothing.vtp"),
+        (["--spacing", "0.0002"], f"--spacing must give at most {MOST_NODES} nodes for a full body, got 0.2 mm"),
+        (["--spacing", "0.03"], "--spacing must be at most"),
+        (["--part", "lobe"], "--part must be omitted for OFF files"),
+        (["--scale", "0"], "--scale must be"),
+    ],
+)
+def test_bad_input_is_one_line_that_names_the_option(organ, options, said, assert_refused):
+    given = options if "--spacing" in options else [*options, "--spacing", "0.006"]
+    assert_refused(["view", str(organ), "--headless", *given], said)
+
+
+def test_a_sheet_is_refused_in_one_line(tmp_path, assert_refused):
+    (tmp_path / "sheet.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 4 3\n")
+    said = ("sheet.obj must hold a closed surface, got one that is not: ", "run palpate check for pictures")
+    assert_refused(["view", str(tmp_path / "sheet.obj"), "--units", "m", "--headless"], *said)
+
+
+@pytest.mark.slow
+def test_a_tool_smaller_than_the_spacing_is_refused_with_both_sizes(organ):
+    model = opened(organ, TouchOptions(spacing=0.006))
+    session = Session(model, "Organ")
+    session.start()
+    try:
+        with pytest.raises(pt.InputError, match=r"at least the spacing of the body, 6 mm, got 5 mm; use a larger tool"):
+            session.handle({**tool_message(model.cloud.points.min(axis=0) - 0.02), "radius": 0.005})
+    finally:
+        session.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from palpate.app.common.figures import BLUE, ORANGE, figure, heading, scale_bar
 from palpate.app.common.rendering import off_screen, surface
 from palpate.arrays import Floats
+from palpate.files import shortened
 from palpate.meshfree.cloud import Cloud
 from palpate.meshfree.gate import nearest_spacing
 from palpate.meshfree.surface_checks import SurfaceReport
@@ -18,23 +20,35 @@ from palpate.meshfree.surfaces import Surface
 __all__ = ["draw_cloud", "draw_surface"]
 
 
-TISSUE, FAULT = "#B4655A", "#0072B2"
+TISSUE = "#B4655A"
+MARKS = {
+    "error": ("#0072B2", "blue: faults"),
+    "repair": ("#E69F00", "orange: repairs"),
+    "note": ("#FFFFFF", "white: notes"),
+}
+MAX_NAME_LENGTH = 48  # characters of a surface in a heading
 SIDES = {"Seen along +y": (0.0, -1.0, 0.25), "Seen along -y": (0.0, 1.0, 0.25), "Seen along +z": (0.0, -0.5, -1.0)}
 PIXELS = 900
 
 
 def draw_surface(body: Surface, found: SurfaceReport, path: Path) -> None:
-    """Draw a surface from three sides into a PNG file, with the places of its problems as dots."""
+    """Draw a surface from three sides into a PNG file, with the places of its problems and repairs as dots."""
     import pyvista
 
     triangles = np.column_stack([np.full(len(body.triangles), 3), body.triangles]).ravel()
     shape: Any = pyvista.PolyData(body.vertices, triangles)
-    places = np.concatenate([problem.points for problem in found.problems] or [np.zeros((0, 3))])
+    places = {
+        kind: np.concatenate([each.points for each in found.problems if each.kind == kind])
+        for kind in MARKS
+        if any(each.kind == kind and len(each.points) for each in found.problems)
+    }
     with figure(path, (11.0, 4.2)) as drawn:
         for axes, (title, towards) in zip(drawn.subplots(1, 3), SIDES.items(), strict=True):
             _show(axes, shape, body.vertices, np.array(towards), title, places)
         names = ", ".join(problem.name for problem in found.problems)
-        heading(drawn, f"{body.name}: {names or 'nothing wrong'}" + (" (blue dots: where)" if len(places) else ""))
+        marks = ", ".join(MARKS[kind][1] for kind in places)
+        title = shortened(body.name, MAX_NAME_LENGTH)
+        heading(drawn, f"{title}: {names or 'nothing wrong'}" + (f" ({marks})" if marks else ""))
 
 
 def draw_cloud(cloud: Cloud, path: Path) -> None:
@@ -55,7 +69,7 @@ def _show(
     points: Floats,
     towards: Floats,
     title: str,
-    places: Floats | None = None,
+    places: Mapping[str, Floats] | None = None,
     edges: bool = False,
 ) -> None:
     """Draw a body seen from a side, with a scale bar."""
@@ -67,11 +81,11 @@ def _show(
     width, height = (2.1 * np.abs((points - middle) @ axis).max() for axis in (right, up))
     with off_screen(width, height, middle, towards, PIXELS) as plotter:
         plotter.add_mesh(shape, color=TISSUE, smooth_shading=not edges, show_edges=edges, edge_color="#5A2F28")
-        if places is not None and len(places):
+        for kind, where in (places or {}).items():
             import pyvista
 
-            dots = pyvista.PolyData(places + 0.5 * width * towards)
-            plotter.add_mesh(dots, color=FAULT, point_size=12, render_points_as_spheres=True)
+            dots = pyvista.PolyData(where + 0.5 * width * towards)
+            plotter.add_mesh(dots, color=MARKS[kind][0], point_size=12, render_points_as_spheres=True)
         plotter.reset_camera_clipping_range()
         image = np.asarray(plotter.screenshot(return_img=True))
     half = 0.5e3 * width, 0.5e3 * height

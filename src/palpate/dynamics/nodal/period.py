@@ -26,7 +26,7 @@ from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
 from palpate.dynamics.compiled.passes import Formulation, internal_force
 from palpate.dynamics.compiled.reference import reference
 from palpate.dynamics.contact.geometry import Contacts, project
-from palpate.dynamics.contact.grip import COUNT, Grip, begin_grip, hold_nodes, store_velocities
+from palpate.dynamics.contact.grip import COUNT, FRESH, Grip, begin_grip, hold_nodes, store_velocities
 from palpate.dynamics.contact.impulses import push_patches
 from palpate.dynamics.loads.prepared import LoadSites
 from palpate.dynamics.loads.supports import FIXED
@@ -454,12 +454,18 @@ def nodal_period(formulation: Formulation) -> Any:
                     data.scratch.previous[i, c] = 0.0
             clock[FREQUENCY], clock[UNTIL_ESTIMATE] = data.resting_frequency, ESTIMATE_PERIODS
             contacts.patch_impulses[:] = 0.0
-        set_path(data.path, target, at_rest)
+        holds = data.grip.numbers[COUNT] > 0
+        set_path(data.path, target, at_rest and not holds)
         if at_rest:
-            copy_values(data.path[END], contacts.frames[0, 1])
+            if holds:  # the nodes as they are at rest
+                copy_values(data.path[HOME], data.path[START])
+                data.grip.numbers[FRESH] = 1
+            copy_values(data.path[START], contacts.frames[0, 1])
         clock[GIVEN] += kinetic_energy(data.nodes, velocity) - clock[KINETIC_ENERGY]  # of velocities that were set
         excess_before = kinetic_energy(data.nodes, velocity) - (clock[GIVEN] + clock[WORK] - clock[LOST])
         choose_step(data, u)
+        if at_rest:  # whose clock starts in every period: longer steps would never begin
+            clock[STEP] = min(clock[STEP], period)
         late = limit_path(data.path, data.tool_reach * max(1.0, period / clock[STEP]))
         if _crushes(data):
             copy_values(data.path[START], data.path[END])
@@ -495,10 +501,11 @@ def nodal_period(formulation: Formulation) -> Any:
                 continue
             clock[KINETIC_ENERGY] = kinetic_energy(data.nodes, velocity)
             excess = clock[KINETIC_ENERGY] - (clock[GIVEN] + clock[WORK] - clock[LOST])
-            if excess <= MAX_GAIN * abs(clock[WORK]) + LEAST_ENERGY:
+            allowed = MAX_GAIN * max(abs(clock[WORK]), abs(clock[LOST]), abs(clock[GIVEN])) + LEAST_ENERGY
+            if excess <= allowed:
                 break
             # shorter steps make no difference, and the period has no gain: the sums of work have drifted
-            drifted = excess - excess_before <= MAX_GAIN * abs(clock[WORK]) + LEAST_ENERGY
+            drifted = excess - excess_before <= allowed
             if attempt >= TRIALS_OF_ENERGY and (drifted or attempt == MAX_ATTEMPTS - 1):
                 clock[GIVEN] += excess
                 clock[GAINED] += excess
@@ -508,10 +515,11 @@ def nodal_period(formulation: Formulation) -> Any:
             copy_values(data.saved[1], velocity)
             copy_values(data.saved[2], data.scratch.previous)
             clock[FREQUENCY], clock[WORK], clock[LOST] = frequency_before, work_before, lost_before
+            clock[KINETIC_ENERGY] = kinetic_energy(data.nodes, velocity)
             report[STATUS] = 1.0
             return
         clock[BEHIND] = clock[NEXT_BEHIND]
-        if attempt >= HELD_ATTEMPT:  # the remedy was another one
+        if attempt >= TRIALS_OF_ENERGY:  # shorter steps were no remedy
             clock[FREQUENCY] = min(STIFFENING * frequency_before, MOST_STIFF * data.resting_frequency)
             set_step(data)
         if late:
