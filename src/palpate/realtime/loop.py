@@ -209,7 +209,7 @@ def _copy_to(values, out, first):  # type: ignore[no-untyped-def]
         out[first + i] = values[i]
 
 
-@kernel_njit(inner=True)
+@kernel_njit()
 def _move_tool(work, slot, settings):  # type: ignore[no-untyped-def]
     """Move the tool towards the newest pose, or a clamped tool towards its last trusted pose."""
     if fetch(slot, work.fetched):  # during a write, the next period reads it
@@ -236,7 +236,7 @@ def _is_beyond(work):  # type: ignore[no-untyped-def]
     return beyond > 0.0
 
 
-@kernel_njit(inner=True)
+@kernel_njit()
 def _clamp_tool(work, seconds):  # type: ignore[no-untyped-def]
     """After a period [s], store a trusted pose, or clamp the tool to the last one."""
     if work.record[TRUSTED] > 1.0 and not work.record[CLAMPED]:
@@ -301,7 +301,7 @@ def _forget_at_rest(work):  # type: ignore[no-untyped-def]
         clock[LARGEST_ENERGY], work.record[WORST_TRUST], work.record[LARGEST_FORCE] = 0.0, 0.0, 0.0
 
 
-@kernel_njit(inner=True)
+@kernel_njit()
 def _write_record(work, settings):  # type: ignore[no-untyped-def]
     """Write the model's report to the record; return whether the state is finite."""
     report, record = work.report, work.record
