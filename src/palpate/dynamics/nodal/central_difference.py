@@ -36,6 +36,7 @@ __all__ = [
     "drift_nodes",
     "foundation_force",
     "full_step",
+    "kick_node",
     "kick_nodes",
     "step_scratch",
     "surface_force",
@@ -143,31 +144,19 @@ def foundation_force(sites, u, velocity, volumes, surface):  # type: ignore[no-u
 
 
 @kernel_njit(inner=True, forceinline=True)
-def _kick_node(i, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
+def kick_node(i, k, slide, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
     """Accelerate a node by a kick: the share of its velocity that remains, and the time of the force.
+
+    Node k of the sliding ones moves along its support; k is -1 for others.
 
     Returns
     -------
     work, square : float
         Power of loads [W], and the sum of volume times squared mean velocity.
     """
-    work, square, density = 0.0, 0.0, nodes.density
-    for c in range(3):
-        before, surface = velocity[i, c], scratch.surface[i, c]
-        rate = (scratch.force[i, c] + nodes.half_cell * surface) / density + gravity[c]
-        after = kick[0] * before + kick[1] * rate
-        mean = 0.5 * (before + after)
-        work += nodes.volumes[i] * (surface + density * gravity[c]) * mean
-        square += nodes.volumes[i] * mean * mean
-        velocity[i, c] = after
-    return work, square
-
-
-@kernel_njit(inner=True)
-def _kick_sliding_node(i, sites, nodes, scratch, gravity, kick, velocity):  # type: ignore[no-untyped-def]
-    work, square, density, k, half_cell = 0.0, 0.0, nodes.density, sites.slide_of[i], nodes.half_cell
+    work, square, density, half_cell = 0.0, 0.0, nodes.density, nodes.half_cell
     rate = project(
-        sites.slide,
+        slide,
         k,
         (scratch.force[i, 0] + half_cell * scratch.surface[i, 0]) / density + gravity[0],
         (scratch.force[i, 1] + half_cell * scratch.surface[i, 1]) / density + gravity[1],
@@ -196,19 +185,16 @@ def kick_nodes(sites, constrained, nodes, scratch, gravity, kick, velocity, alph
     shares = (1.0 - half) / (1.0 + half), kick / (1.0 + half)
     for i in range(sites.kind.shape[0]):
         if sites.kind[i] == FREE:
-            sums = _kick_node(i, nodes, scratch, gravity, shares, velocity)
+            sums = kick_node(i, -1, sites.slide, nodes, scratch, gravity, shares, velocity)
             work, square = work + sums[0], square + sums[1]
     for i in sites.sliding:
         if sites.kind[i] == SLIDING:
-            sums = _kick_sliding_node(i, sites, nodes, scratch, gravity, shares, velocity)
+            sums = kick_node(i, sites.slide_of[i], sites.slide, nodes, scratch, gravity, shares, velocity)
             work, square = work + sums[0], square + sums[1]
     for k in range(sites.prescribed.shape[0]):
         if not constrained[k]:
             i = sites.prescribed[k]
-            if sites.slide_of[i] < 0:
-                sums = _kick_node(i, nodes, scratch, gravity, shares, velocity)
-            else:
-                sums = _kick_sliding_node(i, sites, nodes, scratch, gravity, shares, velocity)
+            sums = kick_node(i, sites.slide_of[i], sites.slide, nodes, scratch, gravity, shares, velocity)
             work, square = work + sums[0], square + sums[1]
     return work * kick, alpha * nodes.density * square * kick
 

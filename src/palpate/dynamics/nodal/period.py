@@ -20,6 +20,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import prange
 
 from palpate.arrays import Floats, Ints
 from palpate.dynamics.compiled.cache import kernel_njit, law_digest, law_njit
@@ -35,10 +36,8 @@ from palpate.dynamics.nodal.central_difference import (
     Damping,
     NodalData,
     StepScratch,
-    damping_work,
-    drift_nodes,
     foundation_force,
-    kick_nodes,
+    kick_node,
 )
 from palpate.dynamics.run.period_report import FORCES, KINETIC, STATUS, STEPS, STRAIN
 
@@ -57,6 +56,7 @@ CRUSHED = 6.0  # frequency over that at rest from which on the tool does not mov
 STIFF, STIFF_ESTIMATE = 1.5, 4  # frequency over that at rest from which on it is estimated after fewer periods
 MOST_STIFF = 100.0  # largest estimate over that at rest
 MAX_GAIN, LEAST_ENERGY = 0.05, 1e-9  # kinetic energy beyond the work, relative to all work; [J] that is rounding
+BLOCK = 256  # nodes of a sum
 LEAST_WAY = 1e-4  # [m] of the tool between two updates of the contact stiffness
 
 # entries of `NodalPeriodData.clock`
@@ -106,6 +106,8 @@ class NodalPeriodData(NamedTuple):
         estimate, work and dissipation since rest, kinetic energy, energy of a state that was given [J], the
         time by which the body will be behind, number of periods that were repeated with shorter steps, gains
         of energy that shorter steps did not cure [J], and number of periods in which the tool was held.
+    sums : (b, 4) array
+        Sums of every block of nodes.
     secant : (5, 3) array
         Contact stiffness [N/m], and position and force of the tool at its last update.
     tool_force : (12,) array
@@ -125,8 +127,6 @@ class NodalPeriodData(NamedTuple):
     saved_history : HistoryCopy
         History variables at the start of the period.
     contact_work : ContactReport
-    free : (0,) bool array
-        No node has a prescribed motion.
     """
 
     passes: Any
@@ -138,6 +138,7 @@ class NodalPeriodData(NamedTuple):
     grip: Grip
     scratch: StepScratch
     clock: Floats
+    sums: Floats
     secant: Floats
     tool_force: Floats
     path: Floats
@@ -150,7 +151,6 @@ class NodalPeriodData(NamedTuple):
     saved: Floats
     saved_history: HistoryCopy
     contact_work: ContactReport
-    free: Any
 
 
 @kernel_njit(inner=True)
@@ -309,6 +309,64 @@ def _excess(secant, position, force, i):  # type: ignore[no-untyped-def]
     return value
 
 
+@kernel_njit(inner=True, parallel=True)
+def _kick_blocks(sites, nodes, scratch, previous, step, alpha, u, velocity, sums):  # type: ignore[no-untyped-def]
+    """Accelerate the nodes by a step; write work of surface loads and dissipation of every block [J] into `sums`.
+
+    The energy that the damping beta K dissipates is the sum of V (beta v) . (previous - force); see
+    `palpate.dynamics.nodal.central_difference.damping_work`. Arrays that are written are arguments of their own:
+    Numba drops writes to those of a tuple from a parallel loop.
+    """
+    half = 0.5 * alpha * step
+    shares = (1.0 - half) / (1.0 + half), step / (1.0 + half)
+    for b in prange(sums.shape[0]):
+        work, square, lost = 0.0, 0.0, 0.0
+        first = np.int64(b) * BLOCK
+        for i in range(first, min(first + BLOCK, velocity.shape[0])):
+            for c in range(3):
+                moved = nodes.volumes[i] * (scratch.damped[i, c] - u[i, c])
+                lost += moved * (previous[i, c] - scratch.force[i, c])
+                previous[i, c] = scratch.force[i, c]
+            if sites.kind[i] != FIXED:
+                own = kick_node(
+                    i, sites.slide_of[i], sites.slide, nodes, scratch, (0.0, 0.0, 0.0), shares, velocity
+                )  # fmt: skip
+                work, square = work + own[0], square + own[1]
+        sums[b, 0], sums[b, 1] = work * step, lost + alpha * nodes.density * square * step
+
+
+@kernel_njit(inner=True, parallel=True)
+def _drift_blocks(kind, nodes, damped, surface, step, beta, u, velocity, sums):  # type: ignore[no-untyped-def]
+    """Move the nodes by a step, and prepare the next force.
+
+    Writes the kinetic energy [J] and the largest squared velocity of every block into `sums`; the latter is infinite
+    where a velocity is not a number.
+    """
+    for b in prange(sums.shape[0]):
+        energy, largest = 0.0, 0.0
+        first = np.int64(b) * BLOCK
+        for i in range(first, min(first + BLOCK, velocity.shape[0])):
+            square = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
+            energy += 0.5 * nodes.density * nodes.volumes[i] * square
+            if not square <= largest:
+                largest = square if square < np.inf else np.inf
+            for c in range(3):
+                if kind[i] != FIXED:
+                    u[i, c] += step * velocity[i, c]
+                damped[i, c] = u[i, c] + beta * velocity[i, c]
+                surface[i, c] = 0.0
+        sums[b, 2], sums[b, 3] = energy, largest
+
+
+@kernel_njit(inner=True)
+def _total(sums, k):  # type: ignore[no-untyped-def]
+    """Return the sum over the blocks, equal for any number of threads."""
+    total = 0.0
+    for b in range(sums.shape[0]):
+        total += sums[b, k]
+    return total
+
+
 @kernel_njit(inner=True)
 def kinetic_energy(nodes, velocity):  # type: ignore[no-untyped-def]
     """Return the kinetic energy [J] of nodes with velocities (n, 3)."""
@@ -400,40 +458,36 @@ def nodal_period(formulation: Formulation) -> Any:
     def take_steps(data, u, velocity, period):  # type: ignore[no-untyped-def]
         """Take the steps of a period; return their number, or -1 if a node moves too far in one."""
         clock, scratch, sites, contacts, path = data.clock, data.scratch, data.sites, data.contacts, data.path
-        (body, work), grip = data.passes, data.grip
+        (body, work), grip, nodes, damping = data.passes, data.grip, data.nodes, data.damping
         begin_grip(grip, contacts.points, u, contacts.frames[0, 1])
         step, behind = clock[STEP], clock[BEHIND]
         count = int((behind + period) / step * (1.0 + 1e-12))
         if count > MAX_STEPS:
             count = MAX_STEPS
             behind = count * step - period
+        _drift_blocks(sites.kind, nodes, scratch.damped, scratch.surface, 0.0, damping.beta, u, velocity, data.sums)
         for s in range(count):
             share = min(1.0, ((s + 1) * step - behind) / period)
             _place_tool(path, share, contacts.frames[0])
-            for i in range(u.shape[0]):
-                for c in range(3):
-                    scratch.damped[i, c] = u[i, c] + data.damping.beta * velocity[i, c]
-                    scratch.surface[i, c] = 0.0
             after(work, step)
             force_of(scratch.damped, body, work, scratch.force)
-            clock[LOST] += damping_work(data.nodes.volumes, u, scratch)
-            foundation_force(sites, u, velocity, data.nodes.volumes, scratch.surface)
+            foundation_force(sites, u, velocity, nodes.volumes, scratch.surface)
             store_velocities(grip, velocity)
-            works = kick_nodes(
-                sites, data.free, data.nodes, scratch, (0.0, 0.0, 0.0), step, velocity, data.damping.alpha
-            )
-            clock[WORK] += works[0] + hold_nodes(grip, contacts, data.nodes.mass, step, u, velocity)
-            clock[LOST] += works[1]
+            _kick_blocks(sites, nodes, scratch, scratch.previous, step, damping.alpha, u, velocity, data.sums)
+            clock[WORK] += _total(data.sums, 0) + hold_nodes(grip, contacts, nodes.mass, step, u, velocity)
+            clock[LOST] += _total(data.sums, 1)
             works = push_patches(
-                contacts, False, (step, step, step, 0.0), 1.0, u, velocity, (data.nodes, scratch, (0.0, 0.0, 0.0))
+                contacts, False, (step, step, step, 0.0), 1.0, u, velocity, (nodes, scratch, (0.0, 0.0, 0.0))
             )
             clock[WORK] += works[0]
             clock[LOST] += works[1]
-            for i in range(u.shape[0]):
-                square = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
-                if not square * step * step < data.reach * data.reach:  # also if it is not a number
+            _drift_blocks(
+                sites.kind, nodes, scratch.damped, scratch.surface, step, damping.beta, u, velocity, data.sums
+            )
+            for b in range(data.sums.shape[0]):
+                if not data.sums[b, 3] * step * step < data.reach * data.reach:
                     return -1
-            drift_nodes(sites, data.free, u, step, u, velocity)
+        clock[KINETIC_ENERGY] = _total(data.sums, 2)
         clock[NEXT_BEHIND] = behind + period - count * step
         return count
 
@@ -461,8 +515,9 @@ def nodal_period(formulation: Formulation) -> Any:
                 copy_values(data.path[HOME], data.path[START])
                 data.grip.numbers[FRESH] = 1
             copy_values(data.path[START], contacts.frames[0, 1])
-        clock[GIVEN] += kinetic_energy(data.nodes, velocity) - clock[KINETIC_ENERGY]  # of velocities that were set
-        excess_before = kinetic_energy(data.nodes, velocity) - (clock[GIVEN] + clock[WORK] - clock[LOST])
+        kinetic = kinetic_energy(data.nodes, velocity)
+        clock[GIVEN] += kinetic - clock[KINETIC_ENERGY]  # of velocities that were set
+        excess_before = kinetic - (clock[GIVEN] + clock[WORK] - clock[LOST])
         choose_step(data, u)
         if at_rest:  # whose clock starts in every period: longer steps would never begin
             clock[STEP] = min(clock[STEP], period)
@@ -499,7 +554,6 @@ def nodal_period(formulation: Formulation) -> Any:
             count = take_steps(data, u, velocity, period)
             if count < 0:
                 continue
-            clock[KINETIC_ENERGY] = kinetic_energy(data.nodes, velocity)
             excess = clock[KINETIC_ENERGY] - (clock[GIVEN] + clock[WORK] - clock[LOST])
             allowed = MAX_GAIN * max(abs(clock[WORK]), abs(clock[LOST]), abs(clock[GIVEN])) + LEAST_ENERGY
             if excess <= allowed:

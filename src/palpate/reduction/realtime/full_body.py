@@ -16,6 +16,7 @@ from palpate.dynamics.material.relaxation import history_copy
 from palpate.dynamics.nodal.central_difference import Damping
 from palpate.dynamics.nodal.model import NodalModel, nodal_data
 from palpate.dynamics.nodal.period import (
+    BLOCK,
     END,
     FREQUENCY,
     GAINED,
@@ -73,6 +74,7 @@ def full_period(
         grip=empty_grip(n),
         scratch=work.step,
         clock=np.array([0.0, model.stability.step, frequency, *np.zeros(9)]),
+        sums=np.zeros((-(-n // BLOCK), 4)),
         secant=np.zeros((5, 3)),
         tool_force=np.zeros(12),
         path=path,
@@ -85,7 +87,6 @@ def full_period(
         saved=np.zeros((3, n, 3)),
         saved_history=history_copy(work.passes.history),
         contact_work=ContactReport(np.zeros(2 * n, dtype=np.int64), np.zeros((2 * n, 3)), np.zeros(3, dtype=np.int64)),
-        free=np.zeros(0, dtype=np.bool_),
     )  # fmt: skip
     if isinstance(contact, Grasp):
         forceps = Forceps(contact.radius, contact.point, contact.until)
