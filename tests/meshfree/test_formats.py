@@ -413,6 +413,7 @@ def test_a_compressed_file_is_read_by_the_suffix_within(valid, tmp_path):
         (b"OFF\n3 1 0\n", "not a whole gzip file"),
         (b"", "not a whole gzip file|must not be empty"),
     ],
+    ids=["bomb", "cut", "more", "plain", "empty"],  # compressed data have the time in them
 )
 def test_compressed_files_that_expand_too_far_or_are_cut_are_refused(data, said, tmp_path):
     with pytest.raises(pt.FileFormatError, match=said):
